@@ -1,0 +1,211 @@
+"""Ask a frame: one expression through all four stages, with everything that was computed kept."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from time import perf_counter
+
+import numpy as np
+
+from pipeline.errors import InputError
+from pipeline.expression import Attachment, Query, parse
+from pipeline.frame import Frame
+from pipeline.lifting import LiftConfig
+from pipeline.naming import Synonyms
+from pipeline.objects import FrameContext, SceneObject, same_object
+from pipeline.proposals.base import Detector, Proposals
+from pipeline.proposals.selection import top_k
+from pipeline.ranking import Candidates, RankConfig, Ranking, rank
+from pipeline.srm.scorer import (
+    RelationScorer,
+    RelationScores,
+    RuleScorer,
+    between_probabilities,
+    superlative_probabilities,
+)
+from pipeline.viewer import ViewerAxes
+
+
+@dataclass(frozen=True)
+class AskConfig:
+    """How a question is answered.
+
+    Attributes
+    ----------
+    k : int
+        Proposals that go on for each name; a detector whose detections are the truth is not cut.
+    lift : LiftConfig
+    rank : RankConfig
+    relations : tuple of str or None
+        What the expression may use; None for everything the scorer knows.
+    """
+
+    k: int = 10
+    lift: LiftConfig = field(default_factory=LiftConfig)
+    rank: RankConfig = field(default_factory=RankConfig)
+    relations: tuple[str, ...] | None = None
+
+
+@dataclass(frozen=True)
+class Trace:
+    """Every stage's input and output for one question.
+
+    Attributes
+    ----------
+    frame : Frame
+        With the up vector that was used.
+    viewer : ViewerAxes
+    query : Query
+        The parsed expression with all its readings.
+    objects : tuple of SceneObject
+        All proposals of all names, lifted; each thing once.
+    candidates : dict of str to Candidates
+        Class name as asked -> places in `objects` and scores.
+    scores : RelationScores
+    ranking : Ranking or None
+        None where a class was not found.
+    missing : tuple of str
+        Class names that were not found.
+    timings : dict of str to float
+        Seconds by stage: parse, frame (up vector and depth edges, once for a frame), opm, lift, srm, prm.
+    detector, scorer : str
+    """
+
+    frame: Frame
+    viewer: ViewerAxes
+    query: Query
+    objects: tuple[SceneObject, ...]
+    candidates: dict[str, Candidates]
+    scores: RelationScores
+    ranking: Ranking | None
+    missing: tuple[str, ...]
+    timings: dict[str, float]
+    detector: str
+    scorer: str
+
+
+def ask(
+    frame: Frame | FrameContext,
+    text: str,
+    detector: Detector,
+    *,
+    scorer: RelationScorer | None = None,
+    config: AskConfig | None = None,
+    class_names: Sequence[str] = (),
+    synonyms: Synonyms | None = None,
+) -> Trace:
+    """Answer an expression such as "mug left of the laptop".
+
+    Parameters
+    ----------
+    frame : Frame or FrameContext
+        A context keeps what does not depend on the question between calls.
+    text : str
+    detector : Detector
+    scorer : RelationScorer, optional
+        The geometric rule where none is given.
+    class_names : sequence of str
+        Names the parser should keep whole ("front door").
+
+    Raises
+    ------
+    InputError
+        For an expression that cannot be read, or a name the detector cannot know.
+    """
+    config = config or AskConfig()
+    scorer = scorer or RuleScorer()
+    timings: dict[str, float] = {}
+    with _timed(timings, "parse"):
+        query = parse(
+            text,
+            class_names=tuple(class_names) or (detector.vocabulary or ()),
+            relations=config.relations,
+            synonyms=synonyms,
+        )
+        names = query.labels
+    context = frame if isinstance(frame, FrameContext) else FrameContext(frame, config.lift)
+    timings["frame"] = context.seconds
+    with _timed(timings, "opm"):
+        found = {name: _propose(context, detector, name, config.k) for name in names}
+    with _timed(timings, "lift"):
+        objects, candidates = _merged(context, detector, found)
+    with _timed(timings, "srm"):
+        scores = scorer.score([o.lifted for o in objects], context.viewer)
+    missing = tuple(name for name in names if not len(candidates[name].index))
+    ranking = None
+    if not missing:
+        with _timed(timings, "prm"):
+            ranking = rank(
+                query.readings,
+                candidates,
+                _lookup(scores, objects),
+                same_object(objects, detector.exact),
+                np.array([o.lifted.quality.mask_pixels for o in objects]),
+                config.rank,
+            )
+    return Trace(
+        frame=context.frame,
+        viewer=context.viewer,
+        query=query,
+        objects=objects,
+        candidates=candidates,
+        scores=scores,
+        ranking=ranking,
+        missing=missing,
+        timings=timings,
+        detector=detector.name,
+        scorer=scorer.name,
+    )
+
+
+@contextmanager
+def _timed(timings: dict[str, float], stage: str) -> Iterator[None]:
+    start = perf_counter()
+    yield
+    timings[stage] = timings.get(stage, 0.0) + perf_counter() - start
+
+
+def _propose(context: FrameContext, detector: Detector, name: str, k: int) -> Proposals:
+    proposals = detector.detect(context.frame, [name])
+    return proposals if detector.exact else top_k(proposals, k)
+
+
+def _merged(
+    context: FrameContext, detector: Detector, found: dict[str, Proposals]
+) -> tuple[tuple[SceneObject, ...], dict[str, Candidates]]:
+    """All proposals as one list in which a detection that several names found stands once."""
+    objects: list[SceneObject] = []
+    place: dict[int, int] = {}
+    candidates: dict[str, Candidates] = {}
+    for name, proposals in found.items():
+        index = []
+        for entry in context.lift(proposals, detector):
+            at = place.get(entry.id) if entry.id >= 0 else None
+            if at is None:
+                at = len(objects)
+                objects.append(entry)
+                if entry.id >= 0:
+                    place[entry.id] = at
+            index.append(at)
+        candidates[name] = Candidates(np.array(index, np.int64), proposals.scores.astype(np.float64))
+    return tuple(objects), candidates
+
+
+def _lookup(scores: RelationScores, objects: Sequence[SceneObject]):
+    lifted = [o.lifted for o in objects]
+
+    def lookup(attachment: Attachment, heads: Sequence[int], ends: Sequence[Sequence[int]]) -> np.ndarray:
+        relation = attachment.relation
+        if relation == "between":
+            return between_probabilities(lifted, heads, ends[0], ends[1])
+        if relation in ("closest", "farthest"):
+            return superlative_probabilities(lifted, relation, heads, ends[0])
+        if relation not in scores.relations:
+            raise InputError(f"the relation scorer has no {relation!r}", expected=", ".join(scores.relations))
+        table = scores.of(relation)
+        # "the table holding the lamp" asks for the lamp on the table.
+        return table[np.ix_(ends[0], heads)].T if attachment.inverse else table[np.ix_(heads, ends[0])]
+
+    return lookup

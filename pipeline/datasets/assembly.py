@@ -1,0 +1,67 @@
+"""Putting decoded parts together into a Frame, with the file to blame in every error."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.camera import Camera
+from pipeline.datasets.images import read_color, read_depth
+from pipeline.errors import InputError
+from pipeline.frame import Annotation, Frame
+
+
+def read_pair(
+    color: Path, depth: Path, units_per_metre: float | None, nothing: int | None = None
+) -> tuple[np.ndarray, np.ndarray]:
+    """A colour file and its depth file, (H, W, 3) uint8 and (H, W) float32 metres.
+
+    Raises
+    ------
+    InputError
+        Either is broken, or their sizes differ.
+    """
+    rgb = read_color(color)
+    metres = read_depth(depth, units_per_metre, nothing)
+    if rgb.shape[:2] != metres.shape:
+        raise InputError(
+            "colour and depth differ in size",
+            got=f"depth {metres.shape[1]}x{metres.shape[0]}",
+            expected=f"{rgb.shape[1]}x{rgb.shape[0]} as {color.name}",
+            cause="is this the raw depth and not the one registered to the colour image?",
+            path=depth,
+        )
+    return rgb, metres
+
+
+def make_frame(
+    frame_id: str,
+    pair: tuple[np.ndarray, np.ndarray],
+    camera: Camera,
+    depth_path: Path,
+    annotations: tuple[Annotation, ...] = (),
+    notes: tuple[str, ...] = (),
+) -> Frame:
+    """A Frame; what it finds wrong is the depth, and is blamed on `depth_path`."""
+    try:
+        return Frame(frame_id, pair[0], pair[1], camera, annotations, notes)
+    except InputError as error:
+        raise InputError(str(error), path=depth_path) from error
+
+
+def one_file(candidates: list[Path], what: str, where: Path) -> Path:
+    """The only file of several possible ones.
+
+    Raises
+    ------
+    InputError
+        None is there, or more than one.
+    """
+    if not candidates:
+        raise InputError(f"the {what} file is missing", path=where)
+    if len(candidates) > 1:
+        raise InputError(
+            f"more than one {what} file", got=", ".join(path.name for path in candidates), path=where
+        )
+    return candidates[0]

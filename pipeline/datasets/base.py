@@ -1,0 +1,114 @@
+"""What every dataset reader offers, and how a frame is named."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+from pipeline.datasets.settings import Settings
+from pipeline.errors import InputError
+from pipeline.frame import Frame
+
+
+class Dataset(Protocol):
+    """A folder of frames, opened but not yet read.
+
+    Attributes
+    ----------
+    root : Path
+        The folder that was opened. Nothing outside it is read.
+    format : str
+        Name of the on-disk format: "bop", "7-scenes", "folder", or a plugin's.
+    frame_ids : tuple of str
+        Every frame the dataset lists, broken ones too, in order.
+    class_names : tuple of str
+        The annotated classes, known without decoding an image; empty where none.
+    """
+
+    @property
+    def root(self) -> Path: ...
+
+    @property
+    def format(self) -> str: ...
+
+    @property
+    def frame_ids(self) -> tuple[str, ...]: ...
+
+    @property
+    def class_names(self) -> tuple[str, ...]: ...
+
+    def load(self, frame_id: str) -> Frame:
+        """Decode one frame.
+
+        Raises
+        ------
+        InputError
+            The id is unknown, or the frame is broken: the file and the reason.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class DatasetFormat:
+    """One on-disk format: how to tell it, and how to open it.
+
+    Attributes
+    ----------
+    name : str
+    signature : str
+        One line that says what is looked for in the folder.
+    recognises : callable
+        Whether a folder is of this format. Must be fast and must not raise.
+    open : callable
+        Opens a folder; what `Settings` gives wins over what the files say.
+    """
+
+    name: str
+    signature: str
+    recognises: Callable[[Path], bool]
+    open: Callable[[Path, Settings], Dataset]
+
+
+def resolve_frame(dataset: Dataset, key: str | int) -> str:
+    """The id of the frame that a person named.
+
+    An exact id comes first, then an index counted from 0, then the same path
+    with its numbers written differently ("1/20" for "000001/000020").
+
+    Raises
+    ------
+    InputError
+        No such frame; the message gives the nearest ids and the count.
+    """
+    ids = dataset.frame_ids
+    text = str(key).strip()
+    if isinstance(key, str) and text in ids:
+        return text
+    if re.fullmatch(r"[0-9]{1,15}", text) and not isinstance(key, bool):
+        if int(text) < len(ids):
+            return ids[int(text)]
+    elif "/" in text:
+        same = [frame_id for frame_id in ids if _loose(frame_id) == _loose(text)]
+        if len(same) == 1:
+            return same[0]
+    raise unknown_frame(dataset, text)
+
+
+def unknown_frame(dataset: Dataset, key: str) -> InputError:
+    """The error for an id that a dataset does not have, with the nearest ids and the count."""
+    ids = dataset.frame_ids
+    near = difflib.get_close_matches(key, ids[:20_000], n=3, cutoff=0.3) or list(ids[:3])
+    return InputError(
+        f"no frame {key[:80]!r} among {len(ids)}",
+        expected=f"an id or an index from 0 to {len(ids) - 1}" if ids else None,
+        cause=f"nearest ids: {', '.join(near)}" if near else None,
+        path=dataset.root,
+    )
+
+
+def _loose(frame_id: str) -> str:
+    return re.sub(r"0*([0-9]+)", r"\1", frame_id).lower()

@@ -1,0 +1,157 @@
+"""From the numbers in a dataset's files to a checked Camera."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.camera import Camera, intrinsics
+from pipeline.datasets.settings import Settings
+from pipeline.errors import InputError
+
+ROUNDING = 1e-2
+"""How far from a rotation a printed rotation matrix may be through rounding alone."""
+
+
+def nearest_rotation(R: np.ndarray) -> np.ndarray:
+    """The rotation nearest to a rounded one, by SVD (orthogonal Procrustes).
+
+    Parameters
+    ----------
+    R : (3, 3) float
+
+    Returns
+    -------
+    (3, 3) float64
+
+    Raises
+    ------
+    InputError
+        Not finite, mirrored, or further from a rotation than rounding explains.
+    """
+    R = np.asarray(R, dtype=np.float64)
+    if not np.isfinite(R).all():
+        raise InputError("a rotation with inf or NaN")
+    deviation = float(np.abs(R @ R.T - np.eye(3)).max())
+    if deviation >= ROUNDING or np.linalg.det(R) < 0:
+        raise InputError(
+            "not a rotation",
+            got=f"det {np.linalg.det(R):.3g}, {deviation:.2g} from orthonormal",
+            cause="is the matrix scaled or left-handed?",
+        )
+    U, _, Vt = np.linalg.svd(R)
+    return U @ Vt
+
+
+def rigid(R: np.ndarray, t: np.ndarray) -> np.ndarray:
+    """The (4, 4) float64 transform of a (rounded) rotation (3, 3) and a translation (3,), metres.
+
+    Raises
+    ------
+    InputError
+        R is no rotation, or t is not finite.
+    """
+    t = np.asarray(t, dtype=np.float64)
+    if not np.isfinite(t).all():
+        raise InputError("a position with inf or NaN")
+    T = np.eye(4)
+    T[:3, :3] = nearest_rotation(R)
+    T[:3, 3] = t
+    return T
+
+
+def inverse(T: np.ndarray) -> np.ndarray:
+    """The inverse of a rigid (4, 4) transform."""
+    out = np.eye(4)
+    out[:3, :3] = T[:3, :3].T
+    out[:3, 3] = -T[:3, :3].T @ T[:3, 3]
+    return out
+
+
+def pose_from_matrix(T: np.ndarray) -> np.ndarray:
+    """A checked (4, 4) T_world_camera from a 4x4 matrix as printed in a file.
+
+    Raises
+    ------
+    InputError
+        inf or NaN (the tracker was lost), a last row other than 0 0 0 1, or no rotation.
+    """
+    if not np.isfinite(T).all():
+        raise InputError("inf or NaN, the tracker was lost")
+    if np.abs(T[3] - (0, 0, 0, 1)).max() > 1e-6:
+        raise InputError("the last row is not 0 0 0 1", got=T[3].tolist())
+    return rigid(T[:3, :3], T[:3, 3])
+
+
+def pose_from_quaternion(values: np.ndarray) -> np.ndarray:
+    """T_world_camera (4, 4) from tx ty tz qx qy qz qw (7,), metres.
+
+    The quaternion may be rounded; the formula is the usual one for a unit
+    quaternion (Shoemake 1985).
+
+    Raises
+    ------
+    InputError
+        inf or NaN, or a quaternion whose length is not 1.
+    """
+    if not np.isfinite(values).all():
+        raise InputError("inf or NaN, the tracker was lost")
+    length = float(np.linalg.norm(values[3:]))
+    if abs(length - 1) > ROUNDING:
+        raise InputError("the quaternion does not have length 1", got=f"{length:.3g}")
+    x, y, z, w = values[3:] / length
+    R = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    return rigid(R, values[:3])
+
+
+def make_camera(
+    K: np.ndarray | None,
+    size: tuple[int, int],
+    T_world_camera: np.ndarray | None,
+    settings: Settings,
+    path: Path,
+) -> Camera:
+    """A checked camera; the settings' intrinsics win over `K`.
+
+    Parameters
+    ----------
+    K : (3, 3) float64 or None
+        What the dataset's own files say, from `path`.
+    size : (height, width)
+    T_world_camera : (4, 4) float64 or None
+    settings : Settings
+        `world_up`, where declared, becomes the up vector of a posed camera.
+    path : Path
+        The file to blame.
+
+    Raises
+    ------
+    InputError
+        No intrinsics at all, or ones that cannot belong to an image of this size.
+    """
+    height, width = size
+    if settings.intrinsics is not None:
+        K = intrinsics(*settings.intrinsics)
+    if K is None:
+        raise InputError("the camera is not known", expected="--intrinsics fx,fy,cx,cy", path=path)
+    try:
+        camera = Camera(K, width, height, T_world_camera)
+    except InputError as error:
+        raise InputError(str(error), path=path) from error
+    if not (-0.5 * width <= camera.cx <= 1.5 * width and -0.5 * height <= camera.cy <= 1.5 * height):
+        raise InputError(
+            f"the principal point is far outside the {width}x{height} image",
+            got=f"cx={camera.cx:g}, cy={camera.cy:g}",
+            cause="are these the intrinsics of another image size?",
+            path=path,
+        )
+    if settings.world_up is not None and T_world_camera is not None:
+        return camera.with_up(T_world_camera[:3, :3].T @ np.asarray(settings.world_up), "declared")
+    return camera

@@ -1,0 +1,229 @@
+"""Any other recording: a folder of colour, a folder of depth, perhaps poses."""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.datasets.assembly import make_frame, one_file, read_pair
+from pipeline.datasets.base import DatasetFormat, unknown_frame
+from pipeline.datasets.cameras import make_camera, pose_from_matrix, pose_from_quaternion
+from pipeline.datasets.files import as_floats, listing, natural, read_lines, read_matrix
+from pipeline.datasets.images import COLOR_SUFFIXES, DEPTH_SUFFIXES, INTEGER_DEPTH_SUFFIXES
+from pipeline.datasets.settings import FILE_NAME, Settings
+from pipeline.errors import InputError
+from pipeline.frame import Frame
+
+COLOR_FOLDERS = ("color", "colour", "rgb", "image", "images")
+DEPTH_FOLDERS = ("depth",)
+
+Key = tuple[str, ...]
+Naming = Callable[[Path], Key]
+"""What two files of one frame have in common: a part of their names."""
+
+
+@dataclass(frozen=True)
+class _Pair:
+    """The files of one frame; either may be missing, and the frame is then broken."""
+
+    key: Key
+    color: Path | None
+    depth: Path | None
+
+
+@dataclass(frozen=True)
+class _PoseText:
+    """Where a pose stands: a file of its own, or a line of `pose.txt`."""
+
+    path: Path
+    line: str | None = None
+
+    def read(self) -> np.ndarray:
+        if self.line is None:
+            return pose_from_matrix(read_matrix(self.path, 4, 4))
+        values = as_floats(self.line.replace(",", " ").split(), 7, self.path, "tx ty tz qx qy qz qw")
+        return pose_from_quaternion(values)
+
+
+class FolderDataset:
+    """Colour and depth files paired by the number in their names; the id is the colour file's stem.
+
+    Poses come from `pose/N.txt` (a 4x4 matrix) or `pose.txt` (a line
+    tx ty tz qx qy qz qw a frame), both camera-to-world. Lines belong to the
+    frames in order where there are as many, and otherwise line N to number N.
+    """
+
+    format = "folder"
+    class_names: tuple[str, ...] = ()
+
+    def __init__(self, root: Path, settings: Settings) -> None:
+        self.root = root
+        self._settings = settings
+        colors = _files(root, COLOR_FOLDERS, COLOR_SUFFIXES, "colour")
+        depths = _files(root, DEPTH_FOLDERS, DEPTH_SUFFIXES, "depth")
+        _ask_for_the_missing(root, depths, settings)
+        naming = _naming(colors, depths)
+        self._pairs = {
+            (pair.color or pair.depth or root).stem: pair for pair in _paired(naming, colors, depths)
+        }
+        self.frame_ids = tuple(self._pairs)
+        self._poses, self._pose_problem = _poses(root, naming, [pair.key for pair in self._pairs.values()])
+
+    def load(self, frame_id: str) -> Frame:
+        """Decode one frame; see `Dataset.load`."""
+        if frame_id not in self._pairs:
+            raise unknown_frame(self, frame_id)
+        pair = self._pairs[frame_id]
+        present = pair.color or pair.depth or self.root
+        color = one_file([pair.color] if pair.color else [], "colour", present)
+        depth = one_file([pair.depth] if pair.depth else [], "depth", present)
+        images = read_pair(color, depth, self._settings.depth_scale)
+        notes: list[str] = [] if self._pose_problem is None else [f"no camera pose: {self._pose_problem}"]
+        pose = None
+        if pair.key in self._poses:
+            try:
+                pose = self._poses[pair.key].read()
+            except InputError as error:
+                notes.append(f"no camera pose: {error.what}")
+        size = (images[1].shape[0], images[1].shape[1])
+        camera = make_camera(None, size, pose, self._settings, color)
+        return make_frame(frame_id, images, camera, depth, notes=tuple(notes))
+
+
+def _files(root: Path, folders: tuple[str, ...], suffixes: tuple[str, ...], what: str) -> list[Path]:
+    """The image files of the only folder that is named as one of `folders`."""
+    found: dict[str, list[Path]] = {}
+    for name in listing(root)[0]:
+        if name.lower() in folders:
+            paths = [root / name / file for file in listing(root / name)[1]]
+            found[name] = [path for path in paths if path.suffix.lower() in suffixes]
+    full = {name: paths for name, paths in found.items() if paths}
+    if not full:
+        raise InputError(
+            f"no {what} files",
+            got=f"{'/, '.join(found)}/ without one",
+            expected=", ".join(suffixes),
+            path=root,
+        )
+    if len(full) > 1:
+        raise InputError(f"more than one {what} folder", got=", ".join(full), expected="one", path=root)
+    return next(iter(full.values()))
+
+
+def _ask_for_the_missing(root: Path, depths: list[Path], settings: Settings) -> None:
+    missing: list[str] = []
+    if settings.intrinsics is None:
+        missing.append("--intrinsics fx,fy,cx,cy")
+    if settings.depth_scale is None and any(path.suffix.lower() in INTEGER_DEPTH_SUFFIXES for path in depths):
+        missing.append("--depth-scale UNITS_PER_METRE")
+    if missing:
+        raise InputError(
+            "this recording does not say what its camera is",
+            expected=" and ".join(missing),
+            cause=f"give it on the command line or keep it in {FILE_NAME} beside the data",
+            path=root,
+        )
+
+
+def _numbers(path: Path) -> Key:
+    """Every number in a file's name; a time stamp with its decimals is one number."""
+    numbers = re.findall(r"[0-9]+(?:\.[0-9]+)?", path.stem)
+    return tuple(re.sub(r"^0+(?=[0-9])", "", number) for number in numbers)
+
+
+def _last_number(path: Path) -> Key:
+    return _numbers(path)[-1:]
+
+
+def _stem(path: Path) -> Key:
+    return (path.stem,)
+
+
+def _naming(colors: list[Path], depths: list[Path]) -> Naming:
+    """The first way of naming a frame under which no folder has two files of the same name.
+
+    Raises
+    ------
+    InputError
+        None does.
+    """
+    numbered = all(_numbers(path) for path in (*colors, *depths))
+    namings: tuple[Naming, ...] = (_last_number, _numbers) if numbered else (_stem,)
+    same: list[str] = []
+    for naming in namings:
+        same = [_twice(naming, colors), _twice(naming, depths)]
+        if not any(same):
+            return naming
+    raise InputError(
+        "colour and depth cannot be paired: two files have the same number"
+        if numbered
+        else "colour and depth cannot be paired: two files have the same name",
+        got=next(filter(None, same)),
+        path=(colors if same[0] else depths)[0].parent,
+    )
+
+
+def _twice(naming: Naming, paths: list[Path]) -> str:
+    """Two files that `naming` cannot tell apart, as text; empty where there are none."""
+    key, count = Counter(map(naming, paths)).most_common(1)[0]
+    return " and ".join(path.name for path in paths if naming(path) == key) if count > 1 else ""
+
+
+def _paired(naming: Naming, colors: list[Path], depths: list[Path]) -> list[_Pair]:
+    """Every frame that has colour or depth, in natural order.
+
+    Raises
+    ------
+    InputError
+        No colour file has a depth file.
+    """
+    color = {naming(path): path for path in colors}
+    depth = {naming(path): path for path in depths}
+    if not color.keys() & depth.keys():
+        raise InputError(
+            "colour and depth do not pair: no number or name in common",
+            got=f"{colors[0].name} ... {colors[-1].name} and {depths[0].name} ... {depths[-1].name}",
+            path=colors[0].parent.parent,
+        )
+    keys = sorted(color.keys() | depth.keys(), key=lambda key: [natural(part) for part in key])
+    return [_Pair(key, color.get(key), depth.get(key)) for key in keys]
+
+
+def _poses(root: Path, naming: Naming, keys: list[Key]) -> tuple[dict[Key, _PoseText], str | None]:
+    """Where each frame's pose stands, and why there are none although there is a file."""
+    if (root / "pose").is_dir():
+        files = [root / "pose" / name for name in listing(root / "pose")[1] if name.lower().endswith(".txt")]
+        if files:
+            if twice := _twice(naming, files):
+                return {}, f"pose/ has {twice} for one frame"
+            return {naming(path): _PoseText(path) for path in files}, None
+    path = root / "pose.txt"
+    if not path.is_file():
+        return {}, None
+    try:
+        lines = read_lines(path)
+    except InputError as error:
+        return {}, f"pose.txt: {error.what}"
+    if len(lines) == len(keys):
+        return {key: _PoseText(path, line) for key, line in zip(keys, lines, strict=True)}, None
+    if all(len(key) == 1 and key[0].isdecimal() and 1 <= int(key[0]) <= len(lines) for key in keys):
+        return {key: _PoseText(path, lines[int(key[0]) - 1]) for key in keys}, None
+    return {}, f"pose.txt has {len(lines)} lines for {len(keys)} frames"
+
+
+def _recognises(root: Path) -> bool:
+    names = {name.lower() for name in listing(root)[0]}
+    return bool(names.intersection(COLOR_FOLDERS)) and bool(names.intersection(DEPTH_FOLDERS))
+
+
+FORMAT = DatasetFormat(
+    "folder",
+    "folder: color/, rgb/ or image/ with depth/, files paired by number",
+    _recognises,
+    FolderDataset,
+)

@@ -1,0 +1,268 @@
+"""Decoding colour, depth and mask files, with the checks a decoder leaves out.
+
+A decoder may return what it could read of a cut-off file. Every file is
+therefore walked to its end first: a PNG chunk by chunk with its checksums, a
+JPEG marker by marker to its end-of-image marker, a PGM by its size.
+"""
+
+from __future__ import annotations
+
+import io
+import re
+import zlib
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from pipeline.datasets.files import read_bytes
+from pipeline.errors import InputError
+
+COLOR_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".ppm")
+DEPTH_SUFFIXES = (".png", ".pgm", ".tif", ".tiff", ".exr", ".npy")
+INTEGER_DEPTH_SUFFIXES = (".png", ".pgm")
+
+_CUT_OFF = "was the copy or the download interrupted?"
+_MAGIC = {
+    b"\x89PNG\r\n\x1a\n": "png",
+    b"\xff\xd8": "jpeg",
+    b"P5": "pnm",
+    b"P6": "pnm",
+    b"II*\0": "tiff",
+    b"MM\0*": "tiff",
+    b"\x76\x2f\x31\x01": "exr",
+    b"\x93NUMPY": "npy",
+}
+
+
+def read_color(path: Path) -> np.ndarray:
+    """A colour file as (H, W, 3) uint8 RGB.
+
+    The orientation tag is ignored, since depth maps carry none.
+
+    Raises
+    ------
+    InputError
+        Missing, empty, cut off, corrupt, or no image.
+    """
+    data, kind = _checked(path, "png, jpeg, tiff or ppm")
+    if kind in ("exr", "npy"):
+        raise InputError("a colour file must be a png, jpeg, tiff or ppm", got=kind, path=path)
+    bgr = _decode(data, kind, path, cv2.IMREAD_COLOR | cv2.IMREAD_IGNORE_ORIENTATION)
+    return np.ascontiguousarray(bgr[..., ::-1])
+
+
+def read_mask(path: Path) -> np.ndarray:
+    """A mask file as (H, W) bool: whatever is above 0 in any channel but alpha.
+
+    Raises
+    ------
+    InputError
+        As `read_color`.
+    """
+    data, kind = _checked(path, "png")
+    if kind in ("exr", "npy"):
+        raise InputError("a mask must be a png", got=kind, path=path)
+    pixels = _decode(data, kind, path, cv2.IMREAD_UNCHANGED)
+    if pixels.ndim == 3:
+        return np.any(pixels[..., :3] > 0, axis=2)
+    return pixels > 0
+
+
+def read_depth(path: Path, units_per_metre: float | None, nothing: int | None = None) -> np.ndarray:
+    """A depth file as (H, W) float32 metres, 0 where nothing was measured.
+
+    Parameters
+    ----------
+    path : Path
+        16-bit PNG or PGM, TIFF, EXR or NPY.
+    units_per_metre : float or None
+        1000 for millimetres. None: floating-point depth is metres, and integer
+        depth is an error.
+    nothing : int, optional
+        A stored value, besides 0, that means nothing was measured.
+
+    Raises
+    ------
+    InputError
+        As `read_color`; also 8-bit depth, depth with colours, or an unknown unit.
+    """
+    data, kind = _checked(path, "png, pgm, tiff, exr or npy")
+    if kind == "npy":
+        stored = _decode_npy(data, path)
+    elif kind == "exr":
+        stored = _decode_exr(path)
+    else:
+        stored = _decode(data, kind, path, cv2.IMREAD_UNCHANGED)
+    if stored.ndim == 3 and stored.shape[2] == 1:
+        stored = stored[..., 0]
+    if stored.dtype.itemsize == 1:
+        raise InputError(
+            "depth of 8 bits",
+            got=stored.dtype,
+            expected="16-bit integers or floats",
+            cause="is this a picture of the depth, made for looking at, or a lossy copy?",
+            path=path,
+        )
+    if stored.ndim != 2:
+        raise InputError("depth must have one channel", got=f"shape {stored.shape}", path=path)
+    if stored.dtype.kind not in "uif":
+        raise InputError("depth must be numbers", got=stored.dtype, path=path)
+    if units_per_metre is None:
+        if stored.dtype.kind != "f":
+            raise InputError(
+                "the unit of integer depth is not known",
+                expected="--depth-scale UNITS_PER_METRE, 1000 for millimetres",
+                path=path,
+            )
+        units_per_metre = 1.0
+    with np.errstate(over="ignore", invalid="ignore"):
+        depth = np.divide(stored, np.float32(units_per_metre), dtype=np.float32, casting="same_kind")
+        none = ~(np.isfinite(depth) & (depth > 0))
+    if nothing is not None:
+        none |= stored == nothing
+    depth[none] = 0
+    return depth
+
+
+def _checked(path: Path, expected: str) -> tuple[bytes, str]:
+    """The bytes of an image file that is whole, and its kind by its first bytes."""
+    data = read_bytes(path)
+    kind = next((name for magic, name in _MAGIC.items() if data.startswith(magic)), None)
+    if kind is None:
+        raise InputError(
+            "not an image that can be read",
+            got=f"a file that begins with {data[:8]!r}",
+            expected=f"a {expected}",
+            cause="is it a text file, a Git LFS pointer or a saved web page?",
+            path=path,
+        )
+    if kind == "png":
+        _check_png(data, path)
+    elif kind == "jpeg":
+        _check_jpeg(data, path)
+    return data, kind
+
+
+def _check_png(data: bytes, path: Path) -> None:
+    """Walk the chunks to IEND; each has its length, type, body and CRC-32 (PNG 1.2, section 3)."""
+    view, position = memoryview(data), 8
+    while position + 12 <= len(data):
+        length = int.from_bytes(view[position : position + 4], "big")
+        end = position + 12 + length
+        if end > len(data):
+            break
+        if zlib.crc32(view[position + 4 : end - 4]) != int.from_bytes(view[end - 4 : end], "big"):
+            raise InputError("a corrupt PNG: wrong checksum", got=f"at byte {position}", path=path)
+        if view[position + 4 : position + 8] == b"IEND":
+            return
+        position = end
+    raise InputError("a PNG that is cut off", got=f"{len(data)} bytes", cause=_CUT_OFF, path=path)
+
+
+def _check_jpeg(data: bytes, path: Path) -> None:
+    """Walk the markers to EOI (ITU T.81, annex B).
+
+    Segments are skipped by their length, so that the end of an embedded
+    thumbnail is not taken for the end of the picture.
+    """
+    position = 2
+    while position + 2 <= len(data):
+        if data[position] != 0xFF:
+            raise InputError("a corrupt JPEG: no marker", got=f"at byte {position}", path=path)
+        marker = data[position + 1]
+        if marker == 0xD9:
+            return
+        if marker == 0xFF:
+            position += 1
+        elif marker == 0x01 or 0xD0 <= marker <= 0xD7:
+            position += 2
+        else:
+            position += 2 + int.from_bytes(data[position + 2 : position + 4], "big")
+            if marker == 0xDA:
+                # Entropy-coded data: runs to the first marker that is no stuffed 0 and no restart.
+                following = re.compile(rb"\xff[^\x00\xd0-\xd7\xff]").search(data, position)
+                if following is None:
+                    break
+                position = following.start()
+    raise InputError("a JPEG that is cut off", got=f"{len(data)} bytes", cause=_CUT_OFF, path=path)
+
+
+def _decode(data: bytes, kind: str, path: Path, flags: int) -> np.ndarray:
+    if kind == "pnm":
+        return _decode_pnm(data, path, flags)
+    try:
+        pixels = cv2.imdecode(np.frombuffer(data, np.uint8), flags)
+    except cv2.error as error:
+        raise InputError(f"a {kind} that cannot be decoded", got=str(error)[-120:], path=path) from error
+    if pixels is None:
+        raise InputError(
+            f"a {kind} that cannot be decoded", cause="is the file cut off or corrupt?", path=path
+        )
+    return pixels
+
+
+def _decode_pnm(data: bytes, path: Path, flags: int) -> np.ndarray:
+    """Binary PGM (P5) or PPM (P6); 16-bit samples are big-endian. Colour comes back BGR, like OpenCV's."""
+    gap = rb"(?:\s|#[^\n]*\n)+"
+    number = rb"([0-9]{1,9})"
+    header = re.match(rb"P([56])" + gap + number + gap + number + gap + number + rb"\s", data)
+    if header is None:
+        raise InputError("a PGM or PPM with a malformed header", got=repr(data[:20]), path=path)
+    channels = 3 if header[1] == b"6" else 1
+    width, height, largest = (int(header[k]) for k in (2, 3, 4))
+    dtype = np.dtype(">u2" if largest > 255 else "u1")
+    count = width * height * channels
+    if count == 0 or not 0 < largest < 65536:
+        raise InputError("a PGM or PPM with a malformed header", got=repr(header[0]), path=path)
+    if len(data) - header.end() < count * dtype.itemsize:
+        raise InputError(
+            "a PGM or PPM that is cut off",
+            got=f"{len(data) - header.end()} bytes of pixels",
+            expected=count * dtype.itemsize,
+            cause=_CUT_OFF,
+            path=path,
+        )
+    pixels = np.frombuffer(data, dtype, count, header.end()).reshape(height, width, channels)
+    pixels = pixels.astype(dtype.newbyteorder("="))
+    if flags == cv2.IMREAD_UNCHANGED:
+        return pixels[..., 0] if channels == 1 else pixels[..., ::-1]
+    if dtype.itemsize == 2:
+        pixels = (pixels >> 8).astype(np.uint8)
+    return np.repeat(pixels, 3, axis=2) if channels == 1 else pixels[..., ::-1]
+
+
+def _decode_npy(data: bytes, path: Path) -> np.ndarray:
+    try:
+        array = np.load(io.BytesIO(data), allow_pickle=False)
+    except (ValueError, EOFError, MemoryError, OverflowError, SyntaxError, TypeError) as error:
+        raise InputError(
+            "an NPY that cannot be read", got=str(error)[:120], cause=_CUT_OFF, path=path
+        ) from error
+    return np.asarray(array)
+
+
+def _decode_exr(path: Path) -> np.ndarray:
+    """The only channel of an OpenEXR file, or the first of several equal ones.
+
+    OpenCV's wheels either lack OpenEXR (5.0) or hide it behind an environment
+    variable that is read when OpenCV is imported (4.x), so the format's own
+    package reads it.
+    """
+    try:
+        import OpenEXR  # pyright: ignore[reportMissingImports]
+    except ImportError as error:
+        raise InputError(
+            "an EXR file needs the OpenEXR package, which is not installed",
+            expected="pip install OpenEXR",
+            cause="the wheels of OpenCV cannot be relied on to read EXR",
+            path=path,
+        ) from error
+    try:
+        with OpenEXR.File(str(path), separate_channels=True) as image:
+            channels = [np.array(channel.pixels) for channel in image.channels().values()]
+    except Exception as error:  # The package raises plain RuntimeError and ValueError alike.
+        raise InputError("an EXR that cannot be read", got=str(error)[:120], path=path) from error
+    if not channels or any(not np.array_equal(channels[0], other, equal_nan=True) for other in channels[1:]):
+        raise InputError("depth must have one channel", got=f"{len(channels)} different ones", path=path)
+    return channels[0]

@@ -1,0 +1,86 @@
+"""Opening a folder whose format is found by looking."""
+
+from __future__ import annotations
+
+import warnings
+from importlib.metadata import entry_points
+from pathlib import Path
+
+from pipeline.datasets import bop, folder, seven_scenes
+from pipeline.datasets.base import Dataset, DatasetFormat
+from pipeline.datasets.settings import read_settings
+from pipeline.errors import InputError
+
+FORMATS: tuple[DatasetFormat, ...] = (
+    bop.FORMAT,
+    seven_scenes.FORMAT,
+)
+"""The formats with marks of their own; the first that recognises a folder opens it.
+A new reader is one file and one line here."""
+
+FALLBACK = folder.FORMAT
+"""What any other recording is opened as, after the plugins have been asked."""
+
+ENTRY_POINT_GROUP = "spatialviz.datasets"
+"""Entry points of this group name a DatasetFormat, and so add a reader."""
+
+
+def open_dataset(
+    path: str | Path,
+    *,
+    intrinsics: tuple[float, float, float, float] | None = None,
+    depth_scale: float | None = None,
+) -> Dataset:
+    """Open a folder of RGB-D frames without decoding an image.
+
+    What is given here wins over `spatialviz.toml` beside the data, and that
+    over the dataset's own files.
+
+    Parameters
+    ----------
+    path : str or Path
+        The dataset's folder.
+    intrinsics : (fx, fy, cx, cy), optional
+        Pixels.
+    depth_scale : float, optional
+        Depth units in one metre: 1000 for millimetres.
+
+    Raises
+    ------
+    InputError
+        No such folder, an unknown format (with what was looked for), or facts
+        missing that only a person can give.
+    """
+    root = Path(path).expanduser()
+    if not root.exists():
+        raise InputError("there is no such dataset", expected="a folder", path=root)
+    if not root.is_dir():
+        raise InputError(
+            "a dataset is a folder", got="a file", cause="is its parent folder the dataset?", path=root
+        )
+    settings = read_settings(root).overridden(intrinsics, depth_scale)
+    formats = (*FORMATS, *plugins(), FALLBACK)
+    for candidate in formats:
+        if candidate.recognises(root):
+            return candidate.open(root, settings)
+    raise InputError(
+        "no dataset is recognised in this folder",
+        cause="looked for " + "; ".join(candidate.signature for candidate in formats),
+        path=root,
+    )
+
+
+def plugins() -> list[DatasetFormat]:
+    """The formats that installed packages add. One that fails to load is warned of and left out."""
+    found: list[DatasetFormat] = []
+    for point in entry_points(group=ENTRY_POINT_GROUP):
+        try:
+            loaded = point.load()
+        except Exception as error:  # A plugin may raise anything; the other formats must still open.
+            warnings.warn(f"dataset plugin {point.value} cannot be loaded: {error}", stacklevel=2)
+            continue
+        if isinstance(loaded, DatasetFormat):
+            found.append(loaded)
+        else:
+            warnings.warn(f"dataset plugin {point.value} is no DatasetFormat", stacklevel=2)
+    return found

@@ -1,0 +1,156 @@
+"""What a person tells about a recording, kept in `spatialviz.toml` beside the data."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+from pipeline.errors import InputError
+
+if sys.version_info >= (3, 11):
+    import tomllib
+else:
+    import tomli as tomllib  # pyright: ignore[reportMissingImports]
+
+FILE_NAME = "spatialviz.toml"
+KEYS = ("name", "intrinsics", "depth_scale", "world_up")
+
+
+@dataclass(frozen=True)
+class Settings:
+    """Facts about a dataset that its format does not carry. None: not told.
+
+    Attributes
+    ----------
+    intrinsics : (fx, fy, cx, cy) or None
+        Pixels.
+    depth_scale : float or None
+        Depth units in one metre: 1000 for millimetres.
+    world_up : (x, y, z) or None
+        The direction against gravity in the world that the poses speak of.
+    name : str or None
+        The dataset's name for people.
+    """
+
+    intrinsics: tuple[float, float, float, float] | None = None
+    depth_scale: float | None = None
+    world_up: tuple[float, float, float] | None = None
+    name: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.intrinsics is not None:
+            fx, fy, cx, cy = _numbers("intrinsics", self.intrinsics, 4)
+            if fx <= 0 or fy <= 0:
+                raise InputError(
+                    "focal lengths must be positive", got=f"fx={fx:g}, fy={fy:g}", expected="fx,fy,cx,cy"
+                )
+            object.__setattr__(self, "intrinsics", (fx, fy, cx, cy))
+        if self.depth_scale is not None:
+            (scale,) = _numbers("depth_scale", [self.depth_scale], 1)
+            if scale <= 0:
+                raise InputError(
+                    "the depth scale must be positive", got=f"{scale:g}", expected="depth units in one metre"
+                )
+            object.__setattr__(self, "depth_scale", scale)
+        if self.world_up is not None:
+            up = _numbers("world_up", self.world_up, 3)
+            if math.hypot(*up) < 1e-9:
+                raise InputError("world_up must point somewhere", got=list(up))
+            object.__setattr__(self, "world_up", up)
+        if self.name is not None and not isinstance(self.name, str):
+            raise InputError("name must be a string", got=repr(self.name))
+
+    def overridden(
+        self,
+        intrinsics: tuple[float, float, float, float] | None = None,
+        depth_scale: float | None = None,
+    ) -> Settings:
+        """These settings, with what is given here winning."""
+        given = {"intrinsics": intrinsics, "depth_scale": depth_scale}
+        return replace(self, **{key: value for key, value in given.items() if value is not None})
+
+
+def read_settings(root: Path) -> Settings:
+    """The settings beside the data; all None where there is no `spatialviz.toml`.
+
+    Raises
+    ------
+    InputError
+        Malformed TOML, an unknown key, or a value that cannot be.
+    """
+    path = root / FILE_NAME
+    if not path.is_file():
+        return Settings()
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
+        raise InputError("the settings cannot be read", got=str(error), path=path) from error
+    unknown = sorted(set(table) - set(KEYS))
+    if unknown:
+        raise InputError(f"unknown setting {unknown[0]!r}", expected=f"one of {', '.join(KEYS)}", path=path)
+    try:
+        return Settings(**table)
+    except InputError as error:
+        raise InputError(str(error), path=path) from error
+
+
+def write_settings(
+    root: str | Path,
+    intrinsics: tuple[float, float, float, float] | None,
+    depth_scale: float | None,
+) -> Path:
+    """Keep the camera of a recording beside it, for the next time.
+
+    What the file already holds and is not given here (None) stays. The file is
+    replaced whole, so that a killed process leaves the old one.
+
+    Returns
+    -------
+    Path
+        The written `spatialviz.toml`.
+
+    Raises
+    ------
+    InputError
+        A value that cannot be, or a folder that cannot be written.
+    """
+    root = Path(root)
+    settings = read_settings(root).overridden(intrinsics, depth_scale)
+    lines: list[str] = []
+    for key in KEYS:
+        value = getattr(settings, key)
+        if isinstance(value, str):
+            # A JSON string is a TOML basic string, except that TOML also escapes DEL.
+            quoted = json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007F")
+            lines.append(f"{key} = {quoted}")
+        elif isinstance(value, tuple):
+            lines.append(f"{key} = [{', '.join(repr(float(v)) for v in value)}]")
+        elif value is not None:
+            lines.append(f"{key} = {float(value)!r}")
+    path, temporary = root / FILE_NAME, root / f".{FILE_NAME}.{os.getpid()}"
+    try:
+        temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
+        os.replace(temporary, path)
+    except OSError as error:
+        raise InputError("the settings cannot be written", got=error.strerror, path=path) from error
+    return path
+
+
+def _numbers(key: str, values: Any, count: int) -> tuple[float, ...]:
+    """`values` as `count` finite floats; a bool or a string is not a number."""
+    good = (
+        isinstance(values, Sequence)
+        and not isinstance(values, str)
+        and len(values) == count
+        and all(isinstance(v, (int, float)) and not isinstance(v, bool) and math.isfinite(v) for v in values)
+    )
+    if not good:
+        what = "a finite number" if count == 1 else f"{count} finite numbers"
+        raise InputError(f"{key} must be {what}", got=str(values[0] if count == 1 else values)[:80])
+    return tuple(float(v) for v in values)

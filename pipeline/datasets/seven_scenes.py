@@ -1,0 +1,109 @@
+"""Microsoft 7-Scenes: `frame-XXXXXX.{color,depth}.png` and `.pose.txt`, depth in millimetres."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.camera import intrinsics
+from pipeline.datasets.assembly import make_frame, one_file, read_pair
+from pipeline.datasets.base import DatasetFormat, unknown_frame
+from pipeline.datasets.cameras import make_camera, pose_from_matrix
+from pipeline.datasets.files import listing, read_matrix
+from pipeline.datasets.settings import Settings
+from pipeline.errors import InputError
+from pipeline.frame import Frame
+
+UNITS_PER_METRE = 1000.0
+NOTHING = 65535
+DEFAULT_SIZE = (480, 640)
+DEFAULT_INTRINSICS = (585.0, 585.0, 320.0, 240.0)
+
+_IMAGE = re.compile(r"(frame-[0-9]{1,12})\.(color|depth)\.(png|jpg|jpeg)")
+
+
+class SevenScenesDataset:
+    """Frames in the folder itself (id `frame-000000`) or in `seq-XX` (id `seq-01/frame-000000`).
+
+    A `camera-intrinsics.txt` in the opened folder, or beside the frames, wins
+    over the format's own 585, 585, 320, 240, which is for 640x480 only. 7-Scenes
+    promises no world axis that points up and carries no annotations.
+    """
+
+    format = "7-scenes"
+    class_names: tuple[str, ...] = ()
+
+    def __init__(self, root: Path, settings: Settings) -> None:
+        self.root = root
+        self._settings = settings
+        self._files: dict[str, dict[str, list[Path]]] = {}
+        for folder in ("", *_sequences(root)):
+            for name in listing(root / folder)[1]:
+                if match := _IMAGE.fullmatch(name):
+                    frame_id = f"{folder}/{match[1]}" if folder else match[1]
+                    kinds = self._files.setdefault(frame_id, {"color": [], "depth": []})
+                    kinds[match[2]].append(root / folder / name)
+        self.frame_ids = tuple(self._files)
+
+    def load(self, frame_id: str) -> Frame:
+        """Decode one frame; see `Dataset.load`."""
+        if frame_id not in self._files:
+            raise unknown_frame(self, frame_id)
+        files = self._files[frame_id]
+        stem = self.root / frame_id
+        color = one_file(files["color"], "colour", stem.with_name(f"{stem.name}.color.png"))
+        depth = one_file(files["depth"], "depth", stem.with_name(f"{stem.name}.depth.png"))
+        pair = read_pair(color, depth, self._settings.depth_scale or UNITS_PER_METRE, NOTHING)
+        size = pair[1].shape
+        notes: list[str] = []
+        pose = _pose(stem.with_name(f"{stem.name}.pose.txt"), notes)
+        K, source = self._camera_matrix(stem.parent, (size[0], size[1]), color)
+        camera = make_camera(K, (size[0], size[1]), pose, self._settings, source)
+        return make_frame(frame_id, pair, camera, depth, notes=tuple(notes))
+
+    def _camera_matrix(
+        self, folder: Path, size: tuple[int, int], color: Path
+    ) -> tuple[np.ndarray | None, Path]:
+        if self._settings.intrinsics is not None:
+            return None, color
+        for place in dict.fromkeys((folder, self.root)):
+            path = place / "camera-intrinsics.txt"
+            if path.is_file():
+                return read_matrix(path, 3, 3), path
+        if size != DEFAULT_SIZE:
+            raise InputError(
+                "the camera is not known: 7-Scenes' own intrinsics are for 640x480",
+                got=f"{size[1]}x{size[0]}",
+                expected="camera-intrinsics.txt or --intrinsics fx,fy,cx,cy",
+                path=color,
+            )
+        return intrinsics(*DEFAULT_INTRINSICS), color
+
+
+def _sequences(root: Path) -> list[str]:
+    return [name for name in listing(root)[0] if re.fullmatch(r"seq-?[0-9]+", name)]
+
+
+def _pose(path: Path, notes: list[str]) -> np.ndarray | None:
+    if not path.is_file():
+        return None
+    try:
+        return pose_from_matrix(read_matrix(path, 4, 4))
+    except InputError as error:
+        notes.append(f"no camera pose, {path.name}: {error.what}")
+        return None
+
+
+def _recognises(root: Path) -> bool:
+    folders = [root, *(root / name for name in _sequences(root))]
+    return any(_IMAGE.fullmatch(name) for folder in folders for name in listing(folder)[1])
+
+
+FORMAT = DatasetFormat(
+    "7-scenes",
+    "7-scenes: frame-XXXXXX.color.png (or .jpg) with .depth.png, here or in seq-XX/",
+    _recognises,
+    SevenScenesDataset,
+)

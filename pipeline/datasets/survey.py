@@ -1,0 +1,81 @@
+"""What is in a dataset and what is broken in it, frame by frame."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.datasets.base import Dataset
+from pipeline.errors import InputError
+
+
+@dataclass(frozen=True)
+class FrameReport:
+    """One line of a survey. Of a broken frame only index, id and problem are known.
+
+    Attributes
+    ----------
+    index : int
+        Place in the dataset, from 0.
+    id : str
+    ok : bool
+        Whether the frame can be loaded.
+    problem : str or None
+        Why not: the file and the reason.
+    width, height : int
+        Pixels; 0 where broken.
+    annotations : int
+        How many objects are annotated.
+    labels : tuple of str
+        Their names, in the dataset's order, with repeats.
+    depth_valid : float
+        Share of the pixels that have depth, 0..1.
+    median_depth : float or None
+        Metres, over those pixels; None where broken.
+    has_pose : bool
+    up_source : str or None
+        How the up vector is known, None where it is not.
+    notes : tuple of str
+        What was odd and could be left out.
+    """
+
+    index: int
+    id: str
+    ok: bool
+    problem: str | None = None
+    width: int = 0
+    height: int = 0
+    annotations: int = 0
+    labels: tuple[str, ...] = ()
+    depth_valid: float = 0.0
+    median_depth: float | None = None
+    has_pose: bool = False
+    up_source: str | None = None
+    notes: tuple[str, ...] = ()
+
+
+def survey(dataset: Dataset) -> Iterator[FrameReport]:
+    """Load every frame in turn and report it; a broken one does not stop the rest."""
+    for index, frame_id in enumerate(dataset.frame_ids):
+        try:
+            frame = dataset.load(frame_id)
+        except InputError as error:
+            yield FrameReport(index, frame_id, ok=False, problem=str(error))
+            continue
+        valid = frame.depth[frame.depth > 0]
+        yield FrameReport(
+            index,
+            frame_id,
+            ok=True,
+            width=frame.width,
+            height=frame.height,
+            annotations=len(frame.annotations),
+            labels=tuple(annotation.label for annotation in frame.annotations),
+            depth_valid=valid.size / frame.depth.size,
+            median_depth=float(np.median(valid)),
+            has_pose=frame.camera.T_world_camera is not None,
+            up_source=frame.camera.up_source,
+            notes=frame.notes,
+        )

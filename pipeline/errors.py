@@ -1,0 +1,59 @@
+"""The two errors the core raises on purpose: bad input, and an honest "no"."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+
+class InputError(ValueError):
+    """Something given from outside cannot be used.
+
+    The message is one line: what was wrong, what was got, what was expected,
+    the likely cause, and the file.
+
+    Parameters
+    ----------
+    what : str
+        What was wrong, in a short clause.
+    got, expected : str, optional
+        The value that came, and the value that would have been right.
+    cause : str, optional
+        The likely cause, phrased as help.
+    path : str or Path, optional
+        The file that holds the bad value.
+    """
+
+    def __init__(
+        self,
+        what: str,
+        *,
+        got: object = None,
+        expected: object = None,
+        cause: str | None = None,
+        path: str | Path | None = None,
+    ) -> None:
+        parts = [what]
+        if got is not None:
+            parts.append(f"got {got}")
+        if expected is not None:
+            parts.append(f"expected {expected}")
+        message = "; ".join(parts)
+        if cause:
+            message += f" ({cause})"
+        if path is not None:
+            message += f" [{path}]"
+        super().__init__(" ".join(message.split()))
+        self.what = what
+        self.path = None if path is None else Path(path)
+
+
+class NothingFound(LookupError):
+    """The input is fine and the answer is no: a class is not in the frame."""
+
+
+class MissingExtra(ImportError):
+    """A feature needs an optional dependency that is not installed."""
+
+    def __init__(self, feature: str, extra: str) -> None:
+        super().__init__(f"{feature} needs an optional dependency: pip install 'spatialviz[{extra}]'")
+        self.extra = extra

@@ -1,0 +1,197 @@
+"""The jobs of the command line as functions: ask, relations, frames, on one frame or on all."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from pipeline.ask import AskConfig, Trace, ask
+from pipeline.datasets import Dataset, open_dataset, resolve_frame
+from pipeline.demo import DEMO_NAME, demo_path
+from pipeline.errors import InputError
+from pipeline.naming import Synonyms
+from pipeline.objects import FrameContext, SceneObject, all_objects
+from pipeline.proposals import Detector, make_detector
+from pipeline.srm import RelationScorer, RelationScores, make_scorer
+
+ALL_FRAMES = "all"
+Skipped = Callable[[str, str], None]
+"""Called with (frame id, reason) for a frame that is left out."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """A dataset with the models to be used on it.
+
+    Attributes
+    ----------
+    dataset : Dataset
+    detector : Detector or None
+        None where the dataset has no annotations and no detector was named.
+    scorer : RelationScorer
+    config : AskConfig
+    synonyms : Synonyms or None
+    """
+
+    dataset: Dataset
+    detector: Detector | None
+    scorer: RelationScorer
+    config: AskConfig = field(default_factory=AskConfig)
+    synonyms: Synonyms | None = None
+
+    def needed_detector(self) -> Detector:
+        """The detector.
+
+        Raises
+        ------
+        InputError
+            Where there is none.
+        """
+        if self.detector is None:
+            raise InputError(
+                "the dataset has no annotations, and no detector was named",
+                expected="--detector yolo-seg --model FILE.onnx or --detector recorded --model FILE.json",
+                path=self.dataset.root,
+            )
+        return self.detector
+
+
+def open_source(
+    path: str | Path,
+    *,
+    intrinsics: tuple[float, float, float, float] | None = None,
+    depth_scale: float | None = None,
+    detector: str | None = None,
+    model: Path | None = None,
+    min_score: float | None = None,
+    srm: str = "rule",
+    synonyms: Path | None = None,
+    config: AskConfig | None = None,
+) -> Source:
+    """Open a dataset and the models for it; the path "demo" is the built-in one.
+
+    Raises
+    ------
+    InputError
+        For a folder that cannot be read, an unknown model name, a model file of another contract.
+    """
+    if str(path) == DEMO_NAME and not Path(path).exists():
+        path = demo_path()
+    dataset = open_dataset(path, intrinsics=intrinsics, depth_scale=depth_scale)
+    table = Synonyms.load(synonyms)
+    if detector is None:
+        detector = "annotations" if dataset.class_names else None
+        if model is not None:
+            raise InputError("--model needs --detector", cause="which kind of model is it?", path=model)
+    found = (
+        None
+        if detector is None
+        else make_detector(
+            detector, model=model, class_names=dataset.class_names, synonyms=table, min_score=min_score
+        )
+    )
+    return Source(dataset, found, make_scorer(srm), config or AskConfig(), table)
+
+
+def open_sources(path: str | Path, **options: Any) -> tuple[dict[str, Source], dict[str, str]]:
+    """A dataset, or all datasets in the folders of a folder.
+
+    Parameters
+    ----------
+    path : str or Path
+        A dataset, "demo", or a folder whose folders are datasets.
+    options
+        As for `open_source`.
+
+    Returns
+    -------
+    sources : dict of str to Source
+        By folder name, at least one.
+    left_out : dict of str to str
+        Folders that could not be opened, and why.
+
+    Raises
+    ------
+    InputError
+        Where nothing can be opened; the reason is that of the folder itself.
+    """
+    try:
+        return {Path(path).name or str(path): open_source(path, **options)}, {}
+    except InputError:
+        folder = Path(path)
+        if not folder.is_dir():
+            raise
+        sources: dict[str, Source] = {}
+        left_out: dict[str, str] = {}
+        for inside in sorted(p for p in folder.iterdir() if p.is_dir() and not p.name.startswith(".")):
+            try:
+                sources[inside.name] = open_source(inside, **options)
+            except InputError as error:
+                left_out[inside.name] = str(error)
+        if not sources:
+            raise
+        return sources, left_out
+
+
+def frame_ids(dataset: Dataset, key: str | int | None) -> tuple[str, ...]:
+    """The frames that a FRAME argument means: an id, an index, "all" (or None)."""
+    if key is None or key == ALL_FRAMES:
+        return dataset.frame_ids
+    return (resolve_frame(dataset, key),)
+
+
+def contexts(source: Source, key: str | int | None, skipped: Skipped | None = None) -> Iterator[FrameContext]:
+    """The frames, ready for questions, one at a time.
+
+    A broken frame that was asked for by name is an error; among all frames it is skipped with its reason.
+    """
+    every = key is None or key == ALL_FRAMES
+    for frame_id in frame_ids(source.dataset, key):
+        try:
+            context = FrameContext(source.dataset.load(frame_id), source.config.lift)
+        except InputError as error:
+            if not every:
+                raise
+            if skipped is not None:
+                skipped(frame_id, str(error))
+            continue
+        yield context
+
+
+def ask_frames(
+    source: Source, key: str | int, expressions: Sequence[str], skipped: Skipped | None = None
+) -> Iterator[Trace]:
+    """Every expression on every frame that `key` means."""
+    detector = source.needed_detector()
+    for context in contexts(source, key, skipped):
+        for text in expressions:
+            yield ask(
+                context,
+                text,
+                detector,
+                scorer=source.scorer,
+                config=source.config,
+                class_names=source.dataset.class_names or (detector.vocabulary or ()),
+                synonyms=source.synonyms,
+            )
+
+
+@dataclass(frozen=True)
+class FrameRelations:
+    """All objects of a frame and every relation between them; `exact` where the objects are the dataset's own."""
+
+    frame_id: str
+    objects: tuple[SceneObject, ...]
+    scores: RelationScores
+    exact: bool
+
+
+def relate_frames(source: Source, key: str | int | None, skipped: Skipped | None = None) -> Iterator[FrameRelations]:
+    """Every pair of objects of every frame that `key` means."""
+    detector = source.needed_detector()
+    for context in contexts(source, key, skipped):
+        objects = all_objects(context, detector)
+        scores = source.scorer.score([o.lifted for o in objects], context.viewer)
+        yield FrameRelations(context.frame.id, objects, scores, detector.exact)

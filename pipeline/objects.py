@@ -1,0 +1,150 @@
+"""A frame made ready for questions, and its objects: proposals lifted to 3D once each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from time import perf_counter
+
+import numpy as np
+
+from pipeline.boxes import iou_2d
+from pipeline.frame import Frame
+from pipeline.lifting import LiftConfig, LiftedObject, MaskSource, depth_edges, lift
+from pipeline.proposals.annotations import box_mask
+from pipeline.proposals.base import Detector, Proposals
+from pipeline.viewer import ViewerAxes, resolve_up, viewer_axes
+
+SAME_BOX_IOU = 0.7
+SAME_MASK_IOU = 0.5
+
+
+@dataclass(frozen=True)
+class SceneObject:
+    """One proposal in 3D.
+
+    Attributes
+    ----------
+    id : int
+        The detector's own identity; the annotation's index for `annotations`, -1 where it has none.
+    label : str
+    score : float
+        0..1.
+    bbox : (4,) float32
+        x0, y0, x1, y1, pixels.
+    mask : (H, W) bool
+    lifted : LiftedObject
+    """
+
+    id: int
+    label: str
+    score: float
+    bbox: np.ndarray
+    mask: np.ndarray
+    lifted: LiftedObject
+
+
+class FrameContext:
+    """A frame with everything that does not depend on the question, computed once.
+
+    Parameters
+    ----------
+    frame : Frame
+    config : LiftConfig, optional
+
+    Attributes
+    ----------
+    frame : Frame
+        With the camera's up vector resolved.
+    viewer : ViewerAxes
+    edges : (H, W) bool
+        Depth edges.
+    seconds : float
+        What making it took.
+    """
+
+    def __init__(self, frame: Frame, config: LiftConfig | None = None) -> None:
+        start = perf_counter()
+        self.config = config or LiftConfig()
+        camera = resolve_up(frame.depth, frame.camera)
+        assert camera.up is not None
+        self.frame = replace(frame, camera=camera)
+        self.viewer: ViewerAxes = viewer_axes(camera.up, camera.up_source or "assumed")
+        self.edges = depth_edges(frame.depth, self.config)
+        self._lifted: dict[tuple[str, int], LiftedObject] = {}
+        self.seconds = perf_counter() - start
+
+    def lift(self, proposals: Proposals, detector: Detector) -> tuple[SceneObject, ...]:
+        """The proposals in 3D; one that was lifted before is not lifted again."""
+        found = []
+        fingerprint = detector.fingerprint()
+        for i in range(len(proposals)):
+            bbox = proposals.boxes[i]
+            mask = (
+                box_mask(bbox, self.frame.height, self.frame.width)
+                if proposals.masks is None
+                else proposals.masks[i]
+            )
+            key = (fingerprint, int(proposals.ids[i]))
+            lifted = self._lifted.get(key) if key[1] >= 0 else None
+            if lifted is None:
+                (lifted,) = lift(
+                    self.frame.depth,
+                    self.frame.camera,
+                    [mask],
+                    self.viewer,
+                    config=self.config,
+                    mask_source=_mask_source(proposals, i, detector.exact),
+                    edges=self.edges,
+                )
+                if key[1] >= 0:
+                    self._lifted[key] = lifted
+            found.append(
+                SceneObject(key[1], proposals.label(i), float(proposals.scores[i]), bbox, mask, lifted)
+            )
+        return tuple(found)
+
+def _mask_source(proposals: Proposals, i: int, exact: bool) -> MaskSource:
+    if proposals.masks is None or (proposals.has_mask is not None and not proposals.has_mask[i]):
+        return "box"
+    return "annotation" if exact else "detector"
+
+
+def all_objects(context: FrameContext, detector: Detector) -> tuple[SceneObject, ...]:
+    """Everything the detector finds in the frame, in the order of its identities."""
+    proposals = detector.detect(context.frame, None)
+    return context.lift(proposals.take(np.argsort(proposals.ids, kind="stable")), detector)
+
+
+def same_object(objects: Sequence[SceneObject], exact: bool) -> np.ndarray:
+    """Which entries are one and the same thing, seen by separate detector runs.
+
+    Parameters
+    ----------
+    exact : bool
+        The detector's identities are the truth, and only they count: a
+        cushion may fill most of the chair it lies on.
+
+    Returns
+    -------
+    (N, N) bool
+        With a true diagonal.
+    """
+    same = np.eye(len(objects), dtype=np.bool_)
+    if not objects:
+        return same
+    ids = np.array([o.id for o in objects])
+    same |= (ids[:, None] == ids[None, :]) & (ids[:, None] >= 0)
+    if exact:
+        return same
+    overlap = iou_2d(np.stack([o.bbox for o in objects]), np.stack([o.bbox for o in objects]))
+    same |= overlap >= SAME_BOX_IOU
+    if (overlap > 0).sum() > len(objects):
+        # A coarse grid of the masks decides an overlap of a half as surely as every pixel.
+        step = max(1, objects[0].mask.shape[1] // 320)
+        flat = np.stack([o.mask[::step, ::step].ravel() for o in objects]).astype(np.float32)
+        shared = flat @ flat.T
+        area = flat.sum(axis=1)
+        union = area[:, None] + area[None, :] - shared
+        same |= np.divide(shared, union, out=np.zeros_like(union), where=union > 0) >= SAME_MASK_IOU
+    return same

@@ -1,0 +1,144 @@
+"""OPM: what a detector is, and what it returns."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from pipeline.errors import InputError
+from pipeline.frame import Frame
+
+
+@dataclass(frozen=True)
+class Proposals:
+    """Detections of one run of a detector on one frame.
+
+    Attributes
+    ----------
+    boxes : (N, 4) float32
+        x0, y0, x1, y1 in pixels, continuous coordinates.
+    scores : (N,) float32
+        0..1.
+    label_index : (N,) int64
+        Which of `labels`.
+    labels : tuple of str
+        The names the detector gives; these may be more exact than what was
+        asked for ("cracker box" for "box").
+    masks : (N, H, W) bool or None
+        None where the detector gives boxes only.
+    ids : (N,) int64
+        The detector's own identity of each detection: the same number in two
+        runs means the same detection. For `annotations` it is the annotation's index.
+    has_mask : (N,) bool or None
+        False where the mask is only the filled 2D box; None means all as `masks` says.
+    """
+
+    boxes: np.ndarray
+    scores: np.ndarray
+    label_index: np.ndarray
+    labels: tuple[str, ...]
+    masks: np.ndarray | None
+    ids: np.ndarray
+    has_mask: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        n = len(self.scores)
+        if self.boxes.shape != (n, 4) or self.label_index.shape != (n,) or self.ids.shape != (n,):
+            raise InputError(
+                "proposals must have boxes (N, 4) and scores, label_index and ids (N,)",
+                got=f"{self.boxes.shape}, {self.scores.shape}, {self.label_index.shape}, {self.ids.shape}",
+            )
+        if self.masks is not None and (self.masks.dtype != np.bool_ or self.masks.ndim != 3 or len(self.masks) != n):
+            raise InputError(
+                "proposal masks must be bool (N, H, W)", got=f"{self.masks.dtype} {self.masks.shape} for {n} proposals"
+            )
+        if n and not (np.isfinite(self.scores).all() and (self.scores >= 0).all() and (self.scores <= 1).all()):
+            raise InputError(
+                "proposal scores must lie in 0..1",
+                got=f"{float(np.nanmin(self.scores)):.3g} to {float(np.nanmax(self.scores)):.3g}",
+                cause="are these logits?",
+            )
+        if n and not np.isfinite(self.boxes).all():
+            raise InputError("proposal boxes must be finite")
+
+    def __len__(self) -> int:
+        return len(self.scores)
+
+    def label(self, i: int) -> str:
+        return self.labels[int(self.label_index[i])]
+
+    def take(self, index: np.ndarray) -> Proposals:
+        """The proposals at `index` ((M,) int or (N,) bool), in that order."""
+        return Proposals(
+            self.boxes[index],
+            self.scores[index],
+            self.label_index[index],
+            self.labels,
+            None if self.masks is None else self.masks[index],
+            self.ids[index],
+            None if self.has_mask is None else self.has_mask[index],
+        )
+
+
+def no_proposals(height: int, width: int) -> Proposals:
+    """Proposals of a run that found nothing."""
+    return Proposals(
+        np.zeros((0, 4), np.float32),
+        np.zeros(0, np.float32),
+        np.zeros(0, np.int64),
+        (),
+        np.zeros((0, height, width), np.bool_),
+        np.zeros(0, np.int64),
+    )
+
+
+@runtime_checkable
+class Detector(Protocol):
+    """Finds objects by class name.
+
+    Attributes
+    ----------
+    name : str
+        As on the command line.
+    vocabulary : tuple of str or None
+        Class names the detector is limited to; None where any name will do.
+    exact : bool
+        Its detections are the truth: scores are taken as they are, and nothing
+        is suppressed or cut off.
+    """
+
+    @property
+    def name(self) -> str: ...
+
+    @property
+    def vocabulary(self) -> tuple[str, ...] | None: ...
+
+    @property
+    def exact(self) -> bool: ...
+
+    def fingerprint(self) -> str:
+        """What the result depends on besides the picture and the names, for caches."""
+        ...
+
+    def detect(self, frame: Frame, labels: Sequence[str] | None) -> Proposals:
+        """Detections of the given class names; None asks for everything the detector knows."""
+        ...
+
+
+def unknown_class(label: str, names: Sequence[str], where: str) -> InputError:
+    """The error for a class name that a detector of limited vocabulary does not know."""
+    from pipeline.naming import suggest
+
+    close = suggest(label, names)
+    hint = f"did you mean {' or '.join(repr(c) for c in close)}?" if close else "known: " + listed(names)
+    return InputError(f"{where} does not know the class {label!r}", cause=hint)
+
+
+def listed(names: Sequence[str], limit: int = 12) -> str:
+    """"a, b, c and 4 more"."""
+    names = sorted(set(names))
+    more = len(names) - limit
+    return ", ".join(names[:limit]) + (f" and {more} more" if more > 0 else "")

@@ -1,0 +1,114 @@
+"""Detections kept on disk, by content: picture, detector with its model and thresholds, names."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from collections import OrderedDict
+from collections.abc import Sequence
+from pathlib import Path
+from zipfile import BadZipFile
+
+import numpy as np
+import platformdirs
+import xxhash
+
+from pipeline.frame import Frame
+from pipeline.proposals.base import Detector, Proposals
+
+_IN_MEMORY = 64
+
+
+def cache_folder() -> Path:
+    """Where cached results live: SPATIALVIZ_CACHE, or the user's cache folder."""
+    return Path(os.environ.get("SPATIALVIZ_CACHE") or platformdirs.user_cache_dir("spatialviz"))
+
+
+class CachedDetector:
+    """A detector that looks into the cache first.
+
+    A damaged or unreadable cache file is a miss, never an error; a folder that
+    cannot be written only means that nothing is kept.
+    """
+
+    def __init__(self, detector: Detector, folder: Path | None = None) -> None:
+        self.detector = detector
+        self.folder = (folder or cache_folder()) / "proposals"
+        self._recent: OrderedDict[str, Proposals] = OrderedDict()
+
+    @property
+    def name(self) -> str:
+        return self.detector.name
+
+    @property
+    def vocabulary(self) -> tuple[str, ...] | None:
+        return self.detector.vocabulary
+
+    @property
+    def exact(self) -> bool:
+        return self.detector.exact
+
+    def fingerprint(self) -> str:
+        return self.detector.fingerprint()
+
+    def detect(self, frame: Frame, labels: Sequence[str] | None) -> Proposals:
+        key = self.key(frame, labels)
+        found = self._recent.get(key) or _load(self.folder / f"{key}.npz")
+        if found is None:
+            found = self.detector.detect(frame, labels)
+            _store(self.folder / f"{key}.npz", found)
+        self._recent[key] = found
+        self._recent.move_to_end(key)
+        while len(self._recent) > _IN_MEMORY:
+            self._recent.popitem(last=False)
+        return found
+
+    def key(self, frame: Frame, labels: Sequence[str] | None) -> str:
+        """Cache key of a run on a frame."""
+        parts = [frame.content_hash, self.fingerprint(), *(("*",) if labels is None else sorted(labels))]
+        return xxhash.xxh3_128_hexdigest("\x1f".join(parts).encode())
+
+
+def _store(path: Path, proposals: Proposals) -> None:
+    shape = (0, 0, 0) if proposals.masks is None else proposals.masks.shape
+    packed = np.zeros(0, np.uint8) if proposals.masks is None else np.packbits(proposals.masks)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".tmp", delete=False) as file:
+            np.savez_compressed(
+                file,
+                boxes=proposals.boxes,
+                scores=proposals.scores,
+                label_index=proposals.label_index,
+                labels=np.array(proposals.labels, dtype=np.str_),
+                ids=proposals.ids,
+                mask_shape=np.array(shape),
+                has_masks=np.array(proposals.masks is not None),
+                masks=packed,
+                has_mask=np.ones(len(proposals), bool) if proposals.has_mask is None else proposals.has_mask,
+            )
+        os.replace(file.name, path)
+    except OSError:
+        return
+
+
+def _load(path: Path) -> Proposals | None:
+    if not path.is_file():
+        return None
+    try:
+        with np.load(path, allow_pickle=False) as data:
+            shape = tuple(int(n) for n in data["mask_shape"])
+            masks = None
+            if bool(data["has_masks"]):
+                masks = np.unpackbits(data["masks"], count=int(np.prod(shape))).reshape(shape).astype(np.bool_)
+            return Proposals(
+                data["boxes"],
+                data["scores"],
+                data["label_index"],
+                tuple(str(s) for s in data["labels"]),
+                masks,
+                data["ids"],
+                data["has_mask"],
+            )
+    except (OSError, ValueError, KeyError, EOFError, BadZipFile):
+        return None

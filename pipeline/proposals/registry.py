@@ -1,0 +1,91 @@
+"""Detectors by name. Others add theirs through the entry point group `spatialviz.detectors`."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from importlib.metadata import entry_points
+from pathlib import Path
+
+from pipeline.errors import InputError
+from pipeline.naming import Synonyms
+from pipeline.proposals.annotations import AnnotationDetector
+from pipeline.proposals.base import Detector
+from pipeline.proposals.cache import CachedDetector
+from pipeline.proposals.recorded import RecordedDetector
+
+
+@dataclass(frozen=True)
+class DetectorRequest:
+    """What a detector may be made from.
+
+    Attributes
+    ----------
+    model : Path or None
+        Model file, or recording.
+    class_names : tuple of str
+        The dataset's class names.
+    synonyms : Synonyms or None
+    min_score : float or None
+        None for the detector's own default.
+    """
+
+    model: Path | None
+    class_names: tuple[str, ...]
+    synonyms: Synonyms | None
+    min_score: float | None
+
+
+def _annotations(request: DetectorRequest) -> Detector:
+    return AnnotationDetector(request.class_names, request.synonyms)
+
+
+def _recorded(request: DetectorRequest) -> Detector:
+    path = _needed(request, "recorded", "the JSON file or the folder of NPZ files")
+    return RecordedDetector(path, synonyms=request.synonyms, min_score=request.min_score or 0.0)
+
+
+def _yolo_seg(request: DetectorRequest) -> Detector:
+    from pipeline.proposals.yolo_seg import YoloSegDetector
+
+    path = _needed(request, "yolo-seg", "an ONNX file")
+    if request.min_score is None:
+        return CachedDetector(YoloSegDetector(path, synonyms=request.synonyms))
+    return CachedDetector(YoloSegDetector(path, synonyms=request.synonyms, min_score=request.min_score))
+
+
+def _needed(request: DetectorRequest, name: str, what: str) -> Path:
+    if request.model is None:
+        raise InputError(f"--detector {name} needs --model", expected=what)
+    return request.model
+
+
+DETECTORS: dict[str, Callable[[DetectorRequest], Detector]] = {
+    "annotations": _annotations,
+    "recorded": _recorded,
+    "yolo-seg": _yolo_seg,
+}
+
+
+def make_detector(
+    name: str,
+    *,
+    model: Path | None = None,
+    class_names: tuple[str, ...] = (),
+    synonyms: Synonyms | None = None,
+    min_score: float | None = None,
+) -> Detector:
+    """The detector of that name.
+
+    Raises
+    ------
+    InputError
+        For an unknown name, a missing model, or a model of another contract.
+    """
+    known = dict(DETECTORS)
+    for entry in entry_points(group="spatialviz.detectors"):
+        if entry.name not in known:
+            known[entry.name] = entry.load()
+    if name not in known:
+        raise InputError(f"there is no detector {name!r}", expected=" or ".join(known))
+    return known[name](DetectorRequest(model, class_names, synonyms, min_score))

@@ -1,0 +1,199 @@
+"""Traces, relations and frame reports as plain dictionaries: the stable keys of `--json`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+
+from pipeline.ask import Trace
+from pipeline.datasets.survey import FrameReport
+from pipeline.expression import Query
+from pipeline.jobs import FrameRelations
+from pipeline.objects import SceneObject
+from pipeline.ranking import RankedPair
+from pipeline.relations import PAIRWISE, letter
+from pipeline.viewer import ViewerAxes
+
+Record = dict[str, Any]
+
+
+def _numbers(values: np.ndarray, digits: int = 4) -> Any:
+    return np.round(np.asarray(values, np.float64), digits).tolist()
+
+
+def _probability(value: float) -> float:
+    return round(float(value), 6)
+
+
+def object_record(entry: SceneObject) -> Record:
+    """label, score, bbox; center, size, R in the camera frame (null without depth); quality."""
+    box = entry.lifted.box
+    quality = entry.lifted.quality
+    return {
+        "id": entry.id,
+        "label": entry.label,
+        "score": _probability(entry.score),
+        "bbox": _numbers(entry.bbox, 2),
+        "center": None if box is None else _numbers(box.center),
+        "size": None if box is None else _numbers(box.size),
+        "R": None if box is None else _numbers(box.R, 6),
+        "quality": {
+            "mask_pixels": quality.mask_pixels,
+            "points": quality.points,
+            "kept": round(quality.kept, 4),
+            "depth_missing": round(quality.depth_missing, 4),
+            "touches_border": quality.touches_border,
+            "distance": None if np.isnan(quality.distance) else round(quality.distance, 4),
+            "yaw_confidence": round(entry.lifted.yaw_confidence, 4),
+            "mask_source": quality.mask_source,
+            "concerns": list(quality.concerns),
+        },
+    }
+
+
+def viewer_record(viewer: ViewerAxes) -> Record:
+    """The up vector that was used, and how it is known."""
+    return {"up": _numbers(viewer.up, 6), "up_source": viewer.up_source}
+
+
+def expression_record(query: Query) -> Record:
+    """target, relation, reference and, where there are several, the readings."""
+    e = query.expression
+    record: Record = {"text": query.text, "target": e.target, "relation": e.relation, "reference": e.reference}
+    if e.second_reference is not None:
+        record["second_reference"] = e.second_reference
+    if e.mapped_from is not None:
+        record["mapped_from"] = e.mapped_from
+    if len(query.readings) > 1:
+        record["readings"] = [r.description for r in query.readings]
+    return record
+
+
+def pair_record(pair: RankedPair) -> Record:
+    """One ranked pair; target and reference are places in "proposals"."""
+    record: Record = {
+        "target": pair.target,
+        "reference": pair.reference,
+        "p_target": _probability(pair.p_target),
+        "p_reference": _probability(pair.p_reference),
+        "p_relation": _probability(pair.p_relation),
+        "product": _probability(pair.product),
+        "probability": _probability(pair.probability),
+        "log_factors": {k: round(v, 6) for k, v in pair.log_factors.items()},
+    }
+    if pair.second_reference is not None:
+        record["second_reference"] = pair.second_reference
+    if len(pair.links) > 1:
+        record["links"] = [
+            {"relation": x.relation, "a": x.a, "b": x.b, "probability": _probability(x.probability)}
+            | ({} if x.c is None else {"c": x.c})
+            for x in pair.links
+        ]
+    return record
+
+
+def trace_record(trace: Trace) -> Record:
+    """The whole of `ask --json` for one expression on one frame."""
+    pairs = () if trace.ranking is None else trace.ranking.pairs
+    answer: Record | None = None
+    if pairs and trace.ranking is not None and not trace.ranking.degenerate:
+        best = pairs[0]
+        answer = {
+            "target": object_record(trace.objects[best.target]),
+            "reference": None if best.reference is None else object_record(trace.objects[best.reference]),
+            "probability": _probability(best.probability),
+            "p_relation": _probability(best.p_relation),
+            "product": _probability(best.product),
+        }
+        if best.second_reference is not None:
+            answer["second_reference"] = object_record(trace.objects[best.second_reference])
+    record: Record = {
+        "expression": expression_record(trace.query),
+        "frame": trace.frame.id,
+        "answer": answer,
+        "pairs": [pair_record(p) for p in pairs],
+        "proposals": [{"index": i, **object_record(o)} for i, o in enumerate(trace.objects)],
+        "relations": _relations_of_pairs(trace, pairs),
+        "timings_ms": {k: round(v * 1000, 3) for k, v in trace.timings.items()},
+        "detector": trace.detector,
+        "scorer": trace.scorer,
+        "viewer": viewer_record(trace.viewer),
+    }
+    reason = why_no_answer(trace)
+    if reason is not None:
+        record["reason"] = reason
+    if trace.ranking is not None:
+        record["ranking"] = {
+            "reading": trace.ranking.reading.description,
+            "margin": round(trace.ranking.margin, 6),
+            "log_margin": None if np.isinf(trace.ranking.log_margin) else round(trace.ranking.log_margin, 6),
+            "entropy": round(trace.ranking.entropy, 6),
+            "degenerate": trace.ranking.degenerate,
+        }
+    return record
+
+
+def why_no_answer(trace: Trace) -> str | None:
+    """One line saying why there is no answer; None where there is one."""
+    if trace.missing:
+        names = " and no ".join(repr(n) for n in trace.missing)
+        return f"no {names} found in frame {trace.frame.id}"
+    if trace.ranking is None or trace.ranking.degenerate:
+        return f"in frame {trace.frame.id} only one object fits both names, and nothing relates to itself"
+    return None
+
+
+def _relations_of_pairs(trace: Trace, pairs: Sequence[RankedPair]) -> Record:
+    table = trace.scores
+    return {
+        f"{p.target},{p.reference}": {
+            r: _probability(table.probabilities[p.target, p.reference, n]) for n, r in enumerate(table.relations)
+        }
+        for p in pairs
+        if p.reference is not None
+    }
+
+
+def relation_records(
+    found: FrameRelations, relations: Sequence[str] = PAIRWISE
+) -> Iterator[Record]:
+    """One record for each ordered pair of objects; the sentence is "a RELATION b".
+
+    An object's index is its place in the dataset's own list where the objects are the dataset's, else in the detector's.
+    """
+    objects, scores = found.objects, found.scores
+    columns = [scores.relations.index(r) for r in relations]
+    for i, a in enumerate(objects):
+        for j, b in enumerate(objects):
+            if i == j:
+                continue
+            yield {
+                "frame": found.frame_id,
+                "a": {"index": a.id if found.exact else i, "label": a.label},
+                "b": {"index": b.id if found.exact else j, "label": b.label},
+                "states": {r: letter(scores.states[i, j, c]) for r, c in zip(relations, columns, strict=True)},
+                "probabilities": {
+                    r: _probability(scores.probabilities[i, j, c]) for r, c in zip(relations, columns, strict=True)
+                },
+            }
+
+
+def frame_record(report: FrameReport) -> Record:
+    """One record of `frames --json`."""
+    return {
+        "index": report.index,
+        "frame": report.id,
+        "ok": report.ok,
+        "problem": report.problem,
+        "width": report.width,
+        "height": report.height,
+        "annotations": report.annotations,
+        "labels": list(report.labels),
+        "depth_valid": report.depth_valid,
+        "median_depth": report.median_depth,
+        "has_pose": report.has_pose,
+        "up_source": report.up_source,
+        "notes": list(report.notes),
+    }

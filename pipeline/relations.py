@@ -1,0 +1,342 @@
+"""Spatial relations by geometry: the rule profile `viewer-cone-v1`.
+
+States are three-valued: T (+1) the relation holds, F (-1) it does not, U (0)
+it is too close to call. All pairs of a scene are judged at once. "A RELATION B"
+is entry [a, b]. Every relation is judged in the viewer's level axes
+(right, up, forward) of `pipeline.viewer`; nothing here knows an object's own front.
+
+The profile: left, right, front (nearer) and behind (farther) are cones of 45
+degrees with a doubtful band to 67.5 degrees around the axis, on signed gaps
+between extents; above and below ask for overlap in plan. on, in, near, between,
+closest and farthest are extras of the same profile.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+T, U, F = 1, 0, -1
+PROFILE = "viewer-cone-v1"
+
+DIRECTIONAL = ("left", "right", "above", "below", "front", "behind")
+PAIRWISE = (*DIRECTIONAL, "on", "in", "near")
+"""Relations with a state for every ordered pair, in the order in which they are always shown."""
+
+VOCABULARIES: dict[str, tuple[str, ...]] = {
+    "avd": DIRECTIONAL,
+    "semantic-abstraction": ("behind", "left", "right", "front", "on", "in"),
+    "all": PAIRWISE,
+}
+INVERSE = {"left": "right", "right": "left", "above": "below", "below": "above", "front": "behind", "behind": "front"}
+PHRASE = {
+    "left": "left of",
+    "right": "right of",
+    "above": "above",
+    "below": "below",
+    "front": "in front of",
+    "behind": "behind",
+    "on": "on",
+    "in": "in",
+    "near": "near",
+    "between": "between",
+    "closest": "closest to",
+    "farthest": "farthest from",
+}
+
+_LETTER = {T: "T", U: "U", F: "F"}
+
+
+def letter(state: int) -> str:
+    """"T", "U" or "F"."""
+    return _LETTER[int(state)]
+
+
+@dataclass(frozen=True)
+class Profile:
+    """The thresholds of `viewer-cone-v1`; lengths in metres, angles in degrees."""
+
+    cone: float = 45.0
+    doubtful_cone: float = 67.5
+    gap_switch: float = 0.03
+    gap_switch_band: tuple[float, float] = (0.02, 0.04)
+    overlap_excludes: float = 0.8
+    overlap_doubts: float = 0.5
+    dead_zone: float = 0.05
+    dead_zone_depth: float = 0.10
+    dead_zone_depth_relative: float = 0.02
+    plan_overlap: float = 0.2
+    plan_overlap_doubtful: float = 0.05
+    sink: float = 0.05
+    sink_relative: float = 0.25
+    clear_height: float = 0.06
+    elevation: float = 45.0
+    elevation_doubtful: float = 22.5
+    min_extent: float = 0.001
+
+
+@dataclass(frozen=True)
+class _Pairs:
+    """Measures of all ordered pairs; the axis of the last dimension is (right, up, forward)."""
+
+    lo: np.ndarray
+    hi: np.ndarray
+    center: np.ndarray
+    extent: np.ndarray
+    delta: np.ndarray
+    gap: np.ndarray
+    overlap: np.ndarray
+    overlap_share: np.ndarray
+
+
+def _measure(lo: np.ndarray, hi: np.ndarray, profile: Profile) -> _Pairs:
+    center, extent = (lo + hi) / 2, np.maximum(hi - lo, profile.min_extent)
+    ahead, back = lo[:, None] - hi[None, :], lo[None, :] - hi[:, None]
+    overlap = np.maximum(np.minimum(hi[:, None], hi[None, :]) - np.maximum(lo[:, None], lo[None, :]), 0)
+    return _Pairs(
+        lo,
+        hi,
+        center,
+        extent,
+        delta=center[:, None] - center[None, :],
+        gap=np.where(ahead > 0, ahead, np.where(back > 0, -back, 0.0)),
+        overlap=overlap,
+        overlap_share=overlap / np.minimum(extent[:, None], extent[None, :]),
+    )
+
+
+def directional_states(lo: np.ndarray, hi: np.ndarray, profile: Profile | None = None) -> np.ndarray:
+    """The six directional relations of all ordered pairs.
+
+    Parameters
+    ----------
+    lo, hi : (N, 3) float
+        Extents along (right, up, forward), metres, as `lifting.extents` gives
+        them. An object with NaN extents is in doubt (U) with every other one.
+
+    Returns
+    -------
+    (N, N, 6) int8
+        In the order of DIRECTIONAL; the diagonal is F.
+    """
+    profile = profile or Profile()
+    lo, hi = np.asarray(lo, np.float64).reshape(-1, 3), np.asarray(hi, np.float64).reshape(-1, 3)
+    known = np.isfinite(lo).all(axis=1) & np.isfinite(hi).all(axis=1)
+    pairs = _measure(np.where(known[:, None], lo, 0.0), np.where(known[:, None], hi, 0.0), profile)
+
+    widest_gap = np.abs(pairs.gap[..., [0, 2]]).max(axis=2)
+    by_gap = _horizontal(pairs, pairs.gap, profile)
+    by_center = _horizontal(pairs, pairs.delta, profile)
+    states = np.where((widest_gap < profile.gap_switch)[..., None], by_center, by_gap)
+    low, high = profile.gap_switch_band
+    switching = (widest_gap >= low) & (widest_gap <= high)
+    states[switching[..., None] & (by_gap != by_center)] = U
+
+    above = _above(pairs, profile)
+    left, right, front, behind = np.moveaxis(states, 2, 0)
+    result = np.stack([left, right, above, above.T, front, behind], axis=2).astype(np.int8)
+    result[~(known[:, None] & known[None, :])] = U
+    result[np.eye(len(lo), dtype=bool)] = F
+    return result
+
+
+def _horizontal(pairs: _Pairs, displacement: np.ndarray, profile: Profile) -> np.ndarray:
+    """(N, N, 4) states of left, right, front, behind for one reading of the displacement."""
+    angle = np.rad2deg(np.arctan2(np.abs(displacement[..., 2]), np.abs(displacement[..., 0])))
+    lateral = _overlap_gate(_cone(angle, profile), pairs.overlap_share[..., 0], profile)
+    depth = _overlap_gate(_cone(90 - angle, profile), pairs.overlap_share[..., 2], profile)
+    distance = np.abs(pairs.center[:, 2])
+    dead_depth = np.maximum(
+        profile.dead_zone_depth,
+        profile.dead_zone_depth_relative * np.maximum(distance[:, None], distance[None, :]),
+    )
+    right, forward = pairs.delta[..., 0], pairs.delta[..., 2]
+    return np.stack(
+        [
+            _sign_gate(lateral, -right, profile.dead_zone),
+            _sign_gate(lateral, right, profile.dead_zone),
+            _sign_gate(depth, -forward, dead_depth),
+            _sign_gate(depth, forward, dead_depth),
+        ],
+        axis=2,
+    )
+
+
+def _cone(angle: np.ndarray, profile: Profile) -> np.ndarray:
+    return np.where(angle <= profile.cone, T, np.where(angle <= profile.doubtful_cone, U, F))
+
+
+def _overlap_gate(state: np.ndarray, share: np.ndarray, profile: Profile) -> np.ndarray:
+    doubted = np.where(share >= profile.overlap_doubts, np.minimum(state, U), state)
+    return np.where(share >= profile.overlap_excludes, F, doubted)
+
+
+def _sign_gate(state: np.ndarray, signed: np.ndarray, dead_zone: np.ndarray | float) -> np.ndarray:
+    return np.where(signed <= 0, F, np.where(signed < dead_zone, np.minimum(state, U), state))
+
+
+def _above(pairs: _Pairs, profile: Profile) -> np.ndarray:
+    area = pairs.extent[:, 0] * pairs.extent[:, 2]
+    plan = pairs.overlap[..., 0] * pairs.overlap[..., 2] / np.minimum(area[:, None], area[None, :])
+    clearance = pairs.lo[:, None, 1] - pairs.hi[None, :, 1]
+    height = pairs.extent[:, 1]
+    tolerance = np.maximum(profile.sink, profile.sink_relative * np.minimum(height[:, None], height[None, :]))
+    sideways = np.hypot(pairs.gap[..., 0], pairs.gap[..., 2])
+    elevation = np.rad2deg(np.arctan2(np.maximum(clearance, 0), sideways))
+    resting, raised = clearance >= -tolerance, clearance > profile.clear_height
+    holds = (plan >= profile.plan_overlap) & resting | raised & (elevation >= profile.elevation)
+    doubtful = (plan >= profile.plan_overlap_doubtful) & resting | raised & (elevation >= profile.elevation_doubtful)
+    state = np.where(holds, T, np.where(doubtful, U, F))
+    return _sign_gate(state, pairs.delta[..., 1], profile.dead_zone)
+
+
+def pairwise_states(
+    lo: np.ndarray, hi: np.ndarray, clouds: Sequence[np.ndarray] | None = None, profile: Profile | None = None
+) -> np.ndarray:
+    """All relations that have a state for every ordered pair.
+
+    Parameters
+    ----------
+    lo, hi : (N, 3) float
+        Extents along (right, up, forward), metres.
+    clouds : sequence of (M, 3) float, optional
+        Each object's points along (right, up, forward); `on` reads the height
+        of the supporting surface from them and `in` counts them. Without
+        points the extents stand in.
+
+    Returns
+    -------
+    (N, N, 9) int8
+        In the order of PAIRWISE; the diagonal is F.
+    """
+    profile = profile or Profile()
+    lo, hi = np.asarray(lo, np.float64).reshape(-1, 3), np.asarray(hi, np.float64).reshape(-1, 3)
+    known = np.isfinite(lo).all(axis=1) & np.isfinite(hi).all(axis=1)
+    clean_lo, clean_hi = np.where(known[:, None], lo, 0.0), np.where(known[:, None], hi, 0.0)
+    pairs = _measure(clean_lo, clean_hi, profile)
+    extra = np.stack([_on(pairs, clouds), _in(pairs, clouds), _near(pairs)], axis=2).astype(np.int8)
+    extra[~(known[:, None] & known[None, :])] = U
+    extra[np.eye(len(lo), dtype=bool)] = F
+    return np.concatenate([directional_states(lo, hi, profile), extra], axis=2)
+
+
+ON_OVERLAP, ON_AREA_RATIO, ON_FOOTPRINT_MARGIN = 0.3, 1.5, 0.10
+ON_GAP, ON_GAP_RELATIVE, ON_GAP_DOUBTFUL = 0.05, 0.15, 0.15
+IN_INFLATION, IN_SHARE, IN_SHARE_DOUBTFUL, IN_BELOW_RIM = 0.02, 0.7, 0.4, 0.25
+NEAR_DIAGONALS, NEAR_DIAGONALS_DOUBTFUL = 0.5, 1.0
+
+
+def _on(pairs: _Pairs, clouds: Sequence[np.ndarray] | None) -> np.ndarray:
+    area = pairs.extent[:, 0] * pairs.extent[:, 2]
+    covered = pairs.overlap[..., 0] * pairs.overlap[..., 2] / area[:, None]
+    supported = (covered >= ON_OVERLAP) & (area[:, None] / area[None, :] < ON_AREA_RATIO)
+    surface = np.stack([_surface_heights(pairs, b, clouds) for b in range(len(area))], axis=1) if len(area) else covered
+    gap = np.abs(pairs.lo[:, None, 1] - surface)
+    touching = np.maximum(ON_GAP, ON_GAP_RELATIVE * pairs.extent[:, 1])[:, None]
+    return np.where(supported & (gap <= touching), T, np.where(supported & (gap <= ON_GAP_DOUBTFUL), U, F))
+
+
+def _surface_heights(pairs: _Pairs, b: int, clouds: Sequence[np.ndarray] | None) -> np.ndarray:
+    """(N,) height of object b under and around each object's footprint: the 95th percentile of its points there."""
+    top = np.full(len(pairs.lo), pairs.hi[b, 1])
+    if clouds is None or not len(clouds[b]):
+        return top
+    cloud = clouds[b][:: max(1, len(clouds[b]) // 1500)]
+    plan = cloud[:, [0, 2]]
+    low, high = pairs.lo[:, [0, 2]] - ON_FOOTPRINT_MARGIN, pairs.hi[:, [0, 2]] + ON_FOOTPRINT_MARGIN
+    under = ((plan[None] >= low[:, None]) & (plan[None] <= high[:, None])).all(axis=2)
+    order = np.argsort(cloud[:, 1])
+    rank = np.cumsum(under[:, order], axis=1)
+    number = rank[:, -1]
+    at = (rank >= np.ceil(0.95 * number)[:, None]).argmax(axis=1)
+    return np.where(number > 0, cloud[order, 1][at], top)
+
+
+def _in(pairs: _Pairs, clouds: Sequence[np.ndarray] | None) -> np.ndarray:
+    low, high = pairs.lo - IN_INFLATION, pairs.hi + IN_INFLATION
+    share = np.zeros(pairs.delta.shape[:2])
+    for a in range(len(pairs.lo)):
+        if clouds is not None and len(clouds[a]):
+            cloud = clouds[a][:: max(1, len(clouds[a]) // 500)]
+            share[a] = ((cloud[None] >= low[:, None]) & (cloud[None] <= high[:, None])).all(axis=2).mean(axis=1)
+        else:
+            shared = np.minimum(pairs.hi[a], high) - np.maximum(pairs.lo[a], low)
+            share[a] = (np.clip(shared, 0, None) / pairs.extent[a]).clip(0, 1).prod(axis=1)
+    below_rim = pairs.hi[None, :, 1] - pairs.lo[:, None, 1] >= IN_BELOW_RIM * pairs.extent[:, None, 1]
+    return np.where(below_rim & (share >= IN_SHARE), T, np.where(below_rim & (share >= IN_SHARE_DOUBTFUL), U, F))
+
+
+def _near(pairs: _Pairs) -> np.ndarray:
+    diagonal = np.linalg.norm(pairs.extent, axis=1)
+    mean = (diagonal[:, None] + diagonal[None, :]) / 2
+    gap = np.linalg.norm(pairs.gap, axis=2)
+    return np.where(gap <= NEAR_DIAGONALS * mean, T, np.where(gap <= NEAR_DIAGONALS_DOUBTFUL * mean, U, F))
+
+
+def distances(lo: np.ndarray, hi: np.ndarray) -> np.ndarray:
+    """(N, N) float64: metres between the extents of every two objects, 0 where they overlap."""
+    return np.linalg.norm(_measure(lo, hi, Profile()).gap, axis=2)
+
+
+RANK_MARGIN = 0.03
+
+
+def superlative_states(
+    lo: np.ndarray, hi: np.ndarray, candidates: Sequence[int], references: Sequence[int], farthest: bool = False
+) -> np.ndarray:
+    """closest or farthest: which candidate is at the end of the row, seen from each reference.
+
+    Parameters
+    ----------
+    candidates, references : sequences of int
+        Objects that compete, and objects they are measured from.
+
+    Returns
+    -------
+    (C, R) int8
+        T for the nearest (farthest) candidate, U for those within 3 cm of it, F for the rest;
+        an object is no candidate for itself.
+    """
+    away = distances(lo, hi)[np.ix_(list(candidates), list(references))]
+    centers = (lo + hi) / 2
+    apart = np.linalg.norm(centers[list(candidates)][:, None] - centers[list(references)][None], axis=2)
+    # Objects that touch the reference all have a gap of 0; centres decide among them.
+    measure = np.where(np.isfinite(away), away + 1e-3 * apart, np.nan)
+    if farthest:
+        measure = -measure
+    same = np.asarray(candidates)[:, None] == np.asarray(references)[None, :]
+    measure = np.where(same | np.isnan(measure), np.inf, measure)
+    best = measure.min(axis=0, keepdims=True) if len(measure) else measure
+    state = np.where(measure <= best + RANK_MARGIN, U, F)
+    state[measure == best] = T
+    state[~np.isfinite(measure)] = F
+    return state.astype(np.int8)
+
+
+def between_states(
+    lo: np.ndarray, hi: np.ndarray, candidates: Sequence[int], first: Sequence[int], second: Sequence[int]
+) -> np.ndarray:
+    """between: the candidate's centre lies in the corridor from one object to another, in plan.
+
+    T where the centre projects onto the middle 70 % of the line between the two
+    centres and lies within a quarter of its length of it; U up to the whole line and half its length.
+
+    Returns
+    -------
+    (C, A, B) int8
+    """
+    plan = ((lo + hi) / 2)[:, [0, 2]]
+    p, a, b = plan[list(candidates)][:, None, None], plan[list(first)][None, :, None], plan[list(second)][None, None]
+    line = b - a
+    length = np.linalg.norm(line, axis=-1)
+    safe = np.maximum(length, 1e-9)
+    along = ((p - a) * line).sum(axis=-1) / safe**2
+    aside = np.linalg.norm((p - a) - along[..., None] * line, axis=-1) / safe
+    state = np.where(
+        (np.abs(along - 0.5) <= 0.35) & (aside <= 0.25), T, np.where((np.abs(along - 0.5) <= 0.5) & (aside <= 0.5), U, F)
+    )
+    c, i, j = np.asarray(candidates)[:, None, None], np.asarray(first)[None, :, None], np.asarray(second)[None, None]
+    state[np.broadcast_to((c == i) | (c == j) | (i == j) | (length < 1e-6), state.shape)] = F
+    return state.astype(np.int8)

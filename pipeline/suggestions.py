@@ -1,0 +1,46 @@
+"""Expressions worth asking of a frame: true, clear-cut, and preferably with something to confuse them with."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+
+import numpy as np
+
+from pipeline.objects import SceneObject
+from pipeline.relations import DIRECTIONAL, PHRASE
+from pipeline.srm.scorer import RelationScores
+
+
+def suggest_expressions(objects: Sequence[SceneObject], scores: RelationScores, count: int = 3) -> tuple[str, ...]:
+    """Up to `count` expressions that have exactly one right answer in the frame.
+
+    Those whose target's class stands in the frame several times come first:
+    there the relation decides. No class and no relation is repeated while there are others.
+    """
+    labels = [o.label for o in objects]
+    number = Counter(labels)
+    found: list[tuple[float, str, str, str]] = []
+    columns = [scores.relations.index(r) for r in DIRECTIONAL if r in scores.relations]
+    for n in columns:
+        relation = scores.relations[n]
+        for target in sorted(number):
+            rows = [i for i, name in enumerate(labels) if name == target]
+            for reference in sorted(number):
+                ends = [j for j, name in enumerate(labels) if name == reference]
+                if target == reference or number[reference] > 1:
+                    continue
+                column = scores.states[np.ix_(rows, ends)][..., n]
+                if (column == 1).sum() == 1 and (column == 0).sum() == 0:
+                    pixels = min(objects[i].lifted.quality.mask_pixels for i in (*rows, *ends))
+                    score = min(number[target], 3) + min(pixels, 3000) / 3000
+                    found.append((score, target, relation, reference))
+    chosen: list[str] = []
+    used: Counter[str] = Counter()
+    while found and len(chosen) < count:
+        best = max(found, key=lambda f: (f[0] - 1.5 * (used[f[1]] + used[f[2]]) - 0.7 * used[f[3]], f[1:]))
+        found.remove(best)
+        _, target, relation, reference = best
+        used.update((target, relation, reference))
+        chosen.append(f"{target} {PHRASE[relation]} the {reference}")
+    return tuple(chosen)

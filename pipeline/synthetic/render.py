@@ -1,0 +1,71 @@
+"""One picture of a room: colour, sensed and exact depth, instances and exact boxes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.boxes import Box3D
+from pipeline.camera import Camera
+from pipeline.errors import InputError
+from pipeline.synthetic.layout import Room
+from pipeline.synthetic.raycast import build_scene, pixel_rays
+from pipeline.synthetic.sensor import sense
+from pipeline.synthetic.shading import find_surfaces, render_colour
+
+
+@dataclass(frozen=True)
+class RenderedFrame:
+    """A synthetic RGB-D frame with its truth.
+
+    Attributes
+    ----------
+    rgb : (H, W, 3) uint8
+    depth : (H, W) float32
+        Metres as the sensor reports them; 0 where nothing came back.
+    depth_exact : (H, W) float32
+        Metres without noise; 0 where the ray left through the window.
+    instances : (H, W) int32
+        Index into the room's instances; -1 for the shell and the outside.
+    boxes : tuple of Box3D
+        The exact box of every instance of the room, in the camera frame.
+    camera : Camera
+    """
+
+    rgb: np.ndarray
+    depth: np.ndarray
+    depth_exact: np.ndarray
+    instances: np.ndarray
+    boxes: tuple[Box3D, ...]
+    camera: Camera
+
+
+def render_view(room: Room, camera: Camera, rng: np.random.Generator) -> RenderedFrame:
+    """Render the room from a posed camera; `rng` drives the depth sensor's errors only.
+
+    Raises
+    ------
+    InputError
+        The camera has no pose.
+    MissingExtra
+        embreex is not installed.
+    """
+    if camera.T_world_camera is None:
+        raise InputError("a camera must have a pose to be rendered from", got="T_world_camera=None")
+    scene = build_scene(room)
+    shape = (camera.height, camera.width)
+    v, u = (g.ravel() for g in np.meshgrid(np.arange(shape[0]), np.arange(shape[1]), indexing="ij"))
+    directions = pixel_rays(camera, v, u)
+    surfaces = find_surfaces(scene, camera, directions)
+    exact = surfaces.depth.reshape(shape)
+    index = np.where(surfaces.hit, scene.part_instance[surfaces.part], -1).reshape(shape).astype(np.int32)
+    T_camera_world = np.linalg.inv(camera.T_world_camera)
+    return RenderedFrame(
+        render_colour(scene, camera, surfaces, directions),
+        sense(exact, rng),
+        exact,
+        index,
+        tuple(instance.box.transformed(T_camera_world) for instance in room.instances),
+        camera,
+    )

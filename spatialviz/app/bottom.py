@@ -1,0 +1,117 @@
+"""The right dock's lower part: the image with its overlay, the frames to browse, the log."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pipeline.palette import hex_color, palette
+from pipeline.picture import box_edges_2d, tinted
+from spatialviz.app.frames import FrameStore, jpeg_url
+from spatialviz.app.scene import frame_colors
+from spatialviz.app.state import State
+from spatialviz.app.text import note, panel, safe
+
+IMAGE_WIDTH = 720
+SHOWN_FRAMES = 24
+
+
+def image_html(state: State) -> str:
+    """The frame's picture with masks, boxes and names; a click selects the object under it."""
+    if state.loaded is None:
+        return panel(note(state.problem or "no frame"))
+    frame = state.loaded.context.frame
+    if state.colors == "rgb":
+        picture = tinted(frame.rgb, state.shown.objects, state.roles)
+    else:
+        picture = frame_colors(state.colors, state.loaded, state.roles, state.dark)
+    step = max(1, round(frame.width / IMAGE_WIDTH))
+    url = jpeg_url(picture[::step, ::step])
+    click = "const b=this.getBoundingClientRect();sv('image:'+((event.clientX-b.left)/b.width).toFixed(5)+','+((event.clientY-b.top)/b.height).toFixed(5))"
+    return panel(
+        f'<div class="pic" onclick="{safe(click)}"><img src="{url}">{_overlay(state)}</div>', style="padding-top:.6em"
+    )
+
+
+def _overlay(state: State) -> str:
+    assert state.loaded is not None
+    frame, colors, roles = state.loaded.context.frame, palette(True), state.roles
+    unit = frame.width / 360
+    parts = []
+    order = sorted(range(len(state.shown.objects)), key=lambda i: (i in roles, i == state.selected))
+    for i in order:
+        entry = state.shown.objects[i]
+        role = roles.get(i, "other")
+        strong = role != "other" or i == state.selected
+        if not strong and not state.flags.boxes:
+            continue
+        color = "#ffffff" if i == state.selected and role == "other" else hex_color(colors[role])
+        x0, y0, x1, y1 = (float(v) for v in entry.bbox)
+        if strong and entry.lifted.box is not None:
+            for (ax, ay), (bx, by) in box_edges_2d(entry.lifted.box, frame.camera):
+                parts.append(
+                    f'<line x1="{ax:.1f}" y1="{ay:.1f}" x2="{bx:.1f}" y2="{by:.1f}" stroke="{color}" stroke-width="{1.3 * unit:.2f}"/>'
+                )
+        else:
+            parts.append(
+                f'<rect x="{x0:.1f}" y="{y0:.1f}" width="{x1 - x0:.1f}" height="{y1 - y0:.1f}" fill="none" '
+                f'stroke="{color}" stroke-width="{0.7 * unit:.2f}" opacity=".75"/>'
+            )
+    for i in order:
+        if i not in roles and i != state.selected:
+            continue
+        color = hex_color(colors[roles.get(i, "other")])
+        text = state.shown.names[i]
+        x0, y0 = float(state.shown.objects[i].bbox[0]), float(state.shown.objects[i].bbox[1])
+        width, height = (len(text) * 6.2 + 8) * unit, 14 * unit
+        x = float(np.clip(x0, 0, max(frame.width - width, 0)))
+        y = float(np.clip(y0 - height, 0, frame.height - height))
+        parts.append(
+            f'<rect x="{x:.1f}" y="{y:.1f}" width="{width:.1f}" height="{height:.1f}" rx="{2 * unit:.1f}" fill="{color}"/>'
+            f'<text x="{x + 4 * unit:.1f}" y="{y + 10.4 * unit:.1f}" font-size="{10.5 * unit:.1f}" font-weight="600" '
+            f'fill="#fff" font-family="system-ui,sans-serif">{safe(text)}</text>'
+        )
+    return f'<svg viewBox="0 0 {frame.width} {frame.height}" preserveAspectRatio="none">{"".join(parts)}</svg>'
+
+
+def object_at(state: State, x: float, y: float) -> int | None:
+    """The smallest object whose mask (else whose 2D box) holds a point, given as fractions of width and height."""
+    if state.loaded is None:
+        return None
+    frame = state.loaded.context.frame
+    u, v = int(np.clip(x * frame.width, 0, frame.width - 1)), int(np.clip(y * frame.height, 0, frame.height - 1))
+    objects = state.shown.objects
+    hits = [i for i, o in enumerate(objects) if o.mask[v, u]]
+    return min(hits, key=lambda i: objects[i].lifted.quality.mask_pixels) if hits else None
+
+
+def window(ids: Sequence[str], current: int) -> range:
+    """The places of the frames that are shown around the current one."""
+    start = max(0, min(current - SHOWN_FRAMES // 2, len(ids) - SHOWN_FRAMES))
+    return range(start, min(start + SHOWN_FRAMES, len(ids)))
+
+
+def frames_html(state: State, ids: Sequence[str], store: FrameStore, ready: int | None = None) -> str:
+    """Small pictures of the frames around the current one; those beyond `ready` are still to come."""
+    current = ids.index(state.frame_id)
+    cells = []
+    places = window(ids, current)
+    for number, i in enumerate(places):
+        url, reason = store.thumb(state.source, ids[i]) if ready is None or number < ready else ("", "…")
+        body = f'<img src="{url}">' if url else f'<span class="none">{safe(reason[:120])}</span>'
+        cells.append(
+            f'<div class="cell{" sel" if i == current else ""}" onclick="sv(\'frame:{i}\')" title="{safe(ids[i])}">'
+            f"{body}<div>{safe(ids[i])}</div></div>"
+        )
+    more = f"frames {places.start + 1}–{places.stop} of {len(ids)}" if len(ids) > len(places) else f"{len(ids)} frames"
+    return panel(
+        f'<div class="dim" style="padding:.4em 0">{more}</div><div class="grid">{"".join(cells)}</div>'
+    )
+
+
+def log_html(entries: Sequence[tuple[str, str]]) -> str:
+    """What happened, latest first."""
+    rows = "".join(f'<div><span class="dim">{safe(t)}</span> {safe(text)}</div>' for t, text in reversed(entries))
+    return panel(f'<div class="log">{rows or "nothing yet"}</div>', style="padding-top:.5em")
+

@@ -1,0 +1,99 @@
+"""From HTML in viser's panels back to Python: rows, chips, bars and pictures that can be clicked.
+
+viser's HTML element shows content but reports no clicks. One hidden text input
+serves as a bus: `sv('pair:3')` in the page sends its value, and `on_message` runs.
+This leans on two internals of viser 1.1 (`window.__viserMutable.sendMessage` and the
+uuid of a handle), which is why viser is pinned to that minor version, and why the
+page says hello: where no hello comes, plain viser widgets take over.
+"""
+
+from __future__ import annotations
+
+import html
+import json
+import queue
+import threading
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+
+import viser
+
+from spatialviz.app.style import CSS, SCRIPT
+
+HELLO = "hello"
+HELLO_SECONDS = 12.0
+
+
+@dataclass(frozen=True)
+class Tag:
+    """A coloured name that follows a node of the scene.
+
+    Attributes
+    ----------
+    node : str
+        Scene node.
+    text, detail : str
+    color : str
+        "#rrggbb".
+    strong : bool
+    """
+
+    node: str
+    text: str
+    detail: str
+    color: str
+    strong: bool
+
+
+class Bridge:
+    """The bus of one client. Messages are handled one at a time, in order, off viser's event loop."""
+
+    def __init__(self, client: viser.ClientHandle, on_message: Callable[[str], None]) -> None:
+        self._client = client
+        self._on_message = on_message
+        self._queue: queue.Queue[Callable[[], None] | None] = queue.Queue()
+        self.alive = threading.Event()
+        self._tags: viser.GuiHtmlHandle | None = None
+        self._shown_tags = ""
+        threading.Thread(target=self._work, daemon=True, name=f"session-{client.client_id}").start()
+
+    def install(self) -> None:
+        """Put the bus, the style and the script into the page. Call inside the main panel."""
+        gui = self._client.gui
+        bus = gui.add_text("bus", "", visible=False)
+        uuid = bus._impl.uuid
+        script = html.escape(SCRIPT.replace("BUS_UUID", uuid).replace("\n", " "), quote=True)
+        gui.add_html(f'{CSS}<img src="" style="display:none" onerror="{script}">', order=-1000)
+        self._tags = gui.add_html("", order=1000)
+
+        @bus.on_update
+        async def _(event: viser.GuiEvent) -> None:
+            message = str(bus.value).rsplit("#", 1)[0]
+            if message == HELLO:
+                self.alive.set()
+            self.post(lambda: self._on_message(message))
+
+    def post(self, job: Callable[[], None]) -> None:
+        """Run something after everything that waits already."""
+        self._queue.put(job)
+
+    def close(self) -> None:
+        self._queue.put(None)
+
+    def show_tags(self, tags: Sequence[Tag]) -> None:
+        """Show these names in the scene, and no others."""
+        data = json.dumps([asdict(t) for t in tags])
+        if self._tags is None or data == self._shown_tags:
+            return
+        self._shown_tags = data
+        call = html.escape(f"window.svTags&&svTags({data})", quote=True)
+        self._tags.content = f'<img src="" style="display:none" onerror="{call}">'
+
+    def _work(self) -> None:
+        while (job := self._queue.get()) is not None:
+            try:
+                job()
+            except Exception as error:  # One failed click must not end the session.
+                self._client.add_notification(
+                    "Something went wrong", html.escape(f"{type(error).__name__}: {error}"), color="red"
+                )

@@ -1,0 +1,49 @@
+"""Plain viser widgets for what the HTML bridge does, shown only where the bridge does not answer."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import viser
+
+from spatialviz.app.left import CAMERAS, COLORS
+from spatialviz.app.state import State
+
+
+class Fallback:
+    """A folder with dropdowns for pairs, objects, colours and the camera."""
+
+    def __init__(self, client: viser.ClientHandle, handle: Callable[[str], None]) -> None:
+        self._client = client
+        self._handle = handle
+        self._pair: viser.GuiDropdownHandle[str] | None = None
+        self._object: viser.GuiDropdownHandle[str] | None = None
+
+    def show(self, state: State) -> None:
+        """Build the widgets."""
+        gui = self._client.gui
+        with gui.add_folder("Without clickable lists"):
+            gui.add_markdown("Lists on this page do not report clicks in this browser; use these instead.")
+            self._pair = gui.add_dropdown("Pair", ("–",))
+            self._object = gui.add_dropdown("Object", ("–",))
+            paint = gui.add_dropdown("Paint", tuple(COLORS))
+            camera = gui.add_dropdown("From", tuple(CAMERAS))
+        pair, object_ = self._pair, self._object
+        pair.on_update(lambda _: self._handle(f"pair:{pair.value.split('.')[0]}"))
+        object_.on_update(lambda _: self._handle(f"object:{object_.value.split('.')[0]}"))
+        paint.on_update(lambda _: self._handle(f"color:{paint.value}"))
+        camera.on_update(lambda _: self._handle(f"camera:{camera.value}"))
+        self.update(state)
+
+    def update(self, state: State) -> None:
+        """Bring the lists up to the state."""
+        if self._pair is None or self._object is None:
+            return
+        names = state.shown.names
+        pairs = tuple(
+            f"{i}. {names[a]} | {names[b]} {p.probability:.2f}"
+            for i, p in enumerate(state.ranked)
+            for a, b in [state.at(p)]
+        )
+        self._pair.options = pairs or ("–",)
+        self._object.options = tuple(f"{i}. {n}" for i, n in enumerate(names)) or ("–",)

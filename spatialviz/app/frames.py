@@ -1,0 +1,105 @@
+"""Frames that several clients may look at: loaded once, a few kept, with small pictures of the rest."""
+
+from __future__ import annotations
+
+import base64
+import threading
+from collections import OrderedDict
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+
+from pipeline.errors import InputError
+from pipeline.jobs import Source
+from pipeline.objects import FrameContext, SceneObject, all_objects
+
+KEPT_FRAMES = 6
+THUMB_WIDTH = 160
+
+
+@dataclass(frozen=True)
+class LoadedFrame:
+    """A frame with all its objects.
+
+    Attributes
+    ----------
+    context : FrameContext
+    objects : tuple of SceneObject
+        Everything the detector finds in it; empty without a detector.
+    """
+
+    context: FrameContext
+    objects: tuple[SceneObject, ...]
+
+
+class FrameStore:
+    """Loads frames of named sources and keeps the latest few."""
+
+    def __init__(self, sources: dict[str, Source]) -> None:
+        self.sources = sources
+        self._loaded: OrderedDict[tuple[str, str], LoadedFrame] = OrderedDict()
+        self._thumbs: dict[tuple[str, str], tuple[str, str]] = {}
+        self._lock = threading.Lock()
+
+    def load(self, source: str, frame_id: str) -> LoadedFrame:
+        """The frame, from memory where it is there.
+
+        Raises
+        ------
+        InputError
+            For a broken frame.
+        """
+        key = (source, frame_id)
+        with self._lock:
+            if key in self._loaded:
+                self._loaded.move_to_end(key)
+                return self._loaded[key]
+        opened = self.sources[source]
+        context = FrameContext(opened.dataset.load(frame_id), opened.config.lift)
+        objects = () if opened.detector is None else all_objects(context, opened.detector)
+        loaded = LoadedFrame(context, objects)
+        with self._lock:
+            self._loaded[key] = loaded
+            while len(self._loaded) > KEPT_FRAMES:
+                self._loaded.popitem(last=False)
+        self._thumbs[key] = (jpeg_url(_small(context.frame.rgb)), "")
+        return loaded
+
+    def thumb(self, source: str, frame_id: str) -> tuple[str, str]:
+        """(data URL, "") of a small picture, or ("", reason) for a broken frame."""
+        key = (source, frame_id)
+        if key not in self._thumbs:
+            try:
+                rgb = self.sources[source].dataset.load(frame_id).rgb
+                self._thumbs[key] = (jpeg_url(_small(rgb)), "")
+            except InputError as error:
+                self._thumbs[key] = ("", str(error))
+        return self._thumbs[key]
+
+
+def _small(rgb: np.ndarray) -> np.ndarray:
+    height = max(1, round(rgb.shape[0] * THUMB_WIDTH / rgb.shape[1]))
+    return cv2.resize(rgb, (THUMB_WIDTH, height), interpolation=cv2.INTER_AREA)
+
+
+def jpeg_url(rgb: np.ndarray, quality: int = 82) -> str:
+    """A picture ((H, W, 3) uint8) as a data URL."""
+    data = cv2.imencode(".jpg", np.ascontiguousarray(rgb[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
+    return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode()
+
+
+def object_thumb(rgb: np.ndarray, bbox: np.ndarray, pixels: int = 68) -> str:
+    """A square picture around an object, as a data URL."""
+    height, width = rgb.shape[:2]
+    x0, y0, x1, y1 = (float(v) for v in bbox)
+    half = max(x1 - x0, y1 - y0) * 0.58 + 2
+    cx, cy = (x0 + x1) / 2, (y0 + y1) / 2
+    left, top = int(max(cx - half, 0)), int(max(cy - half, 0))
+    right, bottom = int(min(cx + half + 1, width)), int(min(cy + half + 1, height))
+    crop = rgb[top:bottom, left:right]
+    if not crop.size:
+        return ""
+    scale = pixels / max(crop.shape[:2])
+    size = (max(1, round(crop.shape[1] * scale)), max(1, round(crop.shape[0] * scale)))
+    return jpeg_url(cv2.resize(crop, size, interpolation=cv2.INTER_AREA), 78)

@@ -1,0 +1,50 @@
+"""Keys for everything, and the page that lists them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import viser
+
+from spatialviz.app.text import safe
+
+KEYS: tuple[tuple[str, str, str], ...] = (
+    ("R", "Ask again", "again"),
+    ("J", "Next ranked pair", "next-pair:1"),
+    ("K", "Previous ranked pair", "next-pair:-1"),
+    ("N", "Next frame", "next-frame:1"),
+    ("P", "Previous frame", "next-frame:-1"),
+    ("1", "Camera: sensor", "camera:sensor"),
+    ("2", "Camera: orbit", "camera:orbit"),
+    ("3", "Camera: top", "camera:top"),
+    ("F", "Look at the selected object", "focus"),
+    ("C", "Next way to paint the cloud", "next-color"),
+    ("V", "Show or hide the cloud", "flag:cloud"),
+    ("B", "Show or hide other boxes", "flag:boxes"),
+    ("L", "Show or hide names", "flag:labels"),
+    ("O", "Show or hide pair lines", "flag:pairs"),
+    ("G", "Show or hide exact boxes", "flag:truth"),
+    ("M", "Dark or light", "theme"),
+    ("X", "Clear the question", "clear"),
+    ("H", "List the keys", "help"),
+)
+
+_ROWS = "".join(f"<span><kbd>{safe(key)}</kbd></span><span>{safe(label)}</span>" for key, label, _ in KEYS)
+HELP = (
+    f'<div class="sv"><div class="keys"><span><kbd>/</kbd></span><span>Type a question</span>{_ROWS}'
+    "<span><kbd>?</kbd></span><span>List the keys</span>"
+    "<span><kbd>Ctrl</kbd> <kbd>K</kbd></span><span>Find any command</span></div></div>"
+)
+
+
+def add_keys(client: viser.ClientHandle, post: Callable[[str], None]) -> None:
+    """Register every key as a command of this client."""
+    for key, label, message in KEYS:
+        hotkey: Any = key.lower() if key.isdigit() else key
+        command = client.gui.add_command(label, hotkey=hotkey)
+
+        def trigger(event: Any, message: str = message) -> None:
+            post(message)
+
+        command.on_trigger(trigger)

@@ -1,0 +1,69 @@
+"""Where everything stands on the page, made once for each client."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import viser
+
+from spatialviz.app.bridge import Bridge
+
+LEFT_WIDTH, RIGHT_WIDTH = 304, 372
+
+
+@dataclass(frozen=True)
+class Page:
+    """Handles of everything that changes."""
+
+    dataset: viser.GuiDropdownHandle[str]
+    frame: viser.GuiDropdownHandle[str]
+    expression: viser.GuiTextHandle | viser.GuiInputHandle[str]
+    ask: viser.GuiButtonHandle
+    form: viser.GuiFormHandle
+    parse: viser.GuiHtmlHandle
+    modules: viser.GuiHtmlHandle
+    controls: viser.GuiHtmlHandle
+    objects: viser.GuiHtmlHandle
+    answer: viser.GuiHtmlHandle
+    pairs: viser.GuiHtmlHandle
+    relations: viser.GuiHtmlHandle
+    object: viser.GuiHtmlHandle
+    image: viser.GuiHtmlHandle
+    frames: viser.GuiHtmlHandle
+    log: viser.GuiHtmlHandle
+
+
+def build(
+    client: viser.ClientHandle, bridge: Bridge, datasets: Sequence[str], dataset: str, frame_ids: Sequence[str]
+) -> Page:
+    """Build the page of one client."""
+    gui = client.gui
+    gui.set_panel_label("spatialviz")
+    bridge.install()
+    dataset_box = gui.add_dropdown("Dataset", tuple(datasets), initial_value=dataset, visible=len(datasets) > 1)
+    frame_box = gui.add_dropdown("Frame", tuple(frame_ids), initial_value=frame_ids[0])
+    form = gui.add_form(None)
+    with form:
+        expression = gui.add_text("Ask", "", hint="TARGET RELATION REFERENCE, for example: mug left of the laptop")
+        ask = gui.add_button("Ask", icon=viser.Icon.PLAYER_PLAY)
+    parse, modules, controls, objects = (gui.add_html("") for _ in range(4))
+    gui.main_panel.dock_left()
+    gui.main_panel.set_width(LEFT_WIDTH)
+
+    upper, lower = gui.add_panel(), gui.add_panel()
+    upper.dock_right()
+    upper.set_width(RIGHT_WIDTH)
+    lower.dock_below(upper)
+    with upper.add_tab("Answer", viser.Icon.TARGET_ARROW):
+        answer, pairs, relations = (gui.add_html("") for _ in range(3))
+    with lower.add_tab("Image", viser.Icon.PHOTO):
+        image, object_ = gui.add_html(""), gui.add_html("")
+    with lower.add_tab("Frames", viser.Icon.LAYOUT_GRID):
+        frames = gui.add_html("")
+    with lower.add_tab("Log", viser.Icon.LIST):
+        log = gui.add_html("")
+    return Page(
+        dataset_box, frame_box, expression, ask, form, parse, modules, controls, objects,
+        answer, pairs, relations, object_, image, frames, log,
+    )  # fmt: skip

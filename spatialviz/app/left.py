@@ -1,0 +1,167 @@
+"""The left dock: what the expression was read as, how each module fared, what is shown, the objects."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+
+from pipeline.ask import Trace
+from pipeline.palette import DROPPED, hex_color, palette
+from pipeline.records import why_no_answer
+from spatialviz.app.frames import object_thumb
+from spatialviz.app.state import State
+from spatialviz.app.text import BAD, DOUBT, GOOD, IDLE, dot, heading, note, panel, safe, segments
+
+COLORS = {"rgb": "Colour", "objects": "Objects", "depth": "Depth", "evidence": "Cleaning"}
+CAMERAS = {"sensor": "Sensor", "orbit": "Orbit", "top": "Top"}
+FLAGS = {
+    "cloud": "cloud",
+    "boxes": "boxes",
+    "labels": "labels",
+    "pairs": "pairs",
+    "truth": "exact boxes",
+    "camera": "camera",
+}
+
+
+def parse_html(state: State, suggestions: Sequence[str]) -> str:
+    """How the expression was read, as chips; its error; or what one could ask."""
+    parts = []
+    if state.problem:
+        parts.append(note(f"This frame is broken: {state.problem}", BAD))
+    if state.error:
+        parts.append(note(state.error, BAD))
+    elif state.trace is not None:
+        parts.append(_chips(state, state.trace))
+        if len(state.trace.query.readings) > 1 and state.trace.ranking is not None:
+            reading = state.trace.ranking.reading
+            parts.append(f'<div class="dim" style="padding-top:3px">read as: {safe(reading.description)}</div>')
+        mapped = state.trace.query.expression.note
+        if mapped:
+            parts.append(f'<div class="dim" style="padding-top:3px">{safe(mapped)}</div>')
+    if suggestions:
+        tries = "".join(
+            f'<span class="try{" on" if text == state.text else ""}" onclick="sv(\'try:{i}\')">{safe(text)}</span>'
+            for i, text in enumerate(suggestions)
+        )
+        parts.append(f'<div class="chips" style="padding-top:6px">{tries}</div>')
+    return panel(*parts, style="padding-top:.2em")
+
+
+def _chips(state: State, trace: Trace) -> str:
+    colors = palette(state.dark)
+    parts = []
+    for span in trace.query.spans:
+        words = safe(trace.query.text[span.start : span.end])
+        if span.role == "relation":
+            parts.append(f'<span class="chip rel">{words}</span>')
+        elif span.role in ("target", "reference"):
+            color = hex_color(colors["target" if span.role == "target" else "reference"])
+            parts.append(f'<span class="chip" style="--c:{color}">{words}</span>')
+    return f'<div class="chips">{"".join(parts)}</div>'
+
+
+def modules_html(state: State) -> str:
+    """The module strip: OPM, LIFT, SRM, PRM and LABEL with their state and cost."""
+    cells = "".join(
+        f'<div class="mod" style="--c:{color}" title="{safe(hint)}"><b>{name}</b><i>{safe(cost)}</i></div>'
+        for name, color, cost, hint in _modules(state)
+    )
+    return panel(f'<div class="strip">{cells}</div>')
+
+
+def _modules(state: State) -> list[tuple[str, str, str, str]]:
+    trace = state.trace
+    annotated = 0 if state.loaded is None else len(state.loaded.context.frame.annotations)
+    label = (
+        ("LABEL", GOOD, f"{annotated} known", f"the dataset annotates {annotated} objects in this frame")
+        if annotated
+        else ("LABEL", IDLE, "none", "the dataset annotates nothing in this frame")
+    )
+    if trace is None:
+        return [(n, IDLE, "–", "no question asked yet") for n in ("OPM", "LIFT", "SRM", "PRM")] + [label]
+
+    def ms(stage: str) -> str:
+        value = trace.timings.get(stage, 0.0) * 1000
+        return f"{value:.1f} ms" if value < 100 else f"{value:.0f} ms"
+
+    counts = ", ".join(f"{len(c.index)} for “{n}”" for n, c in trace.candidates.items())
+    opm = ("OPM", BAD if trace.missing else GOOD, ms("opm"), f"{trace.detector}: {counts}")
+    answered = why_no_answer(trace) is None
+    concerns = [
+        f"{state.shown.names[i]}: {c}"
+        for i in (state.roles or {})
+        for c in state.shown.objects[i].lifted.quality.concerns
+    ]
+    assumed = ["the up vector is assumed to be image-up"] if trace.viewer.up_source == "assumed" else []
+    doubts = concerns + assumed
+    lift = ("LIFT", DOUBT if doubts else GOOD, ms("lift"), "; ".join(doubts) or f"{len(trace.objects)} objects lifted")
+    chosen = state.chosen
+    weak = chosen is not None and chosen.p_relation < 0.5
+    doubtful = chosen is not None and abs(chosen.p_relation - 0.5) < 0.1
+    srm_hint = f"relations by {trace.scorer}"
+    if chosen is not None:
+        srm_hint += f"; the asked relation has {chosen.p_relation:.2f} for the chosen pair"
+    srm = ("SRM", DOUBT if weak or doubtful else GOOD if trace.objects else IDLE, ms("srm"), srm_hint)
+    if not answered or trace.ranking is None:
+        prm = ("PRM", IDLE if trace.missing else BAD, ms("prm"), why_no_answer(trace) or "")
+    else:
+        close = len(trace.ranking.pairs) > 1 and trace.ranking.margin < 0.1
+        hint = f"{len(trace.ranking.pairs)} pairs, margin {trace.ranking.margin:.2f} to the runner-up"
+        prm = ("PRM", DOUBT if close else GOOD, ms("prm"), hint)
+    return [opm, lift, srm, prm, label]
+
+
+def controls_html(state: State) -> str:
+    """How the scene is coloured, seen from where, and what is shown in it."""
+    flags = asdict(state.flags)
+    exact = state.loaded is not None and any(a.box is not None for a in state.loaded.context.frame.annotations)
+    toggles = "".join(
+        f'<span class="{"on" if flags[key] else ""}" onclick="sv(\'flag:{key}\')">{label}</span>'
+        for key, label in FLAGS.items()
+        if key != "truth" or exact
+    )
+    legend = ""
+    if state.colors == "evidence":
+        legend = '<div class="legend" style="padding:0 0 4px 60px">' + "".join(
+            f'<span><span class="dot" style="--c:{hex_color(color)}"></span>{reason.name.lower().replace("_", " ")}</span>'
+            for reason, color in DROPPED.items()
+        )
+        legend += "</div>"
+    return panel(
+        f'<div class="row"><label>Paint</label>{segments("color", COLORS, state.colors)}</div>{legend}',
+        f'<div class="row"><label>From</label>{segments("camera", CAMERAS, state.camera)}</div>',
+        f'<div class="row"><label>Show</label><div class="tog">{toggles}</div></div>',
+        style="padding-top:.3em",
+    )
+
+
+def objects_html(state: State, thumbs: dict[int, str]) -> str:
+    """The list of objects with their pictures, sizes and scores; `thumbs` is filled on the way."""
+    if state.loaded is None:
+        return ""
+    if not state.shown.objects:
+        return panel(heading("Objects"), note("No objects: the dataset has no annotations and no detector is set."))
+    colors, roles = palette(state.dark), state.roles
+    rgb = state.loaded.context.frame.rgb
+    rows = []
+    for i, entry in enumerate(state.shown.objects):
+        thumb = thumbs.setdefault(i, object_thumb(rgb, entry.bbox))
+        box, quality = entry.lifted.box, entry.lifted.quality
+        size = "no depth" if box is None else " × ".join(f"{s * 100:.0f}" for s in box.size) + " cm"
+        away = "" if box is None else f"{quality.distance:.1f} m"
+        mark = '<span class="low" title="' + safe("; ".join(quality.concerns)) + '">!</span>' if quality.concerns else ""
+        score = "" if entry.score >= 0.9995 else f"{entry.score:.2f}"
+        rows.append(
+            f'<tr class="r{" sel" if i == state.selected else ""}" onclick="sv(\'object:{i}\')">'
+            f'<td style="width:42px"><img class="thumb" src="{thumb}"></td>'
+            f'<td class="w"><span class="name">{dot(colors[roles.get(i, "other")])}<b>{safe(state.shown.names[i])}</b></span>'
+            f'<div class="dim" style="font-size:11px">{size}</div></td>'
+            f'<td class="n dim">{away}</td><td class="n">{score} {mark}</td></tr>'
+        )
+    return panel(
+        heading(f"Objects ({len(rows)})"),
+        f'<div class="scroll" style="--mh:max(150px, calc(100vh - 560px))"><table>{"".join(rows)}</table></div>',
+        '<div class="dim" style="font-size:11px;padding-top:5px"><kbd>/</kbd> ask &nbsp;<kbd>J</kbd> <kbd>K</kbd> pair'
+        " &nbsp;<kbd>N</kbd> <kbd>P</kbd> frame &nbsp;<kbd>?</kbd> all keys</div>",
+    )

@@ -1,0 +1,159 @@
+"""The right dock's upper part: the answer, the ranked pairs, every relation of the chosen pair, the object."""
+
+from __future__ import annotations
+
+from pipeline.lifting import Pixel
+from pipeline.palette import DROPPED, hex_color, palette
+from pipeline.ranking import RankedPair
+from pipeline.records import why_no_answer
+from pipeline.relations import PHRASE, letter
+from spatialviz.app.state import State
+from spatialviz.app.text import BAD, DOUBT, dot, heading, note, panel, safe
+
+SHOWN_PAIRS = 30
+KEPT_COLOR = "#35a96b"
+
+
+def answer_html(state: State) -> str:
+    """The answer in one line, its probability, and what to doubt about it."""
+    trace = state.trace
+    if trace is None:
+        hint = "Type TARGET RELATION REFERENCE at the left, for example “mug left of the laptop”, and press Enter."
+        return panel(f'<div class="dim" style="padding:.7em 0">{hint}</div>')
+    reason = why_no_answer(trace)
+    if reason is not None:
+        return panel('<div style="height:.5em"></div>', note(reason[0].upper() + reason[1:], BAD))
+    best, chosen = state.ranked[0], state.chosen
+    pair = chosen or best
+    parts = [_sentence(state, pair)]
+    assert trace.ranking is not None
+    place = state.ranked.index(pair) + 1
+    if place == 1:
+        more = f"margin {trace.ranking.margin:.2f} to the runner-up"
+    else:
+        more = f"rank {place}; the answer has {best.probability:.2f}"
+    count = len(state.ranked)
+    parts.append(f'<div class="dim">{f"{more} · {count} candidate pairs" if count > 1 else "the only candidate pair"}</div>')
+    if best.p_relation < 0.5 and place == 1:
+        parts.append(
+            note(f"The best there is, but the relation itself is unlikely ({best.p_relation:.2f}).", DOUBT)
+        )
+    return panel(*parts)
+
+
+def _sentence(state: State, pair: RankedPair) -> str:
+    assert state.trace is not None
+    colors = palette(state.dark)
+    target, reference = state.at(pair)
+    phrase = safe(PHRASE[state.trace.query.expression.relation])
+    second = ""
+    if pair.second_reference is not None:
+        name = state.shown.names[state.shown.place[pair.second_reference]]
+        second = f' <span class="dim">and</span> <span class="name">{dot(colors["reference"])}<b>{safe(name)}</b></span>'
+    return (
+        f'<div class="big" style="flex-wrap:wrap"><span class="name">{dot(colors["target"])}'
+        f"<b>{safe(state.shown.names[target])}</b></span>"
+        f' <span class="dim">{phrase}</span> '
+        f'<span class="name">{dot(colors["reference"])}<b>{safe(state.shown.names[reference])}</b></span>{second}'
+        f'<span class="p">{pair.probability:.2f}</span></div>'
+    )
+
+
+def pairs_html(state: State) -> str:
+    """The ranked pairs with each factor; the weakest factor of a pair stands out."""
+    if not state.ranked:
+        return ""
+    colors = palette(state.dark)
+    rows = []
+    for i, pair in enumerate(state.ranked[:SHOWN_PAIRS]):
+        target, reference = state.at(pair)
+        factors = (pair.p_target, pair.p_reference, pair.p_relation)
+        weakest = min(factors)
+        cells = "".join(
+            f'<td class="n{" low" if f == weakest and f < 0.5 else ""}">{f:.2f}</td>' for f in factors
+        )
+        rows.append(
+            f'<tr class="r{" sel" if state.at(pair) == state.pair else ""}" onclick="sv(\'pair:{i}\')">'
+            f'<td class="n dim">{i + 1}</td>'
+            f'<td class="w"><span class="name">{dot(colors["target"])}{safe(state.shown.names[target])}</span></td>'
+            f'<td class="w"><span class="name">{dot(colors["reference"])}{safe(state.shown.names[reference])}</span></td>'
+            f'{cells}<td class="n"><b>{pair.probability:.2f}</b></td></tr>'
+        )
+    more = "" if len(state.ranked) <= SHOWN_PAIRS else f"best {SHOWN_PAIRS} of {len(state.ranked)}"
+    head = (
+        '<tr><th class="n">#</th><th>target</th><th>reference</th><th class="n" title="P(target | name)">tgt</th>'
+        '<th class="n" title="P(reference | name)">ref</th><th class="n" title="P(relation)">rel</th>'
+        '<th class="n" title="posterior over all pairs">P</th></tr>'
+    )
+    return panel(
+        heading("Ranked pairs", more),
+        f'<div class="scroll" style="--mh:168px"><table>{head}{"".join(rows)}</table></div>',
+    )
+
+
+def relations_html(state: State) -> str:
+    """Every relation of the chosen pair, always in the same order; a click asks with that relation."""
+    trace, pair = state.trace, state.chosen
+    if trace is None or pair is None or pair.reference is None:
+        return ""
+    colors = palette(state.dark)
+    asked = trace.query.expression.relation
+    rows = []
+    for n, relation in enumerate(trace.scores.relations):
+        p = float(trace.scores.probabilities[pair.target, pair.reference, n])
+        mark = letter(trace.scores.states[pair.target, pair.reference, n])
+        on = relation == asked
+        color = hex_color(colors["target"]) if on else "#7d8896"
+        rows.append(
+            f'<div class="bar{" on" if on else ""}" style="--c:{color}" onclick="sv(\'relation:{n}\')"'
+            f' title="{safe(PHRASE[relation])}: {p:.3f} ({mark}); click to ask it">'
+            f"<span>{safe(PHRASE[relation])}</span>"
+            f'<span class="t"><span class="f" style="width:{p * 100:.0f}%"></span></span>'
+            f'<span class="s">{mark}</span><span class="n">{p:.2f}</span></div>'
+        )
+    target, reference = state.at(pair)
+    names = f"{safe(state.shown.names[target])} → {safe(state.shown.names[reference])}"
+    return panel(heading("Relations", f"{names} · by {safe(trace.scorer)}"), *rows)
+
+
+def object_html(state: State) -> str:
+    """The selected object: its size, its place, and what became of every pixel of its mask."""
+    i = state.selected
+    if i is None or i >= len(state.shown.objects):
+        return ""
+    entry = state.shown.objects[i]
+    lifted, quality = entry.lifted, entry.lifted.quality
+    color = palette(state.dark)[state.roles.get(i, "other")]
+    facts = []
+    if lifted.box is not None:
+        width, height, depth = lifted.box.size
+        facts += [
+            ("size", f"{width:.2f} wide × {height:.2f} high × {depth:.2f} deep m"),
+            ("distance", f"{quality.distance:.2f} m"),
+            ("yaw", f"confidence {lifted.yaw_confidence:.2f}"),
+        ]
+    facts.append(("points", f"{quality.points:,} of {quality.mask_pixels:,} mask pixels ({quality.kept:.0%})"))
+    rows = "".join(f"<span>{k}</span><span>{v}</span>" for k, v in facts)
+    parts = [
+        heading(f"<b>{dot(color)}{safe(state.shown.names[i])}</b>", "" if entry.score >= 0.9995 else f"score {entry.score:.2f}"),
+        f'<div class="facts">{rows}</div>',
+    ]
+    if lifted.evidence is not None and quality.mask_pixels:
+        counts = lifted.evidence.counts()
+        pieces = [("kept", KEPT_COLOR)] + [(p.name.lower(), hex_color(c)) for p, c in DROPPED.items()]
+        bar = "".join(
+            f'<i style="--c:{c};width:{100 * counts[k] / quality.mask_pixels:.1f}%" title="{k.replace("_", " ")}"></i>'
+            for k, c in pieces
+        )
+        legend = "".join(
+            f'<span><span class="dot" style="--c:{c}"></span>{k.replace("_", " ")} {counts[k] / quality.mask_pixels:.0%}</span>'
+            for k, c in pieces
+            if counts[k]
+        )
+        parts.append(f'<div class="stack">{bar}</div><div class="legend">{legend}</div>')
+    if quality.concerns:
+        parts.append('<div style="height:.4em"></div>' + note("; ".join(quality.concerns), DOUBT))
+    return panel(*parts)
+
+
+assert set(DROPPED) == set(Pixel) - {Pixel.OUTSIDE, Pixel.KEPT}

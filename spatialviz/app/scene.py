@@ -1,0 +1,404 @@
+"""The 3D scene of one client: the frame's cloud, boxes by role, pair lines. It draws what it is given.
+
+Everything stands in the viewer's level frame with x right, y forward, z up and
+the camera at the origin, so that the floor is level whatever the camera's pitch.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import viser
+import viser.transforms as vtf
+
+from pipeline.boxes import EDGES, Box3D
+from pipeline.camera import lift_pixels
+from pipeline.lifting import Pixel
+from pipeline.objects import SceneObject
+from pipeline.palette import DROPPED, RGB, Role, depth_colors, hex_color, instance_colors, palette
+from spatialviz.app.bridge import Tag
+from spatialviz.app.frames import LoadedFrame
+
+MAX_POINTS = 160_000
+BAND_RATIO = 1.3
+"""Points are drawn in bands of depth, each with its own point size, so that near
+and far surfaces look equally closed from the sensor."""
+FAR = 12.0
+CUBE = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)], np.float32)
+CUBE_FACES = np.array(
+    [
+        [0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1],
+        [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3],
+    ]
+)  # fmt: skip
+LINE_WIDTH: dict[Role, float] = {"other": 1.3, "reference": 3.2, "target": 3.2, "truth": 1.6, "edited": 2.5}
+FACE_OPACITY: dict[Role, float] = {"other": 0.035, "reference": 0.15, "target": 0.15}
+
+
+@dataclass(frozen=True)
+class SceneFlags:
+    """What is shown."""
+
+    cloud: bool = True
+    boxes: bool = True
+    labels: bool = True
+    pairs: bool = True
+    truth: bool = False
+    camera: bool = False
+
+
+@dataclass(frozen=True)
+class _Cloud:
+    v: np.ndarray
+    u: np.ndarray
+    points: np.ndarray
+    bands: tuple[np.ndarray, ...]
+
+
+class SceneView:
+    """Draws into one client's scene."""
+
+    def __init__(
+        self,
+        client: viser.ClientHandle,
+        on_object: Callable[[int], None],
+        on_pixel: Callable[[int, int], None],
+    ) -> None:
+        self._client = client
+        self._on_object = on_object
+        self._cloud: _Cloud | None = None
+        self._bands: list[viser.PointCloudHandle] = []
+        self._lines: dict[str, Any] = {}
+        self._faces: Any = None
+        self._face_objects: tuple[int, ...] = ()
+        self._anchors: list[viser.FrameHandle] = []
+        self._frustum: Any = None
+        self._to_show = np.eye(3)
+        self._camera: Any = None
+
+        @client.scene.on_click()
+        async def _(event: viser.ScenePointerEvent) -> None:
+            hit = self._pixel_on_ray(np.array(event.ray_origin), np.array(event.ray_direction))
+            if hit is not None:
+                on_pixel(*hit)
+
+    def set_frame(self, loaded: LoadedFrame, colors: np.ndarray) -> None:
+        """Show another frame; `colors` is (H, W, 3) uint8."""
+        frame, viewer = loaded.context.frame, loaded.context.viewer
+        self._to_show = np.stack([viewer.right, viewer.forward, viewer.up])
+        self._camera = frame.camera
+        stride = max(1, int(np.ceil(np.sqrt(frame.width * frame.height / MAX_POINTS))))
+        v, u = np.meshgrid(np.arange(0, frame.height, stride), np.arange(0, frame.width, stride), indexing="ij")
+        z = frame.depth[v, u]
+        keep = (z > 0) & (z < FAR)
+        v, u, z = v[keep], u[keep], z[keep]
+        points = (lift_pixels(z, frame.camera, v, u) @ self._to_show.T.astype(np.float32)).astype(np.float32)
+        band = np.floor(np.log(np.maximum(z, 1e-3)) / np.log(BAND_RATIO)).astype(int)
+        levels = np.unique(band)
+        self._cloud = _Cloud(v, u, points, tuple(np.flatnonzero(band == level) for level in levels))
+        with self._client.atomic():
+            for handle in self._bands:
+                handle.remove()
+            self._bands = [
+                self._client.scene.add_point_cloud(
+                    f"/cloud/{k}",
+                    points[index],
+                    colors[v[index], u[index]],
+                    point_size=float(BAND_RATIO ** (level + 0.6) / frame.camera.fx * stride * 1.15),
+                    precision="float32",
+                    point_shading="flat",
+                    point_shape="square",
+                )
+                for k, (level, index) in enumerate(zip(levels, self._cloud.bands, strict=True))
+            ]
+            if self._frustum is not None:
+                self._frustum.remove()
+            self._frustum = self._client.scene.add_camera_frustum(
+                "/camera",
+                fov=float(2 * np.arctan(frame.height / 2 / frame.camera.fy)),
+                aspect=frame.width / frame.height,
+                scale=0.15,
+                thickness=1.5,
+                thickness_units="screen",
+                color=(130, 138, 150),
+                wxyz=vtf.SO3.from_matrix(self._to_show).wxyz,
+                visible=False,
+            )
+
+    def recolor(self, colors: np.ndarray) -> None:
+        """Paint the cloud with (H, W, 3) uint8 colours."""
+        if self._cloud is None:
+            return
+        with self._client.atomic():
+            for handle, index in zip(self._bands, self._cloud.bands, strict=True):
+                handle.colors = colors[self._cloud.v[index], self._cloud.u[index]]
+
+    def draw(
+        self,
+        objects: Sequence[SceneObject],
+        names: Sequence[str],
+        roles: Mapping[int, Role],
+        selected: int | None,
+        pairs: Sequence[tuple[int, int]],
+        truth: Sequence[Box3D],
+        flags: SceneFlags,
+        dark: bool,
+    ) -> list[Tag]:
+        """Draw boxes, the chosen pair first in `pairs`, and return the names to show."""
+        colors = palette(dark)
+        boxed = [i for i, o in enumerate(objects) if o.lifted.box is not None]
+        role_of: dict[int, Role] = {i: roles.get(i, "other") for i in boxed}
+        with self._client.atomic():
+            for handle in self._bands:
+                handle.visible = flags.cloud
+            if self._frustum is not None:
+                self._frustum.visible = flags.camera
+            for role in ("other", "reference", "target"):
+                members = [self._box(objects, i) for i in boxed if role_of[i] == role]
+                shown = flags.boxes or role != "other"
+                self._set_lines(f"/boxes/{role}", _edges(members), colors[role], LINE_WIDTH[role], shown)
+            chosen = [self._box(objects, selected)] if selected in role_of else []
+            self._set_lines("/boxes/selected", _edges(chosen), (255, 255, 255) if dark else (20, 22, 26), 2.0, True)
+            shown_truth = [self._shown_box(b) for b in truth]
+            self._set_lines("/boxes/truth", _edges(shown_truth), colors["truth"], LINE_WIDTH["truth"], flags.truth)
+            self._draw_faces(objects, boxed, role_of, colors, flags)
+            self._draw_pairs(objects, pairs, colors, flags)
+            return self._draw_tags(objects, names, boxed, role_of, selected, flags, colors)
+
+    def fly(self, kind: str) -> None:
+        """Move the camera to "sensor", "orbit" or "top", smoothly."""
+        eye, look, fov = self._pose(kind)
+        camera = self._client.camera
+        p0, l0, f0 = np.array(camera.position), np.array(camera.look_at), float(camera.fov)
+        for k in range(1, 13):
+            t = k / 12
+            t = t * t * (3 - 2 * t)
+            with self._client.atomic():
+                camera.position = p0 * (1 - t) + eye * t
+                camera.look_at = l0 * (1 - t) + look * t
+                camera.fov = f0 * (1 - t) + fov * t
+            self._client.flush()
+            time.sleep(1 / 40)
+
+    def place_camera(self, kind: str) -> None:
+        """The same at once."""
+        eye, look, fov = self._pose(kind)
+        with self._client.atomic():
+            self._client.camera.up_direction = (0.0, 0.0, 1.0)
+            self._client.camera.position = eye
+            self._client.camera.look_at = look
+            self._client.camera.fov = fov
+
+    def focus(self, box: Box3D) -> None:
+        """Turn around an object: look at it from where the camera stands, nearer."""
+        center = self._to_show @ box.center
+        camera = self._client.camera
+        away = np.array(camera.position) - center
+        distance = max(float(np.linalg.norm(box.size)) * 1.9, 0.5)
+        away *= distance / max(float(np.linalg.norm(away)), 1e-6)
+        with self._client.atomic():
+            camera.position = center + away
+            camera.look_at = center
+
+    def _pose(self, kind: str) -> tuple[np.ndarray, np.ndarray, float]:
+        assert self._cloud is not None
+        points = self._cloud.points
+        middle = np.median(points, axis=0) if len(points) else np.array([0.0, 2.0, 0.0])
+        forward = self._to_show @ np.array([0.0, 0.0, 1.0])
+        distance = float(np.linalg.norm(middle))
+        if kind == "sensor":
+            # The page is wider than the picture: the height decides, with a little air.
+            fov = 2 * np.arctan(self._camera.height / 2 / self._camera.fy * 1.04)
+            return np.zeros(3) - forward * 0.01, forward * distance, float(fov)
+        if kind == "top":
+            low, high = np.percentile(points, [3, 97], axis=0)
+            span = float(max(high[0] - low[0], high[1] - low[1]))
+            center = (low + high) / 2
+            return center + np.array([0.0, -0.02, span * 1.25]), center, float(np.deg2rad(50))
+        return self._fitting_pose(points, np.deg2rad(44))
+
+    def _fitting_pose(self, points: np.ndarray, fov: float) -> tuple[np.ndarray, np.ndarray, float]:
+        """From the right, above and behind the sensor, as near as shows nearly all of the cloud."""
+        low, high = np.percentile(points, [2, 98], axis=0)
+        center = (low + high) / 2
+        toward = np.array([-0.36, 0.84, -0.42])
+        toward /= np.linalg.norm(toward)
+        across = np.cross(toward, [0.0, 0.0, 1.0])
+        across /= np.linalg.norm(across)
+        local = (points[:: max(1, len(points) // 4000)] - center) @ np.stack([across, np.cross(across, toward), toward]).T
+        tangent = np.tan(fov / 2)
+        aspect = float(np.clip(self._client.camera.aspect or 1.3, 0.6, 2.5))
+        # A point is inside the picture from as far away as its offset over the tangent, less its own depth.
+        needed = np.maximum(np.abs(local[:, 0]) / (tangent * aspect), np.abs(local[:, 1]) / tangent) - local[:, 2]
+        distance = float(np.percentile(needed, 96)) * 1.02
+        return center - toward * distance, center, float(fov)
+
+    def _shown_box(self, box: Box3D) -> Box3D:
+        return Box3D(self._to_show @ box.center, self._to_show @ box.R, box.size)
+
+    def _box(self, objects: Sequence[SceneObject], i: int | None) -> Box3D:
+        assert i is not None
+        box = objects[i].lifted.box
+        assert box is not None
+        return self._shown_box(box)
+
+    def _set_lines(self, name: str, points: np.ndarray, color: RGB, width: float, visible: bool) -> None:
+        handle = self._lines.get(name)
+        if not len(points):
+            if handle is not None:
+                handle.visible = False
+            return
+        if handle is None:
+            self._lines[name] = self._client.scene.add_line_segments(
+                name, points, color, thickness=width, thickness_units="screen", visible=visible
+            )
+            return
+        handle.points = points
+        handle.colors = np.array(color, np.uint8)
+        handle.visible = visible
+
+    def _draw_faces(
+        self,
+        objects: Sequence[SceneObject],
+        boxed: Sequence[int],
+        role_of: Mapping[int, Role],
+        colors: Mapping[Role, RGB],
+        flags: SceneFlags,
+    ) -> None:
+        if self._faces is not None:
+            self._faces.remove()
+            self._faces = None
+        self._face_objects = tuple(i for i in boxed if flags.boxes or role_of[i] != "other")
+        if not self._face_objects:
+            return
+        boxes = [self._box(objects, i) for i in self._face_objects]
+        self._faces = self._client.scene.add_batched_meshes_simple(
+            "/boxes/faces",
+            CUBE,
+            CUBE_FACES,
+            np.stack([vtf.SO3.from_matrix(b.R).wxyz for b in boxes]).astype(np.float32),
+            np.stack([b.center for b in boxes]).astype(np.float32),
+            batched_scales=np.stack([np.maximum(b.size, 0.005) for b in boxes]).astype(np.float32),
+            batched_colors=np.array([colors[role_of[i]] for i in self._face_objects], np.uint8),
+            batched_opacities=np.array([FACE_OPACITY[role_of[i]] for i in self._face_objects], np.float32),
+            lod="off",
+            cast_shadow=False,
+            receive_shadow=False,
+        )
+
+        @self._faces.on_click
+        async def _(event: Any) -> None:
+            index = event.instance_index
+            if index is not None and index < len(self._face_objects):
+                self._on_object(self._face_objects[index])
+
+    def _draw_pairs(
+        self,
+        objects: Sequence[SceneObject],
+        pairs: Sequence[tuple[int, int]],
+        colors: Mapping[Role, RGB],
+        flags: SceneFlags,
+    ) -> None:
+        lines = np.array(
+            [
+                [self._box(objects, a).center, self._box(objects, b).center]
+                for a, b in pairs
+                if objects[a].lifted.box is not None and objects[b].lifted.box is not None
+            ],
+            np.float32,
+        ).reshape(-1, 2, 3)
+        blend = np.array([[colors["target"], colors["reference"]]], np.uint8)
+        for name, segment, width in (("/pairs/chosen", lines[:1], 5.0), ("/pairs/others", lines[1:], 1.6)):
+            handle = self._lines.pop(name, None)
+            if handle is not None:
+                handle.remove()
+            if len(segment) and flags.pairs:
+                tint = np.repeat(blend, len(segment), axis=0)
+                if name == "/pairs/others":
+                    tint = (tint * 0.6).astype(np.uint8)
+                self._lines[name] = self._client.scene.add_line_segments(
+                    name, segment, tint, thickness=width, thickness_units="screen"
+                )
+
+    def _draw_tags(
+        self,
+        objects: Sequence[SceneObject],
+        names: Sequence[str],
+        boxed: Sequence[int],
+        role_of: Mapping[int, Role],
+        selected: int | None,
+        flags: SceneFlags,
+        colors: Mapping[Role, RGB],
+    ) -> list[Tag]:
+        while len(self._anchors) < len(objects):
+            self._anchors.append(
+                self._client.scene.add_frame(f"/tags/{len(self._anchors)}", show_axes=False)
+            )
+        tags = []
+        for i in boxed:
+            if not (role_of[i] != "other" or i == selected or flags.labels):
+                continue
+            box = self._box(objects, i)
+            top = box.corners[:, 2].max()
+            self._anchors[i].position = (float(box.center[0]), float(box.center[1]), float(top + 0.03))
+            strong = role_of[i] != "other" or i == selected
+            score = objects[i].score
+            detail = "" if score >= 0.9995 else f"{score:.2f}"
+            tags.append(Tag(f"/tags/{i}", names[i], detail, hex_color(colors[role_of[i]]), strong))
+        # Names of the answer are put last so that they lie on top of the others.
+        return sorted(tags, key=lambda t: t.strong)
+
+    def _pixel_on_ray(self, origin: np.ndarray, direction: np.ndarray) -> tuple[int, int] | None:
+        """(u, v) of the nearest surface point close to a ray; exact, because points are pixels."""
+        if self._cloud is None or not len(self._cloud.points):
+            return None
+        offset = self._cloud.points - origin
+        along = offset @ direction
+        aside = np.linalg.norm(offset - along[:, None] * direction, axis=1)
+        close = (along > 0.05) & (aside < 0.012 * np.maximum(along, 0.3))
+        if not close.any():
+            return None
+        index = np.flatnonzero(close)
+        best = index[np.argmin(along[index] + 3 * aside[index])]
+        return int(self._cloud.u[best]), int(self._cloud.v[best])
+
+
+def _edges(boxes: Sequence[Box3D]) -> np.ndarray:
+    if not boxes:
+        return np.zeros((0, 2, 3), np.float32)
+    return np.concatenate([b.corners[EDGES] for b in boxes]).astype(np.float32)
+
+
+def frame_colors(mode: str, loaded: LoadedFrame, roles: Mapping[int, Role], dark: bool) -> np.ndarray:
+    """(H, W, 3) uint8 colours of a frame's pixels: "rgb", "objects", "depth" or "evidence"."""
+    frame, objects = loaded.context.frame, loaded.objects
+    if mode == "depth":
+        return depth_colors(frame.depth)
+    if mode == "rgb" or not objects:
+        return frame.rgb
+    grey = np.repeat(frame.rgb.mean(axis=2, keepdims=True), 3, axis=2)
+    image = (grey * 0.55 + (20 if dark else 110)).astype(np.uint8)
+    order = sorted(range(len(objects)), key=lambda i: -int(objects[i].lifted.quality.mask_pixels))
+    if mode == "objects":
+        calm, role_colors = instance_colors(len(objects)), palette(dark)
+        for i in order:
+            color = role_colors[roles[i]] if i in roles else calm[i]
+            mask = objects[i].mask
+            image[mask] = (image[mask] * 0.35 + np.array(color) * 0.65).astype(np.uint8)
+        return image
+    for i in order:
+        evidence = objects[i].lifted.evidence
+        if evidence is None:
+            continue
+        h, w = evidence.codes.shape
+        window = image[evidence.y0 : evidence.y0 + h, evidence.x0 : evidence.x0 + w]
+        source = frame.rgb[evidence.y0 : evidence.y0 + h, evidence.x0 : evidence.x0 + w]
+        kept = evidence.codes == Pixel.KEPT
+        window[kept] = source[kept]
+        for reason, color in DROPPED.items():
+            window[evidence.codes == reason] = color
+    return image

@@ -1,0 +1,88 @@
+"""Serve the page: one viser server, one session for each browser that connects."""
+
+from __future__ import annotations
+
+import io
+import sys
+import threading
+import webbrowser
+from contextlib import redirect_stdout
+
+import viser
+
+from pipeline.demo import DEMO_EXPRESSION, DEMO_NAME
+from pipeline.errors import InputError
+from pipeline.jobs import Source
+from spatialviz.app.frames import FrameStore
+from spatialviz.app.origin import LOCAL_NAMES, checked_origins
+from spatialviz.app.session import Session, apply_theme
+
+
+def start(
+    sources: dict[str, Source], *, host: str = "127.0.0.1", port: int = 8080, dark: bool = True
+) -> viser.ViserServer:
+    """Start the server and return it; it runs on its own threads.
+
+    Parameters
+    ----------
+    sources : dict of str to Source
+        Datasets by name; the first is shown first.
+    port : int
+        0 lets the system choose; a port that is taken becomes the next free one.
+
+    Raises
+    ------
+    InputError
+        Where a dataset has no frames, or the address cannot be used.
+    """
+    for name, source in sources.items():
+        if not source.dataset.frame_ids:
+            raise InputError(f"the dataset {name} has no frames", path=source.dataset.root)
+    try:
+        with checked_origins(), redirect_stdout(io.StringIO()):
+            server = viser.ViserServer(host=host, port=port, label="spatialviz", verbose=False)
+    except (OSError, RuntimeError) as error:
+        raise InputError(f"cannot listen on {host}:{port}", got=str(error)) from error
+    apply_theme(server.gui, dark)
+    server.scene.configure_environment_map(hdri=None)
+    server.scene.configure_default_lights(True, cast_shadow=False)
+    server.scene.world_axes.visible = False
+    store = FrameStore(sources)
+    sessions: dict[int, Session] = {}
+    lock = threading.Lock()
+    first = next(iter(sources))
+
+    @server.on_client_connect
+    def _(client: viser.ClientHandle) -> None:
+        session = Session(server, client, store, first, DEMO_EXPRESSION, dark)
+        with lock:
+            sessions[client.client_id] = session
+
+    @server.on_client_disconnect
+    def _(client: viser.ClientHandle) -> None:
+        with lock:
+            session = sessions.pop(client.client_id, None)
+        if session is not None:
+            session.close()
+
+    return server
+
+
+def serve(
+    sources: dict[str, Source], *, host: str = "127.0.0.1", port: int = 8080, dark: bool = True, open_browser: bool = True
+) -> None:
+    """Start the server, say where it is, and wait until it is stopped."""
+    server = start(sources, host=host, port=port, dark=dark)
+    shown = "127.0.0.1" if host in ("", "0.0.0.0", "::") else host
+    address = f"http://{shown}:{server.get_port()}"
+    if host not in LOCAL_NAMES:
+        print(
+            f"spatialviz: warning: listening on {host}: anyone who reaches this machine sees the data, "
+            "there is no password",
+            file=sys.stderr,
+        )
+    names = ", ".join("the built-in demo" if n == DEMO_NAME else n for n in sources)
+    print(f"spatialviz: {names} at {address} (Ctrl-C stops)", flush=True)
+    if open_browser:
+        webbrowser.open(address)
+    server.sleep_forever()

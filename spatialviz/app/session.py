@@ -1,0 +1,425 @@
+"""One client's session: commands come in, a new state is made with the core, the page is drawn from it."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import replace
+from datetime import datetime
+from typing import Any
+
+import viser
+
+from pipeline.ask import ask
+from pipeline.boxes import Box3D
+from pipeline.errors import InputError, NothingFound
+from pipeline.jobs import Source
+from pipeline.records import why_no_answer
+from pipeline.relations import PHRASE
+from pipeline.suggestions import suggest_expressions
+from spatialviz.app import bottom, left, right
+from spatialviz.app.bridge import HELLO, HELLO_SECONDS, Bridge
+from spatialviz.app.fallback import Fallback
+from spatialviz.app.frames import FrameStore
+from spatialviz.app.keys import HELP, add_keys
+from spatialviz.app.layout import build
+from spatialviz.app.scene import SceneView, frame_colors
+from spatialviz.app.state import CameraMode, ColorMode, State, shown_objects
+
+LOG_LENGTH = 200
+MODES: tuple[ColorMode, ...] = ("rgb", "objects", "depth", "evidence")
+BROWSED = 6
+
+
+class Session:
+    """Everything of one connected browser.
+
+    Commands are handled one at a time on the session's own thread, so that no lock is needed for the state.
+    """
+
+    def __init__(
+        self,
+        server: viser.ViserServer,
+        client: viser.ClientHandle,
+        store: FrameStore,
+        source: str,
+        first_expression: str,
+        dark: bool,
+    ) -> None:
+        self._client = client
+        self._store = store
+        self._log: list[tuple[str, str]] = []
+        self._thumbs: dict[int, str] = {}
+        self._suggestions: tuple[str, ...] = ()
+        self._painted: tuple[Any, ...] = ()
+        self._server = server
+        self._closed = threading.Event()
+        self.bridge = Bridge(client, self.handle)
+        ids = store.sources[source].dataset.frame_ids
+        self.state = State(source=source, frame_id=ids[0], dark=dark, text=first_expression)
+        self.page = build(client, self.bridge, tuple(store.sources), source, ids)
+        self.scene = SceneView(
+            client,
+            on_object=lambda i: self.bridge.post(lambda: self._select(i)),
+            on_pixel=lambda u, v: self.bridge.post(lambda: self._select_pixel(u, v)),
+        )
+        self.fallback = Fallback(client, self.handle)
+        self._wire()
+        add_keys(client, self.post)
+        self.bridge.post(lambda: self._open_frame(ids[0], first=True))
+        threading.Timer(HELLO_SECONDS, self._check_bridge).start()
+
+    def close(self) -> None:
+        self._closed.set()
+        self.bridge.close()
+
+    def post(self, message: str) -> None:
+        """Handle a command after those that wait already."""
+        self.bridge.post(lambda: self.handle(message))
+
+    # ---- commands -------------------------------------------------------------------
+
+    def handle(self, message: str) -> None:
+        """Carry out a command such as "pair:3"; unknown ones are ignored."""
+        kind, _, argument = message.partition(":")
+        handlers: dict[str, Callable[[str], None]] = {
+            "pair": lambda a: self._choose_pair(int(a)),
+            "next-pair": lambda a: self._step_pair(int(a)),
+            "object": lambda a: self._select(int(a)),
+            "relation": lambda a: self._ask_relation(int(a)),
+            "try": lambda a: self._ask(self._suggestions[int(a)]),
+            "ask": lambda a: self._ask(a),
+            "again": lambda a: self._ask(str(self.page.expression.value)),
+            "color": lambda a: self._set_colors(a),
+            "next-color": lambda a: self._set_colors(MODES[(MODES.index(self.state.colors) + 1) % len(MODES)]),
+            "camera": lambda a: self._set_camera(a),
+            "focus": lambda a: self._focus(),
+            "flag": lambda a: self._toggle(a),
+            "frame": lambda a: self._open_frame(self._source().dataset.frame_ids[int(a)]),
+            "next-frame": lambda a: self._step_frame(int(a)),
+            "image": lambda a: self._select_fraction(*(float(x) for x in a.split(","))),
+            "theme": lambda a: self._set_theme(not self.state.dark),
+            "clear": lambda a: self._clear(),
+            "help": lambda a: self._help(),
+            HELLO: lambda a: None,
+        }
+        if kind not in handlers:
+            return
+        try:
+            handlers[kind](argument)
+        except (ValueError, IndexError):
+            # A click on a row that a newer answer has replaced.
+            return
+
+    def _wire(self) -> None:
+        page = self.page
+
+        @page.ask.on_click
+        async def _(event: viser.GuiEvent) -> None:
+            self.post("again")
+
+        @page.form.on_submit
+        async def _(event: viser.GuiEvent) -> None:
+            self.post("again")
+
+        @page.frame.on_update
+        async def _(event: viser.GuiEvent) -> None:
+            wanted = str(page.frame.value)
+            self.bridge.post(lambda: self._open_frame(wanted))
+
+        @page.dataset.on_update
+        async def _(event: viser.GuiEvent) -> None:
+            wanted = str(page.dataset.value)
+            self.bridge.post(lambda: self._open_source(wanted))
+
+    def _source(self) -> Source:
+        return self._store.sources[self.state.source]
+
+    def _exact(self) -> bool:
+        detector = self._source().detector
+        return detector is not None and detector.exact
+
+    # ---- frames ---------------------------------------------------------------------
+
+    def _open_source(self, name: str) -> None:
+        if name == self.state.source or name not in self._store.sources:
+            return
+        ids = self._store.sources[name].dataset.frame_ids
+        self.state = replace(self.state, source=name, frame_id="")
+        self.page.frame.options = ids
+        self._open_frame(ids[0], first=True)
+
+    def _open_frame(self, frame_id: str, first: bool = False) -> None:
+        if frame_id == self.state.frame_id and not first:
+            return
+        self._thumbs = {}
+        self._painted = ()
+        cleared = replace(self.state, frame_id=frame_id, trace=None, pair=None, selected=None, error="", problem="")
+        try:
+            loaded = self._store.load(self.state.source, frame_id)
+        except InputError as error:
+            self.state = replace(cleared, loaded=None, problem=str(error), shown=shown_objects_of_nothing())
+            self._note(str(error))
+            self._suggestions = ()
+            self._sync_frame_box(frame_id)
+            self._draw()
+            return
+        self.state = replace(cleared, loaded=loaded, shown=shown_objects(loaded, None, self._exact()))
+        self._sync_frame_box(frame_id)
+        self._painted = self._paint_key()
+        self.scene.set_frame(loaded, frame_colors(self.state.colors, loaded, {}, self.state.dark))
+        if first:
+            self.scene.place_camera(self.state.camera)
+        elif self.state.camera == "sensor":
+            self.scene.place_camera("sensor")
+        scores = self._source().scorer.score([o.lifted for o in loaded.objects], loaded.context.viewer)
+        self._suggestions = suggest_expressions(loaded.objects, scores)
+        self._note(f"frame {frame_id}: {len(loaded.objects)} objects, up {loaded.context.viewer.up_source}")
+        for remark in loaded.context.frame.notes:
+            self._note(f"frame {frame_id}: {remark}")
+        text = self.state.text
+        if first and text and not self._can_ask(text):
+            text = self._suggestions[0] if self._suggestions else ""
+        if text and self._source().detector is not None:
+            self._ask(text, draw=False)
+        self._draw()
+        self._browse()
+
+    def _can_ask(self, text: str) -> bool:
+        try:
+            trace = self._trace(text)
+        except (InputError, NothingFound):
+            return False
+        return why_no_answer(trace) is None
+
+    def _sync_frame_box(self, frame_id: str) -> None:
+        if str(self.page.frame.value) != frame_id:
+            self.page.frame.value = frame_id
+
+    def _step_frame(self, step: int) -> None:
+        ids = self._source().dataset.frame_ids
+        self._open_frame(ids[(ids.index(self.state.frame_id) + step) % len(ids)])
+
+    def _browse(self) -> None:
+        """Fill the grid of small pictures bit by bit, behind whatever the user does."""
+        ids = self._source().dataset.frame_ids
+        current = (self.state.source, self.state.frame_id)
+        total = len(bottom.window(ids, ids.index(self.state.frame_id)))
+
+        def fill(ready: int) -> None:
+            if (self.state.source, self.state.frame_id) != current or self._closed.is_set():
+                return
+            self.page.frames.content = bottom.frames_html(self.state, ids, self._store, ready)
+            if ready < total:
+                self.bridge.post(lambda: fill(min(ready + BROWSED, total)))
+
+        self.bridge.post(lambda: fill(min(BROWSED, total)))
+
+    # ---- questions ------------------------------------------------------------------
+
+    def _trace(self, text: str):
+        source, loaded = self._source(), self.state.loaded
+        assert loaded is not None
+        detector = source.needed_detector()
+        return ask(
+            loaded.context,
+            text,
+            detector,
+            scorer=source.scorer,
+            config=source.config,
+            class_names=source.dataset.class_names or (detector.vocabulary or ()),
+            synonyms=source.synonyms,
+        )
+
+    def _ask(self, text: str, draw: bool = True) -> None:
+        if self.state.loaded is None:
+            return
+        self.state = replace(self.state, text=text, error="", trace=None, pair=None)
+        if str(self.page.expression.value) != text:
+            self.page.expression.value = text
+        exact = self._exact()
+        try:
+            trace = self._trace(text)
+        except (InputError, NothingFound) as error:
+            self.state = replace(
+                self.state, error=str(error), shown=shown_objects(self.state.loaded, None, exact), selected=None
+            )
+            self._note(f"“{text}”: {error}")
+        else:
+            shown = shown_objects(self.state.loaded, trace, exact)
+            self._thumbs = {}
+            self.state = replace(self.state, trace=trace, shown=shown)
+            ranked = self.state.ranked
+            pair = self.state.at(ranked[0]) if ranked else None
+            self.state = replace(self.state, pair=pair, selected=None if pair is None else pair[0])
+            self._note(self._answer_in_words(text))
+        if draw:
+            self._draw()
+
+    def _answer_in_words(self, text: str) -> str:
+        trace = self.state.trace
+        assert trace is not None
+        reason = why_no_answer(trace)
+        total = sum(trace.timings.values()) * 1000
+        if reason is not None or self.state.pair is None:
+            return f"“{text}”: {reason} ({total:.0f} ms)"
+        a, b = (self.state.shown.names[i] for i in self.state.pair)
+        return f"“{text}”: {a}, {b}, probability {self.state.ranked[0].probability:.2f} ({total:.0f} ms)"
+
+    def _ask_relation(self, number: int) -> None:
+        """Ask the same two names with another relation."""
+        trace = self.state.trace
+        if trace is None:
+            return
+        e = trace.query.expression
+        self._ask(f"{e.target} {PHRASE[trace.scores.relations[number]]} the {e.reference}")
+
+    def _choose_pair(self, place: int) -> None:
+        pair = self.state.at(self.state.ranked[place])
+        self.state = replace(self.state, pair=pair, selected=pair[0])
+        self._draw()
+
+    def _step_pair(self, step: int) -> None:
+        ranked = self.state.ranked
+        if ranked:
+            places = [self.state.at(p) for p in ranked]
+            at = places.index(self.state.pair) if self.state.pair in places else 0
+            self._choose_pair((at + step) % len(ranked))
+
+    def _clear(self) -> None:
+        loaded = self.state.loaded
+        if loaded is None:
+            return
+        shown = shown_objects(loaded, None, self._exact())
+        self.state = replace(self.state, trace=None, pair=None, selected=None, error="", text="", shown=shown)
+        self.page.expression.value = ""
+        self._draw()
+
+    # ---- selection ------------------------------------------------------------------
+
+    def _select(self, i: int) -> None:
+        if 0 <= i < len(self.state.shown.objects):
+            self.state = replace(self.state, selected=None if i == self.state.selected else i)
+            self._draw()
+
+    def _select_pixel(self, u: int, v: int) -> None:
+        if self.state.loaded is not None:
+            frame = self.state.loaded.context.frame
+            self._select_fraction((u + 0.5) / frame.width, (v + 0.5) / frame.height)
+
+    def _select_fraction(self, x: float, y: float) -> None:
+        found = bottom.object_at(self.state, x, y)
+        if found is not None and found != self.state.selected:
+            self._select(found)
+
+    def _focus(self) -> None:
+        box: Box3D | None = None
+        if self.state.selected is not None:
+            box = self.state.shown.objects[self.state.selected].lifted.box
+        if box is not None:
+            self.scene.focus(box)
+
+    # ---- view -----------------------------------------------------------------------
+
+    def _set_colors(self, mode: str) -> None:
+        if mode in MODES:
+            self.state = replace(self.state, colors=mode)
+            self._draw()
+
+    def _set_camera(self, mode: str) -> None:
+        modes: dict[str, CameraMode] = {"sensor": "sensor", "orbit": "orbit", "top": "top"}
+        if mode in modes and self.state.loaded is not None:
+            self.state = replace(self.state, camera=modes[mode])
+            self.page.controls.content = left.controls_html(self.state)
+            self.scene.fly(mode)
+
+    def _toggle(self, flag: str) -> None:
+        if flag in left.FLAGS:
+            flags = replace(self.state.flags, **{flag: not getattr(self.state.flags, flag)})
+            self.state = replace(self.state, flags=flags)
+            self._draw()
+
+    def _set_theme(self, dark: bool) -> None:
+        self.state = replace(self.state, dark=dark)
+        apply_theme(self._client.gui, dark)
+        self._painted = ()
+        self._draw()
+
+    def _help(self) -> None:
+        modal = self._client.gui.add_modal("Keys")
+        with modal:
+            self._client.gui.add_html(HELP)
+            close = self._client.gui.add_button("Close")
+
+        @close.on_click
+        async def _(event: viser.GuiEvent) -> None:
+            modal.close()
+
+    # ---- drawing --------------------------------------------------------------------
+
+    def _note(self, text: str) -> None:
+        self._log = [*self._log, (datetime.now().strftime("%H:%M:%S"), text)][-LOG_LENGTH:]
+
+    def _paint_key(self) -> tuple[Any, ...]:
+        state = self.state
+        roles = tuple(sorted(state.roles.items())) if state.colors == "objects" else ()
+        return (state.source, state.frame_id, state.colors, state.dark, roles)
+
+    def _draw(self) -> None:
+        """Bring the whole page up to the state. Handles that would not change send nothing."""
+        state, page = self.state, self.page
+        with self._client.atomic():
+            page.parse.content = left.parse_html(state, self._suggestions)
+            page.modules.content = left.modules_html(state)
+            page.controls.content = left.controls_html(state)
+            page.objects.content = left.objects_html(state, self._thumbs)
+            page.answer.content = right.answer_html(state)
+            page.pairs.content = right.pairs_html(state)
+            page.relations.content = right.relations_html(state)
+            page.object.content = right.object_html(state)
+            page.image.content = bottom.image_html(state)
+            page.log.content = bottom.log_html(self._log)
+        if state.loaded is not None:
+            if self._painted != self._paint_key():
+                self._painted = self._paint_key()
+                self.scene.recolor(frame_colors(state.colors, state.loaded, state.roles, state.dark))
+            truth = [a.box for a in state.loaded.context.frame.annotations if a.box is not None]
+            tags = self.scene.draw(
+                state.shown.objects,
+                state.shown.names,
+                state.roles,
+                state.selected,
+                self._pair_lines(),
+                truth,
+                state.flags,
+                state.dark,
+            )
+            self.bridge.show_tags(tags)
+        self.fallback.update(state)
+
+    def _pair_lines(self) -> list[tuple[int, int]]:
+        """The chosen pair, then the next best few."""
+        state = self.state
+        if state.pair is None:
+            return []
+        return [state.pair, *[p for p in map(state.at, state.ranked[:6]) if p != state.pair]]
+
+    def _check_bridge(self) -> None:
+        if not self.bridge.alive.is_set() and not self._closed.is_set():
+            self.bridge.post(lambda: self.fallback.show(self.state))
+
+
+def shown_objects_of_nothing():
+    """The objects of a broken frame: none."""
+    return State(source="", frame_id="").shown
+
+
+def apply_theme(gui: viser.GuiApi, dark: bool) -> None:
+    """Dark or light, without viser's logo and without its share button, which would send data away."""
+    gui.configure_theme(
+        dark_mode=dark,
+        show_logo=False,
+        show_share_button=False,
+        control_width="medium",
+        brand_color=(66, 118, 232),
+    )

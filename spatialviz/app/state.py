@@ -1,0 +1,121 @@
+"""What one client looks at. Frozen: every change makes a new state, and the page is drawn from it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+from pipeline.ask import Trace
+from pipeline.objects import SceneObject
+from pipeline.palette import Role
+from pipeline.ranking import RankedPair
+from spatialviz.app.frames import LoadedFrame
+from spatialviz.app.scene import SceneFlags
+
+ColorMode = Literal["rgb", "objects", "depth", "evidence"]
+CameraMode = Literal["sensor", "orbit", "top"]
+
+
+@dataclass(frozen=True)
+class Shown:
+    """The objects on the page: all of the frame, and those only the question found.
+
+    Attributes
+    ----------
+    objects : tuple of SceneObject
+    names : tuple of str
+        "mug·3": the class and the place in the list (the dataset's own where the objects are the dataset's).
+    place : dict of int to int
+        Place in the trace's objects -> place in `objects`.
+    """
+
+    objects: tuple[SceneObject, ...]
+    names: tuple[str, ...]
+    place: Mapping[int, int]
+
+
+@dataclass(frozen=True)
+class State:
+    """One client's view.
+
+    Attributes
+    ----------
+    source, frame_id : str
+    loaded : LoadedFrame or None
+        None where the frame is broken.
+    problem : str
+        Why it is.
+    text : str
+        The expression as typed.
+    trace : Trace or None
+    error : str
+        Why the expression could not be asked.
+    shown : Shown
+    pair : (int, int) or None
+        The chosen pair, as places in `shown.objects`; kept by objects, not by rank.
+    selected : int or None
+        Place in `shown.objects`.
+    """
+
+    source: str
+    frame_id: str
+    loaded: LoadedFrame | None = None
+    problem: str = ""
+    text: str = ""
+    trace: Trace | None = None
+    error: str = ""
+    shown: Shown = field(default_factory=lambda: Shown((), (), {}))
+    pair: tuple[int, int] | None = None
+    selected: int | None = None
+    colors: ColorMode = "rgb"
+    camera: CameraMode = "orbit"
+    flags: SceneFlags = field(default_factory=SceneFlags)
+    dark: bool = True
+
+    @property
+    def ranked(self) -> tuple[RankedPair, ...]:
+        """The ranked pairs that have a reference."""
+        if self.trace is None or self.trace.ranking is None or self.trace.ranking.degenerate:
+            return ()
+        return self.trace.ranking.pairs
+
+    def at(self, pair: RankedPair) -> tuple[int, int]:
+        """A ranked pair as places in `shown.objects`."""
+        assert pair.reference is not None
+        return self.shown.place[pair.target], self.shown.place[pair.reference]
+
+    @property
+    def chosen(self) -> RankedPair | None:
+        """The ranked pair that is chosen."""
+        return next((p for p in self.ranked if self.at(p) == self.pair), None)
+
+    @property
+    def roles(self) -> dict[int, Role]:
+        """Roles of the chosen pair's objects, as places in `shown.objects`."""
+        if self.pair is None:
+            return {}
+        roles: dict[int, Role] = {self.pair[1]: "reference"}
+        chosen = self.chosen
+        if chosen is not None and chosen.second_reference is not None:
+            roles[self.shown.place[chosen.second_reference]] = "reference"
+        roles[self.pair[0]] = "target"
+        return roles
+
+
+def shown_objects(loaded: LoadedFrame, trace: Trace | None, exact: bool) -> Shown:
+    """All objects of a frame, then those that only the question's own detector runs found."""
+    objects = list(loaded.objects)
+    by_id = {o.id: i for i, o in enumerate(objects) if o.id >= 0}
+    place: dict[int, int] = {}
+    for i, entry in enumerate(() if trace is None else trace.objects):
+        at = by_id.get(entry.id) if entry.id >= 0 else None
+        if at is None:
+            at = len(objects)
+            objects.append(entry)
+        else:
+            # The question's name and score are those the answer was made with.
+            objects[at] = entry
+        place[i] = at
+    names = tuple(f"{o.label}·{o.id if exact else i}" for i, o in enumerate(objects))
+    return Shown(tuple(objects), names, place)

@@ -1,0 +1,135 @@
+"""The page's own CSS and JavaScript, on top of viser's (Mantine's) variables, so that both themes follow."""
+
+CSS = """<style>
+.sv{font-size:12.5px;line-height:1.4;padding:0 .8em .5em;color:var(--mantine-color-text);font-variant-numeric:tabular-nums}
+.sv *{box-sizing:border-box}
+.sv .dim{color:var(--mantine-color-dimmed)}
+.sv .h{display:flex;justify-content:space-between;align-items:baseline;font-size:10.5px;letter-spacing:.07em;text-transform:uppercase;color:var(--mantine-color-dimmed);margin:.55em 0 .3em;font-weight:600}
+.sv .h>span{letter-spacing:0;text-transform:none;font-weight:400}
+.sv .h>b{letter-spacing:0;text-transform:none;font-size:12.5px;color:var(--mantine-color-text)}
+.sv .dot{display:inline-block;width:8px;height:8px;border-radius:2px;background:var(--c);margin-right:6px;flex:none}
+.sv .ring{display:inline-block;width:8px;height:8px;border-radius:2px;box-shadow:inset 0 0 0 1.5px var(--c);margin-right:6px;flex:none}
+.sv .chips{display:flex;flex-wrap:wrap;gap:4px;align-items:center}
+.sv .chip{border-radius:4px;padding:1px 7px;border:1px solid var(--c);color:var(--c);font-weight:600;white-space:nowrap}
+.sv .chip.rel{border:1px dashed var(--mantine-color-dimmed);color:var(--mantine-color-text);font-weight:500}
+.sv .try{border-radius:10px;padding:1px 9px;border:1px solid var(--mantine-color-default-border);color:var(--mantine-color-dimmed);cursor:pointer;max-width:100%;overflow:hidden;text-overflow:ellipsis;white-space:nowrap}
+.sv .try:hover{color:var(--mantine-color-text);background:var(--mantine-color-default-hover)}
+.sv .try.on{color:var(--mantine-color-text);border-color:var(--mantine-primary-color-filled)}
+.sv .note{border-left:3px solid var(--c);padding:4px 8px;background:color-mix(in srgb,var(--c) 12%,transparent);border-radius:0 4px 4px 0;overflow-wrap:anywhere}
+.sv .strip{display:grid;grid-template-columns:repeat(5,1fr);gap:3px}
+.sv .mod{border-radius:4px;padding:3px 2px;text-align:center;background:color-mix(in srgb,var(--c) 13%,transparent);border-top:3px solid var(--c);cursor:help;overflow:hidden}
+.sv .mod b{display:block;font-size:11px;font-weight:650}
+.sv .mod i{display:block;font-style:normal;font-size:10px;color:var(--mantine-color-dimmed);white-space:nowrap}
+.sv .row{display:flex;align-items:center;gap:8px;margin-bottom:5px}
+.sv .row>label{width:52px;flex:none;color:var(--mantine-color-dimmed)}
+.sv .seg{display:flex;flex:1;border:1px solid var(--mantine-color-default-border);border-radius:5px;overflow:hidden}
+.sv .seg span{flex:1;text-align:center;padding:2px 0;cursor:pointer;border-right:1px solid var(--mantine-color-default-border);white-space:nowrap}
+.sv .seg span:last-child{border:0}
+.sv .seg span:not(.on):hover{background:var(--mantine-color-default-hover)}
+.sv .seg .on{background:var(--mantine-primary-color-filled);color:#fff}
+.sv .tog{display:flex;flex-wrap:wrap;gap:4px;flex:1}
+.sv .tog span{border:1px solid var(--mantine-color-default-border);border-radius:10px;padding:0 8px;cursor:pointer;color:var(--mantine-color-dimmed)}
+.sv .tog .on{border-color:var(--mantine-primary-color-filled);color:var(--mantine-color-text);background:color-mix(in srgb,var(--mantine-primary-color-filled) 18%,transparent)}
+.sv table{border-collapse:collapse;width:100%}
+.sv td,.sv th{padding:3px 4px;text-align:left;white-space:nowrap}
+.sv th{font-size:10.5px;font-weight:500;color:var(--mantine-color-dimmed);border-bottom:1px solid var(--mantine-color-default-border)}
+.sv td.n,.sv th.n{text-align:right}
+.sv td.w{max-width:0;width:50%;overflow:hidden;text-overflow:ellipsis}
+.sv tr.r{cursor:pointer}
+.sv tr.r:hover td{background:var(--mantine-color-default-hover)}
+.sv tr.sel td{background:color-mix(in srgb,var(--mantine-primary-color-filled) 20%,transparent)}
+.sv tr.sel td:first-child{box-shadow:inset 3px 0 0 var(--mantine-primary-color-filled)}
+.sv .low{color:var(--warn,#e8a33d);font-weight:600}
+.sv .scroll{max-height:var(--mh,260px);overflow:auto}
+.sv .bar{display:grid;grid-template-columns:76px 1fr 14px 34px;align-items:center;gap:7px;height:20px;border-radius:3px;cursor:pointer;padding:0 4px;margin:0 -4px}
+.sv .bar:hover{background:var(--mantine-color-default-hover)}
+.sv .bar .t{height:9px;border-radius:2px;background:color-mix(in srgb,var(--mantine-color-dimmed) 25%,transparent);overflow:hidden;position:relative}
+.sv .bar .t:after{content:"";position:absolute;left:50%;top:0;bottom:0;width:1px;background:var(--mantine-color-dimmed);opacity:.55}
+.sv .bar .f{display:block;height:100%;background:var(--c)}
+.sv .bar.on{font-weight:650}
+.sv .bar .n{text-align:right}
+.sv .bar .s{font-size:10px;color:var(--mantine-color-dimmed);text-align:center}
+.sv .big{display:flex;align-items:center;font-size:15px;gap:6px;padding:.35em 0 .1em}
+.sv .big .p{margin-left:auto;font-size:19px;font-weight:650}
+.sv .name{display:inline-flex;align-items:center;min-width:0}
+.sv .name b{overflow:hidden;text-overflow:ellipsis;white-space:nowrap}
+.sv .thumb{width:34px;height:34px;object-fit:cover;border-radius:4px;display:block;background:var(--mantine-color-default-hover)}
+.sv .stack{display:flex;height:9px;border-radius:2px;overflow:hidden;margin:3px 0}
+.sv .stack i{background:var(--c);height:100%}
+.sv .legend{display:flex;flex-wrap:wrap;gap:2px 10px;font-size:11px}
+.sv .facts{display:grid;grid-template-columns:auto 1fr;gap:1px 10px}
+.sv .facts span:nth-child(odd){color:var(--mantine-color-dimmed)}
+.sv .pic{position:relative;width:100%;border-radius:5px;overflow:hidden;cursor:crosshair;line-height:0}
+.sv .pic img{width:100%;display:block}
+.sv .pic svg{position:absolute;inset:0;width:100%;height:100%;pointer-events:none}
+.sv .grid{display:grid;grid-template-columns:repeat(3,1fr);gap:6px}
+.sv .cell{cursor:pointer;border-radius:5px;overflow:hidden;border:2px solid transparent;background:var(--mantine-color-default-hover);font-size:10.5px}
+.sv .cell img{width:100%;aspect-ratio:4/3;object-fit:cover;display:block}
+.sv .cell div{padding:1px 5px;overflow:hidden;text-overflow:ellipsis;white-space:nowrap;direction:rtl;text-align:left}
+.sv .cell .none{aspect-ratio:4/3;display:flex;align-items:center;justify-content:center;color:var(--mantine-color-dimmed);padding:6px;white-space:normal;text-align:center;direction:ltr}
+.sv .cell:hover{border-color:var(--mantine-color-dimmed)}
+.sv .cell.sel{border-color:var(--mantine-primary-color-filled)}
+.sv kbd{font:inherit;font-size:10.5px;border:1px solid var(--mantine-color-default-border);border-radius:3px;padding:0 4px;background:var(--mantine-color-default-hover)}
+.sv .keys{display:grid;grid-template-columns:auto 1fr;gap:5px 14px;align-items:baseline;font-size:13px}
+.sv .log div{padding:2px 0;border-bottom:1px solid color-mix(in srgb,var(--mantine-color-default-border) 50%,transparent);overflow-wrap:anywhere}
+.svhost{position:absolute;inset:0;overflow:hidden;pointer-events:none;z-index:1}
+.svtag{position:absolute;left:0;top:0;will-change:transform;background:var(--c);color:#fff;font:600 12px/1 system-ui,sans-serif;padding:4px 7px;border-radius:4px;white-space:nowrap;box-shadow:0 1px 5px rgba(0,0,0,.5);text-shadow:0 0 2px rgba(0,0,0,.45)}
+.svtag i{font-style:normal;font-weight:400;opacity:.9}
+.svtag.weak{font-weight:500;font-size:11px;padding:3px 5px;opacity:.92}
+</style>"""
+
+SCRIPT = """
+(() => {
+window.sv = v => window.__viserMutable.sendMessage({type: 'GuiUpdateMessage', uuid: 'BUS_UUID', updates: {value: v + '#' + performance.now()}});
+if (!window.svTags) {
+  let tags = [];
+  const host = document.createElement('div');
+  host.className = 'svhost';
+  window.svTags = list => {
+    tags = list;
+    host.replaceChildren();
+    const parent = window.__viserMutable.canvas.parentElement.parentElement;
+    if (host.parentElement !== parent) parent.appendChild(host);
+    for (const t of tags) {
+      const d = document.createElement('div');
+      d.className = 'svtag' + (t.strong ? '' : ' weak');
+      d.style.setProperty('--c', t.color);
+      d.textContent = t.text + ' ';
+      const i = document.createElement('i');
+      i.textContent = t.detail;
+      d.appendChild(i);
+      host.appendChild(d);
+      t.div = d;
+    }
+  };
+  const place = () => {
+    const m = window.__viserMutable;
+    if (m && m.camera && tags.length) {
+      const v = new m.camera.position.constructor(), c = m.canvas;
+      for (const t of tags) {
+        const node = m.nodeRefFromName[t.node];
+        if (!node) { t.div.style.display = 'none'; continue; }
+        node.updateWorldMatrix(true, false);
+        v.setFromMatrixPosition(node.matrixWorld).project(m.camera);
+        t.div.style.display = v.z > 1 ? 'none' : '';
+        t.div.style.transform = `translate(${((v.x + 1) / 2 * c.clientWidth).toFixed(1)}px,${((1 - v.y) / 2 * c.clientHeight).toFixed(1)}px) translate(-50%,-100%)`;
+      }
+    }
+    requestAnimationFrame(place);
+  };
+  place();
+  window.addEventListener('keydown', e => {
+    const a = document.activeElement;
+    if (a && (a.tagName === 'INPUT' || a.tagName === 'TEXTAREA')) return;
+    if (e.key === '?') { e.preventDefault(); window.sv('help'); }
+    if (e.key === '/') {
+      const box = [...document.querySelectorAll('input')].find(i => i.placeholder === '' && i.closest('form'));
+      const field = box || document.querySelector('form input');
+      if (field) { e.preventDefault(); field.focus(); field.select(); }
+    }
+  });
+}
+const hello = n => { const m = window.__viserMutable; if (m && m.sendMessage) { window.sv('hello'); } else if (n < 40) { setTimeout(() => hello(n + 1), 250); } };
+hello(0);
+})()
+"""

@@ -1,0 +1,342 @@
+"""The command line: it parses, calls a job of the core, and prints what came back."""
+
+from __future__ import annotations
+
+import json
+import os
+import sys
+import traceback
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
+
+import tyro
+from tyro.conf import OmitArgPrefixes, Positional, subcommand
+
+from pipeline import __version__
+from pipeline.errors import InputError, MissingExtra, NothingFound
+
+if TYPE_CHECKING:
+    from pipeline.jobs import Source
+
+FINE, NO, BAD = 0, 1, 2
+INTERRUPTED = 130
+
+
+@dataclass(frozen=True)
+class SourceOptions:
+    """What is opened, and with which models."""
+
+    detector: str | None = None
+    """annotations | recorded | yolo-seg. Default: annotations, where the dataset has them."""
+    model: Path | None = None
+    """Model file or recording for the detector."""
+    min_score: float | None = None
+    """Drop detections below this score. Default: the detector's own."""
+    srm: str = "rule"
+    """What scores relations: rule."""
+    box: Literal["gravity", "pca"] = "gravity"
+    """How 3D boxes are fitted: upright, or the paper's PCA box."""
+    k: int = 10
+    """Proposals that go on for each name."""
+    synonyms: Path | None = None
+    """A JSON file with more synonyms."""
+    intrinsics: str | None = None
+    """fx,fy,cx,cy in pixels, for recordings without a camera file."""
+    depth_scale: float | None = None
+    """Depth units in one metre (1000 for millimetres), for recordings without a camera file."""
+
+    def options(self) -> dict[str, Any]:
+        """The same as arguments of `pipeline.jobs.open_source`."""
+        from pipeline.ask import AskConfig
+        from pipeline.lifting import LiftConfig
+
+        return {
+            "intrinsics": _four_numbers(self.intrinsics),
+            "depth_scale": self.depth_scale,
+            "detector": self.detector,
+            "model": self.model,
+            "min_score": self.min_score,
+            "srm": self.srm,
+            "synonyms": self.synonyms,
+            "config": AskConfig(k=self.k, lift=LiftConfig(box=self.box)),
+        }
+
+    def open(self, dataset: str) -> Source:
+        from pipeline.jobs import open_source
+
+        return open_source(dataset, **self.options())
+
+
+@dataclass(frozen=True)
+class View:
+    """Open a dataset in the browser; without DATASET, the built-in demo."""
+
+    dataset: Positional[str] = "demo"
+    """Dataset folder, or "demo"."""
+    source: OmitArgPrefixes[SourceOptions] = SourceOptions()
+    port: int = 8080
+    """Port; if it is taken, the next free one is used."""
+    host: str = "127.0.0.1"
+    """Address to listen on. Anything but this machine's own is open to others: there is no password."""
+    theme: Literal["dark", "light"] = "dark"
+    """Colours of the page."""
+    open_browser: bool = True
+    """Open the page in the default browser."""
+
+    def run(self) -> int:
+        from pipeline.jobs import open_sources
+        from spatialviz.app.server import serve
+
+        sources, left_out = open_sources(self.dataset, **self.source.options())
+        for name, reason in left_out.items():
+            print(f"spatialviz: left out {name}: {reason}", file=sys.stderr)
+        serve(
+            sources,
+            host=self.host,
+            port=self.port,
+            dark=self.theme == "dark",
+            open_browser=self.open_browser,
+        )
+        return FINE
+
+
+@dataclass(frozen=True)
+class Ask:
+    """Answer expressions such as "mug left of the laptop" on a frame."""
+
+    dataset: Positional[str]
+    """Dataset folder, or "demo"."""
+    frame: Positional[str]
+    """Frame id, its index, or "all"."""
+    expressions: Positional[tuple[str, ...]]
+    """TARGET RELATION REFERENCE, each in quotes."""
+    source: OmitArgPrefixes[SourceOptions] = SourceOptions()
+    json: bool = False
+    """Print one JSON object for each answer."""
+    save: Path | None = None
+    """Write the answer as a picture."""
+
+    def run(self) -> int:
+        from pipeline.jobs import ALL_FRAMES, ask_frames
+        from pipeline.picture import save_picture
+        from pipeline.records import trace_record, why_no_answer
+        from spatialviz.printing import print_trace
+
+        if not self.expressions:
+            raise InputError("an expression is missing", expected='for example "mug left of the laptop"')
+        if self.save is not None and (self.frame == ALL_FRAMES or len(self.expressions) > 1):
+            raise InputError("--save takes one frame and one expression", path=self.save)
+        answered = 0
+        for trace in ask_frames(self.source.open(self.dataset), self.frame, self.expressions, _warn_skipped):
+            answered += why_no_answer(trace) is None
+            if self.json:
+                _print_json(trace_record(trace))
+            else:
+                print_trace(trace)
+            if self.save is not None:
+                save_picture(trace, self.save)
+        return FINE if answered else NO
+
+
+@dataclass(frozen=True)
+class Relations:
+    """Every pair of objects of a frame (or of all frames): each relation's state and probability."""
+
+    dataset: Positional[str]
+    """Dataset folder, or "demo"."""
+    frame: Positional[str] = "all"
+    """Frame id, its index, or "all"."""
+    source: OmitArgPrefixes[SourceOptions] = SourceOptions()
+    vocabulary: Literal["avd", "semantic-abstraction", "all"] = "all"
+    """Which relations."""
+    json: bool = False
+    """Print one JSON object for each ordered pair."""
+
+    def run(self) -> int:
+        from pipeline.jobs import relate_frames
+        from pipeline.records import relation_records
+        from pipeline.relations import VOCABULARIES
+        from spatialviz.printing import print_relations
+
+        relations = VOCABULARIES[self.vocabulary]
+        pairs = 0
+        for found in relate_frames(self.source.open(self.dataset), self.frame, _warn_skipped):
+            pairs += len(found.objects) * max(len(found.objects) - 1, 0)
+            if self.json:
+                for record in relation_records(found, relations):
+                    _print_json(record)
+            else:
+                print_relations(found, relations)
+        return FINE if pairs else NO
+
+
+@dataclass(frozen=True)
+class Frames:
+    """List the frames of a dataset: what is in each, and what is broken."""
+
+    dataset: Positional[str]
+    """Dataset folder, or "demo"."""
+    intrinsics: str | None = None
+    """fx,fy,cx,cy in pixels, for recordings without a camera file."""
+    depth_scale: float | None = None
+    """Depth units in one metre (1000 for millimetres)."""
+    json: bool = False
+    """Print one JSON object for each frame."""
+    remember: bool = False
+    """Keep --intrinsics and --depth-scale in spatialviz.toml beside the data."""
+
+    def run(self) -> int:
+        from pipeline.datasets import survey, write_settings
+        from pipeline.jobs import open_source
+        from pipeline.records import frame_record
+        from spatialviz.printing import print_frames
+
+        camera = _four_numbers(self.intrinsics)
+        dataset = open_source(self.dataset, intrinsics=camera, depth_scale=self.depth_scale).dataset
+        if self.remember:
+            write_settings(dataset.root, intrinsics=camera, depth_scale=self.depth_scale)
+        reports = survey(dataset)
+        if not self.json:
+            return FINE if print_frames(dataset, reports) else NO
+        usable = 0
+        for report in reports:
+            usable += report.ok
+            _print_json(frame_record(report))
+        return FINE if usable else NO
+
+
+@dataclass(frozen=True)
+class Render:
+    """Render synthetic annotated RGB-D rooms in BOP format."""
+
+    out: Positional[Path]
+    """Folder to write; it must not exist, or be empty."""
+    rooms: int = 4
+    """Number of rooms; each becomes one BOP scene."""
+    views: int = 3
+    """Pictures of each room."""
+    seed: int = 0
+    """The same seed gives the same files."""
+    width: int = 640
+    height: int = 480
+
+    def run(self) -> int:
+        from pipeline.synthetic import render_dataset
+        from spatialviz.printing import progress_bar
+
+        with progress_bar("rendering", self.rooms * self.views) as advance:
+            report = render_dataset(
+                self.out,
+                rooms=self.rooms,
+                views=self.views,
+                seed=self.seed,
+                width=self.width,
+                height=self.height,
+                progress=advance,
+            )
+        print(
+            f"{report.frames} frames of {report.rooms} rooms with {report.objects} objects "
+            f"of {report.classes} classes in {report.seconds:.1f} s -> {self.out}"
+        )
+        return FINE
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Time the stages on a dataset: milliseconds a frame, and ratios measured in one run."""
+
+    dataset: Positional[str] = "demo"
+    """Dataset folder, or "demo"."""
+    source: OmitArgPrefixes[SourceOptions] = SourceOptions()
+    repeat: int = 5
+    """Passes; the fastest counts."""
+    json: bool = False
+    """Print one JSON object."""
+
+    def run(self) -> int:
+        from pipeline.bench import bench_source
+        from spatialviz.printing import print_bench
+
+        record = bench_source(self.source.open(self.dataset), repeat=self.repeat)
+        if self.json:
+            _print_json(record)
+        else:
+            print_bench(record)
+        return FINE
+
+
+Command = Union[
+    Annotated[View, subcommand("view")],
+    Annotated[Ask, subcommand("ask")],
+    Annotated[Relations, subcommand("relations")],
+    Annotated[Frames, subcommand("frames")],
+    Annotated[Render, subcommand("render")],
+    Annotated[Bench, subcommand("bench")],
+]
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line; returns the exit status: 0 fine, 1 the answer is no, 2 bad usage or input."""
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    if arguments in (["--version"], ["-V"]):
+        print(f"spatialviz {__version__}")
+        return FINE
+    if not arguments:
+        arguments = ["view"]
+    try:
+        command = tyro.cli(
+            Command,  # pyright: ignore[reportArgumentType]
+            prog="spatialviz",
+            args=arguments,
+            description="See why an RGB-D spatial-reasoning pipeline answered what it answered.",
+            config=(tyro.conf.FlagCreatePairsOff,),
+        )
+        return command.run()
+    except NothingFound as error:
+        print(f"spatialviz: {error}", file=sys.stderr)
+        return NO
+    except (InputError, MissingExtra) as error:
+        print(f"spatialviz: error: {error}", file=sys.stderr)
+        return BAD
+    except KeyboardInterrupt:
+        print("spatialviz: stopped", file=sys.stderr)
+        return INTERRUPTED
+    except BrokenPipeError:
+        # The reader went away (for example `| head`); nothing is left to say.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return FINE
+    except OSError as error:  # A full disk, a folder that cannot be written.
+        reason = error.strerror or str(error)
+        print(f"spatialviz: error: {reason}" + (f" [{error.filename}]" if error.filename else ""), file=sys.stderr)
+        return BAD
+    except Exception as error:
+        if os.environ.get("SPATIALVIZ_DEBUG"):
+            raise
+        where = traceback.extract_tb(error.__traceback__)[-1]
+        print(
+            f"spatialviz: internal error: {type(error).__name__}: {error} at {Path(where.filename).name}:{where.lineno}"
+            " (SPATIALVIZ_DEBUG=1 shows all of it; please report it)",
+            file=sys.stderr,
+        )
+        return BAD
+
+
+def _print_json(record: dict) -> None:
+    print(json.dumps(record, ensure_ascii=False, allow_nan=False))
+
+
+def _warn_skipped(frame_id: str, reason: str) -> None:
+    print(f"spatialviz: skipped frame {frame_id}: {reason}", file=sys.stderr)
+
+
+def _four_numbers(text: str | None) -> tuple[float, float, float, float] | None:
+    if text is None:
+        return None
+    try:
+        fx, fy, cx, cy = (float(part) for part in text.split(","))
+    except ValueError:
+        raise InputError("--intrinsics must be four numbers", got=repr(text), expected="fx,fy,cx,cy") from None
+    return fx, fy, cx, cy
+

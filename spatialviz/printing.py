@@ -1,0 +1,158 @@
+"""What a person reads on the terminal."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
+from typing import Any
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
+from rich.table import Table
+from rich.text import Text
+
+from pipeline.ask import Trace
+from pipeline.datasets import Dataset, FrameReport
+from pipeline.jobs import FrameRelations
+from pipeline.objects import SceneObject
+from pipeline.records import why_no_answer
+from pipeline.relations import PHRASE, letter
+
+SHOWN_PAIRS = 5
+
+
+def _console() -> Console:
+    console = Console(highlight=False, soft_wrap=True)
+    if not console.is_terminal:
+        # In a pipe there is no edge to wrap at.
+        console.width = 160
+    return console
+
+
+def _name(entry: SceneObject, place: int, exact: bool) -> str:
+    return f"{entry.label}·{entry.id if exact else place}"
+
+
+def print_trace(trace: Trace) -> None:
+    """The answer, the ranked pairs with their factors, the doubts, and what each stage cost."""
+    console = _console()
+    expression = trace.query.expression
+    phrase = PHRASE.get(expression.relation, expression.relation)
+    console.print(Text.assemble(("frame ", "dim"), trace.frame.id, ("  ", ""), (trace.query.text, "bold")))
+    no_answer = why_no_answer(trace)
+    if no_answer is not None:
+        console.print(Text(no_answer, "yellow"))
+    if trace.ranking is not None and no_answer is None:
+        pairs = trace.ranking.pairs
+        best = pairs[0]
+        assert best.reference is not None
+        second = "" if best.second_reference is None else f" and {_at(trace, best.second_reference)}"
+        console.print(
+            Text.assemble(
+                (_at(trace, best.target), "bold dark_orange"),
+                f" {phrase} ",
+                (_at(trace, best.reference) + second, "bold dodger_blue2"),
+                f"   probability {best.probability:.3f}, margin {trace.ranking.margin:.3f}",
+            )
+        )
+        if best.p_relation < 0.5:
+            console.print(Text(f"weak: the relation itself is unlikely ({best.p_relation:.2f})", "yellow"))
+        if len(trace.query.readings) > 1:
+            console.print(Text(f"read as: {trace.ranking.reading.description}", "dim"))
+        table = Table(box=None, pad_edge=False, header_style="dim")
+        for column in ("#", "target", "reference"):
+            table.add_column(column)
+        for column in ("P(target)", "P(reference)", f"P({phrase})", "probability"):
+            table.add_column(column, justify="right")
+        for place, pair in enumerate(pairs[:SHOWN_PAIRS], start=1):
+            assert pair.reference is not None
+            table.add_row(
+                str(place),
+                _at(trace, pair.target),
+                _at(trace, pair.reference),
+                f"{pair.p_target:.2f}",
+                f"{pair.p_reference:.2f}",
+                f"{pair.p_relation:.2f}",
+                f"{pair.probability:.3f}",
+            )
+        console.print(table)
+        if len(pairs) > SHOWN_PAIRS:
+            console.print(Text(f"and {len(pairs) - SHOWN_PAIRS} more pairs", "dim"))
+        for role, place in (("target", best.target), ("reference", best.reference)):
+            for concern in trace.objects[place].lifted.quality.concerns:
+                console.print(Text(f"{role} {_at(trace, place)}: {concern}", "yellow"))
+    stages = " · ".join(f"{k} {v * 1000:.1f} ms" for k, v in trace.timings.items())
+    console.print(
+        Text(f"{stages} · detector {trace.detector} · relations by {trace.scorer} · up {trace.viewer.up_source}", "dim")
+    )
+
+
+def _at(trace: Trace, place: int) -> str:
+    return _name(trace.objects[place], place, trace.detector == "annotations")
+
+
+def print_relations(found: FrameRelations, relations: Sequence[str]) -> None:
+    """The relations of a frame that hold (T) or are in doubt (U), a line for each pair."""
+    console = _console()
+    console.print(Text.assemble(("frame ", "dim"), found.frame_id, (f"  {len(found.objects)} objects", "dim")))
+    for i, a in enumerate(found.objects):
+        for j, b in enumerate(found.objects):
+            if i == j:
+                continue
+            said = []
+            for r in relations:
+                n = found.scores.relations.index(r)
+                state = letter(found.scores.states[i, j, n])
+                if state != "F":
+                    said.append(f"{PHRASE[r]} {found.scores.probabilities[i, j, n]:.2f}" + ("?" if state == "U" else ""))
+            if said:
+                console.print(Text.assemble(_name(a, i, found.exact), (" — ", "dim"), ", ".join(said), (" — ", "dim"), _name(b, j, found.exact)))
+
+
+def print_frames(dataset: Dataset, reports: Iterable[FrameReport]) -> int:
+    """A table of frames; returns how many can be used."""
+    console = _console()
+    console.print(Text.assemble((str(dataset.root), "bold"), f"  {dataset.format}, {len(dataset.frame_ids)} frames"))
+    usable = total = 0
+    for report in reports:
+        total += 1
+        usable += report.ok
+        if report.ok:
+            depth = f"{report.depth_valid or 0:.0%} depth, median {report.median_depth or 0:.2f} m"
+            pose = "pose" if report.has_pose else "no pose"
+            line = (
+                f"{report.index:>5}  {report.id}  {report.width}x{report.height}  {depth}  {pose}"
+                f"  up {report.up_source or 'unknown'}  {report.annotations} objects"
+            )
+            console.print(Text(line))
+            if report.labels:
+                console.print(Text("       " + ", ".join(report.labels), "dim"))
+        else:
+            console.print(Text(f"{report.index:>5}  {report.id}  broken: {report.problem}", "red"))
+        for note in report.notes:
+            console.print(Text(f"       note: {note}", "yellow"))
+    console.print(Text(f"{usable} of {total} frames can be used", "dim"))
+    return usable
+
+
+def print_bench(record: dict[str, Any]) -> None:
+    """Milliseconds by stage and the ratios between them."""
+    console = _console()
+    console.print(f"{record['frames']} frames, {record['objects']} objects, {record['width']}x{record['height']}")
+    for stage, ms in record["ms_per_frame"].items():
+        console.print(f"  {stage:<22} {ms:8.2f} ms")
+    for name, ratio in record["ratios"].items():
+        console.print(f"  {name:<22} {ratio:8.2f}x")
+
+
+@contextmanager
+def progress_bar(what: str, total: int) -> Iterator[Callable[[int, int], None]]:
+    """A progress bar on a terminal, nothing elsewhere; yields a function of (done, total)."""
+    if not sys.stderr.isatty():
+        yield lambda done, total: None
+        return
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeRemainingColumn())
+    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task(what, total=total)
+        yield lambda done, total: progress.update(task, completed=done, total=total)

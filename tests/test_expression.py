@@ -1,0 +1,478 @@
+"""Expressions: every phrase, every reading, and an honest error for everything else."""
+
+from __future__ import annotations
+
+import ast
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from pipeline import grammar, lexicon
+from pipeline.errors import InputError
+from pipeline.expression import Expression, Node, Query, parse
+from pipeline.lexicon import INVERSES, RELATIONS, SAYS, SAYS_SWAPPED, wording
+
+NAMES = [
+    "mug", "trash can", "front door", "remote control", "tv stand", "box of tissues on wheels", "pillow on bed",
+    "left shoe", "right speaker", "in ear headphones", "under armour bag", "salt and pepper shaker", "built-in oven",
+    "red_cup", "CD_player", "bat_(animal)", "plant in a pot", "hat with a wide brim", "close up lens", "M&M's",
+    "by-pass valve", "mailbox_(at_home)", "iPod", "on top box", "nearest neighbour", "table holding lamps", "7up can",
+]  # fmt: skip
+SIMPLE = ["mug", "laptop", "cracker box", "table", "red cup", "sofa chair", "t-shirt", "master chef can", "box of tea"]
+PLAIN_PHRASES = [(p, r) for r, phrases in SAYS.items() if r != "between" for p in phrases]
+SWAPPED_PHRASES = [(p, r) for r, phrases in SAYS_SWAPPED.items() for p in phrases]
+
+
+def triple(text: str, **options: object) -> tuple[str, str, str]:
+    expression = parse(text, **options).expression  # type: ignore[arg-type]
+    return expression.target, expression.relation, expression.reference
+
+
+def refused(text: str, **options: object) -> str:
+    with pytest.raises(InputError) as caught:
+        parse(text, **options)  # type: ignore[arg-type]
+    message = str(caught.value)
+    assert "\n" not in message
+    assert len(message) < 700
+    return message
+
+
+# ---- one relation ------------------------------------------------------------------------------------------------
+
+SPECIFIED = {
+    "left": ["to the left of", "on the left of", "to the left side of", "on the left side of", "left of"],
+    "right": ["to the right of", "on the right of", "to the right side of", "on the right side of", "right of"],
+    "above": ["above", "over", "higher than"],
+    "below": ["below", "under", "underneath", "beneath"],
+    "front": ["in front of", "in the front of", "ahead of"],
+    "behind": ["behind", "in the back of", "at the back of", "on the back of"],
+    "on": ["on", "on top of", "atop", "resting on", "lying on", "sitting on", "standing on", "supported by"],
+    "in": ["in", "inside", "inside of", "within"],
+    "near": ["next to", "beside", "by", "close to", "near"],
+    "closest": ["closest to", "nearest to", "nearest"],
+    "farthest": ["farthest from", "furthest from"],
+}
+
+
+@pytest.mark.parametrize(("relation", "phrase"), [(r, p) for r, phrases in SPECIFIED.items() for p in phrases])
+def test_every_specified_phrase(relation: str, phrase: str) -> None:
+    assert phrase in SAYS[relation]
+    assert triple(f"mug {phrase} laptop") == ("mug", relation, "laptop")
+    assert triple(f"Find the mug that is {phrase} the laptop.") == ("mug", relation, "laptop")
+
+
+@pytest.mark.parametrize(("phrase", "relation"), SWAPPED_PHRASES)
+def test_swapped_phrases_keep_the_head_as_target(phrase: str, relation: str) -> None:
+    expression = parse(f"the table that is {phrase} a lamp").expression
+    assert (expression.target, expression.relation, expression.reference) == ("table", relation, "lamp")
+    assert expression.inverse
+
+
+@given(
+    st.sampled_from(NAMES),
+    st.sampled_from(PLAIN_PHRASES),
+    st.sampled_from(NAMES),
+    st.sampled_from(
+        ["{a} {p} {b}", "the {a} {p} the {b}", "is the {a} {p} a {b}?", "please find the {a} that is {p} {b}"]
+    ),
+)
+@settings(max_examples=400)
+def test_any_known_names_with_any_phrase(a: str, phrase: tuple[str, str], b: str, form: str) -> None:
+    query = parse(form.format(a=a, p=phrase[0], b=b), class_names=NAMES)
+    expression = query.expression
+    assert (expression.target, expression.relation, expression.reference) == (a, phrase[1], b)
+    assert len(query.readings) == 1
+    assert not expression.inverse
+    assert expression.second_reference is None
+
+
+@given(
+    st.sampled_from(SIMPLE),
+    st.sampled_from(PLAIN_PHRASES),
+    st.sampled_from(SIMPLE),
+    st.sampled_from(["", "the ", "a ", "this ", "my "]),
+    st.sampled_from([" ", "  ", "\t", "\n"]),
+    st.sampled_from([str, str.upper, str.title]),
+)
+@settings(max_examples=300)
+def test_case_articles_and_space_do_not_matter(a, phrase, b, article, gap, cased) -> None:  # type: ignore[no-untyped-def]
+    text = cased(f"{article}{a} {phrase[0]} {article}{b}").replace(" ", gap)
+    assert triple(f" {text} ") == (a, phrase[1], b)
+
+
+@given(st.sampled_from(SIMPLE), st.sampled_from(PLAIN_PHRASES + SWAPPED_PHRASES), st.sampled_from(SIMPLE))
+def test_spans_point_at_the_words(a: str, phrase: tuple[str, str], b: str) -> None:
+    text = f"Where is the {a.upper()}, {phrase[0]} the {b}?"
+    spans = parse(text).spans
+    assert [(text[s.start : s.end], s.role, s.index) for s in spans] == [
+        (a.upper(), "target", 0),
+        (phrase[0], "relation", 0),
+        (b, "reference", 1),
+    ]
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "mug left of laptop", "The mug, left of the laptop.", "find me the mug which is located left of the laptop",
+        "where is the mug that's to the left of the laptop?", "is the mug left of the laptop?",
+        "show me the mug standing directly left of the laptop", "could you please pick up the mug left of the laptop",
+        "From the camera, the mug left of the laptop", "from my view the mug left of the laptop",
+        "as seen by the camera, the mug is left of the laptop", "mug left of laptop as seen from the camera",
+        "from the camera's point of view, the mug left of the laptop", "in the image, the mug left of the laptop",
+        "the mug left of the laptop, viewed from the viewer's perspective", "go to the mug on the left of the laptop",
+        "click on the mug left-of the laptop", "is there a mug to the left side of the laptop", "mug left_of laptop",
+        "which mug is on the left hand side of the laptop", "the mug left of the laptop in the scene please",
+        '"mug" left of "laptop"', "“mug” left of the laptop",
+    ],
+)  # fmt: skip
+def test_what_says_nothing_is_dropped(text: str) -> None:
+    assert triple(text) == ("mug", "left", "laptop")
+    assert len(parse(text).readings) == 1
+
+
+def test_the_camera_may_be_a_reference() -> None:
+    assert triple("the mug farthest from the camera") == ("mug", "farthest", "camera")
+    assert triple("the mug by the camera") == ("mug", "near", "camera")
+
+
+@pytest.mark.parametrize("phrase", SAYS["between"])
+def test_between(phrase: str) -> None:
+    expression = parse(f"the chair that is {phrase} the table and the sofa").expression
+    assert (expression.target, expression.relation) == ("chair", "between")
+    assert (expression.reference, expression.second_reference) == ("table", "sofa")
+    assert str(expression) == "chair between table and sofa"
+    names = ["salt and pepper shaker", "mug", "fork"]
+    expression = parse("mug between the salt and pepper shaker and the fork", class_names=names).expression
+    assert (expression.reference, expression.second_reference) == ("salt and pepper shaker", "fork")
+
+
+@pytest.mark.parametrize("tail", ["on top", "on top of it", "on top of them", "on its top", "on it", "atop"])
+def test_with_on_top_is_swapped(tail: str) -> None:
+    for text in (f"the table with a lamp {tail}", f"find the table that has a lamp {tail}"):
+        expression = parse(text).expression
+        assert (expression.target, expression.relation, expression.reference) == ("table", "on", "lamp")
+        assert expression.inverse
+    query = parse(f"the table with a lamp {tail} left of the sofa")
+    assert [r.description for r in query.readings] == ["(table supporting lamp) left of sofa"]
+
+
+@pytest.mark.parametrize(
+    ("text", "relation", "inverse"),
+    [
+        ("table with a box underneath", "above", False), ("table with a box under it", "above", False),
+        ("table with a box in front of it", "behind", False), ("table with a box behind it", "front", False),
+        ("table with a box to the left of it", "right", False), ("table with a box next to it", "near", False),
+        ("bowl with an apple inside", "in", True), ("bowl with an apple in it", "in", True),
+        ("desk with a shelf above", "below", False),
+    ],
+)  # fmt: skip
+def test_with_tails(text: str, relation: str, inverse: bool) -> None:
+    expression = parse(text).expression
+    assert (expression.relation, expression.inverse) == (relation, inverse)
+    assert expression.target == text.split()[0]
+
+
+def test_with_and_no_tail_belongs_to_the_name() -> None:
+    assert triple("the hat with a wide brim left of the mug") == ("hat with a wide brim", "left", "mug")
+    assert triple("the mug on the table with the red legs") == ("mug", "on", "table with the red legs")
+
+
+@pytest.mark.parametrize("word", ["nearest", "closest", "farthest", "furthest"])
+def test_superlatives_before_the_noun(word: str) -> None:
+    relation = "closest" if word in SAYS["closest"] else "farthest"
+    link = "to" if relation == "closest" else "from"
+    assert triple(f"the {word} chair {link} the door") == ("chair", relation, "door")
+    query = parse(f"the lamp on the {word} table {link} the door")
+    assert [r.description for r in query.readings] == [f"lamp on (table {wording(relation)} door)"]
+    assert "names no reference" in refused(f"the {word} chair")
+
+
+def test_inverses_are_an_involution() -> None:
+    assert all(INVERSES[INVERSES[r]] == r for r in INVERSES)
+    assert set(INVERSES) == {"left", "right", "above", "below", "front", "behind", "near"}
+    assert set(SAYS) == set(RELATIONS)
+    assert {wording(r) for r in RELATIONS} <= {p for phrases in SAYS.values() for p in phrases}
+
+
+def test_a_phrase_says_one_thing() -> None:
+    phrases = [p for table in (SAYS, SAYS_SWAPPED) for ps in table.values() for p in ps]
+    assert len(set(phrases)) == len(phrases)
+    assert all(p == " ".join(p.lower().split()) for p in phrases)
+
+
+# ---- names -------------------------------------------------------------------------------------------------------
+
+
+def test_names_with_relation_words_inside() -> None:
+    names = ["pillow on bed", "pillow", "bed", "lamp", "monitor left", "keyboard"]
+    assert triple("the pillow on bed left of the lamp", class_names=names) == ("pillow on bed", "left", "lamp")
+    assert triple("the lamp near the Pillow On Bed", class_names=names) == ("lamp", "near", "pillow on bed")
+    assert triple("pillow on bed", class_names=names) == ("pillow", "on", "bed")
+    assert triple("pillow on bed on bed", class_names=names) == ("pillow on bed", "on", "bed")
+    assert triple("monitor left of keyboard", class_names=names) == ("monitor", "left", "keyboard")
+    assert len(parse("pillow on bed left of lamp").readings) == 2
+
+
+def test_names_are_spelled_as_the_vocabulary_does() -> None:
+    assert triple("the red cup by the cd player", class_names=["Red_Cup", "CD_player"]) == (
+        "Red_Cup",
+        "near",
+        "CD_player",
+    )
+    assert triple("the Red Cup by the CD player") == ("red cup", "near", "cd player")
+
+
+def test_synonyms_with_relation_words_hold_together() -> None:
+    assert triple("the plant in a pot left of the lamp") == ("plant in a pot", "left", "lamp")
+    assert triple("plant in a pot left of lamp", class_names=["potted plant"]) == ("plant in a pot", "left", "lamp")
+    assert triple("plant in a pot left of lamp", class_names=["lamp", "pot"])[0] == "plant"
+    assert triple("the plant in a pot") == ("plant", "in", "pot")
+
+
+def test_compounds_and_quotes_are_names() -> None:
+    assert triple("built-in oven under the cook-top") == ("built-in oven", "below", "cook-top")
+    assert triple('"left of field" near "a mug"') == ("left of field", "near", "a mug")
+    assert triple("the dog's bowl by the dog") == ("dog's bowl", "near", "dog")
+    assert triple("tv stands behind the sofa") == ("tv stands", "behind", "sofa")
+
+
+# ---- readings ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("relations", "count"), [(1, 1), (2, 2), (3, 5), (4, 14)])
+def test_readings_are_counted_by_catalan_numbers(relations: int, count: int) -> None:
+    phrases = ["left of", "behind", "on", "near"][:relations]
+    nouns = ["mug", "laptop", "table", "sofa", "lamp"]
+    query = parse(nouns[0] + "".join(f" {p} the {n}" for p, n in zip(phrases, nouns[1:], strict=False)))
+    assert len(query.readings) == count
+    assert len({r.description for r in query.readings}) == count
+    assert [r.is_default for r in query.readings] == [True] + [False] * (count - 1)
+    for reading in query.readings:
+        walked = list(reading.root.walk())
+        assert sorted(n.mention for n in walked) == list(range(relations + 1))
+        assert [nouns[n.mention] for n in walked] == [n.label for n in walked]
+        # No crossing: depth first is the order of mention.
+        assert [n.mention for n in walked] == sorted(n.mention for n in walked)
+    node = query.default.root
+    for noun in nouns[1 : relations + 1]:
+        assert len(node.attachments) == 1
+        (node,) = node.attachments[0].nodes
+        assert node.label == noun
+    assert query.labels == tuple(nouns[: relations + 1])
+
+
+def test_too_many_relations() -> None:
+    message = refused("mug" + " on table" * 5)
+    assert "5" in message
+    assert "4" in message
+
+
+def test_both_readings_of_two_relations() -> None:
+    query = parse("mug left of the laptop on the table")
+    assert [r.description for r in query.readings] == ["mug left of (laptop on table)", "(mug left of laptop) on table"]
+    second = query.readings[1].root
+    assert [(a.relation, a.nodes) for a in second.attachments] == [
+        ("left", (Node("laptop", (), 1),)),
+        ("on", (Node("table", (), 2),)),
+    ]
+    assert str(query.expression) == "mug left of laptop"
+
+
+def test_and_joins_relations_of_one_noun() -> None:
+    query = parse("the mug left of the laptop and behind the lamp")
+    assert [r.description for r in query.readings] == ["(mug left of laptop) behind lamp"]
+    query = parse("the mug on the table that is left of the sofa and is behind the lamp")
+    assert [r.description for r in query.readings] == [
+        "mug on ((table left of sofa) behind lamp)",
+        "((mug on table) left of sofa) behind lamp",
+    ]
+
+
+def test_between_inside_a_nested_expression() -> None:
+    query = parse("the mug on the chair between the table and the sofa behind the lamp")
+    assert query.default.description == "mug on (chair between table and (sofa behind lamp))"
+    assert query.labels == ("mug", "chair", "table", "sofa", "lamp")
+    # The first reference of `between` is closed: five readings as for any chain of three.
+    assert len(query.readings) == 5
+
+
+def test_spans_of_a_nested_expression_do_not_overlap() -> None:
+    text = "The table with a lamp on top, left of the nearest chair to the door"
+    spans = parse(text).spans
+    assert [(text[s.start : s.end], s.role, s.index) for s in spans] == [
+        ("table", "target", 0), ("with", "relation", 0), ("lamp", "reference", 1), ("on top", "relation", 0),
+        ("left of", "relation", 1), ("nearest", "relation", 2), ("chair", "reference", 2), ("to", "relation", 2),
+        ("door", "reference", 3),
+    ]  # fmt: skip
+    assert all(a.end <= b.start for a, b in pairwise(spans))
+
+
+# ---- vocabularies of relations -----------------------------------------------------------------------------------
+
+AVD = ("left", "right", "above", "below", "front", "behind")
+SEMANTIC_ABSTRACTION = ("behind", "left", "right", "front", "on", "in")
+
+
+def test_on_is_read_as_above_where_there_is_no_on() -> None:
+    expression = parse("mug on top of the table", relations=AVD).expression
+    assert (expression.relation, expression.mapped_from) == ("above", "on")
+    assert expression.note is not None
+    assert "on top of" in expression.note
+    held = parse("table holding a mug", relations=AVD).expression
+    assert (held.relation, held.inverse, held.mapped_from) == ("below", False, "on")
+    under = parse("mug under the table", relations=AVD).expression
+    assert (under.relation, under.mapped_from) == ("below", "under")
+
+
+def test_nothing_is_mapped_without_need() -> None:
+    for relations in (None, RELATIONS, SEMANTIC_ABSTRACTION):
+        expression = parse("mug on the table", relations=relations).expression
+        assert (expression.relation, expression.mapped_from, expression.note) == ("on", None, None)
+    for phrase in ("below", "lower than"):
+        assert parse(f"mug {phrase} table", relations=AVD).expression.mapped_from is None
+    assert parse("mug under the table").expression.mapped_from is None
+
+
+@pytest.mark.parametrize(
+    ("text", "relations"),
+    [("mug in the box", AVD), ("mug above the box", SEMANTIC_ABSTRACTION), ("mug near the box", AVD),
+     ("mug on the box", ["left"]), ("mug on the box", [])],
+)  # fmt: skip
+def test_a_relation_that_is_not_on_offer_is_refused(text: str, relations: list[str]) -> None:
+    message = refused(text, relations=relations)
+    assert "not in this vocabulary" in message
+    assert all(wording in message for wording in relations)
+
+
+# ---- errors ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("", "empty"), (" \t\n", "empty"), ("mug", "no relation"), ("the mug", "TARGET RELATION REFERENCE"),
+        ("zzz abov qqq", "'above'"), ("mug lefft of laptop", "'left of'"), ("mug behnd the laptop", "'behind'"),
+        ("mug left laptop", "'left of'"), ("mug nxt to the laptop", "'next to'"), ("mug infrunt of x", "in front of"),
+        ("mug on the table besid the lamp", "'beside'"), ("the mug against the wall", "known relations: left of"),
+        ("left of the laptop", "target is missing"), ("find the mug left of", "reference is missing"),
+        ("mug left of the", "reference is missing"), ("left of", "target is missing"), ("mug on on laptop", "missing"),
+        ("the mug on the left", "side"), ("the mug on the right", "side"), ("mug to the left side", "'left"),
+        ("the chair between the tables", "two references"),
+        ("the chair between the table and", "reference is missing"), ("mug not on the table", "negation"),
+        ("mug without a handle left of x1", "negation"), ("it on the table", "names no object"),
+        ("mug left of it", "names no object"), ("what is on the table?", "target is missing"),
+        ("the mug and the cup left of the laptop", "second target"),
+        ("mug left of a laptop and the lamp", "second reference"),
+        ("put the mug on the table", "not a known relation"), ("x" * 301 + " on y", "too long"),
+        ("mug\x00left of laptop", "control character"), ("mug left of \x1b[31mlaptop", "control character"),
+        ("mug left of <b>laptop</b>", "cannot be read"), ("mug \u202eleft of laptop", "control character"),
+        ("mug left of laptop \ud800", "control character"), ("mug on its top table", "cannot be read"),
+        ("mug 😀 left of laptop", "cannot be read"),
+    ],
+)  # fmt: skip
+def test_errors_say_what_is_wrong(text: str, says: str) -> None:
+    message = refused(text)
+    assert says in message
+    message.encode("utf-8")
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "facing the couch, the lamp on the left of it", "the left side of the car's front",
+        "the lamp to the couch's left",
+        "from the sofa's point of view, the lamp left of the table", "the mug facing the laptop",
+        "from the perspective of the sofa, the lamp left of the table",
+        "looking at the front of the couch, the lamp behind it",
+        "facing the couch from the side you sit on it, choose the lamp to the left of this couch",
+        "as seen from the door, the chair left of the table", "if you sit on the sofa, the lamp is right of the tv",
+        "from the point of view of the sofa, the lamp left of the table", "when facing the tv, the lamp left of the tv",
+        "with your back to the door, the chair left of the table",
+    ],
+)  # fmt: skip
+def test_an_objects_own_view_is_refused_with_the_reason(text: str) -> None:
+    assert "no object's own front is known" in refused(text)
+
+
+def test_known_names_are_not_taken_for_a_view() -> None:
+    assert (
+        triple("front facing camera left of the mug", class_names=["front facing camera"])[0] == "front facing camera"
+    )
+
+
+@pytest.mark.parametrize("bad", [None, 3, b"mug on table", ["mug"]])
+def test_only_text_is_an_expression(bad: object) -> None:
+    with pytest.raises(InputError, match="must be text"):
+        parse(bad)  # type: ignore[arg-type]
+
+
+def test_a_name_is_no_list_of_names() -> None:
+    assert "class_names" in refused("mug on table", class_names="mug")
+    assert "relations" in refused("mug on table", relations="on")
+    assert "class name" in refused("mug on table", class_names=[3])
+
+
+def test_an_expression_is_checked_when_built() -> None:
+    assert str(Expression("mug", "left", "laptop", "")) == "mug left of laptop"
+    for bad in (("mug", "abov", "laptop"), ("", "left", "laptop"), ("mug", "left", " "), ("mug", "between", "x")):
+        with pytest.raises(InputError):
+            Expression(*bad, text="")
+    with pytest.raises(InputError):
+        Expression("mug", "left", "laptop", "", second_reference="lamp")
+
+
+def check(query: Query) -> None:
+    assert query.readings
+    assert query.expression.relation in RELATIONS
+    assert all(0 <= s.start < s.end <= len(query.text) for s in query.spans)
+    assert all(a.end <= b.start for a, b in pairwise(query.spans))
+    assert len({r.description for r in query.readings}) == len(query.readings) <= 14
+    assert sum(r.is_default for r in query.readings) == 1
+    assert {s.index for s in query.spans if s.role != "relation"} == {n.mention for n in query.default.root.walk()}
+    for node in query.default.root.walk():
+        assert node.label.strip()
+
+
+def check_or_refuse(text: str, names: tuple[str, ...]) -> None:
+    try:
+        query = parse(text, class_names=names)
+    except InputError:
+        refused(text, class_names=names)
+    else:
+        check(query)
+
+
+@given(st.text(max_size=310), st.sampled_from([(), tuple(NAMES)]))
+@example("( on )", ())
+@example('"" on ""', ())
+@example('"on" on "on"', ())
+@example("' on '", ())
+def test_arbitrary_text_is_read_or_refused(text: str, names: tuple[str, ...]) -> None:
+    check_or_refuse(text, names)
+
+
+WORDS = sorted(
+    {w for p, _ in PLAIN_PHRASES + SWAPPED_PHRASES for w in p.split()}
+    | {w for p in lexicon.LEADING for w in p.split()}
+    | lexicon.LINKING | lexicon.UNKNOWN_RELATIONS | lexicon.WITH | lexicon.PRONOUNS | lexicon.AND
+    | {"mug", "the lamp", "table", '"', ",", "(", ")", "?", "-", "camera", "from the camera", "car's", "not", "between"}
+)  # fmt: skip
+
+
+@given(st.lists(st.sampled_from(WORDS), max_size=14), st.sampled_from([(), tuple(NAMES)]))
+@settings(max_examples=500)
+def test_any_order_of_the_grammars_own_words_is_read_or_refused(words: list[str], names: tuple[str, ...]) -> None:
+    check_or_refuse(" ".join(words), names)
+
+
+def test_the_parser_needs_no_heavy_library() -> None:
+    heavy = {"torch", "spacy", "nltk", "scipy", "viser", "onnxruntime"}
+    for name in ("expression", "grammar", "lexicon", "naming", "tokens", "unreadable"):
+        tree = ast.parse(Path(grammar.__file__).with_name(f"{name}.py").read_text(encoding="utf-8"))
+        imported = {a.name.split(".")[0] for n in ast.walk(tree) if isinstance(n, ast.Import) for a in n.names}
+        imported |= {str(n.module).split(".")[0] for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)}
+        assert not imported & heavy

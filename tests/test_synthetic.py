@@ -1,0 +1,424 @@
+"""The renderer of synthetic rooms: geometry that is exact, layouts that hold, files that repeat."""
+
+from __future__ import annotations
+
+import filecmp
+import json
+import sys
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pipeline.boxes import Box3D
+from pipeline.camera import lift_pixels, to_world
+from pipeline.errors import InputError, MissingExtra
+from pipeline.synthetic import RenderedFrame, Room, camera_at, choose_views, make_room, render_dataset, render_view
+from pipeline.synthetic import dataset as dataset_module
+from pipeline.synthetic.layout import FLOOR, TOUCH_M, WALL, overlaps, part_boxes
+from pipeline.synthetic.sensor import noise_sigma, sense
+
+SIZE: dict[str, Any] = {"width": 96, "height": 72}
+SEEDS = (0, 1, 2, 3, 4, 9)
+
+
+@lru_cache(maxsize=8)
+def room_of(seed: int) -> Room:
+    return make_room(seed)
+
+
+@lru_cache(maxsize=8)
+def frame_of(seed: int) -> RenderedFrame:
+    camera = choose_views(room_of(seed), 1, np.random.default_rng(seed), 160, 120)[0]
+    return render_view(room_of(seed), camera, np.random.default_rng(0))
+
+
+def files_below(root: Path) -> list[str]:
+    return sorted(str(path.relative_to(root)) for path in root.rglob("*") if path.is_file())
+
+
+# Rooms
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_nothing_interpenetrates(seed: int) -> None:
+    instances = room_of(seed).instances
+    boxes = [part_boxes(i.model, i.position, i.yaw) for i in instances]
+    owner = np.repeat(np.arange(len(boxes)), [len(b) for b in boxes])
+    flat = np.concatenate(boxes)
+    hit = overlaps(flat, flat) & (owner[:, None] != owner[None])
+    pairs = {(instances[owner[a]].model.label, instances[owner[b]].model.label) for a, b in np.argwhere(hit)}
+    assert not pairs
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_everything_rests_on_its_support(seed: int) -> None:
+    room = room_of(seed)
+    for instance in room.instances:
+        bottom = instance.position[2] + instance.model.low[2]
+        if instance.support == FLOOR:
+            assert bottom == pytest.approx(0, abs=1e-9)
+        elif instance.support == WALL:
+            back = instance.box.corners[:, :2]
+            gap = np.min([back, [room.width, room.depth] - back], axis=(0, 1)).min()
+            assert 0 <= gap < 0.005
+        else:
+            base = room.instances[instance.support]
+            tops = [surface.z for surface in base.model.surfaces] + [float(base.model.high[2])]
+            assert np.abs(bottom - base.position[2] - np.array(tops)).min() < 1e-9
+            middle = (instance.position - base.position) @ base.R
+            assert (np.abs(middle[:2]) <= base.model.size[:2] / 2).all(), instance.model.label
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_everything_is_inside_the_walls(seed: int) -> None:
+    room = room_of(seed)
+    for instance in room.instances:
+        corners = instance.box.corners
+        assert (corners >= -1e-9).all(), instance.model.label
+        assert (corners <= np.array([room.width, room.depth, room.height]) + 1e-9).all(), instance.model.label
+
+
+def test_equal_seeds_give_equal_rooms_and_others_differ() -> None:
+    first, again, other = make_room(5), make_room(5), make_room(9)
+    assert [i.model.key for i in first.instances] == [i.model.key for i in again.instances]
+    assert np.array_equal([i.position for i in first.instances], [i.position for i in again.instances])
+    assert [i.model.key for i in first.instances] != [i.model.key for i in other.instances]
+
+
+def test_rooms_hold_several_of_a_class_and_things_on_under_and_behind() -> None:
+    study, dining, living = room_of(0), room_of(1), room_of(2)
+    labels = [i.model.label for i in study.instances]
+    assert labels.count("mug") >= 2
+    assert "laptop" in labels
+    dining_labels = [i.model.label for i in dining.instances]
+    assert dining_labels.count("chair") >= 2
+    assert dining_labels.count("mug") >= 2
+    table = next(i for i in dining.instances if i.model.label == "dining table")
+    beneath = [
+        i for i in dining.instances if np.hypot(*(i.position - table.position)[:2]) < 0.4 and i.position[2] < 0.1
+    ]
+    assert any(i.model.label == "box" for i in beneath)
+    sofa = next(i for i in living.instances if i.model.label == "sofa")
+    assert any(i.position[1] > sofa.position[1] + 0.4 and i.model.label == "potted plant" for i in living.instances)
+    assert len({i.model.label for seed in range(4) for i in room_of(seed).instances}) >= 25
+
+
+def test_no_object_is_a_single_box() -> None:
+    for seed in range(4):
+        for instance in room_of(seed).instances:
+            faces = sum(len(part.faces) for part in instance.model.parts)
+            assert len(instance.model.parts) > 1 or faces > 200, instance.model.label
+
+
+def test_a_mug_stands_on_each_side_of_the_laptop_in_the_first_view() -> None:
+    camera = choose_views(room_of(0), 1, np.random.default_rng(0), 160, 120)[0]
+    frame = render_view(room_of(0), camera, np.random.default_rng(0))
+    x: dict[str, list[float]] = {"mug": [], "laptop": []}
+    for index, instance in enumerate(room_of(0).instances):
+        if instance.model.label in x and (frame.instances == index).sum() >= 3:
+            x[instance.model.label].append(frame.boxes[index].center[0])
+    assert len(x["laptop"]) == 1
+    assert min(x["mug"]) < x["laptop"][0] - 0.15
+    assert max(x["mug"]) > x["laptop"][0] + 0.15
+
+
+def test_a_trash_can_stands_left_of_the_dining_table_in_the_first_view() -> None:
+    camera = choose_views(room_of(1), 1, np.random.default_rng(1), 160, 120)[0]
+    frame = render_view(room_of(1), camera, np.random.default_rng(0))
+    index = {i.model.label: k for k, i in enumerate(room_of(1).instances)}
+    assert (frame.instances == index["trash can"]).sum() >= 10
+    assert frame.boxes[index["trash can"]].center[0] < frame.boxes[index["dining table"]].center[0] - 0.8
+
+
+# Frames
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2, 3])
+def test_exact_boxes_hold_the_exact_points_of_their_masks(seed: int) -> None:
+    frame = frame_of(seed)
+    seen = np.unique(frame.instances[frame.instances >= 0])
+    assert len(seen) >= 8
+    for index in seen:
+        v, u = np.nonzero(frame.instances == index)
+        points = lift_pixels(frame.depth_exact[v, u], frame.camera, v, u)
+        box = frame.boxes[index]
+        local = np.abs((points - box.center) @ box.R)
+        assert (local <= box.size / 2 + 1e-3).all(), room_of(seed).instances[index].model.label
+
+
+def test_masks_meet_the_surface_they_name() -> None:
+    """The points of the floor lie on the floor: depth, pose and instance ids agree."""
+    frame = frame_of(3)
+    assert frame.camera.T_world_camera is not None
+    v, u = np.nonzero((frame.instances < 0) & (frame.depth_exact > 0))
+    world = to_world(lift_pixels(frame.depth_exact[v, u], frame.camera, v, u), frame.camera.T_world_camera)
+    room = room_of(3)
+    to_shell = np.min(
+        [
+            np.abs(world[:, 2]),
+            np.abs(world[:, 0]),
+            np.abs(world[:, 1]),
+            room.width - world[:, 0],
+            room.depth - world[:, 1],
+        ],
+        axis=0,
+    )
+    assert np.median(np.abs(to_shell)) < 2e-3
+    assert world[:, 2].min() > -2e-3
+
+
+def test_views_are_a_robots() -> None:
+    for seed in range(4):
+        room = room_of(seed)
+        for camera in choose_views(room, 3, np.random.default_rng(seed), 96, 72):
+            T = camera.T_world_camera
+            assert T is not None
+            assert camera.up is not None
+            assert 1.0 <= T[2, 3] <= 1.5
+            assert 0 < T[0, 3] < room.width
+            assert 0 < T[1, 3] < room.depth
+            pitch = np.rad2deg(np.arcsin(-T[2, 2]))
+            assert 9.9 <= pitch <= 30.1
+            assert np.rad2deg(np.abs(np.arcsin(T[2, 0]))) <= 2.1
+            assert np.allclose(T[:3, :3] @ camera.up, [0, 0, 1])
+            frame = render_view(room, camera, np.random.default_rng(0))
+            counts = np.bincount(frame.instances[frame.instances >= 0])
+            assert (counts >= 30 * (96 / 640) ** 2 * 4).sum() >= 8
+            assert frame.depth_exact[frame.depth_exact > 0].min() > 0.3
+
+
+@given(
+    st.floats(-np.pi, np.pi),
+    st.floats(0.0, 0.6),
+    st.floats(-0.04, 0.04),
+    st.lists(st.floats(-3, 3), min_size=3, max_size=3),
+)
+def test_camera_axes_are_opencvs(heading: float, pitch: float, roll: float, place: list[float]) -> None:
+    camera = camera_at(np.array(place), heading, pitch, roll)
+    T = camera.T_world_camera
+    assert T is not None
+    assert np.allclose(T[:3, :3].T @ T[:3, :3], np.eye(3), atol=1e-12)
+    assert np.linalg.det(T[:3, :3]) == pytest.approx(1)
+    assert np.allclose(T[:3, 3], place)
+    # y points down, z points where the camera looks, and the pitch lowers it.
+    assert T[2, 1] < 0
+    assert T[2, 2] == pytest.approx(-np.sin(pitch))
+    assert np.arctan2(T[1, 2], T[0, 2]) == pytest.approx(heading, abs=1e-9)
+
+
+def test_colour_is_neither_black_nor_burnt_out() -> None:
+    for seed in range(4):
+        rgb = frame_of(seed).rgb.astype(float)
+        assert 90 < rgb.mean() < 215
+        assert (rgb.max(axis=2) < 12).mean() < 0.03
+        assert (rgb.min(axis=2) > 250).mean() < 0.15
+
+
+def test_a_camera_without_a_pose_is_refused() -> None:
+    from dataclasses import replace
+
+    camera = replace(frame_of(0).camera, T_world_camera=None)
+    with pytest.raises(InputError, match="pose"):
+        render_view(room_of(0), camera, np.random.default_rng(0))
+
+
+# The sensor
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(max_examples=10)
+def test_noise_grows_with_depth_as_stated(seed: int) -> None:
+    spread = []
+    for z in (0.8, 2.0, 4.0, 6.0):
+        exact = np.full((120, 120), z, dtype=np.float32)
+        got = sense(exact, np.random.default_rng(seed))
+        assert got.dtype == np.float32
+        kept = got[got > 0]
+        assert len(kept) > 0.99 * got.size
+        spread.append(float((kept - z).std()))
+        assert spread[-1] == pytest.approx(float(noise_sigma(np.array(z))), rel=0.06)
+        assert abs(float((kept - z).mean())) < 4 * spread[-1] / 120
+    assert spread == sorted(spread)
+
+
+def test_depth_edges_lose_and_smear_pixels_and_flat_parts_do_not() -> None:
+    exact = np.full((200, 60), 1.0, dtype=np.float32)
+    exact[:, 30:] = 3.0
+    got = sense(exact, np.random.default_rng(1))
+    edge = got[:, 29:31]
+    assert 0.2 < (edge == 0).mean() < 0.4
+    assert 0.1 < ((edge > 1.1) & (edge < 2.9)).mean() < 0.35
+    inner = got[:, 2:27]
+    assert (inner == 0).mean() < 0.01
+    assert np.abs(inner[inner > 0] - 1).max() < 0.02
+
+
+def test_no_return_stays_no_return_and_noise_never_goes_negative() -> None:
+    exact = np.zeros((50, 50), dtype=np.float32)
+    assert (sense(exact, np.random.default_rng(0)) == 0).all()
+    exact[10:20] = 0.06
+    got = sense(exact, np.random.default_rng(0))
+    assert np.isfinite(got).all()
+    assert (got >= 0).all()
+    assert (got[:9] == 0).all()
+    assert (sense(np.full((20, 20), 9.0, dtype=np.float32), np.random.default_rng(0)) == 0).all()
+
+
+# Datasets
+
+
+@pytest.fixture(scope="module")
+def rendered(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("render") / "set"
+    report = render_dataset(out, rooms=2, views=2, seed=3, **SIZE)
+    assert (report.frames, report.rooms) == (4, 2)
+    assert report.out == out
+    return out
+
+
+def test_same_seed_gives_the_same_bytes_and_another_seed_does_not(rendered: Path, tmp_path: Path) -> None:
+    render_dataset(tmp_path / "again", rooms=2, views=2, seed=3, **SIZE)
+    names = files_below(rendered)
+    assert names == files_below(tmp_path / "again")
+    _, differ, errors = filecmp.cmpfiles(rendered, tmp_path / "again", names, shallow=False)
+    assert (differ, errors) == ([], [])
+    render_dataset(tmp_path / "other", rooms=1, views=1, seed=4, **SIZE)
+    image = "000001/rgb/000000.jpg"
+    assert (rendered / image).read_bytes() != (tmp_path / "other" / image).read_bytes()
+
+
+def test_workers_do_not_change_a_byte(rendered: Path, tmp_path: Path) -> None:
+    render_dataset(tmp_path / "two", rooms=2, views=2, seed=3, workers=2, **SIZE)
+    names = files_below(rendered)
+    assert names == files_below(tmp_path / "two")
+    assert filecmp.cmpfiles(rendered, tmp_path / "two", names, shallow=False)[1:] == ([], [])
+
+
+def test_what_is_written_is_bop_and_agrees_with_the_room(rendered: Path) -> None:
+    models = json.loads((rendered / "models" / "models_info.json").read_text())
+    for number in (1, 2):
+        scene = rendered / f"{number:06d}"
+        room = make_room(3 * dataset_module.ROOMS_A_SEED + number - 1)
+        cameras, gt, info = (
+            json.loads((scene / f"scene_{name}.json").read_text()) for name in ("camera", "gt", "gt_info")
+        )
+        assert cameras.keys() == gt.keys() == info.keys() == {"0", "1"}
+        for image, camera in cameras.items():
+            R, t = np.reshape(camera["cam_R_w2c"], (3, 3)), np.array(camera["cam_t_w2c"]) / 1000
+            K = np.reshape(camera["cam_K"], (3, 3))
+            depth = cv2.imread(str(scene / "depth" / f"{int(image):06d}.png"), cv2.IMREAD_UNCHANGED)
+            assert depth.dtype == np.uint16
+            metres = depth * camera["depth_scale"] / 1000
+            assert 0.5 < np.median(metres[metres > 0]) < 6
+            assert len(gt[image]) == len(info[image]) >= 8
+            union = np.zeros(depth.shape, dtype=int)
+            for k, (entry, seen) in enumerate(zip(gt[image], info[image], strict=True)):
+                mask = cv2.imread(str(scene / "mask_visib" / f"{int(image):06d}_{k:06d}.png"), 0) > 0
+                union += mask
+                assert mask.sum() == seen["px_count_visib"] >= 30
+                assert 0 < seen["visib_fract"] <= 1
+                v, u = np.nonzero(mask)
+                assert seen["bbox_visib"] == [u.min(), v.min(), np.ptp(u) + 1, np.ptp(v) + 1]
+                # The pose round trip: model -> camera -> world lands on an instance of that class.
+                model = models[str(entry["obj_id"])]
+                here = R.T @ (np.array(entry["cam_t_m2c"]) / 1000 - t)
+                owner = min(room.instances, key=lambda i, here=here: float(np.linalg.norm(i.position - here)))
+                assert np.linalg.norm(owner.position - here) < 1e-5
+                assert owner.model.label == model["name"]
+                turn = R.T @ np.reshape(entry["cam_R_m2c"], (3, 3))
+                assert np.allclose(turn, owner.R, atol=1e-6)
+                # The stored box holds what the noisy depth saw, up to its noise.
+                low = np.array([model[f"min_{a}"] for a in "xyz"]) / 1000
+                size = np.array([model[f"size_{a}"] for a in "xyz"]) / 1000
+                z = metres[v, u]
+                points = np.stack([(u - K[0, 2]) * z / K[0, 0], (v - K[1, 2]) * z / K[1, 1], z], -1)[z > 0]
+                box = Box3D(R @ (owner.position + owner.R @ (low + size / 2)) + t, R @ owner.R, size)
+                local = np.abs((points - box.center) @ box.R) - box.size / 2
+                assert np.median(local.max(axis=1)) < 0.03
+            assert union.max() == 1
+
+
+def test_visible_share_tells_hidden_things_from_open_ones() -> None:
+    from pipeline.synthetic.raycast import silhouette
+
+    frame = frame_of(1)
+    room = room_of(1)
+    for index in np.unique(frame.instances[frame.instances >= 0]):
+        step, v, u = silhouette(room, int(index), frame.camera)
+        inside = (v >= 0) & (v < 120) & (u >= 0) & (u < 160)
+        whole = np.zeros((120, 160), dtype=bool)
+        whole[v[inside], u[inside]] = True
+        visible = frame.instances == index
+        grid = np.zeros_like(visible)
+        grid[::step, ::step] = True
+        assert (visible & grid & ~whole).sum() <= 0.02 * visible.sum() + 1
+
+
+def test_declares_its_world_up(rendered: Path) -> None:
+    text = (rendered / "spatialviz.toml").read_text()
+    assert "world_up = [0, 0, 1]" in text
+    assert "seed = 3" in text
+    assert "spatialviz render" in text
+
+
+def test_refuses_a_folder_that_is_not_empty_and_leaves_it_alone(tmp_path: Path) -> None:
+    (tmp_path / "note.txt").write_text("mine")
+    with pytest.raises(InputError, match="not empty"):
+        render_dataset(tmp_path, rooms=1, views=1, **SIZE)
+    assert files_below(tmp_path) == ["note.txt"]
+    with pytest.raises(InputError, match="file"):
+        render_dataset(tmp_path / "note.txt", rooms=1, views=1, **SIZE)
+
+
+@pytest.mark.parametrize(
+    "bad", [{"rooms": 0}, {"views": 0}, {"seed": -1}, {"width": 4}, {"height": -480}, {"workers": 0}]
+)
+def test_refuses_arguments_without_sense(tmp_path: Path, bad: dict[str, int]) -> None:
+    with pytest.raises(InputError):
+        render_dataset(tmp_path / "set", **{"rooms": 1, "views": 1, **SIZE, **bad})
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("failure", [RuntimeError, KeyboardInterrupt])
+def test_nothing_half_written_remains(tmp_path: Path, failure: type[BaseException]) -> None:
+    def stop(done: int, total: int) -> None:
+        assert any(tmp_path.iterdir())
+        raise failure
+
+    with pytest.raises(failure):
+        render_dataset(tmp_path / "set", rooms=1, views=2, progress=stop, **SIZE)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_fills_an_empty_folder_and_reports_progress(tmp_path: Path) -> None:
+    out = tmp_path / "set"
+    out.mkdir()
+    told: list[tuple[int, int]] = []
+    report = render_dataset(out, rooms=1, views=2, progress=lambda done, total: told.append((done, total)), **SIZE)
+    assert told == [(1, 2), (2, 2)]
+    assert list(tmp_path.iterdir()) == [out]
+    assert report.objects >= 16
+    assert "laptop" in report.classes
+
+
+def test_without_embree_the_extra_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, "embreex.mesh_construction", None)
+    with pytest.raises(MissingExtra, match=r"spatialviz\[render\]"):
+        render_dataset(tmp_path / "set", rooms=1, views=1, seed=8, **SIZE)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_touching_is_not_overlapping() -> None:
+    a = np.array([[0, 0, 0, 0.5, 0.5, 0.5, 0.0]])
+    side = np.array([[1.0, 0, 0, 0.5, 0.5, 0.5, 0.0]])
+    deep = np.array([[1.0 - 3 * TOUCH_M, 0, 0, 0.5, 0.5, 0.5, 0.0]])
+    corner = np.array([[0.5 + 0.70, 0.0, 0, 0.5, 0.5, 0.5, np.pi / 4]])
+    clear = np.array([[0.5 + 0.72, 0.0, 0, 0.5, 0.5, 0.5, np.pi / 4]])
+    got = [bool(overlaps(a, b)[0, 0]) for b in (side, deep, corner, clear)]
+    assert got == [False, True, True, False]
