@@ -228,6 +228,23 @@ def depth_edges(depth: np.ndarray, config: LiftConfig | None = None) -> np.ndarr
     return highest - lowest > np.maximum(np.float32(config.edge), np.float32(config.edge_relative) * depth)
 
 
+def flying_pixels(depth: np.ndarray, neighbours: int = 3) -> np.ndarray:
+    """(H, W) bool: pixels that hang between two surfaces, for display.
+
+    A pixel flies where fewer than `neighbours` of the eight around it have its
+    depth to within max(3 cm, 3 %). The border of a surface does not fly.
+    """
+    tolerance = np.maximum(np.float32(0.03), np.float32(0.03) * depth)
+    padded = np.pad(depth, 1, constant_values=-1)
+    height, width = depth.shape
+    support = np.zeros(depth.shape, np.uint8)
+    for dy in range(3):
+        for dx in range(3):
+            if (dy, dx) != (1, 1):
+                support += np.abs(padded[dy : dy + height, dx : dx + width] - depth) < tolerance
+    return (depth > 0) & (support < neighbours)
+
+
 def clean(
     mask: np.ndarray, depth: np.ndarray, edges: np.ndarray, config: LiftConfig | None = None
 ) -> tuple[Evidence, bool]:

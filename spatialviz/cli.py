@@ -196,7 +196,7 @@ class Frames:
         camera = _four_numbers(self.intrinsics)
         dataset = open_source(self.dataset, intrinsics=camera, depth_scale=self.depth_scale).dataset
         if self.remember:
-            write_settings(dataset.root, intrinsics=camera, depth_scale=self.depth_scale)
+            write_settings(dataset.root, camera, self.depth_scale)
         reports = survey(dataset)
         if not self.json:
             return FINE if print_frames(dataset, reports) else NO

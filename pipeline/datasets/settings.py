@@ -91,6 +91,8 @@ def read_settings(root: Path) -> Settings:
         table = tomllib.loads(path.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
         raise InputError("the settings cannot be read", got=str(error), path=path) from error
+    # Tables such as [generator] say how the data came to be; they are for people and other tools.
+    table = {key: value for key, value in table.items() if not isinstance(value, dict)}
     unknown = sorted(set(table) - set(KEYS))
     if unknown:
         raise InputError(f"unknown setting {unknown[0]!r}", expected=f"one of {', '.join(KEYS)}", path=path)
@@ -133,6 +135,7 @@ def write_settings(
             lines.append(f"{key} = [{', '.join(repr(float(v)) for v in value)}]")
         elif value is not None:
             lines.append(f"{key} = {float(value)!r}")
+    lines += _tables(root / FILE_NAME)
     path, temporary = root / FILE_NAME, root / f".{FILE_NAME}.{os.getpid()}"
     try:
         temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
@@ -140,6 +143,15 @@ def write_settings(
     except OSError as error:
         raise InputError("the settings cannot be written", got=error.strerror, path=path) from error
     return path
+
+
+def _tables(path: Path) -> list[str]:
+    """The lines of a settings file from its first table on, as they stand."""
+    if not path.is_file():
+        return []
+    lines = path.read_text(encoding="utf-8").splitlines()
+    first = next((i for i, line in enumerate(lines) if line.lstrip().startswith("[")), len(lines))
+    return ["", *lines[first:]] if first < len(lines) else []
 
 
 def _numbers(key: str, values: Any, count: int) -> tuple[float, ...]:

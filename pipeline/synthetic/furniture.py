@@ -260,9 +260,11 @@ def wardrobe(p: Palette, rng: Rng) -> Model:
         block((w - 0.06, d - 0.06, 0.09), (0, 0.01, 0), m, 0.003),
     ]
     for s in (-1, 1):
-        parts.append(block((w / 2 - 0.022, 0.020, h - 0.14), (s * (w / 4 - 0.004), -d / 2 - 0.008, 0.11), front, 0.004))
+        parts.append(
+            block((w / 2 - 0.022, 0.020, h - 0.14), (s * (w / 4 - 0.0095), -d / 2 - 0.008, 0.11), front, 0.002)
+        )
         for z, tall in ((0.18, 0.70), (1.0, h - 1.12)):
-            parts.append(block((w / 2 - 0.15, 0.010, tall), (s * (w / 4 - 0.004), -d / 2 - 0.019, z), front, 0.004))
+            parts.append(block((w / 2 - 0.15, 0.006, tall), (s * (w / 4 - 0.0095), -d / 2 - 0.019, z), front, 0.003))
         parts.append(block((0.012, 0.022, 0.22), (s * 0.05, -d / 2 - 0.024, 0.92), BRASS, 0.005))
     return assemble("wardrobe", parts, [Surface(h, -w / 2 + 0.05, w / 2 - 0.05, -d / 2 + 0.08, d / 2 - 0.02)])
 

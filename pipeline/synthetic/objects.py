@@ -39,17 +39,6 @@ def laptop(p: Palette, rng: Rng) -> Model:
     return assemble("laptop", parts)
 
 
-def monitor(p: Palette, rng: Rng) -> Model:
-    screen = Material((1, 1, 1), ("screen", int(rng.integers(3))), 0, 0.2, 0.6)
-    parts = [
-        block((0.56, 0.022, 0.34), (0, 0, 0.13), BLACK, 0.006, 2),
-        block((0.542, 0.002, 0.318), (0, -0.0115, 0.142), screen, 0.0005),
-        block((0.05, 0.018, 0.2), (0, 0.02, 0.01), STEEL, 0.006),
-        block((0.22, 0.17, 0.012), (0, 0.01, 0), STEEL, 0.005, 2),
-    ]
-    return assemble("monitor", parts)
-
-
 def tv(p: Palette, rng: Rng) -> Model:
     w = rng.uniform(1.05, 1.22)
     h = w * 0.57
@@ -62,16 +51,6 @@ def tv(p: Palette, rng: Rng) -> Model:
         parts.append(rod((s * w * 0.32, -0.09, 0.008), (s * w * 0.30, 0, 0.08), 0.008, BLACK))
         parts.append(rod((s * w * 0.32, 0.09, 0.008), (s * w * 0.30, 0, 0.08), 0.008, BLACK))
     return assemble("tv", parts)
-
-
-def keyboard(p: Palette, rng: Rng) -> Model:
-    dark = bool(rng.random() < 0.5)
-    body = BLACK if dark else WHITE
-    parts = [
-        block((0.40, 0.13, 0.016), (0, 0, 0), body, 0.005, 2),
-        _flat((0.38, 0.112), (0, 0, 0.0155), Material((1, 1, 1), ("keys", dark), 0)),
-    ]
-    return assemble("keyboard", parts)
 
 
 def mouse(p: Palette, rng: Rng) -> Model:

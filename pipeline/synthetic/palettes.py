@@ -20,7 +20,7 @@ class Palette:
     wall, feature : str
         sRGB of the walls and of the one wall that differs.
     floor : str
-        Texture of the floor: planks, herringbone, tiles or checker.
+        Texture of the floor: planks, herringbone or tiles.
     floor_tint : str
     wood : str
         A key of WOODS.

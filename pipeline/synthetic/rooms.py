@@ -207,18 +207,18 @@ def _dining(room: Layout, p: Palette) -> tuple[Focus, ...]:
 def _living(room: Layout, p: Palette) -> tuple[Focus, ...]:
     rng, w, d = room.rng, room.width, room.depth
     x = w * 0.46
-    couch = room.stand(f.sofa(p, rng), x, d - 1.16)
+    couch = room.stand(f.sofa(p, rng), x, d - 1.26)
     for u in (-0.82, -0.35, 0.72):
         room.put(f.throw_pillow(p, rng), couch, (u, 0.95), _turn(room, 7))
     room.put(c.teddy_bear(p, rng), couch, (0.28, 0.4), _turn(room, 10))
-    room.put(o.book(p, rng), couch, (-0.55, -0.5), 0.4)
-    room.stand_near(c.plant(p, rng, 1.15), x - 0.72, d - 0.37, 0.5, 0.02)
+    room.put(o.book(p, rng), couch, (-0.60, -0.9), 0.3)
+    room.stand_near(c.plant(p, rng, 1.3), x - 0.72, d - 0.42, 0.0, 0.02)
     room.stand_near(c.floor_lamp(p, rng), x + 0.95, d - 0.30, 0, 0.05)
     room.stand_near(c.box(p, rng), x + 0.25, d - 0.30, 0.05, 0.05)
     room.hang(c.picture(p, rng, 0.62, 0.80), "back", x - 0.1, 1.22)
     room.hang(c.picture(p, rng, 0.36, 0.46), "back", x + 0.58, 1.52)
-    room.lay_rug(f.rug(p, rng, 2.2, 1.5), x, d - 2.42)
-    low = room.stand(f.coffee_table(p, rng), x, d - 2.28)
+    room.lay_rug(f.rug(p, rng, 1.8, 1.5), x, d - 2.50)
+    low = room.stand(f.coffee_table(p, rng), x, d - 2.36)
     top = _book_pile(room, p, low, (-0.45, 0.2), 2)
     room.stack(c.candle(p, rng), top)
     room.put(o.mug(p, rng), low, (0.10, -0.45), _turn(room, 60))
@@ -229,7 +229,7 @@ def _living(room: Layout, p: Palette) -> tuple[Focus, ...]:
     room.put(o.tv(p, rng), stand, (0.0, 0.4))
     room.put(o.vase(p, rng), stand, (-0.90, -0.2))
     room.put(c.candle(p, rng), stand, (0.92, -0.1))
-    arm = room.stand_near(f.armchair(p, rng), x + 1.45, d - 2.45, np.deg2rad(-62), 0.15)
+    arm = room.stand_near(f.armchair(p, rng), x + 1.64, d - 2.45, np.deg2rad(-76), 0.05)
     room.put(f.throw_pillow(p, rng), arm, (0, 0.9), _turn(room, 8))
     tall = room.against(f.bookshelf(p, rng), "back", w - 0.56)
     _fill_shelves(room, p, tall, [1, 2, 3, 4, 5])

@@ -40,12 +40,13 @@ class Looks:
 
 @dataclass(frozen=True)
 class Surfaces:
-    """What N rays see: all float32, world frame."""
+    """What N rays see: float32, world; `normal` is smoothed, `flat` the triangle's own, both towards the viewer."""
 
     hit: np.ndarray
     part: np.ndarray
     position: np.ndarray
     normal: np.ndarray
+    flat: np.ndarray
     depth: np.ndarray
 
 
@@ -126,10 +127,12 @@ def _resolve(scene: Scene, hits: Hits, origin: np.ndarray, directions: np.ndarra
     normal = (1 - u - v) * corner[:, 0] + u * corner[:, 1] + v * corner[:, 2]
     normal /= np.maximum(np.sqrt(np.einsum("ij,ij->i", normal, normal)), 1e-9)[:, None]
     # Sheets are seen from both sides: the normal looks back at the viewer.
-    away = np.einsum("ij,ij->i", scene.face_normals[face], directions) > 0
+    flat = scene.face_normals[face]
+    away = np.einsum("ij,ij->i", flat, directions) > 0
     normal[away] *= -1
+    flat[away] *= -1
     t = np.where(hit, hits.t, 0).astype(np.float32)
-    return Surfaces(hit, scene.face_part[face], origin + t[:, None] * directions, normal, t)
+    return Surfaces(hit, scene.face_part[face], origin + t[:, None] * directions, normal, flat, t)
 
 
 def _shade(
@@ -138,7 +141,7 @@ def _shade(
     """Display colours ((N, 3) float32, sRGB 0..1) of samples at pixels (u, v)."""
     look = looks(scene)
     albedo = _albedo(scene, look, s, 1.0 / camera.fx)
-    light = _gather(lights, s, v, u) + _sunlight(scene, s.position, s.normal)
+    light = _gather(lights, s, v, u) + _sunlight(scene, s)
     color = albedo * (light + look.emission[s.part][:, None])
     gloss = look.gloss[s.part]
     shiny = np.flatnonzero((gloss > 0.1) & s.hit)
@@ -196,14 +199,14 @@ def _albedo(scene: Scene, look: Looks, s: Surfaces, pixel: float) -> np.ndarray:
     return np.minimum(out, 0.95)
 
 
-def _sunlight(scene: Scene, position: np.ndarray, normal: np.ndarray) -> np.ndarray:
+def _sunlight(scene: Scene, s: Surfaces) -> np.ndarray:
     """Irradiance of the sun: only a window lets it in, so most points are in shade."""
     sun = scene.room.sun.astype(np.float32)
-    cosine = normal @ sun
-    out = np.zeros_like(position)
-    facing = np.flatnonzero(cosine > 0)
+    cosine = s.normal @ sun
+    out = np.zeros_like(s.position)
+    facing = np.flatnonzero((cosine > 0) & (s.flat @ sun > 0) & s.hit)
     if len(facing):
-        start = position[facing] + OFFSET_M * normal[facing]
+        start = s.position[facing] + OFFSET_M * s.flat[facing]
         clear = ~scene.blocked(start, np.broadcast_to(sun, start.shape))
         lit = facing[clear]
         out[lit] = cosine[lit, None] * SUN
@@ -221,7 +224,7 @@ def _radiance(scene: Scene, look: Looks, start: np.ndarray, directions: np.ndarr
     to_lamp = _lamp_place(scene) - found.position
     square = np.maximum(np.einsum("ij,ij->i", to_lamp, to_lamp), 0.25)
     cosine = np.clip(np.einsum("ij,ij->i", found.normal, to_lamp) / np.sqrt(square), 0, 1)
-    light = AMBIENT + (0.6 * cosine / square)[:, None] * LAMP + _sunlight(scene, found.position, found.normal)
+    light = AMBIENT + (0.6 * cosine / square)[:, None] * LAMP + _sunlight(scene, found)
     out = look.mean[found.part] * (light + look.emission[found.part][:, None])
     out[~found.hit] = _sky(directions[~found.hit])
     return out

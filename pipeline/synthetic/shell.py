@@ -11,7 +11,7 @@ from pipeline.synthetic.shapes import block, cylinder, rod, sheet
 Rng = np.random.Generator
 WALL_M = 0.16
 
-SPANS = {"planks": 1.25, "herringbone": 0.85, "tiles": 1.5, "checker": 1.4}
+SPANS = {"planks": 1.25, "herringbone": 0.85, "tiles": 1.5}
 
 
 def build_shell(

@@ -134,13 +134,6 @@ def _tiles() -> np.ndarray:
     return _grey(np.where(joint, 0.74, tone))
 
 
-def _checker() -> np.ndarray:
-    """Tiles in two tones, cream and the tint."""
-    tiles = _tiles()
-    k = np.arange(SIZE) // (SIZE // 4) % 2
-    return np.where((k[:, None] ^ k[None, :])[..., None] == 1, tiles * 0.62, tiles)
-
-
 def _plaster() -> np.ndarray:
     rng = _rng("plaster")
     return _grey(1 + 0.006 * _noise(rng, 5, 5) + 0.010 * _noise(rng, 70, 70))
@@ -166,12 +159,6 @@ def _basket() -> np.ndarray:
         over, np.sin(np.pi * v) * (0.6 + 0.4 * np.sin(np.pi * u)), np.sin(np.pi * u) * (0.5 + 0.4 * np.sin(np.pi * v))
     )
     return _grey(0.45 + 0.75 * bump + 0.05 * _noise(rng, 40, 40))
-
-
-def _marble() -> np.ndarray:
-    rng = _rng("marble")
-    veins = np.abs(_noise(rng, 3, 3) + 0.5 * _noise(rng, 9, 9))
-    return _grey(1 - 0.22 * np.exp(-((veins / 0.12) ** 2)) + 0.02 * _noise(rng, 20, 20))
 
 
 def _speckle() -> np.ndarray:
@@ -327,11 +314,9 @@ _KINDS: dict[str, Any] = {
     "planks": _planks,
     "herringbone": _herringbone,
     "tiles": _tiles,
-    "checker": _checker,
     "plaster": _plaster,
     "fabric": _fabric,
     "basket": _basket,
-    "marble": _marble,
     "speckle": _speckle,
     "rug": _rug,
     "picture": _picture,

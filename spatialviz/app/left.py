@@ -17,7 +17,7 @@ CAMERAS = {"sensor": "Sensor", "orbit": "Orbit", "top": "Top"}
 FLAGS = {
     "cloud": "cloud",
     "boxes": "boxes",
-    "labels": "labels",
+    "labels": "all names",
     "pairs": "pairs",
     "truth": "exact boxes",
     "camera": "camera",
@@ -95,7 +95,9 @@ def _modules(state: State) -> list[tuple[str, str, str, str]]:
     ]
     assumed = ["the up vector is assumed to be image-up"] if trace.viewer.up_source == "assumed" else []
     doubts = concerns + assumed
-    lift = ("LIFT", DOUBT if doubts else GOOD, ms("lift"), "; ".join(doubts) or f"{len(trace.objects)} objects lifted")
+    # An object that was lifted for an earlier question costs nothing now.
+    cost = ms("lift") if trace.timings.get("lift", 0.0) > 1e-4 else "kept"
+    lift = ("LIFT", DOUBT if doubts else GOOD, cost, "; ".join(doubts) or f"{len(trace.objects)} objects lifted")
     chosen = state.chosen
     weak = chosen is not None and chosen.p_relation < 0.5
     doubtful = chosen is not None and abs(chosen.p_relation - 0.5) < 0.1

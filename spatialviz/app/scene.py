@@ -17,13 +17,13 @@ import viser.transforms as vtf
 
 from pipeline.boxes import EDGES, Box3D
 from pipeline.camera import lift_pixels
-from pipeline.lifting import Pixel
+from pipeline.lifting import Pixel, flying_pixels
 from pipeline.objects import SceneObject
 from pipeline.palette import DROPPED, RGB, Role, depth_colors, hex_color, instance_colors, palette
 from spatialviz.app.bridge import Tag
 from spatialviz.app.frames import LoadedFrame
 
-MAX_POINTS = 160_000
+MAX_POINTS = 320_000
 BAND_RATIO = 1.3
 """Points are drawn in bands of depth, each with its own point size, so that near
 and far surfaces look equally closed from the sensor."""
@@ -45,7 +45,7 @@ class SceneFlags:
 
     cloud: bool = True
     boxes: bool = True
-    labels: bool = True
+    labels: bool = False
     pairs: bool = True
     truth: bool = False
     camera: bool = False
@@ -80,6 +80,23 @@ class SceneView:
         self._to_show = np.eye(3)
         self._camera: Any = None
 
+        self._placed: tuple[str, float, np.ndarray] | None = None
+        self._reached = False
+
+        @client.camera.on_update
+        async def _(camera: viser.CameraHandle) -> None:
+            if self._placed is None or self._cloud is None:
+                return
+            kind, aspect, eye = self._placed
+            there = np.linalg.norm(np.array(camera.position) - eye) < 0.02
+            if self._reached and not there:
+                self._placed = None
+                return
+            # Until the browser has taken the pose over it reports an older one.
+            self._reached = self._reached or bool(there)
+            if abs(self._aspect - aspect) > 0.02:
+                self.place_camera(kind)
+
         @client.scene.on_click()
         async def _(event: viser.ScenePointerEvent) -> None:
             hit = self._pixel_on_ray(np.array(event.ray_origin), np.array(event.ray_direction))
@@ -94,7 +111,7 @@ class SceneView:
         stride = max(1, int(np.ceil(np.sqrt(frame.width * frame.height / MAX_POINTS))))
         v, u = np.meshgrid(np.arange(0, frame.height, stride), np.arange(0, frame.width, stride), indexing="ij")
         z = frame.depth[v, u]
-        keep = (z > 0) & (z < FAR)
+        keep = (z > 0) & (z < FAR) & ~flying_pixels(frame.depth)[v, u]
         v, u, z = v[keep], u[keep], z[keep]
         points = (lift_pixels(z, frame.camera, v, u) @ self._to_show.T.astype(np.float32)).astype(np.float32)
         band = np.floor(np.log(np.maximum(z, 1e-3)) / np.log(BAND_RATIO)).astype(int)
@@ -172,7 +189,9 @@ class SceneView:
     def fly(self, kind: str) -> None:
         """Move the camera to "sensor", "orbit" or "top", smoothly."""
         eye, look, fov = self._pose(kind)
+        self._placed = None
         camera = self._client.camera
+        camera.up_direction = self._up(kind)
         p0, l0, f0 = np.array(camera.position), np.array(camera.look_at), float(camera.fov)
         for k in range(1, 13):
             t = k / 12
@@ -184,11 +203,17 @@ class SceneView:
             self._client.flush()
             time.sleep(1 / 40)
 
+    @property
+    def _aspect(self) -> float:
+        return float(np.clip(self._client.camera.aspect or 1.3, 0.4, 3.0))
+
     def place_camera(self, kind: str) -> None:
-        """The same at once."""
+        """The same at once; repeated when the shape of the page changes before anybody has turned the view."""
         eye, look, fov = self._pose(kind)
+        self._placed = (kind, self._aspect, eye)
+        self._reached = False
         with self._client.atomic():
-            self._client.camera.up_direction = (0.0, 0.0, 1.0)
+            self._client.camera.up_direction = self._up(kind)
             self._client.camera.position = eye
             self._client.camera.look_at = look
             self._client.camera.fov = fov
@@ -204,6 +229,11 @@ class SceneView:
             camera.position = center + away
             camera.look_at = center
 
+    def _up(self, kind: str) -> tuple[float, float, float]:
+        """The sensor's own up in its view, so that the picture stands as it was taken; the world's elsewhere."""
+        up = self._to_show @ np.array([0.0, -1.0, 0.0]) if kind == "sensor" else np.array([0.0, 0.0, 1.0])
+        return float(up[0]), float(up[1]), float(up[2])
+
     def _pose(self, kind: str) -> tuple[np.ndarray, np.ndarray, float]:
         assert self._cloud is not None
         points = self._cloud.points
@@ -211,9 +241,10 @@ class SceneView:
         forward = self._to_show @ np.array([0.0, 0.0, 1.0])
         distance = float(np.linalg.norm(middle))
         if kind == "sensor":
-            # The page is wider than the picture: the height decides, with a little air.
-            fov = 2 * np.arctan(self._camera.height / 2 / self._camera.fy * 1.04)
-            return np.zeros(3) - forward * 0.01, forward * distance, float(fov)
+            # The whole picture is in view, with a little air, whatever the shape of the page.
+            tall = self._camera.height / 2 / self._camera.fy
+            wide = self._camera.width / 2 / self._camera.fx / self._aspect
+            return np.zeros(3) - forward * 0.01, forward * distance, float(2 * np.arctan(max(tall, wide) * 1.04))
         if kind == "top":
             low, high = np.percentile(points, [3, 97], axis=0)
             span = float(max(high[0] - low[0], high[1] - low[1]))
@@ -229,12 +260,18 @@ class SceneView:
         toward /= np.linalg.norm(toward)
         across = np.cross(toward, [0.0, 0.0, 1.0])
         across /= np.linalg.norm(across)
-        local = (points[:: max(1, len(points) // 4000)] - center) @ np.stack([across, np.cross(across, toward), toward]).T
+        axes = np.stack([across, np.cross(across, toward), toward])
+        sample = points[:: max(1, len(points) // 4000)]
         tangent = np.tan(fov / 2)
-        aspect = float(np.clip(self._client.camera.aspect or 1.3, 0.6, 2.5))
-        # A point is inside the picture from as far away as its offset over the tangent, less its own depth.
-        needed = np.maximum(np.abs(local[:, 0]) / (tangent * aspect), np.abs(local[:, 1]) / tangent) - local[:, 2]
-        distance = float(np.percentile(needed, 96)) * 1.02
+        distance = 1.0
+        for _ in range(4):
+            x, y, z = ((sample - center) @ axes.T).T
+            # A point is in view from as far away as its offset over the tangent, less its own depth.
+            needed = np.maximum(np.abs(x) / (tangent * self._aspect), np.abs(y) / tangent) - z
+            distance = max(float(np.percentile(needed, 99.3)) * 1.03, 0.2)
+            seen = np.stack([x, y]) / np.maximum(distance + z, 0.05)
+            shift = np.percentile(seen, [0.7, 99.3], axis=1).mean(axis=0) * distance
+            center = center + axes[0] * shift[0] + axes[1] * shift[1]
         return center - toward * distance, center, float(fov)
 
     def _shown_box(self, box: Box3D) -> Box3D:

@@ -3,6 +3,8 @@
 CSS = """<style>
 .sv{font-size:12.5px;line-height:1.4;padding:0 .8em .5em;color:var(--mantine-color-text);font-variant-numeric:tabular-nums}
 .sv *{box-sizing:border-box}
+.sv ::-webkit-scrollbar{width:8px;height:8px}
+.sv ::-webkit-scrollbar-thumb{background:color-mix(in srgb,var(--mantine-color-dimmed) 45%,transparent);border-radius:4px}
 .sv .dim{color:var(--mantine-color-dimmed)}
 .sv .h{display:flex;justify-content:space-between;align-items:baseline;font-size:10.5px;letter-spacing:.07em;text-transform:uppercase;color:var(--mantine-color-dimmed);margin:.55em 0 .3em;font-weight:600}
 .sv .h>span{letter-spacing:0;text-transform:none;font-weight:400}
@@ -39,9 +41,10 @@ CSS = """<style>
 .sv tr.r:hover td{background:var(--mantine-color-default-hover)}
 .sv tr.sel td{background:color-mix(in srgb,var(--mantine-primary-color-filled) 20%,transparent)}
 .sv tr.sel td:first-child{box-shadow:inset 3px 0 0 var(--mantine-primary-color-filled)}
+[data-mantine-color-scheme=light] .sv{--warn:#a85b00}
 .sv .low{color:var(--warn,#e8a33d);font-weight:600}
 .sv .scroll{max-height:var(--mh,260px);overflow:auto}
-.sv .bar{display:grid;grid-template-columns:76px 1fr 14px 34px;align-items:center;gap:7px;height:20px;border-radius:3px;cursor:pointer;padding:0 4px;margin:0 -4px}
+.sv .bar{display:grid;grid-template-columns:76px 1fr 14px 34px;align-items:center;gap:7px;height:18px;border-radius:3px;cursor:pointer;padding:0 4px;margin:0 -4px}
 .sv .bar:hover{background:var(--mantine-color-default-hover)}
 .sv .bar .t{height:9px;border-radius:2px;background:color-mix(in srgb,var(--mantine-color-dimmed) 25%,transparent);overflow:hidden;position:relative}
 .sv .bar .t:after{content:"";position:absolute;left:50%;top:0;bottom:0;width:1px;background:var(--mantine-color-dimmed);opacity:.55}

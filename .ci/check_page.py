@@ -1,0 +1,92 @@
+"""Smoke check of the page: served in time, closed to foreign pages, and answering in a real browser."""
+
+import asyncio
+import json
+import subprocess
+import sys
+import time
+import urllib.request
+from pathlib import Path
+
+import websockets
+from playwright.sync_api import sync_playwright
+
+PORT = 8231
+ADDRESS = f"http://127.0.0.1:{PORT}"
+SERVED_WITHIN = 10.0
+CHROMIUM = ["--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+
+
+def wait_until_served(start: float) -> float:
+    while time.monotonic() - start < SERVED_WITHIN:
+        try:
+            with urllib.request.urlopen(ADDRESS, timeout=1) as answer:
+                assert answer.status == 200
+                return time.monotonic() - start
+        except OSError:
+            time.sleep(0.05)
+    raise SystemExit("the page was not served")
+
+
+async def status_for(origin: str) -> int:
+    try:
+        async with websockets.connect(
+            f"ws://127.0.0.1:{PORT}", origin=origin, subprotocols=["viser-v1.1.1"], max_size=None
+        ):
+            return 101
+    except websockets.exceptions.InvalidStatus as refused:
+        return refused.response.status_code
+
+
+def memory_mb(pid: int) -> float:
+    for line in Path(f"/proc/{pid}/status").read_text().splitlines():
+        if line.startswith("VmRSS"):
+            return int(line.split()[1]) / 1024
+    return 0.0
+
+
+def drive() -> dict:
+    with sync_playwright() as play:
+        browser = play.chromium.launch(executable_path="/usr/bin/chromium", args=CHROMIUM)
+        page = browser.new_page(viewport={"width": 1440, "height": 900})
+        problems: list[str] = []
+        page.on("pageerror", lambda error: problems.append(str(error)))
+        page.goto(ADDRESS)
+        page.get_by_text("Ranked pairs").wait_for(timeout=60_000)
+        field = page.locator("form input").first
+        field.fill("laptop right of the mug")
+        field.press("Enter")
+        page.locator(".sv .big", has_text="right of").wait_for(timeout=30_000)
+        rows = page.locator(".sv tr.r").count()
+        page.locator(".sv .bar", has_text="left of").first.click()
+        page.locator(".sv .big", has_text="left of").wait_for(timeout=30_000)
+        field.fill("<img src=x onerror=alert(1)> left of the mug")
+        field.press("Enter")
+        page.locator(".sv .note").first.wait_for(timeout=30_000)
+        browser.close()
+        assert not problems, problems
+        return {"rows": rows}
+
+
+def main() -> None:
+    start = time.monotonic()
+    server = subprocess.Popen(
+        [sys.executable, "-m", "spatialviz", "view", "--port", str(PORT), "--no-open-browser"],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+    )
+    try:
+        served = wait_until_served(start)
+        evil = asyncio.run(status_for("http://evil.example"))
+        own = asyncio.run(status_for(ADDRESS))
+        assert evil == 403, f"a foreign page may connect: {evil}"
+        assert own == 101, f"the own page may not connect: {own}"
+        report = drive() | {"served_s": round(served, 2), "memory_mb": round(memory_mb(server.pid))}
+        print(json.dumps(report))
+    finally:
+        server.terminate()
+        server.wait(timeout=20)
+
+
+if __name__ == "__main__":
+    main()
