@@ -17,7 +17,7 @@ from pipeline.naming import Synonyms
 from pipeline.objects import FrameContext, SceneObject, same_object
 from pipeline.proposals.base import Detector, Proposals
 from pipeline.proposals.selection import top_k
-from pipeline.ranking import Candidates, RankConfig, Ranking, rank
+from pipeline.ranking import Candidates, RankConfig, Ranking, RelationLookup, rank
 from pipeline.srm.scorer import (
     RelationScorer,
     RelationScores,
@@ -193,10 +193,10 @@ def _merged(
     return tuple(objects), candidates
 
 
-def _lookup(scores: RelationScores, objects: Sequence[SceneObject]):
+def _lookup(scores: RelationScores, objects: Sequence[SceneObject]) -> RelationLookup:
     lifted = [o.lifted for o in objects]
 
-    def lookup(attachment: Attachment, heads: Sequence[int], ends: Sequence[Sequence[int]]) -> np.ndarray:
+    def lookup(attachment: Attachment, heads: np.ndarray, ends: Sequence[np.ndarray]) -> np.ndarray:
         relation = attachment.relation
         if relation == "between":
             return between_probabilities(lifted, heads, ends[0], ends[1])

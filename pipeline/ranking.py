@@ -19,7 +19,7 @@ MIN_SCORE = 1e-6
 NON_DEFAULT_PENALTY = 0.1
 _TIE = 1e-9
 
-RelationLookup = Callable[[Attachment, Sequence[int], Sequence[Sequence[int]]], np.ndarray]
+RelationLookup = Callable[[Attachment, np.ndarray, Sequence[np.ndarray]], np.ndarray]
 """(attachment, candidates of the head, candidates of each other end) -> probabilities of every combination."""
 
 

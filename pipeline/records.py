@@ -161,7 +161,8 @@ def relation_records(
 ) -> Iterator[Record]:
     """One record for each ordered pair of objects; the sentence is "a RELATION b".
 
-    An object's index is its place in the dataset's own list where the objects are the dataset's, else in the detector's.
+    An object's index is its place in the dataset's own list where the objects
+    are the dataset's, else its place among the detections.
     """
     objects, scores = found.objects, found.scores
     columns = [scores.relations.index(r) for r in relations]

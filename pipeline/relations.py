@@ -46,6 +46,9 @@ PHRASE = {
     "farthest": "farthest from",
 }
 
+Indices = Sequence[int] | np.ndarray
+"""Places in a list of objects."""
+
 _LETTER = {T: "T", U: "U", F: "F"}
 
 
@@ -91,6 +94,11 @@ class _Pairs:
     overlap_share: np.ndarray
 
 
+def _known(lo: np.ndarray, hi: np.ndarray) -> np.ndarray:
+    """(N,) bool: objects whose extents are finite."""
+    return np.logical_and.reduce(np.isfinite(np.concatenate([lo, hi], axis=1)), axis=1)
+
+
 def _measure(lo: np.ndarray, hi: np.ndarray, profile: Profile) -> _Pairs:
     center, extent = (lo + hi) / 2, np.maximum(hi - lo, profile.min_extent)
     ahead, back = lo[:, None] - hi[None, :], lo[None, :] - hi[:, None]
@@ -123,7 +131,7 @@ def directional_states(lo: np.ndarray, hi: np.ndarray, profile: Profile | None =
     """
     profile = profile or Profile()
     lo, hi = np.asarray(lo, np.float64).reshape(-1, 3), np.asarray(hi, np.float64).reshape(-1, 3)
-    known = np.isfinite(lo).all(axis=1) & np.isfinite(hi).all(axis=1)
+    known = _known(lo, hi)
     pairs = _measure(np.where(known[:, None], lo, 0.0), np.where(known[:, None], hi, 0.0), profile)
 
     widest_gap = np.abs(pairs.gap[..., [0, 2]]).max(axis=2)
@@ -213,7 +221,7 @@ def pairwise_states(
     """
     profile = profile or Profile()
     lo, hi = np.asarray(lo, np.float64).reshape(-1, 3), np.asarray(hi, np.float64).reshape(-1, 3)
-    known = np.isfinite(lo).all(axis=1) & np.isfinite(hi).all(axis=1)
+    known = _known(lo, hi)
     clean_lo, clean_hi = np.where(known[:, None], lo, 0.0), np.where(known[:, None], hi, 0.0)
     pairs = _measure(clean_lo, clean_hi, profile)
     extra = np.stack([_on(pairs, clouds), _in(pairs, clouds), _near(pairs)], axis=2).astype(np.int8)
@@ -246,7 +254,7 @@ def _surface_heights(pairs: _Pairs, b: int, clouds: Sequence[np.ndarray] | None)
     cloud = clouds[b][:: max(1, len(clouds[b]) // 1500)]
     plan = cloud[:, [0, 2]]
     low, high = pairs.lo[:, [0, 2]] - ON_FOOTPRINT_MARGIN, pairs.hi[:, [0, 2]] + ON_FOOTPRINT_MARGIN
-    under = ((plan[None] >= low[:, None]) & (plan[None] <= high[:, None])).all(axis=2)
+    under = np.logical_and.reduce((plan[None] >= low[:, None]) & (plan[None] <= high[:, None]), axis=2)
     order = np.argsort(cloud[:, 1])
     rank = np.cumsum(under[:, order], axis=1)
     number = rank[:, -1]
@@ -284,7 +292,7 @@ RANK_MARGIN = 0.03
 
 
 def superlative_states(
-    lo: np.ndarray, hi: np.ndarray, candidates: Sequence[int], references: Sequence[int], farthest: bool = False
+    lo: np.ndarray, hi: np.ndarray, candidates: Indices, references: Indices, farthest: bool = False
 ) -> np.ndarray:
     """closest or farthest: which candidate is at the end of the row, seen from each reference.
 
@@ -316,7 +324,7 @@ def superlative_states(
 
 
 def between_states(
-    lo: np.ndarray, hi: np.ndarray, candidates: Sequence[int], first: Sequence[int], second: Sequence[int]
+    lo: np.ndarray, hi: np.ndarray, candidates: Indices, first: Indices, second: Indices
 ) -> np.ndarray:
     """between: the candidate's centre lies in the corridor from one object to another, in plan.
 
@@ -334,9 +342,9 @@ def between_states(
     safe = np.maximum(length, 1e-9)
     along = ((p - a) * line).sum(axis=-1) / safe**2
     aside = np.linalg.norm((p - a) - along[..., None] * line, axis=-1) / safe
-    state = np.where(
-        (np.abs(along - 0.5) <= 0.35) & (aside <= 0.25), T, np.where((np.abs(along - 0.5) <= 0.5) & (aside <= 0.5), U, F)
-    )
+    off_middle = np.abs(along - 0.5)
+    holds, doubtful = (off_middle <= 0.35) & (aside <= 0.25), (off_middle <= 0.5) & (aside <= 0.5)
+    state = np.where(holds, T, np.where(doubtful, U, F))
     c, i, j = np.asarray(candidates)[:, None, None], np.asarray(first)[None, :, None], np.asarray(second)[None, None]
     state[np.broadcast_to((c == i) | (c == j) | (i == j) | (length < 1e-6), state.shape)] = F
     return state.astype(np.int8)

@@ -105,9 +105,11 @@ def print_relations(found: FrameRelations, relations: Sequence[str]) -> None:
                 n = found.scores.relations.index(r)
                 state = letter(found.scores.states[i, j, n])
                 if state != "F":
-                    said.append(f"{PHRASE[r]} {found.scores.probabilities[i, j, n]:.2f}" + ("?" if state == "U" else ""))
+                    doubt = "?" if state == "U" else ""
+                    said.append(f"{PHRASE[r]} {found.scores.probabilities[i, j, n]:.2f}{doubt}")
             if said:
-                console.print(Text.assemble(_name(a, i, found.exact), (" — ", "dim"), ", ".join(said), (" — ", "dim"), _name(b, j, found.exact)))
+                first, second = _name(a, i, found.exact), _name(b, j, found.exact)
+                console.print(Text.assemble(first, (" — ", "dim"), ", ".join(said), (" — ", "dim"), second))
 
 
 def print_frames(dataset: Dataset, reports: Iterable[FrameReport]) -> int:

@@ -226,6 +226,9 @@ def _scene_folders(root: Path) -> dict[str, Path]:
             names = listing(root / split)[0]
         except InputError:  # A folder that may not be read is no split.
             continue
+        if any(name.startswith("models") for name in names):
+            # It names its own objects, so it is a dataset beside others and no split of this one.
+            continue
         inside = {name: root / split / name for name in names if _is_scene(root / split / name)}
         if inside:
             splits[split] = inside

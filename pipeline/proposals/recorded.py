@@ -74,8 +74,12 @@ class RecordedDetector:
             raise InputError("there is no recording of detections", path=self.path)
         self._recording = None if self.path.is_dir() else _read_json(self.path)
 
-    @cached_property
+    @property
     def vocabulary(self) -> tuple[str, ...] | None:
+        return self._names
+
+    @cached_property
+    def _names(self) -> tuple[str, ...]:
         if self._recording is not None:
             return tuple(sorted({d.label for found in self._recording.frames.values() for d in found}))
         names: set[str] = set()
@@ -168,7 +172,8 @@ def decode_run_length(size: Sequence[int], counts: str | list[int], where: str =
     if isinstance(counts, list):
         if sum(counts) != height * width or min(counts, default=0) < 0:
             raise InputError(f"{where}: the run lengths do not fill the mask", got=sum(counts), expected=height * width)
-        encoded: Any = coco.frPyObjects({"size": [height, width], "counts": counts}, height, width)
+        uncompressed: Any = {"size": [height, width], "counts": counts}
+        encoded: Any = coco.frPyObjects(uncompressed, height, width)
     else:
         encoded = {"size": [height, width], "counts": counts.encode("ascii", "replace")}
         # The decoder trusts its input; the run lengths are checked here first.

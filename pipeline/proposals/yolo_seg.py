@@ -191,4 +191,4 @@ def _class_names(session: Any, classes: int, path: Path) -> tuple[str, ...]:
             cause="was the file exported without metadata?",
             path=path,
         )
-    return tuple(names)
+    return tuple(str(n) for n in names)

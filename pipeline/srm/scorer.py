@@ -9,7 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from pipeline.lifting import LiftedObject
-from pipeline.relations import PAIRWISE, PROFILE, between_states, pairwise_states, superlative_states
+from pipeline.relations import PAIRWISE, PROFILE, Indices, between_states, pairwise_states, superlative_states
 from pipeline.viewer import ViewerAxes
 
 RULE_PROBABILITY = {1: 0.95, 0: 0.50, -1: 0.05}
@@ -78,7 +78,7 @@ def stacked_extents(objects: Sequence[LiftedObject]) -> tuple[np.ndarray, np.nda
 
 
 def superlative_probabilities(
-    objects: Sequence[LiftedObject], relation: str, candidates: Sequence[int], references: Sequence[int]
+    objects: Sequence[LiftedObject], relation: str, candidates: Indices, references: Indices
 ) -> np.ndarray:
     """(C, R) probabilities of "candidate closest to / farthest from reference"; always by rule."""
     lo, hi = stacked_extents(objects)
@@ -86,7 +86,7 @@ def superlative_probabilities(
 
 
 def between_probabilities(
-    objects: Sequence[LiftedObject], candidates: Sequence[int], first: Sequence[int], second: Sequence[int]
+    objects: Sequence[LiftedObject], candidates: Indices, first: Indices, second: Indices
 ) -> np.ndarray:
     """(C, A, B) probabilities of "candidate between a and b"; always by rule."""
     lo, hi = stacked_extents(objects)

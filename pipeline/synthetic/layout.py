@@ -88,6 +88,8 @@ class Room:
     focuses : tuple of Focus
     sun : (3,) float64
         Unit vector towards the sun.
+    opening : (4,) tuple of float
+        y0, y1, z0, z1 of the window in the wall x = width: the only way in for the sun.
     """
 
     seed: int
@@ -99,6 +101,7 @@ class Room:
     instances: tuple[Instance, ...]
     focuses: tuple[Focus, ...]
     sun: np.ndarray
+    opening: tuple[float, float, float, float]
 
 
 def part_boxes(model: Model, position: np.ndarray, yaw: float) -> np.ndarray:

@@ -8,10 +8,10 @@ from pipeline.errors import InputError
 from pipeline.synthetic import decor as c
 from pipeline.synthetic import furniture as f
 from pipeline.synthetic import objects as o
+from pipeline.synthetic import shelves
 from pipeline.synthetic.layout import Focus, Layout, Room
-from pipeline.synthetic.model import Model
 from pipeline.synthetic.palettes import PALETTES, Palette
-from pipeline.synthetic.shell import build_shell, palette_of
+from pipeline.synthetic.shell import build_shell, palette_of, window_opening
 
 KINDS = ("study", "dining room", "living room", "bedroom")
 
@@ -39,7 +39,8 @@ def make_room(seed: int) -> Room:
     shell = build_shell(palette, rng, width, depth, height, window, ("front", width * 0.72))
     azimuth, elevation = np.deg2rad(rng.uniform(-28, 24)), np.deg2rad(rng.uniform(30, 40))
     sun = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
-    return Room(seed, kind, width, depth, height, shell, tuple(room.instances), focuses, sun)
+    opening = window_opening(window)
+    return Room(seed, kind, width, depth, height, shell, tuple(room.instances), focuses, sun, opening)
 
 
 def _focus(x: float, y: float, z: float, heading_deg: float, spread_deg: float, near: float, far: float) -> Focus:
@@ -48,42 +49,6 @@ def _focus(x: float, y: float, z: float, heading_deg: float, spread_deg: float, 
 
 def _turn(room: Layout, degrees: float) -> float:
     return float(np.deg2rad(room.rng.uniform(-degrees, degrees)))
-
-
-def _fill_shelves(room: Layout, p: Palette, shelf: int | None, surfaces: list[int]) -> None:
-    """Books in a row from the left, one thing that is not a book, and here and there a lying pile."""
-    if shelf is None:
-        return
-    rng = room.rng
-    for number, surface in enumerate(surfaces):
-        base = room.instances[shelf]
-        board = base.model.surfaces[surface]
-        x = board.x0 + 0.004
-        mirrored = bool(number % 2)
-        row = int(rng.integers(6, 13))
-        for _ in range(row):
-            book = o.standing_book(p, rng, min(0.27, board.room - 0.02))
-            half = book.size / 2
-            u = x + half[0] + 0.001
-            if u + half[0] > board.x1 - 0.30:
-                break
-            local = np.array([-u if mirrored else u, board.y1 - half[1] - 0.03, board.z])
-            position = base.position + base.R @ local
-            if room.free(book, position, base.yaw):
-                room.add(book, position, base.yaw, shelf)
-            x = u + half[0] + 0.001
-        choices: list[Model] = [
-            c.plant(p, rng, 0.26),
-            o.bowl(p, rng),
-            c.candle(p, rng),
-            c.teapot(p, rng),
-            c.alarm_clock(p, rng),
-            o.bottle(p, rng),
-        ]
-        first = int(rng.integers(len(choices)))
-        for thing in choices[first:] + choices[:first]:
-            if room.put(thing, shelf, (-0.62 if mirrored else 0.62, 0.0), surface=surface) is not None:
-                break
 
 
 def _book_pile(
@@ -110,13 +75,13 @@ def _study(room: Layout, p: Palette) -> tuple[Focus, ...]:
     room.put(o.bottle(p, rng), table, (0.42, 0.70))
     room.put(o.mouse(p, rng), table, (0.21, -0.25), _turn(room, 10))
     room.put(c.plant(p, rng, 0.30), table, (-0.42, 0.75))
-    _fill_wall_shelf(room, p, room.hang(f.wall_shelf(p, rng), "back", x - 0.25, 1.42))
+    shelves.furnish_wall_shelf(room, p, room.hang(shelves.stocked_wall_shelf(p, rng), "back", x - 0.25, 1.42))
     room.hang(c.picture(p, rng, 0.44, 0.58), "back", x + 0.62, 1.25)
     seat = room.stand_near(f.office_chair(p, rng), x + 0.42, d - 1.42, np.pi + np.deg2rad(rng.uniform(20, 50)), 0.1)
     room.stand_near(c.trash_can(p, rng), x - 0.95, d - 0.85, 0, 0.04)
     room.stand_near(c.box(p, rng), x - 0.15, d - 0.36, _turn(room, 8), 0.05)
-    tall = room.against(f.bookshelf(p, rng), "back", w - 0.62, 0.02)
-    _fill_shelves(room, p, tall, [1, 2, 3, 4, 5])
+    tall = room.against(shelves.stocked_bookshelf(p, rng), "back", w - 0.62, 0.02)
+    shelves.furnish_bookshelf(room, p, tall)
     room.put(c.plant(p, rng, 0.36), tall, (-0.4, 0.0), surface=0)
     room.lay_rug(f.rug(p, rng, 1.5, 1.5), w * 0.58, d * 0.42)
     arm = room.stand_near(f.armchair(p, rng), w * 0.77, d * 0.50, -np.pi / 2 + 0.35, 0.1)
@@ -136,25 +101,6 @@ def _study(room: Layout, p: Palette) -> tuple[Focus, ...]:
         _focus(w * 0.34, d * 0.70, 0.60, 122, 14, 2.2, 3.2),
         _focus(w * 0.50, d * 0.75, 0.65, 92, 12, 2.6, 3.2),
     )
-
-
-def _fill_wall_shelf(room: Layout, p: Palette, shelf: int | None) -> None:
-    """A short row of books, a small plant and a candle."""
-    if shelf is None:
-        return
-    rng = room.rng
-    base = room.instances[shelf]
-    board = base.model.surfaces[0]
-    x = board.x0 + 0.05
-    for _ in range(5):
-        book = o.standing_book(p, rng, 0.24)
-        x += float(book.size[0]) / 2 + 0.001
-        position = base.position + base.R @ np.array([x, board.y1 - book.size[1] / 2 - 0.005, board.z])
-        if room.free(book, position, base.yaw):
-            room.add(book, position, base.yaw, shelf)
-        x += float(book.size[0]) / 2 + 0.001
-    room.put(c.plant(p, rng, 0.24), shelf, (0.25, 0.0))
-    room.put(c.candle(p, rng), shelf, (0.75, 0.0))
 
 
 def _dining(room: Layout, p: Palette) -> tuple[Focus, ...]:
@@ -187,8 +133,8 @@ def _dining(room: Layout, p: Palette) -> tuple[Focus, ...]:
     room.hang(c.picture(p, rng, 0.52, 0.68), "back", w * 0.47 - 0.36, 1.32)
     room.hang(c.picture(p, rng, 0.52, 0.68), "back", w * 0.47 + 0.36, 1.32)
     room.stand_near(c.plant(p, rng, 1.2), 0.48, d - 0.50, 1.0)
-    tall = room.against(f.bookshelf(p, rng), "back", w - 0.56)
-    _fill_shelves(room, p, tall, [1, 2, 3, 4, 5])
+    tall = room.against(shelves.stocked_bookshelf(p, rng), "back", w - 0.56)
+    shelves.furnish_bookshelf(room, p, tall)
     room.put(c.candle(p, rng), side, (0.12, -0.5))
     room.put(c.candle(p, rng), side, (0.18, 0.3))
     room.stand_near(c.plant(p, rng, 0.95), 0.45, d * 0.24, 0.6)
@@ -231,8 +177,8 @@ def _living(room: Layout, p: Palette) -> tuple[Focus, ...]:
     room.put(c.candle(p, rng), stand, (0.92, -0.1))
     arm = room.stand_near(f.armchair(p, rng), x + 1.64, d - 2.45, np.deg2rad(-76), 0.05)
     room.put(f.throw_pillow(p, rng), arm, (0, 0.9), _turn(room, 8))
-    tall = room.against(f.bookshelf(p, rng), "back", w - 0.56)
-    _fill_shelves(room, p, tall, [1, 2, 3, 4, 5])
+    tall = room.against(shelves.stocked_bookshelf(p, rng), "back", w - 0.56)
+    shelves.furnish_bookshelf(room, p, tall)
     room.stand_near(c.basket(p, rng), x - 1.45, d - 1.55, 0.2, 0.1)
     stool = room.stand_near(f.stool(p, rng), x + 1.42, d - 1.35, 0.3, 0.06)
     room.put(o.mug(p, rng), stool, (0, 0))

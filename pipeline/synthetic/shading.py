@@ -19,7 +19,7 @@ SKY = np.array([3.4, 3.9, 4.6], dtype=np.float32)
 
 EXPOSURE = 0.72
 PALENESS = 0.17
-BOUNCES = 6
+BOUNCES = 4
 LAMPS = 2
 OFFSET_M = 2e-3
 
@@ -119,20 +119,22 @@ def find_surfaces(scene: Scene, camera: Camera, directions: np.ndarray) -> Surfa
     return _resolve(scene, scene.trace(origin, directions), origin, directions)
 
 
-def _resolve(scene: Scene, hits: Hits, origin: np.ndarray, directions: np.ndarray) -> Surfaces:
+def _resolve(scene: Scene, hits: Hits, origin: np.ndarray, directions: np.ndarray, round_off: bool = True) -> Surfaces:
+    """The surfaces at hits; without `round_off` their normals are the triangles' own."""
     hit = hits.face >= 0
     face = np.where(hit, hits.face, 0)
-    corner = scene.corner_normals[face]
-    u, v = hits.u[:, None], hits.v[:, None]
-    normal = (1 - u - v) * corner[:, 0] + u * corner[:, 1] + v * corner[:, 2]
-    normal /= np.maximum(np.sqrt(np.einsum("ij,ij->i", normal, normal)), 1e-9)[:, None]
     # Sheets are seen from both sides: the normal looks back at the viewer.
-    flat = scene.face_normals[face]
-    away = np.einsum("ij,ij->i", flat, directions) > 0
-    normal[away] *= -1
-    flat[away] *= -1
+    flat = scene.face_normals.take(face, axis=0)
+    away = np.where(np.einsum("ij,ij->i", flat, directions) > 0, np.float32(-1), np.float32(1))[:, None]
+    flat *= away
+    normal = flat
+    if round_off:
+        corner = scene.corner_normals.reshape(-1, 9).take(face, axis=0)
+        u, v = hits.u[:, None], hits.v[:, None]
+        normal = (1 - u - v) * corner[:, :3] + u * corner[:, 3:6] + v * corner[:, 6:]
+        normal *= away / np.maximum(np.sqrt(np.einsum("ij,ij->i", normal, normal)), 1e-9)[:, None]
     t = np.where(hit, hits.t, 0).astype(np.float32)
-    return Surfaces(hit, scene.face_part[face], origin + t[:, None] * directions, normal, flat, t)
+    return Surfaces(hit, scene.face_part.take(face), origin + t[:, None] * directions, normal, flat, t)
 
 
 def _shade(
@@ -170,9 +172,8 @@ def _albedo(scene: Scene, look: Looks, s: Surfaces, pixel: float) -> np.ndarray:
     if len(textured) == 0:
         return out
     p = part[textured]
-    R = scene.part_R[p]
-    local = np.einsum("nij,ni->nj", R, s.position[textured] - scene.part_t[p])
-    normal = np.abs(np.einsum("nij,ni->nj", R, s.normal[textured]))
+    local = _into_model(scene, p, s.position[textured] - scene.part_t[p])
+    normal = np.abs(_into_model(scene, p, s.normal[textured]))
     axis = normal.argmax(axis=1)
     au, av = np.array([1, 0, 0])[axis], np.array([2, 2, 1])[axis]
     rows = np.arange(len(p))
@@ -199,12 +200,26 @@ def _albedo(scene: Scene, look: Looks, s: Surfaces, pixel: float) -> np.ndarray:
     return np.minimum(out, 0.95)
 
 
+def _into_model(scene: Scene, part: np.ndarray, vectors: np.ndarray) -> np.ndarray:
+    """World vectors ((N, 3)) in the axes of their parts' models, which only ever turn about z."""
+    cosine, sine = scene.part_R[part, 0, 0], scene.part_R[part, 1, 0]
+    x, y, z = vectors.T
+    return np.stack([cosine * x + sine * y, cosine * y - sine * x, z], axis=1)
+
+
 def _sunlight(scene: Scene, s: Surfaces) -> np.ndarray:
-    """Irradiance of the sun: only a window lets it in, so most points are in shade."""
-    sun = scene.room.sun.astype(np.float32)
+    """Irradiance of the sun: only the window lets it in, so most points are in shade."""
+    room = scene.room
+    sun = room.sun.astype(np.float32)
     cosine = s.normal @ sun
     out = np.zeros_like(s.position)
-    facing = np.flatnonzero((cosine > 0) & (s.flat @ sun > 0) & s.hit)
+    # Where the way to the sun crosses the window's wall; what sticks out of it has crossed already.
+    way = (np.float32(room.width) - s.position[:, 0]) / sun[0]
+    y, z = s.position[:, 1] + way * sun[1], s.position[:, 2] + way * sun[2]
+    y0, y1, z0, z1 = room.opening
+    through = (y > y0) & (y < y1) & (z > z0) & (z < z1) | (way < 0.01)
+    facing = np.flatnonzero(through & (cosine > 0) & s.hit)
+    facing = facing[s.flat[facing] @ sun > 0]
     if len(facing):
         start = s.position[facing] + OFFSET_M * s.flat[facing]
         clear = ~scene.blocked(start, np.broadcast_to(sun, start.shape))
@@ -220,7 +235,7 @@ def _lamp_place(scene: Scene) -> np.ndarray:
 
 def _radiance(scene: Scene, look: Looks, start: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """Radiance ((N, 3)) that comes back along rays, from mean colours and unshadowed lamp light."""
-    found = _resolve(scene, scene.trace(start, directions), start, directions)
+    found = _resolve(scene, scene.trace(start, directions), start, directions, round_off=False)
     to_lamp = _lamp_place(scene) - found.position
     square = np.maximum(np.einsum("ij,ij->i", to_lamp, to_lamp), 0.25)
     cosine = np.clip(np.einsum("ij,ij->i", found.normal, to_lamp) / np.sqrt(square), 0, 1)

@@ -111,21 +111,26 @@ def rod(start: Vec, end: Vec, radius: float, material: Material, end_radius: flo
 
 
 def ball(radius: float, at: Vec, material: Material, squash: Vec = (1, 1, 1)) -> Part:
-    """A sphere, or an ellipsoid with radii `radius * squash`, centred at `at`."""
-    from trimesh.creation import icosphere
+    """A sphere, or an ellipsoid with radii `radius * squash`, centred at `at`: an inflated cube lattice."""
+    grid, faces = _shell_grid(11)
+    # The tangent evens out the triangles between the middle and the corners of each side.
+    points = np.tan((grid / 5.0 - 1.0) * np.pi / 4)
+    points /= np.linalg.norm(points, axis=1, keepdims=True)
+    return Part(radius * points * np.asarray(squash) + np.asarray(at), faces, material)
 
-    mesh = icosphere(subdivisions=3, radius=radius)
-    vertices = np.asarray(mesh.vertices) * np.asarray(squash) + np.asarray(at)
-    return Part(vertices, np.asarray(mesh.faces, dtype=np.int32), material)
 
-
-def ring(major: float, minor: float, at: Vec, material: Material) -> Part:
+def ring(major: float, minor: float, at: Vec, material: Material, sections: int = 28, around: int = 10) -> Part:
     """A torus lying level, centred at `at`."""
-    from trimesh.creation import torus
-
-    mesh = torus(major, minor, major_sections=28, minor_sections=10)
-    vertices = np.asarray(mesh.vertices) + np.asarray(at)
-    return Part(vertices, np.asarray(mesh.faces, dtype=np.int32), material)
+    turn = np.linspace(0, 2 * np.pi, sections, endpoint=False)[None, :]
+    bend = np.linspace(0, 2 * np.pi, around, endpoint=False)[:, None]
+    reach = major + minor * np.cos(bend)
+    points = np.stack(np.broadcast_arrays(reach * np.cos(turn), reach * np.sin(turn), minor * np.sin(bend)), -1)
+    row, column = np.meshgrid(np.arange(around), np.arange(sections), indexing="ij")
+    below, above = row * sections, (row + 1) % around * sections
+    after = (column + 1) % sections
+    a, b, c, d = (x.ravel() for x in (below + column, below + after, above + after, above + column))
+    faces = np.concatenate([np.stack([a, b, c], -1), np.stack([a, c, d], -1)])
+    return Part(points.reshape(-1, 3) + np.asarray(at, dtype=np.float64), faces.astype(np.int32), material)
 
 
 def sheet(points: np.ndarray, material: Material) -> Part:

@@ -59,13 +59,19 @@ def build_shell(
     return tuple(parts)
 
 
+def window_opening(window: tuple[float, float]) -> tuple[float, float, float, float]:
+    """y0, y1, z0, z1 of the hole in the right-hand wall."""
+    y, wide = window
+    return y - wide / 2, y + wide / 2, 0.85, 2.25
+
+
 def _window_wall(
     w: float, d: float, h: float, window: tuple[float, float], wall: Material, white: Material
 ) -> list[Part]:
     """The right-hand wall around its opening, and the frame in it."""
     y, wide = window
-    low, high = 0.85, 2.25
-    y0, y1, t = y - wide / 2, y + wide / 2, WALL_M
+    y0, y1, low, high = window_opening(window)
+    t = WALL_M
     parts = [
         block((t, y0, h), (w + t / 2, y0 / 2, 0), wall, 0.001),
         block((t, d - y1, h), (w + t / 2, (y1 + d) / 2, 0), wall, 0.001),

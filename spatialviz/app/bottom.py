@@ -9,12 +9,17 @@ import numpy as np
 from pipeline.palette import hex_color, palette
 from pipeline.picture import box_edges_2d, tinted
 from spatialviz.app.frames import FrameStore, jpeg_url
-from spatialviz.app.scene import frame_colors
+from spatialviz.app.paint import frame_colors
 from spatialviz.app.state import State
 from spatialviz.app.text import note, panel, safe
 
 IMAGE_WIDTH = 720
 SHOWN_FRAMES = 24
+CLICK = (
+    "const b=this.getBoundingClientRect();"
+    "sv('image:'+((event.clientX-b.left)/b.width).toFixed(5)+','+((event.clientY-b.top)/b.height).toFixed(5))"
+)
+"""Sends where a picture was clicked, as fractions of its width and height."""
 
 
 def image_html(state: State) -> str:
@@ -28,9 +33,8 @@ def image_html(state: State) -> str:
         picture = frame_colors(state.colors, state.loaded, state.roles, state.dark)
     step = max(1, round(frame.width / IMAGE_WIDTH))
     url = jpeg_url(picture[::step, ::step])
-    click = "const b=this.getBoundingClientRect();sv('image:'+((event.clientX-b.left)/b.width).toFixed(5)+','+((event.clientY-b.top)/b.height).toFixed(5))"
     return panel(
-        f'<div class="pic" onclick="{safe(click)}"><img src="{url}">{_overlay(state)}</div>', style="padding-top:.6em"
+        f'<div class="pic" onclick="{safe(CLICK)}"><img src="{url}">{_overlay(state)}</div>', style="padding-top:.6em"
     )
 
 
@@ -51,7 +55,8 @@ def _overlay(state: State) -> str:
         if strong and entry.lifted.box is not None:
             for (ax, ay), (bx, by) in box_edges_2d(entry.lifted.box, frame.camera):
                 parts.append(
-                    f'<line x1="{ax:.1f}" y1="{ay:.1f}" x2="{bx:.1f}" y2="{by:.1f}" stroke="{color}" stroke-width="{1.3 * unit:.2f}"/>'
+                    f'<line x1="{ax:.1f}" y1="{ay:.1f}" x2="{bx:.1f}" y2="{by:.1f}" '
+                    f'stroke="{color}" stroke-width="{1.3 * unit:.2f}"/>'
                 )
         else:
             parts.append(
@@ -68,7 +73,8 @@ def _overlay(state: State) -> str:
         x = float(np.clip(x0, 0, max(frame.width - width, 0)))
         y = float(np.clip(y0 - height, 0, frame.height - height))
         parts.append(
-            f'<rect x="{x:.1f}" y="{y:.1f}" width="{width:.1f}" height="{height:.1f}" rx="{2 * unit:.1f}" fill="{color}"/>'
+            f'<rect x="{x:.1f}" y="{y:.1f}" width="{width:.1f}" height="{height:.1f}" '
+            f'rx="{2 * unit:.1f}" fill="{color}"/>'
             f'<text x="{x + 4 * unit:.1f}" y="{y + 10.4 * unit:.1f}" font-size="{10.5 * unit:.1f}" font-weight="600" '
             f'fill="#fff" font-family="system-ui,sans-serif">{safe(text)}</text>'
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Any
 
 import viser
 
@@ -16,19 +17,19 @@ class Fallback:
     def __init__(self, client: viser.ClientHandle, handle: Callable[[str], None]) -> None:
         self._client = client
         self._handle = handle
-        self._pair: viser.GuiDropdownHandle[str] | None = None
-        self._object: viser.GuiDropdownHandle[str] | None = None
+        self._pair: viser.GuiDropdownHandle[Any] | None = None
+        self._object: viser.GuiDropdownHandle[Any] | None = None
 
     def show(self, state: State) -> None:
         """Build the widgets."""
         gui = self._client.gui
         with gui.add_folder("Without clickable lists"):
             gui.add_markdown("Lists on this page do not report clicks in this browser; use these instead.")
-            self._pair = gui.add_dropdown("Pair", ("–",))
-            self._object = gui.add_dropdown("Object", ("–",))
+            pair: viser.GuiDropdownHandle[Any] = gui.add_dropdown("Pair", ("–",))
+            object_: viser.GuiDropdownHandle[Any] = gui.add_dropdown("Object", ("–",))
             paint = gui.add_dropdown("Paint", tuple(COLORS))
             camera = gui.add_dropdown("From", tuple(CAMERAS))
-        pair, object_ = self._pair, self._object
+        self._pair, self._object = pair, object_
         pair.on_update(lambda _: self._handle(f"pair:{pair.value.split('.')[0]}"))
         object_.on_update(lambda _: self._handle(f"object:{object_.value.split('.')[0]}"))
         paint.on_update(lambda _: self._handle(f"color:{paint.value}"))

@@ -10,7 +10,7 @@ from pipeline.palette import DROPPED, hex_color, palette
 from pipeline.records import why_no_answer
 from spatialviz.app.frames import object_thumb
 from spatialviz.app.state import State
-from spatialviz.app.text import BAD, DOUBT, GOOD, IDLE, dot, heading, note, panel, safe, segments
+from spatialviz.app.text import BAD, DOUBT, GOOD, IDLE, dot, heading, note, panel, safe, segments, words
 
 COLORS = {"rgb": "Colour", "objects": "Objects", "depth": "Depth", "evidence": "Cleaning"}
 CAMERAS = {"sensor": "Sensor", "orbit": "Orbit", "top": "Top"}
@@ -126,7 +126,7 @@ def controls_html(state: State) -> str:
     legend = ""
     if state.colors == "evidence":
         legend = '<div class="legend" style="padding:0 0 4px 60px">' + "".join(
-            f'<span><span class="dot" style="--c:{hex_color(color)}"></span>{reason.name.lower().replace("_", " ")}</span>'
+            f"<span>{dot(color)}{words(reason)}</span>"
             for reason, color in DROPPED.items()
         )
         legend += "</div>"
@@ -152,13 +152,14 @@ def objects_html(state: State, thumbs: dict[int, str]) -> str:
         box, quality = entry.lifted.box, entry.lifted.quality
         size = "no depth" if box is None else " × ".join(f"{s * 100:.0f}" for s in box.size) + " cm"
         away = "" if box is None else f"{quality.distance:.1f} m"
-        mark = '<span class="low" title="' + safe("; ".join(quality.concerns)) + '">!</span>' if quality.concerns else ""
+        doubts = safe("; ".join(quality.concerns))
+        mark = f'<span class="low" title="{doubts}">!</span>' if doubts else ""
         score = "" if entry.score >= 0.9995 else f"{entry.score:.2f}"
+        name = f'<span class="name">{dot(colors[roles.get(i, "other")])}<b>{safe(state.shown.names[i])}</b></span>'
         rows.append(
             f'<tr class="r{" sel" if i == state.selected else ""}" onclick="sv(\'object:{i}\')">'
             f'<td style="width:42px"><img class="thumb" src="{thumb}"></td>'
-            f'<td class="w"><span class="name">{dot(colors[roles.get(i, "other")])}<b>{safe(state.shown.names[i])}</b></span>'
-            f'<div class="dim" style="font-size:11px">{size}</div></td>'
+            f'<td class="w">{name}<div class="dim" style="font-size:11px">{size}</div></td>'
             f'<td class="n dim">{away}</td><td class="n">{score} {mark}</td></tr>'
         )
     return panel(

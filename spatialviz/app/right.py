@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from pipeline.lifting import Pixel
-from pipeline.palette import DROPPED, hex_color, palette
+from pipeline.palette import DROPPED, RGB, hex_color, palette
 from pipeline.ranking import RankedPair
 from pipeline.records import why_no_answer
 from pipeline.relations import PHRASE, letter
 from spatialviz.app.state import State
-from spatialviz.app.text import BAD, DOUBT, dot, heading, note, panel, safe
+from spatialviz.app.text import BAD, DOUBT, dot, heading, note, panel, safe, words
 
 SHOWN_PAIRS = 30
-KEPT_COLOR = "#35a96b"
+KEPT: RGB = (53, 169, 107)
 
 
 def answer_html(state: State) -> str:
@@ -33,7 +33,8 @@ def answer_html(state: State) -> str:
     else:
         more = f"rank {place}; the answer has {best.probability:.2f}"
     count = len(state.ranked)
-    parts.append(f'<div class="dim">{f"{more} · {count} candidate pairs" if count > 1 else "the only candidate pair"}</div>')
+    summary = f"{more} · {count} candidate pairs" if count > 1 else "the only candidate pair"
+    parts.append(f'<div class="dim">{summary}</div>')
     if best.p_relation < 0.5 and place == 1:
         parts.append(
             note(f"The best there is, but the relation itself is unlikely ({best.p_relation:.2f}).", DOUBT)
@@ -49,14 +50,16 @@ def _sentence(state: State, pair: RankedPair) -> str:
     second = ""
     if pair.second_reference is not None:
         name = state.shown.names[state.shown.place[pair.second_reference]]
-        second = f' <span class="dim">and</span> <span class="name">{dot(colors["reference"])}<b>{safe(name)}</b></span>'
+        second = f' <span class="dim">and</span> {_name(colors["reference"], name)}'
     return (
-        f'<div class="big" style="flex-wrap:wrap"><span class="name">{dot(colors["target"])}'
-        f"<b>{safe(state.shown.names[target])}</b></span>"
-        f' <span class="dim">{phrase}</span> '
-        f'<span class="name">{dot(colors["reference"])}<b>{safe(state.shown.names[reference])}</b></span>{second}'
+        f'<div class="big" style="flex-wrap:wrap">{_name(colors["target"], state.shown.names[target])}'
+        f' <span class="dim">{phrase}</span> {_name(colors["reference"], state.shown.names[reference])}{second}'
         f'<span class="p">{pair.probability:.2f}</span></div>'
     )
+
+
+def _name(color: RGB, name: str) -> str:
+    return f'<span class="name">{dot(color)}<b>{safe(name)}</b></span>'
 
 
 def pairs_html(state: State) -> str:
@@ -75,8 +78,8 @@ def pairs_html(state: State) -> str:
         rows.append(
             f'<tr class="r{" sel" if state.at(pair) == state.pair else ""}" onclick="sv(\'pair:{i}\')">'
             f'<td class="n dim">{i + 1}</td>'
-            f'<td class="w"><span class="name">{dot(colors["target"])}{safe(state.shown.names[target])}</span></td>'
-            f'<td class="w"><span class="name">{dot(colors["reference"])}{safe(state.shown.names[reference])}</span></td>'
+            f'<td class="w">{dot(colors["target"])}{safe(state.shown.names[target])}</td>'
+            f'<td class="w">{dot(colors["reference"])}{safe(state.shown.names[reference])}</td>'
             f'{cells}<td class="n"><b>{pair.probability:.2f}</b></td></tr>'
         )
     more = "" if len(state.ranked) <= SHOWN_PAIRS else f"best {SHOWN_PAIRS} of {len(state.ranked)}"
@@ -134,26 +137,25 @@ def object_html(state: State) -> str:
         ]
     facts.append(("points", f"{quality.points:,} of {quality.mask_pixels:,} mask pixels ({quality.kept:.0%})"))
     rows = "".join(f"<span>{k}</span><span>{v}</span>" for k, v in facts)
+    score = "" if entry.score >= 0.9995 else f"score {entry.score:.2f}"
     parts = [
-        heading(f"<b>{dot(color)}{safe(state.shown.names[i])}</b>", "" if entry.score >= 0.9995 else f"score {entry.score:.2f}"),
+        heading(f"<b>{dot(color)}{safe(state.shown.names[i])}</b>", score),
         f'<div class="facts">{rows}</div>',
     ]
     if lifted.evidence is not None and quality.mask_pixels:
         counts = lifted.evidence.counts()
-        pieces = [("kept", KEPT_COLOR)] + [(p.name.lower(), hex_color(c)) for p, c in DROPPED.items()]
-        bar = "".join(
-            f'<i style="--c:{c};width:{100 * counts[k] / quality.mask_pixels:.1f}%" title="{k.replace("_", " ")}"></i>'
-            for k, c in pieces
-        )
+        pieces = [
+            (words(reason), hex_color(color), counts[reason.name.lower()] / quality.mask_pixels)
+            for reason, color in {Pixel.KEPT: KEPT, **DROPPED}.items()
+        ]
+        bar = "".join(f'<i style="--c:{c};width:{100 * share:.1f}%" title="{name}"></i>' for name, c, share in pieces)
         legend = "".join(
-            f'<span><span class="dot" style="--c:{c}"></span>{k.replace("_", " ")} {counts[k] / quality.mask_pixels:.0%}</span>'
-            for k, c in pieces
-            if counts[k]
+            f'<span><span class="dot" style="--c:{c}"></span>{name} {share:.0%}</span>'
+            for name, c, share in pieces
+            if share
         )
         parts.append(f'<div class="stack">{bar}</div><div class="legend">{legend}</div>')
     if quality.concerns:
         parts.append('<div style="height:.4em"></div>' + note("; ".join(quality.concerns), DOUBT))
     return panel(*parts)
 
-
-assert set(DROPPED) == set(Pixel) - {Pixel.OUTSIDE, Pixel.KEPT}

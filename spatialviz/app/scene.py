@@ -6,7 +6,6 @@ the camera at the origin, so that the floor is level whatever the camera's pitch
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -17,11 +16,12 @@ import viser.transforms as vtf
 
 from pipeline.boxes import EDGES, Box3D
 from pipeline.camera import lift_pixels
-from pipeline.lifting import Pixel, flying_pixels
+from pipeline.lifting import flying_pixels
 from pipeline.objects import SceneObject
-from pipeline.palette import DROPPED, RGB, Role, depth_colors, hex_color, instance_colors, palette
+from pipeline.palette import RGB, Role, hex_color, palette
 from spatialviz.app.bridge import Tag
 from spatialviz.app.frames import LoadedFrame
+from spatialviz.app.viewpoint import Viewpoint
 
 MAX_POINTS = 320_000
 BAND_RATIO = 1.3
@@ -68,6 +68,7 @@ class SceneView:
         on_object: Callable[[int], None],
         on_pixel: Callable[[int, int], None],
     ) -> None:
+        self.viewpoint = Viewpoint(client)
         self._client = client
         self._on_object = on_object
         self._cloud: _Cloud | None = None
@@ -78,27 +79,9 @@ class SceneView:
         self._anchors: list[viser.FrameHandle] = []
         self._frustum: Any = None
         self._to_show = np.eye(3)
-        self._camera: Any = None
-
-        self._placed: tuple[str, float, np.ndarray] | None = None
-        self._reached = False
-
-        @client.camera.on_update
-        async def _(camera: viser.CameraHandle) -> None:
-            if self._placed is None or self._cloud is None:
-                return
-            kind, aspect, eye = self._placed
-            there = np.linalg.norm(np.array(camera.position) - eye) < 0.02
-            if self._reached and not there:
-                self._placed = None
-                return
-            # Until the browser has taken the pose over it reports an older one.
-            self._reached = self._reached or bool(there)
-            if abs(self._aspect - aspect) > 0.02:
-                self.place_camera(kind)
 
         @client.scene.on_click()
-        async def _(event: viser.ScenePointerEvent) -> None:
+        def _(event: Any) -> None:
             hit = self._pixel_on_ray(np.array(event.ray_origin), np.array(event.ray_direction))
             if hit is not None:
                 on_pixel(*hit)
@@ -107,7 +90,6 @@ class SceneView:
         """Show another frame; `colors` is (H, W, 3) uint8."""
         frame, viewer = loaded.context.frame, loaded.context.viewer
         self._to_show = np.stack([viewer.right, viewer.forward, viewer.up])
-        self._camera = frame.camera
         stride = max(1, int(np.ceil(np.sqrt(frame.width * frame.height / MAX_POINTS))))
         v, u = np.meshgrid(np.arange(0, frame.height, stride), np.arange(0, frame.width, stride), indexing="ij")
         z = frame.depth[v, u]
@@ -116,6 +98,7 @@ class SceneView:
         points = (lift_pixels(z, frame.camera, v, u) @ self._to_show.T.astype(np.float32)).astype(np.float32)
         band = np.floor(np.log(np.maximum(z, 1e-3)) / np.log(BAND_RATIO)).astype(int)
         levels = np.unique(band)
+        self.viewpoint.set_frame(points, self._to_show, frame.camera)
         self._cloud = _Cloud(v, u, points, tuple(np.flatnonzero(band == level) for level in levels))
         with self._client.atomic():
             for handle in self._bands:
@@ -185,94 +168,6 @@ class SceneView:
             self._draw_faces(objects, boxed, role_of, colors, flags)
             self._draw_pairs(objects, pairs, colors, flags)
             return self._draw_tags(objects, names, boxed, role_of, selected, flags, colors)
-
-    def fly(self, kind: str) -> None:
-        """Move the camera to "sensor", "orbit" or "top", smoothly."""
-        eye, look, fov = self._pose(kind)
-        self._placed = None
-        camera = self._client.camera
-        camera.up_direction = self._up(kind)
-        p0, l0, f0 = np.array(camera.position), np.array(camera.look_at), float(camera.fov)
-        for k in range(1, 13):
-            t = k / 12
-            t = t * t * (3 - 2 * t)
-            with self._client.atomic():
-                camera.position = p0 * (1 - t) + eye * t
-                camera.look_at = l0 * (1 - t) + look * t
-                camera.fov = f0 * (1 - t) + fov * t
-            self._client.flush()
-            time.sleep(1 / 40)
-
-    @property
-    def _aspect(self) -> float:
-        return float(np.clip(self._client.camera.aspect or 1.3, 0.4, 3.0))
-
-    def place_camera(self, kind: str) -> None:
-        """The same at once; repeated when the shape of the page changes before anybody has turned the view."""
-        eye, look, fov = self._pose(kind)
-        self._placed = (kind, self._aspect, eye)
-        self._reached = False
-        with self._client.atomic():
-            self._client.camera.up_direction = self._up(kind)
-            self._client.camera.position = eye
-            self._client.camera.look_at = look
-            self._client.camera.fov = fov
-
-    def focus(self, box: Box3D) -> None:
-        """Turn around an object: look at it from where the camera stands, nearer."""
-        center = self._to_show @ box.center
-        camera = self._client.camera
-        away = np.array(camera.position) - center
-        distance = max(float(np.linalg.norm(box.size)) * 1.9, 0.5)
-        away *= distance / max(float(np.linalg.norm(away)), 1e-6)
-        with self._client.atomic():
-            camera.position = center + away
-            camera.look_at = center
-
-    def _up(self, kind: str) -> tuple[float, float, float]:
-        """The sensor's own up in its view, so that the picture stands as it was taken; the world's elsewhere."""
-        up = self._to_show @ np.array([0.0, -1.0, 0.0]) if kind == "sensor" else np.array([0.0, 0.0, 1.0])
-        return float(up[0]), float(up[1]), float(up[2])
-
-    def _pose(self, kind: str) -> tuple[np.ndarray, np.ndarray, float]:
-        assert self._cloud is not None
-        points = self._cloud.points
-        middle = np.median(points, axis=0) if len(points) else np.array([0.0, 2.0, 0.0])
-        forward = self._to_show @ np.array([0.0, 0.0, 1.0])
-        distance = float(np.linalg.norm(middle))
-        if kind == "sensor":
-            # The whole picture is in view, with a little air, whatever the shape of the page.
-            tall = self._camera.height / 2 / self._camera.fy
-            wide = self._camera.width / 2 / self._camera.fx / self._aspect
-            return np.zeros(3) - forward * 0.01, forward * distance, float(2 * np.arctan(max(tall, wide) * 1.04))
-        if kind == "top":
-            low, high = np.percentile(points, [3, 97], axis=0)
-            span = float(max(high[0] - low[0], high[1] - low[1]))
-            center = (low + high) / 2
-            return center + np.array([0.0, -0.02, span * 1.25]), center, float(np.deg2rad(50))
-        return self._fitting_pose(points, np.deg2rad(44))
-
-    def _fitting_pose(self, points: np.ndarray, fov: float) -> tuple[np.ndarray, np.ndarray, float]:
-        """From the right, above and behind the sensor, as near as shows nearly all of the cloud."""
-        low, high = np.percentile(points, [2, 98], axis=0)
-        center = (low + high) / 2
-        toward = np.array([-0.36, 0.84, -0.42])
-        toward /= np.linalg.norm(toward)
-        across = np.cross(toward, [0.0, 0.0, 1.0])
-        across /= np.linalg.norm(across)
-        axes = np.stack([across, np.cross(across, toward), toward])
-        sample = points[:: max(1, len(points) // 4000)]
-        tangent = np.tan(fov / 2)
-        distance = 1.0
-        for _ in range(4):
-            x, y, z = ((sample - center) @ axes.T).T
-            # A point is in view from as far away as its offset over the tangent, less its own depth.
-            needed = np.maximum(np.abs(x) / (tangent * self._aspect), np.abs(y) / tangent) - z
-            distance = max(float(np.percentile(needed, 99.3)) * 1.03, 0.2)
-            seen = np.stack([x, y]) / np.maximum(distance + z, 0.05)
-            shift = np.percentile(seen, [0.7, 99.3], axis=1).mean(axis=0) * distance
-            center = center + axes[0] * shift[0] + axes[1] * shift[1]
-        return center - toward * distance, center, float(fov)
 
     def _shown_box(self, box: Box3D) -> Box3D:
         return Box3D(self._to_show @ box.center, self._to_show @ box.R, box.size)
@@ -408,34 +303,3 @@ def _edges(boxes: Sequence[Box3D]) -> np.ndarray:
     if not boxes:
         return np.zeros((0, 2, 3), np.float32)
     return np.concatenate([b.corners[EDGES] for b in boxes]).astype(np.float32)
-
-
-def frame_colors(mode: str, loaded: LoadedFrame, roles: Mapping[int, Role], dark: bool) -> np.ndarray:
-    """(H, W, 3) uint8 colours of a frame's pixels: "rgb", "objects", "depth" or "evidence"."""
-    frame, objects = loaded.context.frame, loaded.objects
-    if mode == "depth":
-        return depth_colors(frame.depth)
-    if mode == "rgb" or not objects:
-        return frame.rgb
-    grey = np.repeat(frame.rgb.mean(axis=2, keepdims=True), 3, axis=2)
-    image = (grey * 0.55 + (20 if dark else 110)).astype(np.uint8)
-    order = sorted(range(len(objects)), key=lambda i: -int(objects[i].lifted.quality.mask_pixels))
-    if mode == "objects":
-        calm, role_colors = instance_colors(len(objects)), palette(dark)
-        for i in order:
-            color = role_colors[roles[i]] if i in roles else calm[i]
-            mask = objects[i].mask
-            image[mask] = (image[mask] * 0.35 + np.array(color) * 0.65).astype(np.uint8)
-        return image
-    for i in order:
-        evidence = objects[i].lifted.evidence
-        if evidence is None:
-            continue
-        h, w = evidence.codes.shape
-        window = image[evidence.y0 : evidence.y0 + h, evidence.x0 : evidence.x0 + w]
-        source = frame.rgb[evidence.y0 : evidence.y0 + h, evidence.x0 : evidence.x0 + w]
-        kept = evidence.codes == Pixel.KEPT
-        window[kept] = source[kept]
-        for reason, color in DROPPED.items():
-            window[evidence.codes == reason] = color
-    return image

@@ -69,7 +69,12 @@ def start(
 
 
 def serve(
-    sources: dict[str, Source], *, host: str = "127.0.0.1", port: int = 8080, dark: bool = True, open_browser: bool = True
+    sources: dict[str, Source],
+    *,
+    host: str = "127.0.0.1",
+    port: int = 8080,
+    dark: bool = True,
+    open_browser: bool = True,
 ) -> None:
     """Start the server, say where it is, and wait until it is stopped."""
     server = start(sources, host=host, port=port, dark=dark)

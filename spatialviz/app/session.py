@@ -23,8 +23,9 @@ from spatialviz.app.fallback import Fallback
 from spatialviz.app.frames import FrameStore
 from spatialviz.app.keys import HELP, add_keys
 from spatialviz.app.layout import build
-from spatialviz.app.scene import SceneView, frame_colors
-from spatialviz.app.state import CameraMode, ColorMode, State, shown_objects
+from spatialviz.app.paint import frame_colors
+from spatialviz.app.scene import SceneView
+from spatialviz.app.state import NOTHING, CameraMode, ColorMode, State, shown_objects
 
 LOG_LENGTH = 200
 MODES: tuple[ColorMode, ...] = ("rgb", "objects", "depth", "evidence")
@@ -158,7 +159,7 @@ class Session:
         try:
             loaded = self._store.load(self.state.source, frame_id)
         except InputError as error:
-            self.state = replace(cleared, loaded=None, problem=str(error), shown=shown_objects_of_nothing())
+            self.state = replace(cleared, loaded=None, problem=str(error), shown=NOTHING)
             self._note(str(error))
             self._suggestions = ()
             self._sync_frame_box(frame_id)
@@ -169,9 +170,9 @@ class Session:
         self._painted = self._paint_key()
         self.scene.set_frame(loaded, frame_colors(self.state.colors, loaded, {}, self.state.dark))
         if first:
-            self.scene.place_camera(self.state.camera)
+            self.scene.viewpoint.place(self.state.camera)
         elif self.state.camera == "sensor":
-            self.scene.place_camera("sensor")
+            self.scene.viewpoint.place("sensor")
         scores = self._source().scorer.score([o.lifted for o in loaded.objects], loaded.context.viewer)
         self._suggestions = suggest_expressions(loaded.objects, scores)
         self._note(f"frame {frame_id}: {len(loaded.objects)} objects, up {loaded.context.viewer.up_source}")
@@ -232,7 +233,8 @@ class Session:
         )
 
     def _ask(self, text: str, draw: bool = True) -> None:
-        if self.state.loaded is None:
+        loaded = self.state.loaded
+        if loaded is None:
             return
         self.state = replace(self.state, text=text, error="", trace=None, pair=None)
         if str(self.page.expression.value) != text:
@@ -242,11 +244,11 @@ class Session:
             trace = self._trace(text)
         except (InputError, NothingFound) as error:
             self.state = replace(
-                self.state, error=str(error), shown=shown_objects(self.state.loaded, None, exact), selected=None
+                self.state, error=str(error), shown=shown_objects(loaded, None, exact), selected=None
             )
             self._note(f"“{text}”: {error}")
         else:
-            shown = shown_objects(self.state.loaded, trace, exact)
+            shown = shown_objects(loaded, trace, exact)
             self._thumbs = {}
             self.state = replace(self.state, trace=trace, shown=shown)
             ranked = self.state.ranked
@@ -317,7 +319,7 @@ class Session:
         if self.state.selected is not None:
             box = self.state.shown.objects[self.state.selected].lifted.box
         if box is not None:
-            self.scene.focus(box)
+            self.scene.viewpoint.focus(box)
 
     # ---- view -----------------------------------------------------------------------
 
@@ -331,7 +333,7 @@ class Session:
         if mode in modes and self.state.loaded is not None:
             self.state = replace(self.state, camera=modes[mode])
             self.page.controls.content = left.controls_html(self.state)
-            self.scene.fly(mode)
+            self.scene.viewpoint.fly(mode)
 
     def _toggle(self, flag: str) -> None:
         if flag in left.FLAGS:
@@ -407,11 +409,6 @@ class Session:
     def _check_bridge(self) -> None:
         if not self.bridge.alive.is_set() and not self._closed.is_set():
             self.bridge.post(lambda: self.fallback.show(self.state))
-
-
-def shown_objects_of_nothing():
-    """The objects of a broken frame: none."""
-    return State(source="", frame_id="").shown
 
 
 def apply_theme(gui: viser.GuiApi, dark: bool) -> None:

@@ -35,6 +35,10 @@ class Shown:
     place: Mapping[int, int]
 
 
+NOTHING = Shown((), (), {})
+"""What a broken frame shows."""
+
+
 @dataclass(frozen=True)
 class State:
     """One client's view.
@@ -65,7 +69,7 @@ class State:
     text: str = ""
     trace: Trace | None = None
     error: str = ""
-    shown: Shown = field(default_factory=lambda: Shown((), (), {}))
+    shown: Shown = NOTHING
     pair: tuple[int, int] | None = None
     selected: int | None = None
     colors: ColorMode = "rgb"

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import html
 
+from pipeline.lifting import Pixel
 from pipeline.palette import RGB, hex_color
 
 GOOD, DOUBT, BAD, IDLE = "#35a96b", "#e0982e", "#e5484d", "#8a919c"
@@ -17,6 +18,11 @@ def safe(text: object) -> str:
 def dot(color: RGB) -> str:
     """A filled square in a role's colour."""
     return f'<span class="dot" style="--c:{hex_color(color)}"></span>'
+
+
+def words(reason: Pixel) -> str:
+    """What became of a pixel, in words."""
+    return reason.name.lower().replace("_", " ")
 
 
 def panel(*parts: str, style: str = "") -> str:
