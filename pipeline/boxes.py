@@ -69,6 +69,15 @@ class Box3D:
         return Box3D(T[:3, :3] @ self.center + T[:3, 3], T[:3, :3] @ self.R, self.size)
 
 
+def ray_entry(box: Box3D, origin: np.ndarray, direction: np.ndarray) -> float | None:
+    """How far along a ray it enters a box, in lengths of `direction`; None where it misses (slab method)."""
+    start, step = (origin - box.center) @ box.R, direction @ box.R
+    safe = np.where(np.abs(step) < 1e-12, 1e-12, step)
+    near, far = np.sort(np.stack([(-box.size / 2 - start) / safe, (box.size / 2 - start) / safe]), axis=0)
+    enter, leave = float(near.max()), float(far.min())
+    return None if leave < max(enter, 0.0) else max(enter, 0.0)
+
+
 def iou_2d(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Intersection over union of every box of `a` with every box of `b`.
 

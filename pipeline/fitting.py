@@ -37,7 +37,8 @@ def extents_of(coordinates: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     ranks = np.array([LOW_PERCENT, HIGH_PERCENT]) / 100 * (n - 1)
     below = np.floor(ranks).astype(int)
     above = np.minimum(below + 1, n - 1)
-    columns = np.ascontiguousarray(coordinates.T)
+    # Always a copy: the partial sort is in place, and one column is contiguous as it is.
+    columns = np.array(coordinates.T, order="C")
     columns.partition(np.unique(np.concatenate([below, above])), axis=1)
     low = columns[:, below].astype(np.float64)
     value = low + (columns[:, above] - low) * (ranks - below)

@@ -318,7 +318,8 @@ def superlative_states(
     measure = np.where(same | np.isnan(measure), np.inf, measure)
     best = measure.min(axis=0, keepdims=True) if len(measure) else measure
     state = np.where(measure <= best + RANK_MARGIN, U, F)
-    state[measure == best] = T
+    # Rounding must not decide between two that are equally far.
+    state[measure <= best + 1e-9] = T
     state[~np.isfinite(measure)] = F
     return state.astype(np.int8)
 

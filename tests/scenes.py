@@ -126,3 +126,8 @@ def solid(box: Box3D) -> np.ndarray:
     """The corners in an order that does not depend on how the axes are named."""
     corners = np.round(box.corners, 7) + 0.0
     return corners[np.lexsort(corners.T)]
+
+
+def filled_cloud(box: Box3D, rng: np.random.Generator, n: int = 20_000) -> np.ndarray:
+    """(n, 3) points evenly inside a box."""
+    return box.center + (rng.uniform(-0.5, 0.5, (n, 3)) * box.size) @ box.R.T

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scenes import Plane, camera_of, cast, random_rotation, solid, up_of, upright
+from scenes import Plane, camera_of, cast, filled_cloud, random_rotation, solid, up_of, upright
 
 from pipeline.boxes import Box3D, iou_3d
 from pipeline.camera import project
@@ -20,10 +20,6 @@ SEEDS = st.integers(0, 2**32 - 1)
 LEVEL = viewer_axes(np.array([0, -1.0, 0]))
 WIDTH, HEIGHT = 640, 480
 CAMERA = camera_of(WIDTH, HEIGHT, 500)
-
-
-def filled(box: Box3D, rng: np.random.Generator, n: int = 20_000) -> np.ndarray:
-    return box.center + (rng.uniform(-0.5, 0.5, (n, 3)) * box.size) @ box.R.T
 
 
 # Fitting.
@@ -45,7 +41,7 @@ def test_extents_are_numpys_percentiles(seed: int, n: int, columns: int) -> None
 def test_a_turned_upright_box_stays_itself(yaw: float, pitch: float) -> None:
     viewer = viewer_axes(up_of(pitch, 7))
     level = upright((0.2, 0.5, 2.0), (0.9, 0.5, 0.3), yaw)
-    points = filled(level, np.random.default_rng(1)) @ viewer.R_level_camera
+    points = filled_cloud(level, np.random.default_rng(1)) @ viewer.R_level_camera
     box, confidence = gravity_box(points, viewer)
     found = Box3D(viewer.R_level_camera @ box.center, viewer.R_level_camera @ box.R, box.size)
     np.testing.assert_allclose(found.center, level.center, atol=0.01)
@@ -60,12 +56,12 @@ def test_a_turned_upright_box_stays_itself(yaw: float, pitch: float) -> None:
 
 
 def test_a_turned_box_reads_width_height_depth() -> None:
-    box, _ = gravity_box(filled(upright((0, 0, 2), (1.0, 0.2, 0.5), 10), np.random.default_rng(0)), LEVEL)
+    box, _ = gravity_box(filled_cloud(upright((0, 0, 2), (1.0, 0.2, 0.5), 10), np.random.default_rng(0)), LEVEL)
     np.testing.assert_allclose(box.size, np.array([1.0, 0.2, 0.5]) * 0.98, atol=0.012)
 
 
 def test_the_yaw_of_a_square_means_nothing() -> None:
-    _, confidence = gravity_box(filled(upright((0, 0, 2), (0.5, 1.5, 0.5)), np.random.default_rng(0)), LEVEL)
+    _, confidence = gravity_box(filled_cloud(upright((0, 0, 2), (0.5, 1.5, 0.5)), np.random.default_rng(0)), LEVEL)
     assert 0 <= confidence < 0.05
 
 
@@ -73,13 +69,13 @@ def test_the_yaw_of_a_square_means_nothing() -> None:
 def test_the_pca_box_finds_a_box_in_any_attitude(seed: int) -> None:
     rng = np.random.default_rng(seed)
     truth = Box3D(rng.uniform(-1, 1, 3), random_rotation(rng), np.array([1.0, 0.6, 0.3]))
-    raw, confidence = pca_box(filled(truth, rng))
+    raw, confidence = pca_box(filled_cloud(truth, rng))
     assert iou_3d(raw, truth) > 0.88
     assert (np.diff(raw.size) < 0).all(), "the paper's axes fall in variance"
     assert confidence == pytest.approx(1 - 0.36, abs=0.04)
-    renamed, _ = pca_box(filled(truth, np.random.default_rng(seed)), viewer_axes(up_of(20)))
+    renamed, _ = pca_box(filled_cloud(truth, np.random.default_rng(seed)), viewer_axes(up_of(20)))
     assert iou_3d(renamed, truth) > 0.88
-    same, _ = pca_box(filled(truth, rng), None)
+    same, _ = pca_box(filled_cloud(truth, rng), None)
     assert np.linalg.det(same.R) == pytest.approx(1)
 
 
@@ -426,7 +422,7 @@ def test_extents_come_from_points_then_the_box_then_nowhere() -> None:
 def test_points_move_with_an_edited_box(seed: int) -> None:
     rng = np.random.default_rng(seed)
     (found,) = lift(FLAT, CAMERA, [flat_mask(100, 200, 100, 200)], LEVEL)
-    cloud = filled(Box3D(np.array([0, 0, 2.0]), random_rotation(rng), np.array([0.5, 0.4, 0.3])), rng, 2000)
+    cloud = filled_cloud(Box3D(np.array([0, 0, 2.0]), random_rotation(rng), np.array([0.5, 0.4, 0.3])), rng, 2000)
     box, _ = pca_box(cloud)
     lo, hi, _ = extents(cloud, box, LEVEL)
     found = replace(found, points=cloud.astype(np.float32), box=box, lo=lo, hi=hi)

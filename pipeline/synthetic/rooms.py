@@ -77,7 +77,7 @@ def _study(room: Layout, p: Palette) -> tuple[Focus, ...]:
     room.put(c.plant(p, rng, 0.30), table, (-0.42, 0.75))
     shelves.furnish_wall_shelf(room, p, room.hang(shelves.stocked_wall_shelf(p, rng), "back", x - 0.25, 1.42))
     room.hang(c.picture(p, rng, 0.44, 0.58), "back", x + 0.62, 1.25)
-    seat = room.stand_near(f.office_chair(p, rng), x + 0.42, d - 1.42, np.pi + np.deg2rad(rng.uniform(20, 50)), 0.1)
+    seat = room.stand_near(f.office_chair(p, rng), x + 1.00, d - 1.32, np.pi + np.deg2rad(rng.uniform(30, 60)), 0.06)
     room.stand_near(c.trash_can(p, rng), x - 0.95, d - 0.85, 0, 0.04)
     room.stand_near(c.box(p, rng), x - 0.15, d - 0.36, _turn(room, 8), 0.05)
     tall = room.against(shelves.stocked_bookshelf(p, rng), "back", w - 0.62, 0.02)
@@ -96,10 +96,10 @@ def _study(room: Layout, p: Palette) -> tuple[Focus, ...]:
     room.put(c.clock(p, rng), chest, None) if seat is None else room.hang(c.clock(p, rng), "left", d * 0.42, 1.55)
     room.hang(c.picture(p, rng, 0.6, 0.45), "front", w * 0.3, 1.35)
     return (
-        _focus(x + 0.05, d - 0.45, 0.72, 90, 9, 1.9, 2.4),
-        _focus(w * 0.58, d * 0.72, 0.60, 62, 14, 2.4, 3.4),
-        _focus(w * 0.34, d * 0.70, 0.60, 122, 14, 2.2, 3.2),
-        _focus(w * 0.50, d * 0.75, 0.65, 92, 12, 2.6, 3.2),
+        _focus(x + 0.05, d - 0.45, 0.78, 90, 9, 1.45, 1.75),
+        _focus(w * 0.34, d * 0.70, 0.60, 122, 12, 2.2, 3.2),
+        _focus(w * 0.50, d * 0.60, 0.60, 24, 8, 2.0, 2.8),
+        _focus(w * 0.40, d * 0.60, 0.60, 165, 10, 2.2, 3.0),
     )
 
 
@@ -144,9 +144,9 @@ def _dining(room: Layout, p: Palette) -> tuple[Focus, ...]:
     room.stand_near(c.plant(p, rng, 0.8), w - 0.5, d * 0.18, 1.0)
     return (
         _focus(x - 0.05, y + 0.2, 0.62, 90, 8, 2.3, 2.7),
-        _focus(x + 0.1, y + 0.25, 0.62, 128, 14, 2.4, 3.2),
-        _focus(x, y + 0.25, 0.62, 58, 14, 2.4, 3.2),
-        _focus(x, y, 0.62, 75, 25, 2.2, 3.0),
+        _focus(x, y + 0.25, 0.62, 58, 12, 2.4, 3.2),
+        _focus(x, y + 0.05, 0.62, 154, 10, 2.2, 3.0),
+        _focus(x, y + 0.10, 0.62, 18, 10, 2.2, 3.0),
     )
 
 
@@ -188,9 +188,9 @@ def _living(room: Layout, p: Palette) -> tuple[Focus, ...]:
     room.hang(c.picture(p, rng, 0.5, 0.65), "front", w * 0.28, 1.3)
     return (
         _focus(x + 0.1, d - 1.75, 0.50, 90, 10, 2.3, 2.7),
-        _focus(x + 0.2, d - 1.55, 0.50, 58, 14, 2.3, 3.2),
-        _focus(x - 0.35, d - 1.75, 0.52, 130, 16, 2.2, 3.2),
-        _focus(x - 0.5, d - 2.2, 0.5, 165, 20, 2.0, 3.0),
+        _focus(x - 0.35, d - 1.75, 0.52, 132, 12, 2.2, 3.2),
+        _focus(x + 0.15, d - 1.95, 0.48, 24, 8, 2.0, 2.7),
+        _focus(x - 0.5, d - 2.2, 0.5, 172, 12, 2.0, 3.0),
     )
 
 
@@ -240,7 +240,7 @@ def _bedroom(room: Layout, p: Palette) -> tuple[Focus, ...]:
     room.hang(c.clock(p, rng), "left", d * 0.32, 1.6)
     return (
         _focus(x - 0.1, d - 1.15, 0.55, 90, 12, 2.4, 2.9),
+        _focus(x - 0.1, d - 1.25, 0.55, 62, 12, 2.3, 3.2),
+        _focus(w * 0.40, d * 0.52, 0.55, 158, 10, 2.0, 3.0),
         _focus(x - 0.35, d - 1.30, 0.55, 122, 14, 2.4, 3.3),
-        _focus(x - 0.1, d - 1.25, 0.55, 62, 14, 2.3, 3.2),
-        _focus(0.6, d * 0.42, 0.65, 170, 18, 1.9, 2.8),
     )

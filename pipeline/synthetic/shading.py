@@ -104,8 +104,8 @@ def render_colour(scene: Scene, camera: Camera, surfaces: Surfaces, directions: 
         step[a] = np.maximum(step[a], change)
         step[b] = np.maximum(step[b], change)
     ev, eu = np.nonzero(step > 0.07)
-    total = np.zeros((len(ev), 3), dtype=np.float32)
-    for dv, du in ((-0.375, -0.125), (-0.125, 0.375), (0.125, -0.375), (0.375, 0.125)):
+    total = image[ev, eu]
+    for dv, du in ((-0.37, -0.10), (0.10, 0.37), (0.27, -0.27)):
         rays = pixel_rays(camera, ev + dv, eu + du)
         total += _shade(scene, camera, find_surfaces(scene, camera, rays), rays, lights, ev + dv, eu + du)
     image[ev, eu] = total / 4
@@ -174,28 +174,26 @@ def _albedo(scene: Scene, look: Looks, s: Surfaces, pixel: float) -> np.ndarray:
     p = part[textured]
     local = _into_model(scene, p, s.position[textured] - scene.part_t[p])
     normal = np.abs(_into_model(scene, p, s.normal[textured]))
-    axis = normal.argmax(axis=1)
-    au, av = np.array([1, 0, 0])[axis], np.array([2, 2, 1])[axis]
-    rows = np.arange(len(p))
-    low, size = scene.part_low[p], np.maximum(scene.part_high[p] - scene.part_low[p], 1e-4)
+    across, upright = normal[:, 0] >= normal.max(axis=1), normal[:, 2] >= normal.max(axis=1)
+    low, size = scene.part_low.take(p, axis=0), (scene.part_high - scene.part_low).take(p, axis=0)
+    (u, u_low, u_size), (v, v_low, v_size) = (
+        [np.where(side, a[:, 1], a[:, other]) for a in (local, low, np.maximum(size, np.float32(1e-4)))]
+        for side, other in ((across, 0), (upright & ~across, 2))
+    )
     span = look.span[p]
     fitted = span == 0
     # Grain runs along the longer side of each face.
-    turn = ~fitted & (size[rows, av] > size[rows, au])
-    au, av = np.where(turn, av, au), np.where(turn, au, av)
-    scale = np.where(fitted, 1.0, span)
-    u = np.where(
-        fitted, (local[rows, au] - low[rows, au]) / size[rows, au], local[rows, au] / scale + look.offset[p, 0]
-    )
-    v = np.where(
-        fitted, 1 - (local[rows, av] - low[rows, av]) / size[rows, av], local[rows, av] / scale + look.offset[p, 1]
-    )
+    turn = ~fitted & (v_size > u_size)
+    u, v = np.where(turn, v, u), np.where(turn, u, v)
+    scale = np.where(fitted, u_size, span)
     # Fitted pictures must not wrap their far edge into the near one.
+    u = np.where(fitted, np.clip((u - u_low) / u_size, 0.002, 0.998), u / scale + look.offset[p, 0])
+    v = np.where(fitted, np.clip(1 - (v - v_low) / v_size, 0.002, 0.998), v / scale + look.offset[p, 1])
     uv = np.stack([u, v], axis=1)
-    uv[fitted] = np.clip(uv[fitted], 0.002, 0.998)
-    footprint = s.depth[textured] * pixel / np.where(fitted, size[rows, au], scale)
-    for k in np.unique(kind[textured]):
-        chosen = np.flatnonzero(kind[textured] == k)
+    footprint = s.depth[textured] * pixel / scale
+    kind = kind[textured]
+    for k in np.unique(kind):
+        chosen = np.flatnonzero(kind == k)
         out[textured[chosen]] *= textures.sample(look.keys[k], uv[chosen], footprint[chosen])
     return np.minimum(out, 0.95)
 
@@ -308,15 +306,25 @@ def _light_map(scene: Scene, s: Surfaces, h: int, w: int) -> LightMap:
     shape = (rows, columns, 3)
     total, position, normal = total.reshape(shape), position.reshape(shape), normal.reshape(shape)
     depth = s.depth[chosen].reshape(rows, columns)
-    for step, reach in ((1, (-1, 3)), (3, (-1, 2))):
-        total = _smooth(total, position, normal, depth, step, reach)
+    # The wide passes even out what so few rays leave on walls; contact shadows differ by more than they may.
+    for step, reach, likeness in ((1, (-1, 3), 0.0), (3, (-1, 2), 0.0), (5, (-1, 2), 0.12), (9, (-1, 2), 0.06)):
+        total = _smooth(total, position, normal, depth, step, reach, likeness)
     return LightMap(total, position, normal)
 
 
 def _smooth(
-    light: np.ndarray, position: np.ndarray, normal: np.ndarray, depth: np.ndarray, step: int, reach: tuple[int, int]
+    light: np.ndarray,
+    position: np.ndarray,
+    normal: np.ndarray,
+    depth: np.ndarray,
+    step: int,
+    reach: tuple[int, int],
+    likeness: float,
 ) -> np.ndarray:
-    """Mean over neighbours `step` apart that lie on the same smooth surface."""
+    """Mean over neighbours `step` apart that lie on the same smooth surface.
+
+    With a `likeness` above 0, only over those whose light is within that share of its own.
+    """
     h, w = depth.shape
     offsets = [step * k for k in range(*reach)]
     pad = step * max(abs(reach[0]), reach[1])
@@ -329,7 +337,12 @@ def _smooth(
             window = (slice(pad + dy, pad + dy + h), slice(pad + dx, pad + dx + w))
             off = np.abs(np.einsum("ijk,ijk->ij", normal, P[window] - position))
             alike = np.einsum("ijk,ijk->ij", normal, N[window])
-            k = np.clip(1.5 - off * tolerance, 0, 1) * np.clip(4 * alike - 3, 0.0, 1) + (1e-4 if dy == dx == 0 else 0)
+            k = np.clip(1.5 - off * tolerance, 0, 1) * np.clip(4 * alike - 3, 0.0, 1)
+            if likeness:
+                change = np.abs(L[window][..., 1] / light[..., 1] - 1) / likeness
+                k *= np.clip(2 - 2 * change, 0, 1)
+            if dy == dx == 0:
+                k += 1e-4
             total += k[..., None] * L[window]
             weight += k
     return total / weight[..., None]
@@ -344,17 +357,20 @@ def _gather(lights: LightMap, s: Surfaces, v: np.ndarray, u: np.ndarray) -> np.n
     )
     y0, x0 = np.minimum(y.astype(np.int32), max(rows - 2, 0)), np.minimum(x.astype(np.int32), max(columns - 2, 0))
     fy, fx = y - y0, x - x0
-    flat_light, flat_position, flat_normal = (a.reshape(-1, 3) for a in (lights.light, lights.position, lights.normal))
+    # One row an entry, so that each is fetched once.
+    entries = np.concatenate([a.reshape(-1, 3) for a in (lights.light, lights.position, lights.normal)], axis=1)
+    here = np.einsum("ij,ij->i", s.normal, s.position)
     total, weight = np.zeros_like(s.position), np.zeros(len(y), dtype=np.float32)
     tolerance = 1.0 / (0.01 * np.maximum(s.depth, 0.3))
     for dy in (0, 1):
         for dx in (0, 1):
             index = np.minimum(y0 + dy, rows - 1) * columns + np.minimum(x0 + dx, columns - 1)
             bilinear = (fy if dy else 1 - fy) * (fx if dx else 1 - fx)
-            off = np.abs(np.einsum("ij,ij->i", s.normal, flat_position[index] - s.position))
-            alike = np.einsum("ij,ij->i", s.normal, flat_normal[index])
+            entry = entries.take(index, axis=0)
+            off = np.abs(np.einsum("ij,ij->i", s.normal, entry[:, 3:6]) - here)
+            alike = np.einsum("ij,ij->i", s.normal, entry[:, 6:])
             k = (bilinear + 0.02) * (np.clip(1.5 - off * tolerance, 0, 1) * np.clip(2 * alike - 1, 0, 1) + 1e-4)
-            total += k[:, None] * flat_light[index]
+            total += k[:, None] * entry[:, :3]
             weight += k
     return total / weight[:, None]
 

@@ -25,6 +25,7 @@ KEYS: tuple[tuple[str, str, str], ...] = (
     ("L", "Show or hide names", "flag:labels"),
     ("O", "Show or hide pair lines", "flag:pairs"),
     ("G", "Show or hide exact boxes", "flag:truth"),
+    ("Y", "Show or hide the viewer's axes at the reference", "flag:axes"),
     ("M", "Dark or light", "theme"),
     ("X", "Clear the question", "clear"),
     ("H", "List the keys", "help"),

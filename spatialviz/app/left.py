@@ -14,12 +14,14 @@ from spatialviz.app.text import BAD, DOUBT, GOOD, IDLE, dot, heading, note, pane
 
 COLORS = {"rgb": "Colour", "objects": "Objects", "depth": "Depth", "evidence": "Cleaning"}
 CAMERAS = {"sensor": "Sensor", "orbit": "Orbit", "top": "Top"}
+ROLE_ORDER = {"target": 0, "reference": 1, "other": 2}
 FLAGS = {
     "cloud": "cloud",
     "boxes": "boxes",
     "labels": "all names",
     "pairs": "pairs",
     "truth": "exact boxes",
+    "axes": "axes",
     "camera": "camera",
 }
 
@@ -34,8 +36,14 @@ def parse_html(state: State, suggestions: Sequence[str]) -> str:
     elif state.trace is not None:
         parts.append(_chips(state, state.trace))
         if len(state.trace.query.readings) > 1 and state.trace.ranking is not None:
-            reading = state.trace.ranking.reading
-            parts.append(f'<div class="dim" style="padding-top:3px">read as: {safe(reading.description)}</div>')
+            ranking = state.trace.ranking
+            for reading, score in zip(state.trace.query.readings, ranking.reading_scores, strict=True):
+                taken = reading is ranking.reading
+                style = "font-weight:600" if taken else "opacity:.7"
+                parts.append(
+                    f'<div style="padding-top:3px;{style}" title="best score {score:.2f}">'
+                    f'<span class="dim">{"read as" if taken else "or"}</span> {safe(reading.description)}</div>'
+                )
         mapped = state.trace.query.expression.note
         if mapped:
             parts.append(f'<div class="dim" style="padding-top:3px">{safe(mapped)}</div>')
@@ -52,12 +60,13 @@ def _chips(state: State, trace: Trace) -> str:
     colors = palette(state.dark)
     parts = []
     for span in trace.query.spans:
-        words = safe(trace.query.text[span.start : span.end])
+        said = safe(trace.query.text[span.start : span.end])
         if span.role == "relation":
-            parts.append(f'<span class="chip rel">{words}</span>')
+            parts.append(f'<span class="chip rel">{said}</span>')
         elif span.role in ("target", "reference"):
             color = hex_color(colors["target" if span.role == "target" else "reference"])
-            parts.append(f'<span class="chip" style="--c:{color}">{words}</span>')
+            click = f"sv('chip:{span.role}')"
+            parts.append(f'<span class="chip" style="--c:{color};cursor:pointer" onclick="{click}">{said}</span>')
     return f'<div class="chips">{"".join(parts)}</div>'
 
 
@@ -147,7 +156,9 @@ def objects_html(state: State, thumbs: dict[int, str]) -> str:
     colors, roles = palette(state.dark), state.roles
     rgb = state.loaded.context.frame.rgb
     rows = []
-    for i, entry in enumerate(state.shown.objects):
+    order = sorted(range(len(state.shown.objects)), key=lambda i: ROLE_ORDER[roles.get(i, "other")])
+    for i in order:
+        entry = state.shown.objects[i]
         thumb = thumbs.setdefault(i, object_thumb(rgb, entry.bbox))
         box, quality = entry.lifted.box, entry.lifted.quality
         size = "no depth" if box is None else " × ".join(f"{s * 100:.0f}" for s in box.size) + " cm"
@@ -164,7 +175,7 @@ def objects_html(state: State, thumbs: dict[int, str]) -> str:
         )
     return panel(
         heading(f"Objects ({len(rows)})"),
-        f'<div class="scroll" style="--mh:max(150px, calc(100vh - 560px))"><table>{"".join(rows)}</table></div>',
+        f'<div class="scroll" style="--mh:max(150px, calc(100vh - 540px))"><table>{"".join(rows)}</table></div>',
         '<div class="dim" style="font-size:11px;padding-top:5px"><kbd>/</kbd> ask &nbsp;<kbd>J</kbd> <kbd>K</kbd> pair'
         " &nbsp;<kbd>N</kbd> <kbd>P</kbd> frame &nbsp;<kbd>?</kbd> all keys</div>",
     )

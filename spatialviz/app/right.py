@@ -90,7 +90,7 @@ def pairs_html(state: State) -> str:
     )
     return panel(
         heading("Ranked pairs", more),
-        f'<div class="scroll" style="--mh:calc(18vh - 40px)"><table>{head}{"".join(rows)}</table></div>',
+        f'<div class="scroll" style="--mh:calc(18vh - 58px)"><table>{head}{"".join(rows)}</table></div>',
     )
 
 

@@ -14,7 +14,7 @@ import numpy as np
 import viser
 import viser.transforms as vtf
 
-from pipeline.boxes import EDGES, Box3D
+from pipeline.boxes import EDGES, Box3D, ray_entry
 from pipeline.camera import lift_pixels
 from pipeline.lifting import flying_pixels
 from pipeline.objects import SceneObject
@@ -48,6 +48,7 @@ class SceneFlags:
     labels: bool = False
     pairs: bool = True
     truth: bool = False
+    axes: bool = False
     camera: bool = False
 
 
@@ -65,26 +66,26 @@ class SceneView:
     def __init__(
         self,
         client: viser.ClientHandle,
-        on_object: Callable[[int], None],
-        on_pixel: Callable[[int, int], None],
+        on_ray: Callable[[tuple[int, int] | None, list[int]], None],
     ) -> None:
         self.viewpoint = Viewpoint(client)
         self._client = client
-        self._on_object = on_object
+        self._flags = SceneFlags()
+        self._boxed: dict[int, Box3D] = {}
         self._cloud: _Cloud | None = None
         self._bands: list[viser.PointCloudHandle] = []
         self._lines: dict[str, Any] = {}
         self._faces: Any = None
-        self._face_objects: tuple[int, ...] = ()
         self._anchors: list[viser.FrameHandle] = []
         self._frustum: Any = None
+        self._axes: list[Any] = []
         self._to_show = np.eye(3)
 
         @client.scene.on_click()
         def _(event: Any) -> None:
-            hit = self._pixel_on_ray(np.array(event.ray_origin), np.array(event.ray_direction))
-            if hit is not None:
-                on_pixel(*hit)
+            origin, direction = np.array(event.ray_origin), np.array(event.ray_direction)
+            hit = self._pixel_on_ray(origin, direction) if self._flags.cloud else None
+            on_ray(hit, self._boxes_on_ray(origin, direction))
 
     def set_frame(self, loaded: LoadedFrame, colors: np.ndarray) -> None:
         """Show another frame; `colors` is (H, W, 3) uint8."""
@@ -151,6 +152,8 @@ class SceneView:
         """Draw boxes, the chosen pair first in `pairs`, and return the names to show."""
         colors = palette(dark)
         boxed = [i for i, o in enumerate(objects) if o.lifted.box is not None]
+        self._flags = flags
+        self._boxed = {i: self._box(objects, i) for i in boxed}
         role_of: dict[int, Role] = {i: roles.get(i, "other") for i in boxed}
         with self._client.atomic():
             for handle in self._bands:
@@ -167,7 +170,8 @@ class SceneView:
             self._set_lines("/boxes/truth", _edges(shown_truth), colors["truth"], LINE_WIDTH["truth"], flags.truth)
             self._draw_faces(objects, boxed, role_of, colors, flags)
             self._draw_pairs(objects, pairs, colors, flags)
-            return self._draw_tags(objects, names, boxed, role_of, selected, flags, colors)
+            axes = self._draw_axes(pairs, dark)
+            return axes + self._draw_tags(objects, names, boxed, role_of, selected, flags, colors)
 
     def _shown_box(self, box: Box3D) -> Box3D:
         return Box3D(self._to_show @ box.center, self._to_show @ box.R, box.size)
@@ -204,10 +208,10 @@ class SceneView:
         if self._faces is not None:
             self._faces.remove()
             self._faces = None
-        self._face_objects = tuple(i for i in boxed if flags.boxes or role_of[i] != "other")
-        if not self._face_objects:
+        shown = [i for i in boxed if flags.boxes or role_of[i] != "other"]
+        if not shown:
             return
-        boxes = [self._box(objects, i) for i in self._face_objects]
+        boxes = [self._box(objects, i) for i in shown]
         self._faces = self._client.scene.add_batched_meshes_simple(
             "/boxes/faces",
             CUBE,
@@ -215,18 +219,12 @@ class SceneView:
             np.stack([vtf.SO3.from_matrix(b.R).wxyz for b in boxes]).astype(np.float32),
             np.stack([b.center for b in boxes]).astype(np.float32),
             batched_scales=np.stack([np.maximum(b.size, 0.005) for b in boxes]).astype(np.float32),
-            batched_colors=np.array([colors[role_of[i]] for i in self._face_objects], np.uint8),
-            batched_opacities=np.array([FACE_OPACITY[role_of[i]] for i in self._face_objects], np.float32),
+            batched_colors=np.array([colors[role_of[i]] for i in shown], np.uint8),
+            batched_opacities=np.array([FACE_OPACITY[role_of[i]] for i in shown], np.float32),
             lod="off",
             cast_shadow=False,
             receive_shadow=False,
         )
-
-        @self._faces.on_click
-        async def _(event: Any) -> None:
-            index = event.instance_index
-            if index is not None and index < len(self._face_objects):
-                self._on_object(self._face_objects[index])
 
     def _draw_pairs(
         self,
@@ -256,6 +254,35 @@ class SceneView:
                     name, segment, tint, thickness=width, thickness_units="screen"
                 )
 
+    def _draw_axes(self, pairs: Sequence[tuple[int, int]], dark: bool) -> list[Tag]:
+        """The viewer's right, forward and up at the reference: the frame in which the relation is judged."""
+        for handle in self._axes:
+            handle.remove()
+        self._axes = []
+        reference = self._boxed.get(pairs[0][1]) if pairs else None
+        if not self._flags.axes or reference is None:
+            return []
+        length = float(np.clip(np.linalg.norm(reference.size), 0.25, 0.8))
+        center, scene = reference.center, self._client.scene
+        tags = []
+        for name, direction in (("right", np.eye(3)[0]), ("forward", np.eye(3)[1]), ("up", np.eye(3)[2])):
+            tip = center + direction * length
+            color = (245, 247, 250) if dark else (24, 26, 30)
+            self._axes.append(
+                scene.add_arrows(
+                    f"/axes/{name}",
+                    np.array([[center, tip]], np.float32),
+                    color,
+                    shaft_radius=0.006,
+                    head_radius=0.016,
+                    head_length=0.05,
+                )
+            )
+            x, y, z = (float(v) for v in tip)
+            self._axes.append(scene.add_frame(f"/axes/tip-{name}", show_axes=False, position=(x, y, z)))
+            tags.append(Tag(f"/axes/tip-{name}", name, "", "#5b6472", False))
+        return tags
+
     def _draw_tags(
         self,
         objects: Sequence[SceneObject],
@@ -283,6 +310,11 @@ class SceneView:
             tags.append(Tag(f"/tags/{i}", names[i], detail, hex_color(colors[role_of[i]]), strong))
         # Names of the answer are put last so that they lie on top of the others.
         return sorted(tags, key=lambda t: t.strong)
+
+    def _boxes_on_ray(self, origin: np.ndarray, direction: np.ndarray) -> list[int]:
+        """The boxes a ray passes, the smallest first: a mug is meant rather than the table around it."""
+        hit = [i for i, b in self._boxed.items() if ray_entry(b, origin, direction) is not None]
+        return sorted(hit, key=lambda i: self._boxed[i].volume)
 
     def _pixel_on_ray(self, origin: np.ndarray, direction: np.ndarray) -> tuple[int, int] | None:
         """(u, v) of the nearest surface point close to a ray; exact, because points are pixels."""

@@ -61,10 +61,9 @@ class Session:
         self.page = build(client, self.bridge, tuple(store.sources), source, ids)
         self.scene = SceneView(
             client,
-            on_object=lambda i: self.bridge.post(lambda: self._select(i)),
-            on_pixel=lambda u, v: self.bridge.post(lambda: self._select_pixel(u, v)),
+            on_ray=lambda pixel, boxes: self.bridge.post(lambda: self._select_on_ray(pixel, boxes)),
         )
-        self.fallback = Fallback(client, self.handle)
+        self.fallback = Fallback(client, self.post)
         self._wire()
         add_keys(client, self.post)
         self.bridge.post(lambda: self._open_frame(ids[0], first=True))
@@ -88,6 +87,7 @@ class Session:
             "next-pair": lambda a: self._step_pair(int(a)),
             "object": lambda a: self._select(int(a)),
             "relation": lambda a: self._ask_relation(int(a)),
+            "chip": lambda a: self._select_role(a),
             "try": lambda a: self._ask(self._suggestions[int(a)]),
             "ask": lambda a: self._ask(a),
             "again": lambda a: self._ask(str(self.page.expression.value)),
@@ -304,10 +304,25 @@ class Session:
             self.state = replace(self.state, selected=None if i == self.state.selected else i)
             self._draw()
 
-    def _select_pixel(self, u: int, v: int) -> None:
-        if self.state.loaded is not None:
+    def _select_on_ray(self, pixel: tuple[int, int] | None, boxes: list[int]) -> None:
+        """A click in the scene: the object whose pixel was hit, else the smallest box on the way."""
+        if self.state.loaded is None:
+            return
+        found = None
+        if pixel is not None:
             frame = self.state.loaded.context.frame
-            self._select_fraction((u + 0.5) / frame.width, (v + 0.5) / frame.height)
+            found = bottom.object_at(self.state, (pixel[0] + 0.5) / frame.width, (pixel[1] + 0.5) / frame.height)
+        if found is None and boxes:
+            found = boxes[0]
+        if found is not None and found != self.state.selected:
+            self._select(found)
+
+    def _select_role(self, role: str) -> None:
+        """A click on a word of the expression: the object that fills it."""
+        if self.state.pair is not None:
+            i = self.state.pair[0 if role == "target" else 1]
+            if i != self.state.selected:
+                self._select(i)
 
     def _select_fraction(self, x: float, y: float) -> None:
         found = bottom.object_at(self.state, x, y)

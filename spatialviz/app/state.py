@@ -101,8 +101,10 @@ class State:
             return {}
         roles: dict[int, Role] = {self.pair[1]: "reference"}
         chosen = self.chosen
-        if chosen is not None and chosen.second_reference is not None:
-            roles[self.shown.place[chosen.second_reference]] = "reference"
+        for link in () if chosen is None else chosen.links:
+            for end in (link.a, link.b, link.c):
+                if end is not None:
+                    roles[self.shown.place[end]] = "reference"
         roles[self.pair[0]] = "target"
         return roles
 
