@@ -45,6 +45,14 @@ def memory_mb(pid: int) -> float:
     return 0.0
 
 
+FRAME_OF = """() => [...document.querySelectorAll('input')]
+    .map(i => i.value).find(v => /^[0-9]+\\/[0-9]+$/.test(v)) || ''"""
+
+
+def frame_of(page) -> str:
+    return page.evaluate(FRAME_OF)
+
+
 def drive() -> dict:
     with sync_playwright() as play:
         browser = play.chromium.launch(executable_path="/usr/bin/chromium", args=CHROMIUM)
@@ -63,6 +71,14 @@ def drive() -> dict:
         field.fill("<img src=x onerror=alert(1)> left of the mug")
         field.press("Enter")
         page.locator(".sv .note").first.wait_for(timeout=30_000)
+        other = browser.new_page(viewport={"width": 1440, "height": 900})
+        other.add_init_script(f"window.frameOf = {FRAME_OF}")
+        other.goto(ADDRESS)
+        other.get_by_text("Ranked pairs").wait_for(timeout=60_000)
+        before = frame_of(page)
+        other.keyboard.press("n")
+        other.wait_for_function("before => window.frameOf() !== before", arg=before, timeout=30_000)
+        assert frame_of(page) == before, "one client's frame moved another's"
         browser.close()
         assert not problems, problems
         return {"rows": rows}

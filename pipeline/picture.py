@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 
 import cv2
@@ -90,7 +91,7 @@ def save_picture(trace: Trace, path: Path) -> None:
     Raises
     ------
     InputError
-        Where the folder does not exist or the ending is not that of an image.
+        Where the folder does not exist or cannot be written, or the ending is not that of an image.
     """
     if not path.parent.is_dir():
         raise InputError("the folder for the picture does not exist", path=path.parent)
@@ -101,8 +102,13 @@ def save_picture(trace: Trace, path: Path) -> None:
     if not ok:
         raise InputError("cannot write a picture of this kind", got=path.suffix, expected=".png or .jpg", path=path)
     temporary = path.with_name(f".{path.name}.part")
-    temporary.write_bytes(data.tobytes())
-    temporary.replace(path)
+    try:
+        temporary.write_bytes(data.tobytes())
+        temporary.replace(path)
+    except OSError as error:
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
+        raise InputError("the picture cannot be written", got=error.strerror, path=path) from error
 
 
 def _line(image: np.ndarray, start: np.ndarray, end: np.ndarray, color: Sequence[int], width: int) -> None:

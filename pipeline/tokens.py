@@ -168,6 +168,8 @@ def tokenize(text: str, known: Vocabulary, *, hold_names: bool = True) -> list[T
         if name is not None and name[2] and not hold_names:
             name = None
         phrase = _longest(_PHRASES.get(words[i]), words, opens, i)
+        if phrase is not None and len(phrase[0]) > 1:
+            phrase = _before_a_name(phrase, known, words, opens, i)
         best = name if phrase is None or (name is not None and len(name[0]) > len(phrase[0])) else phrase
         if best is None:
             tokens.append(Token(words[i], starts[i], ends[i], bound=not (opens[i] and opens[i + 1])))
@@ -193,6 +195,20 @@ def _longest(
         if last <= len(words) and opens[last] and (last == at + 1 or tuple(words[at:last]) == entry[0]):
             return entry
     return None
+
+
+def _before_a_name(
+    phrase: tuple[tuple[str, ...], str, bool], known: Vocabulary, words: list[str], opens: list[bool], at: int
+) -> tuple[tuple[str, ...], str, bool]:
+    """The phrase, or a shorter one where a known name begins within it and ends after it: `in` + `front door`."""
+    for entry in _PHRASES[words[at]]:
+        size = len(entry[0])
+        if size >= len(phrase[0]) or tuple(words[at : at + size]) != entry[0]:
+            continue
+        name = _longest(known.names.get(words[at + size]), words, opens, at + size)
+        if name is not None and at + size + len(name[0]) > at + len(phrase[0]):
+            return entry
+    return phrase
 
 
 def _quoted(quotes: dict[int, re.Match[str]], starts: list[int], ends: list[int], at: int) -> int | None:

@@ -221,6 +221,8 @@ class Render:
     """The same seed gives the same files."""
     width: int = 640
     height: int = 480
+    workers: int = os.cpu_count() or 1
+    """Rooms rendered at once, each by a process of its own. The files do not depend on it."""
 
     def run(self) -> int:
         from pipeline.synthetic import render_dataset
@@ -235,10 +237,11 @@ class Render:
                 width=self.width,
                 height=self.height,
                 progress=advance,
+                workers=self.workers,
             )
         print(
             f"{report.frames} frames of {report.rooms} rooms with {report.objects} objects "
-            f"of {report.classes} classes in {report.seconds:.1f} s -> {self.out}"
+            f"of {len(report.classes)} classes in {report.seconds:.1f} s -> {self.out}"
         )
         return FINE
 

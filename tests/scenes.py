@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from pipeline.boxes import Box3D
 from pipeline.camera import Camera, intrinsics
@@ -52,7 +53,7 @@ def up_of(pitch: float, roll: float = 0.0) -> np.ndarray:
     return turn @ level
 
 
-def upright(center: Sequence[float], size: Sequence[float], yaw: float = 0.0) -> Box3D:
+def upright(center: ArrayLike, size: ArrayLike, yaw: float = 0.0) -> Box3D:
     """A box on its base in the level frame (right, down, forward), turned by `yaw` degrees."""
     a = np.deg2rad(yaw)
     R = np.array([[np.cos(a), 0, np.sin(a)], [0, 1, 0], [-np.sin(a), 0, np.cos(a)]])

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes import camera_of, random_rotation
 
-from pipeline.boxes import CORNER_SIGNS, EDGES, Box3D, iou_2d, iou_3d
+from pipeline.boxes import CORNER_SIGNS, EDGES, Box3D, iou_2d, iou_3d, ray_entry
 from pipeline.camera import Camera, backproject, intrinsics, lift_pixels, project, to_world
 from pipeline.errors import InputError
 from pipeline.frame import Annotation, Frame
@@ -102,7 +102,9 @@ def test_a_hostile_camera_is_refused_with_its_cause(
 
 
 def test_an_up_vector_is_made_a_unit_vector() -> None:
-    assert np.linalg.norm(camera_of().with_up(np.array([0, -7.0, 1]), "imu").up) == pytest.approx(1)
+    camera = camera_of().with_up(np.array([0, -3.0, 4]), "imu")
+    assert camera.up is not None
+    np.testing.assert_allclose(camera.up, [0, -0.6, 0.8])
 
 
 # Frames.
@@ -155,7 +157,7 @@ def test_sizes_that_disagree_are_refused() -> None:
 
 
 def test_hostile_annotations_are_refused() -> None:
-    with pytest.raises(InputError, match="annotation 2.*four finite"):
+    with pytest.raises(InputError, match=r"annotation 2.*four finite"):
         Annotation(2, "mug", np.array([0, 0, np.nan, 1]))
     with pytest.raises(InputError, match=r"annotation 2.*bool \(H, W\).*uint8"):
         Annotation(2, "mug", np.zeros(4), np.zeros((4, 4), np.uint8))
@@ -201,7 +203,7 @@ def random_box(rng: np.random.Generator, spread: float = 0.4) -> Box3D:
 
 
 def inside(points: np.ndarray, box: Box3D) -> np.ndarray:
-    return (np.abs((points - box.center) @ box.R) <= box.size / 2).all(axis=1)
+    return np.all(np.abs((points - box.center) @ box.R) <= box.size / 2, axis=1)
 
 
 @pytest.mark.parametrize("seed", range(12))
@@ -261,6 +263,33 @@ def test_corners_and_edges_are_those_of_a_box() -> None:
     lengths = np.linalg.norm(box.corners[EDGES[:, 0]] - box.corners[EDGES[:, 1]], axis=1)
     np.testing.assert_allclose(np.sort(lengths), np.sort(np.repeat(box.size, 4)))
     assert len({tuple(sorted(e)) for e in EDGES.tolist()}) == 12
+
+
+@given(SEEDS)
+def test_a_ray_enters_a_box_at_its_surface(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    box, origin = random_box(rng), rng.normal(size=3) * 2
+    direction = box.center + rng.normal(size=3) * 0.3 - origin
+    t = ray_entry(box, origin, direction)
+    along = origin + np.linspace(0, 5, 20_001)[:, None] * direction
+    hits = np.flatnonzero(inside(along, box))
+    if t is None:
+        assert len(hits) <= 1
+        return
+    local = np.abs((origin + t * direction - box.center) @ box.R) / (box.size / 2)
+    assert t == 0 or local.max() == pytest.approx(1, abs=1e-6)
+    if len(hits):
+        assert hits[0] * 5 / 20_000 == pytest.approx(t, abs=3e-4)
+    assert ray_entry(box, box.center, direction) == 0
+    assert ray_entry(box, box.center + box.size.sum() * direction / np.linalg.norm(direction), direction) is None
+
+
+def test_a_ray_along_a_face_and_beside_it() -> None:
+    box = Box3D(np.array([0, 0, 2.0]), np.eye(3), np.ones(3))
+    ahead = np.array([0, 0, 1.0])
+    assert ray_entry(box, np.zeros(3), ahead) == pytest.approx(1.5)
+    assert ray_entry(box, np.zeros(3), 2 * ahead) == pytest.approx(0.75)
+    assert ray_entry(box, np.array([0.6, 0, 0]), ahead) is None
 
 
 @pytest.mark.parametrize(

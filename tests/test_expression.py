@@ -476,3 +476,10 @@ def test_the_parser_needs_no_heavy_library() -> None:
         imported = {a.name.split(".")[0] for n in ast.walk(tree) if isinstance(n, ast.Import) for a in n.names}
         imported |= {str(n.module).split(".")[0] for n in ast.walk(tree) if isinstance(n, ast.ImportFrom)}
         assert not imported & heavy
+
+
+def test_a_known_name_that_begins_within_a_phrase_and_ends_after_it_is_kept() -> None:
+    names = ["mug", "door", "front door"]
+    assert parse("mug in front door", class_names=names).expression.reference == "front door"
+    assert parse("mug in front of door", class_names=names).expression.relation == "front"
+    assert parse("mug in front of front door", class_names=names).expression.reference == "front door"

@@ -278,6 +278,13 @@ def test_both_parts_of_an_object_behind_a_post_are_kept() -> None:
     assert project(one.points, CAMERA)[:, 0].min() > 160
 
 
+def test_parts_that_meet_at_a_corner_only_are_two_parts() -> None:
+    large, small = flat_mask(100, 200, 100, 200), flat_mask(200, 215, 200, 215)
+    codes, _ = codes_of(large | small, FLAT, LiftConfig(erode=0))
+    assert (codes[large] == Pixel.KEPT).all()
+    assert (codes[small] == Pixel.SMALL_PART).all()
+
+
 # Lifting.
 
 

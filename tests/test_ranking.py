@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.expression import Attachment, Node, Reading
-from pipeline.ranking import MIN_RELATION, NON_DEFAULT_PENALTY, Candidates, RankConfig, Ranking, rank
+from pipeline.ranking import MIN_RELATION, NON_DEFAULT_PENALTY, Candidates, RankConfig, RankedPair, Ranking, rank
 
 SEEDS = st.integers(0, 2**32 - 1)
 N = 7
@@ -31,7 +31,7 @@ class Problem:
     same: np.ndarray = field(default_factory=lambda: np.eye(N, dtype=bool))
     masks: np.ndarray = field(default_factory=lambda: np.arange(N) + 100)
 
-    def lookup(self, attachment: Attachment, heads: Sequence[int], ends: Sequence[Sequence[int]]) -> np.ndarray:
+    def lookup(self, attachment: Attachment, heads: np.ndarray, ends: Sequence[np.ndarray]) -> np.ndarray:
         return self.tables[attachment.phrase][np.ix_(heads, *ends)]
 
     def node(self, relations: int, between: bool) -> Node:
@@ -117,7 +117,7 @@ def test_max_product_is_the_best_of_all_assignments(seed: int, config: RankConfi
         assert found.degenerate
         assert found.reading_scores == (-np.inf,)
         return
-    got = {
+    got: dict[tuple[int | None, ...], RankedPair] = {
         (p.target, p.reference, *([] if p.second_reference is None else [p.second_reference])): p for p in found.pairs
     }
     assert got.keys() == expected.keys()
@@ -229,9 +229,10 @@ def test_ties_fall_to_the_relation_then_the_target_then_the_mask_then_the_number
 
 def test_rounding_does_not_break_a_tie() -> None:
     table = np.full((N, N), 0.5)
-    table[0, 6], table[1, 6] = 0.3, 0.1
-    problem, root = simple(([0, 1], [0.1, 0.3]), ([6], [0.7]), table)
-    assert pairs_of(problem.rank(root))[0] == (0, 6), "the higher relation"
+    table[0, 6], table[1, 6] = 0.05, 0.15
+    # The two products are equal; as sums of logs the first comes out larger by a rounding.
+    problem, root = simple(([0, 1], [0.15, 0.05]), ([6], [0.2]), table)
+    assert pairs_of(problem.rank(root))[0] == (1, 6), "the higher relation"
 
 
 def test_without_an_allowed_pair_the_best_target_stands_alone() -> None:

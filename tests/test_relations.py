@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -47,7 +48,7 @@ def true_of(found: np.ndarray, a: int = 0, b: int = 1) -> set[str]:
     return {r for r in DIRECTIONAL if of(r, found, a, b) == T}
 
 
-def test_the_409_worked_cases_hold_exactly(shared_data) -> None:
+def test_the_409_worked_cases_hold_exactly(shared_data: Path) -> None:
     cases = json.loads((shared_data / "golden" / "relations-viewer-cone-v1.json").read_text())["cases"]
     assert len(cases) == 409
     wrong = []
@@ -61,7 +62,7 @@ def test_the_409_worked_cases_hold_exactly(shared_data) -> None:
     assert not wrong, wrong[:3]
 
 
-def test_the_worked_cases_hold_all_at_once_too(shared_data) -> None:
+def test_the_worked_cases_hold_all_at_once_too(shared_data: Path) -> None:
     """A pair's states must not depend on what else is in the scene."""
     cases = json.loads((shared_data / "golden" / "relations-viewer-cone-v1.json").read_text())["cases"][:60]
     lo, hi = (np.array([case[k][end] for case in cases for k in "ab"]) for end in ("lo", "hi"))
@@ -163,7 +164,7 @@ def test_on_needs_contact_and_room() -> None:
     assert of("on", cup(0.85)) == U
     assert of("on", cup(1.0)) == F
     assert of("on", cup(0.75), 1, 0) == F
-    board = states(((0, 0.8, 2), (2.0, 0.1, 2.0)), table)
+    board = states(((0, 0.8, 2), (1.4, 0.1, 1.4)), table)
     assert of("on", board) == F, "larger than what should bear it"
 
 
@@ -178,14 +179,27 @@ def test_on_reads_the_surface_under_the_footprint_and_not_the_top_of_the_back() 
     assert of("on", pairwise_states(lo, hi)) == F
 
 
+def test_the_surface_is_the_top_of_what_lies_under_the_footprint() -> None:
+    rng = np.random.default_rng(0)
+    block = rng.uniform([-0.5, 0, 1.5], [0.5, 0.4, 2.5], (4000, 3))
+    cup = rng.uniform([-0.05, 0.4, 1.95], [0.05, 0.5, 2.05], (500, 3))
+    # A rod far aside makes the block's extents higher than what bears the cup.
+    rod = rng.uniform([0.45, 0.4, 2.45], [0.5, 1.2, 2.5], (400, 3))
+    bearer = np.concatenate([block, rod])
+    lo, hi = np.stack([cup.min(0), bearer.min(0)]), np.stack([cup.max(0), bearer.max(0)])
+    assert of("on", pairwise_states(lo, hi, [cup, bearer])) == T
+
+
 def test_in_counts_points_and_needs_the_rim_above() -> None:
     bowl = ((0, 0.1, 2), (0.6, 0.2, 0.6))
     assert of("in", states(((0, 0.1, 2), (0.1, 0.1, 0.1)), bowl)) == T
     assert of("in", states(((0, 0.3, 2), (0.1, 0.1, 0.1)), bowl)) == F
     assert of("in", states(((0.32, 0.1, 2), (0.2, 0.1, 0.1)), bowl)) == U
+    sheet = ((0, 0.208, 2), (0.3, 0.016, 0.3))
+    assert of("in", states(sheet, bowl)) == F, "within the margin of the rim, but on it"
     rng = np.random.default_rng(0)
     apple = rng.uniform([-0.05, 0.05, 1.95], [0.05, 0.15, 2.05], (500, 3))
-    outside = apple + [0.5, 0, 0]
+    outside = apple + np.array([0.5, 0, 0])
     lo, hi = np.array([[-0.05, 0.05, 1.95], [-0.3, 0, 1.7]]), np.array([[0.55, 0.15, 2.05], [0.3, 0.2, 2.3]])
 
     def mixed(inside: int) -> int:
@@ -253,7 +267,8 @@ def test_a_permutation_of_the_objects_permutes_the_states(seed: int) -> None:
 def test_a_mirrored_scene_swaps_left_and_right_only(seed: int) -> None:
     lo, hi = random_extents(np.random.default_rng(seed), 7)
     flip = np.array([-1, 1, 1])
-    found, mirrored = pairwise_states(lo, hi), pairwise_states(np.minimum(lo * flip, hi * flip), np.maximum(lo * flip, hi * flip))
+    found = pairwise_states(lo, hi)
+    mirrored = pairwise_states(np.minimum(lo * flip, hi * flip), np.maximum(lo * flip, hi * flip))
     swapped = [PAIRWISE.index({"left": "right", "right": "left"}.get(r, r)) for r in PAIRWISE]
     np.testing.assert_array_equal(mirrored, found[..., swapped])
 
@@ -274,9 +289,9 @@ def test_moving_the_scene_aside_or_up_changes_nothing(seed: int) -> None:
 def test_pitching_the_camera_changes_nothing(seed: int) -> None:
     """The same scene seen by a camera that pitches and rolls about its centre: the level axes take it back."""
     rng = np.random.default_rng(seed)
+    centers, sizes = rng.uniform([-1, -0.5, 1.5], [1, 0.5, 3], (5, 3)), rng.uniform(0.1, 0.6, (5, 3))
     clouds = [
-        filled_cloud(upright(rng.uniform([-1, -0.5, 1.5], [1, 0.5, 3]), rng.uniform(0.1, 0.6, 3), rng.uniform(0, 90)), rng)
-        for _ in range(5)
+        filled_cloud(upright(c, s, rng.uniform(0, 90)), rng) for c, s in zip(centers, sizes, strict=True)
     ]
     found = []
     for pitch, roll in ((0.0, 0.0), (rng.uniform(-35, 60), 0.0), (rng.uniform(-20, 40), rng.uniform(-10, 10))):
@@ -327,7 +342,7 @@ def test_ties_and_near_ties_for_the_closest() -> None:
 
 def test_objects_that_touch_the_reference_are_told_apart_by_their_centres() -> None:
     lo = np.array([[0, 0, 0], [0.1, 0, 0], [0.4, 0, 0.0]])
-    hi = lo + [[1, 1, 1], [0.1, 0.1, 0.1], [0.2, 0.2, 0.2]]
+    hi = lo + np.array([[1, 1, 1], [0.1, 0.1, 0.1], [0.2, 0.2, 0.2]])
     found = superlative_states(lo, hi, [1, 2], [0])[:, 0]
     assert found[1] == T
     assert found[0] == U

@@ -21,7 +21,11 @@ from pipeline.errors import InputError, MissingExtra
 from pipeline.synthetic import RenderedFrame, Room, camera_at, choose_views, make_room, render_dataset, render_view
 from pipeline.synthetic import dataset as dataset_module
 from pipeline.synthetic.layout import FLOOR, TOUCH_M, WALL, overlaps, part_boxes
+from pipeline.synthetic.lighting import sunlight
+from pipeline.synthetic.model import Model
+from pipeline.synthetic.raycast import build_scene, pixel_rays
 from pipeline.synthetic.sensor import noise_sigma, sense
+from pipeline.synthetic.surfaces import OFFSET_M, find_surfaces
 
 SIZE: dict[str, Any] = {"width": 96, "height": 72}
 SEEDS = (0, 1, 2, 3, 4, 9)
@@ -117,12 +121,49 @@ def test_no_object_is_a_single_box() -> None:
             assert len(instance.model.parts) > 1 or faces > 200, instance.model.label
 
 
+def shelves_of(room: Room) -> list[int]:
+    return [k for k, i in enumerate(room.instances) if i.model.label in ("bookshelf", "shelf")]
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_few_things_on_each_shelf_are_objects_of_their_own(seed: int) -> None:
+    """Rows of books are parts of their shelf, so that a frame is not mostly books."""
+    room = room_of(seed)
+    for index in shelves_of(room):
+        resting = [i.model.label for i in room.instances if i.support == index]
+        assert 2 <= len(resting) <= 6
+        assert resting.count("book") <= 2
+    assert len(room.instances) < 55
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_a_shelfs_books_are_seen_stand_on_its_boards_and_are_named_as_the_shelf(seed: int) -> None:
+    frame, room = frame_of(seed), room_of(seed)
+    for index in shelves_of(room):
+        model = room.instances[index].model
+        covers = [part for part in model.parts if part.material.texture and part.material.texture[0] == "cover"]
+        assert len(covers) >= 3
+        assert (np.min([part.low for part in covers], axis=0) >= model.low - 1e-12).all()
+        assert (np.max([part.high for part in covers], axis=0) <= model.high + 1e-12).all()
+        # The parts of one shelf's books do not run into each other or into its frame.
+        boxes = part_boxes(Model("books", tuple(covers)), np.zeros(3), 0.0)
+        assert overlaps(boxes, boxes).sum() == len(covers)
+        v, u = np.nonzero(frame.instances == index)
+        points = lift_pixels(frame.depth_exact[v, u], frame.camera, v, u)
+        local = (points - frame.boxes[index].center) @ frame.boxes[index].R + (model.low + model.high) / 2
+        inside = np.zeros(len(local), dtype=bool)
+        for part in covers:
+            inside |= ((local > part.low - 0.002) & (local < part.high + 0.002)).all(axis=1)
+        assert inside.sum() >= 5
+
+
 def test_a_mug_stands_on_each_side_of_the_laptop_in_the_first_view() -> None:
     camera = choose_views(room_of(0), 1, np.random.default_rng(0), 160, 120)[0]
     frame = render_view(room_of(0), camera, np.random.default_rng(0))
     x: dict[str, list[float]] = {"mug": [], "laptop": []}
     for index, instance in enumerate(room_of(0).instances):
-        if instance.model.label in x and (frame.instances == index).sum() >= 3:
+        # At 640x480 these are 300 pixels or more.
+        if instance.model.label in x and (frame.instances == index).sum() >= 300 / 16:
             x[instance.model.label].append(frame.boxes[index].center[0])
     assert len(x["laptop"]) == 1
     assert min(x["mug"]) < x["laptop"][0] - 0.15
@@ -174,6 +215,16 @@ def test_masks_meet_the_surface_they_name() -> None:
     assert world[:, 2].min() > -2e-3
 
 
+@pytest.mark.parametrize("seed", [0, 1, 2, 3, 8, 9, 10, 11])
+def test_one_view_of_each_room_looks_another_way(seed: int) -> None:
+    room = room_of(seed)
+    cameras = choose_views(room, 3, np.random.default_rng([seed, 11]), 96, 72)
+    ahead = [camera.T_world_camera[:2, 2] for camera in cameras if camera.T_world_camera is not None]
+    headings = np.array([np.arctan2(y, x) for x, y in ahead])
+    apart = np.rad2deg(np.abs((headings[:, None] - headings + np.pi) % (2 * np.pi) - np.pi))
+    assert (apart + 360 * np.eye(3)).min(axis=1).max() >= 40
+
+
 def test_views_are_a_robots() -> None:
     for seed in range(4):
         room = room_of(seed)
@@ -219,6 +270,22 @@ def test_colour_is_neither_black_nor_burnt_out() -> None:
         assert 90 < rgb.mean() < 215
         assert (rgb.max(axis=2) < 12).mean() < 0.03
         assert (rgb.min(axis=2) > 250).mean() < 0.15
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3, 9])
+def test_the_sun_shines_where_nothing_is_between_it_and_the_point(seed: int) -> None:
+    """Asking only the rays that leave by the window gives what asking all of them gives."""
+    frame, room = frame_of(seed), room_of(seed)
+    scene = build_scene(room)
+    v, u = (g.ravel() for g in np.indices((120, 160)))
+    seen = find_surfaces(scene, frame.camera, pixel_rays(frame.camera, v, u))
+    sun = room.sun.astype(np.float32)
+    facing = seen.hit & (seen.normal @ sun > 0) & (seen.flat @ sun > 0)
+    start = seen.position + OFFSET_M * seen.flat
+    expected = facing & ~scene.blocked(start, np.broadcast_to(sun, start.shape))
+    got = sunlight(scene, seen).any(axis=1)
+    assert 0.003 < expected.mean() < 0.5
+    assert (got != expected).mean() < 0.001
 
 
 def test_a_camera_without_a_pose_is_refused() -> None:

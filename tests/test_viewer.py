@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -68,7 +71,8 @@ def test_looking_straight_up_the_bottom_of_the_image_is_forward() -> None:
 
 @pytest.mark.parametrize("pitch", [69.9, 70.2, -69.9, -70.2])
 def test_forward_does_not_jump_where_the_view_becomes_steep(pitch: float) -> None:
-    np.testing.assert_allclose(viewer_axes(up_of(pitch)).forward, viewer_axes(up_of(70 * np.sign(pitch))).forward, atol=0.01)
+    there = viewer_axes(up_of(70 * np.sign(pitch)))
+    np.testing.assert_allclose(viewer_axes(up_of(pitch)).forward, there.forward, atol=0.01)
 
 
 # The level plane.
@@ -154,7 +158,7 @@ def test_up_comes_from_the_best_source_there_is() -> None:
 # Real frames: the world's up, as each frame finds it for itself, must be one and the same.
 
 
-def ups_in_world(root, **facts) -> dict[str, np.ndarray]:
+def ups_in_world(root: Path, **facts: Any) -> dict[str, np.ndarray]:
     dataset = open_dataset(root, **facts)
     found = {}
     for frame_id in dataset.frame_ids:
@@ -166,7 +170,7 @@ def ups_in_world(root, **facts) -> dict[str, np.ndarray]:
     return found
 
 
-def test_two_frames_of_a_ycb_scene_agree_where_up_is(shared_data) -> None:
+def test_two_frames_of_a_ycb_scene_agree_where_up_is(shared_data: Path) -> None:
     ups = ups_in_world(shared_data / "real" / "ycbv-bop")
     assert len(ups) == 6
     for scene in ("000000", "000001", "000002"):
@@ -174,7 +178,7 @@ def test_two_frames_of_a_ycb_scene_agree_where_up_is(shared_data) -> None:
         assert angle_deg(first, second) < 1.5
 
 
-def test_the_views_of_a_room_agree_where_up_is(shared_data) -> None:
+def test_the_views_of_a_room_agree_where_up_is(shared_data: Path) -> None:
     kitchen = ups_in_world(shared_data / "real" / "7scenes-redkitchen")
     dining = ups_in_world(
         shared_data / "real" / "slambook-diningroom", intrinsics=(518, 519, 325.5, 253.5), depth_scale=1000

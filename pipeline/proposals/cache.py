@@ -7,7 +7,6 @@ import tempfile
 from collections import OrderedDict
 from collections.abc import Sequence
 from pathlib import Path
-from zipfile import BadZipFile
 
 import numpy as np
 import platformdirs
@@ -53,7 +52,9 @@ class CachedDetector:
 
     def detect(self, frame: Frame, labels: Sequence[str] | None) -> Proposals:
         key = self.key(frame, labels)
-        found = self._recent.get(key) or _load(self.folder / f"{key}.npz")
+        found = self._recent.get(key)
+        if found is None:  # An empty result is a result.
+            found = _load(self.folder / f"{key}.npz")
         if found is None:
             found = self.detector.detect(frame, labels)
             _store(self.folder / f"{key}.npz", found)
@@ -72,9 +73,11 @@ class CachedDetector:
 def _store(path: Path, proposals: Proposals) -> None:
     shape = (0, 0, 0) if proposals.masks is None else proposals.masks.shape
     packed = np.zeros(0, np.uint8) if proposals.masks is None else np.packbits(proposals.masks)
+    temporary: Path | None = None
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".tmp", delete=False) as file:
+            temporary = Path(file.name)
             np.savez_compressed(
                 file,
                 boxes=proposals.boxes,
@@ -87,9 +90,10 @@ def _store(path: Path, proposals: Proposals) -> None:
                 masks=packed,
                 has_mask=np.ones(len(proposals), bool) if proposals.has_mask is None else proposals.has_mask,
             )
-        os.replace(file.name, path)
+        os.replace(temporary, path)
     except OSError:
-        return
+        if temporary is not None:
+            temporary.unlink(missing_ok=True)
 
 
 def _load(path: Path) -> Proposals | None:
@@ -110,5 +114,5 @@ def _load(path: Path) -> Proposals | None:
                 data["ids"],
                 data["has_mask"],
             )
-    except (OSError, ValueError, KeyError, EOFError, BadZipFile):
+    except Exception:  # Damaged bytes fail in zipfile, zlib, tokenize or NumPy, each with its own class.
         return None

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from pipeline.errors import InputError
 from pipeline.frame import Frame
@@ -39,7 +39,7 @@ class RecordedDetection(BaseModel):
 
     label: str = Field(min_length=1)
     score: float = Field(ge=0, le=1)
-    bbox: tuple[float, float, float, float]
+    bbox: tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
     mask: RunLength | str | None = None
 
 
@@ -145,6 +145,11 @@ class RecordedDetector:
         if detection.mask is None:
             return box_mask(np.array(detection.bbox), *shape)
         if isinstance(detection.mask, RunLength):
+            # The size is checked before memory for it is asked for.
+            if detection.mask.size != shape:
+                raise InputError(
+                    f"{where}: the mask has another size", got=detection.mask.size, expected=shape, path=self.path
+                )
             mask = decode_run_length(detection.mask.size, detection.mask.counts, where)
         else:
             mask = self._mask_file(detection.mask, where)
@@ -155,7 +160,10 @@ class RecordedDetector:
     def _mask_file(self, name: str, where: str) -> np.ndarray:
         import cv2
 
-        file = (self.path.parent / name).resolve()
+        try:
+            file = (self.path.parent / name).resolve()
+        except (OSError, ValueError, RuntimeError) as error:  # A NUL in the name, a loop of links.
+            raise InputError(f"{where}: the mask is not a readable file", got=repr(name), path=self.path) from error
         if not file.is_relative_to(self.path.parent.resolve()):
             raise InputError(f"{where}: the mask lies outside the recording's folder", got=name, path=self.path)
         image = cv2.imread(str(file), cv2.IMREAD_UNCHANGED) if file.is_file() else None
@@ -210,7 +218,7 @@ def _fills(counts: str, pixels: int) -> bool:
 def _read_json(path: Path) -> Recording:
     try:
         return Recording.model_validate(json.loads(path.read_text(encoding="utf-8")))
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+    except (OSError, json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise InputError("the recording is not JSON", got=str(error), path=path) from error
     except ValidationError as error:
         first = error.errors()[0]
@@ -223,17 +231,26 @@ def _read_json(path: Path) -> Recording:
 def _read_npz(file: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
     try:
         with np.load(file, allow_pickle=False) as data:
-            boxes = np.asarray(data["boxes"], np.float32).reshape(-1, 4)
+            boxes = np.asarray(data["boxes"], np.float32)
             scores = np.asarray(data["scores"], np.float32)
             labels = np.asarray(data["labels"]).astype(np.str_)
             masks = np.asarray(data["masks"]).astype(np.bool_) if "masks" in data else None
-    except (OSError, ValueError, KeyError) as error:
+    except Exception as error:  # Damaged bytes fail in zipfile, zlib or NumPy, each with its own class.
         raise InputError(
             "not a recording of detections",
-            got=str(error).splitlines()[0],
+            got=(str(error) or type(error).__name__).splitlines()[0],
             expected="arrays boxes, scores, labels and, optionally, masks",
             path=file,
         ) from error
+    if boxes.size == 0:
+        boxes = boxes.reshape(0, 4)
+    if boxes.ndim != 2 or boxes.shape[1] != 4 or scores.ndim != 1 or labels.ndim != 1:
+        raise InputError(
+            "the arrays of a recording have the wrong shape",
+            got=f"boxes {boxes.shape}, scores {scores.shape}, labels {labels.shape}",
+            expected="(N, 4), (N,), (N,)",
+            path=file,
+        )
     if not (len(boxes) == len(scores) == len(labels) == (len(boxes) if masks is None else len(masks))):
         raise InputError("the arrays of a recording differ in length", path=file)
     return boxes, scores, labels, masks

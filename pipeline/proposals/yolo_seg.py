@@ -17,10 +17,11 @@ from typing import Any
 
 import cv2
 import numpy as np
+import xxhash
 
 from pipeline.errors import InputError
 from pipeline.frame import Frame
-from pipeline.naming import Synonyms, match
+from pipeline.naming import Synonyms, default_synonyms, match
 from pipeline.proposals.base import Proposals, no_proposals, unknown_class
 from pipeline.proposals.letterbox import Letterbox, letterbox
 from pipeline.proposals.onnx_session import file_hash, open_session, signature
@@ -73,8 +74,15 @@ class YoloSegDetector:
     def _hash(self) -> str:
         return file_hash(self.path)
 
+    @cached_property
+    def _synonyms_hash(self) -> str:
+        table = self.synonyms or default_synonyms()
+        content = (sorted(sorted(group) for group in table.groups), sorted(table.exceptions))
+        return xxhash.xxh3_64_hexdigest(repr(content).encode())
+
     def fingerprint(self) -> str:
-        return f"yolo-seg:{self._hash}:{self.min_score}"
+        # The synonyms decide which of the model's classes a name asks for.
+        return f"yolo-seg:{self._hash}:{self.min_score}:{self._synonyms_hash}"
 
     def detect(self, frame: Frame, labels: Sequence[str] | None) -> Proposals:
         names = self.vocabulary or ()

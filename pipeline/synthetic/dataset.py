@@ -78,8 +78,9 @@ def render_dataset(
     progress : callable, optional
         Called with (frames done, frames in all).
     workers : int
-        Processes; with more than one, each renders whole rooms, and the
-        calling script must be importable (`if __name__ == "__main__"`).
+        Processes; with more than one, each renders whole rooms, `progress` is
+        called once a room, and the calling script must be importable
+        (`if __name__ == "__main__"`): they are spawned. Hence one by default.
 
     Raises
     ------

@@ -261,7 +261,7 @@ def wardrobe(p: Palette, rng: Rng) -> Model:
     ]
     for s in (-1, 1):
         parts.append(
-            block((w / 2 - 0.022, 0.020, h - 0.14), (s * (w / 4 - 0.0095), -d / 2 - 0.008, 0.11), front, 0.002)
+            block((w / 2 - 0.030, 0.020, h - 0.14), (s * (w / 4 - 0.0095), -d / 2 - 0.008, 0.11), front, 0.002)
         )
         for z, tall in ((0.18, 0.70), (1.0, h - 1.12)):
             parts.append(block((w / 2 - 0.15, 0.006, tall), (s * (w / 4 - 0.0095), -d / 2 - 0.019, z), front, 0.003))
@@ -332,15 +332,10 @@ def rug(p: Palette, rng: Rng, width: float, depth: float) -> Model:
     if width == depth:
         profile = [(0, 0), (width / 2 - 0.004, 0), (width / 2, 0.006), (width / 2 - 0.004, 0.012), (0, 0.012)]
         return assemble("rug", [lathe(profile, (0, 0, 0), material, 72)])
-    fringe = Material(WHITE.color, ("stripes", 24, "#efe6d6", "#cfc2ab"), 0)
+    linen = Material(WHITE.color, ("fabric",), 0.12)
     parts = [block((width, depth, 0.012), (0, 0, 0), material, 0.005)]
-    parts += [
-        block(
-            (0.05, depth - 0.01, 0.006),
-            (s * (width / 2 + 0.024), 0, 0),
-            replace(fringe, texture=("fabric",), span=0.12),
-            0.002,
-        )
-        for s in (-1, 1)
-    ]
+    for s in (-1, 1):
+        # A hem closes the ends, whose sides would show the pattern seen from the top.
+        parts.append(block((0.014, depth + 0.001, 0.0125), (s * width / 2, 0, 0), linen, 0.004))
+        parts.append(block((0.05, depth - 0.01, 0.006), (s * (width / 2 + 0.024), 0, 0), linen, 0.002))
     return assemble("rug", parts)

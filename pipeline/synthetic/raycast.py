@@ -119,7 +119,7 @@ def _rays(origins: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.n
 @lru_cache(maxsize=4)
 def build_scene(room: Room) -> Scene:
     """The room's triangles in world coordinates with everything shading needs; kept for the last rooms."""
-    vertices, faces, normals, flats, face_part = [], [], [], [], []
+    vertices, faces, face_part = [], [], []
     owner, turns, shifts, lows, highs, materials = [], [], [], [], [], []
     placed = [(-1, part, np.eye(3), np.zeros(3)) for part in room.shell]
     placed += [
@@ -130,11 +130,8 @@ def build_scene(room: Room) -> Scene:
     start = 0
     for number, (index, part, R, position) in enumerate(placed):
         world = part.vertices @ R.T + position
-        corner, flat = _normals(world, part.faces)
         vertices.append(world)
         faces.append(part.faces + start)
-        normals.append(corner)
-        flats.append(flat)
         face_part.append(np.full(len(part.faces), number, dtype=np.int32))
         owner.append(index)
         turns.append(R)
@@ -143,10 +140,12 @@ def build_scene(room: Room) -> Scene:
         highs.append(part.high)
         materials.append(part.material)
         start += len(world)
+    mesh = np.concatenate(vertices), np.concatenate(faces)
+    normals, flats = _normals(*mesh)
     return Scene(
         room,
-        np.concatenate(normals),
-        np.concatenate(flats),
+        normals,
+        flats,
         np.concatenate(face_part),
         np.array(owner, dtype=np.int32),
         np.array(turns, dtype=np.float32),
@@ -154,7 +153,7 @@ def build_scene(room: Room) -> Scene:
         np.array(lows, dtype=np.float32),
         np.array(highs, dtype=np.float32),
         tuple(materials),
-        Tracer(np.concatenate(vertices), np.concatenate(faces)),
+        Tracer(*mesh),
     )
 
 

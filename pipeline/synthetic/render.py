@@ -12,7 +12,8 @@ from pipeline.errors import InputError
 from pipeline.synthetic.layout import Room
 from pipeline.synthetic.raycast import build_scene, pixel_rays
 from pipeline.synthetic.sensor import sense
-from pipeline.synthetic.shading import find_surfaces, render_colour
+from pipeline.synthetic.shading import render_colour
+from pipeline.synthetic.surfaces import find_surfaces
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ NEAREST_M = 0.45
 """Nothing but the far walls may be closer to the lens."""
 
 CANDIDATES = 60
-PROBE = (64, 48)
+PROBE = (48, 36)
 
 
 def camera_at(

@@ -17,6 +17,8 @@ KEPT: RGB = (53, 169, 107)
 def answer_html(state: State) -> str:
     """The answer in one line, its probability, and what to doubt about it."""
     trace = state.trace
+    if state.error:
+        return panel('<div style="height:.5em"></div>', note(state.error, BAD))
     if trace is None:
         hint = "Type TARGET RELATION REFERENCE at the left, for example “mug left of the laptop”, and press Enter."
         return panel(f'<div class="dim" style="padding:.7em 0">{hint}</div>')

@@ -1,0 +1,506 @@
+"""Questions from text to answer: right on real and on constructed frames, honest where there is no answer."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+import pytest
+from dataset_writers import write_bop
+from scenes import camera_of, frame_of, upright
+
+from pipeline.ask import AskConfig, Trace, ask
+from pipeline.bench import bench_source
+from pipeline.boxes import EDGES, Box3D
+from pipeline.camera import project
+from pipeline.datasets import open_dataset
+from pipeline.demo import DEMO_EXPRESSION, demo_path
+from pipeline.errors import InputError
+from pipeline.frame import Frame
+from pipeline.jobs import Source, ask_frames, contexts, frame_ids, open_source, open_sources, relate_frames
+from pipeline.objects import FrameContext, SceneObject, all_objects, same_object
+from pipeline.palette import ON_DARK, depth_colors, hex_color, instance_colors, palette
+from pipeline.picture import answer_picture, box_edges_2d, save_picture, tinted
+from pipeline.proposals import AnnotationDetector, Proposals, make_detector
+from pipeline.relations import VOCABULARIES
+from pipeline.suggestions import suggest_expressions
+
+KNOWN = ("mug", "laptop", "book", "lamp", "table", "box")
+
+
+@pytest.fixture(autouse=True)
+def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SPATIALVIZ_CACHE", str(tmp_path / "cache"))
+
+
+@pytest.fixture(scope="module")
+def row() -> Frame:
+    """From left to right on a table: mug 0, book 1, mug 2, laptop 3, mug 4."""
+    things = [upright((x, 0.5, 1.5), (0.14, 0.16, 0.14)) for x in (-0.6, -0.3, 0.0, 0.3, 0.6)]
+    table = upright((0, 0.63, 1.5), (1.6, 0.1, 0.6))
+    return frame_of([*things, table], ["mug", "book", "mug", "laptop", "mug", "table"], pitch=25)
+
+
+@pytest.fixture(scope="module")
+def truth() -> AnnotationDetector:
+    return AnnotationDetector(KNOWN)
+
+
+def answer(frame: Frame | FrameContext, text: str, detector: AnnotationDetector, **more: Any) -> tuple[int, int, float]:
+    """(annotation that is the target, annotation that is the reference, p_relation)"""
+    trace = ask(frame, text, detector, **more)
+    assert trace.ranking is not None
+    best = trace.ranking.pairs[0]
+    assert best.reference is not None
+    return trace.objects[best.target].id, trace.objects[best.reference].id, best.p_relation
+
+
+@pytest.mark.parametrize(
+    ("text", "targets"),
+    [
+        ("mug right of the laptop", {4}),
+        ("the book to the left of the laptop", {1}),
+        ("mug closest to the laptop", {2, 4}),
+        ("mug farthest from the laptop", {0}),
+        ("mug between the book and the laptop", {2}),
+        ("book on the table", {1}),
+        ("mug left of the book", {0}),
+        ("mug left of the laptop and right of the book", {2}),
+        ("mug right of the book left of the laptop", {2, 4}),
+        ("table with a laptop on top", {5}),
+        ("table under the laptop", {5}),
+    ],
+)
+def test_expressions_of_a_known_row_are_answered_rightly(
+    row: Frame, truth: AnnotationDetector, text: str, targets: set[int]
+) -> None:
+    target, _, p = answer(row, text, truth)
+    assert target in targets
+    assert p >= 0.5
+
+
+def test_a_wrong_expression_gets_its_answer_at_a_low_probability(row: Frame, truth: AnnotationDetector) -> None:
+    assert answer(row, "laptop left of the book", truth)[2] == 0.05
+
+
+def test_between_names_both_ends(row: Frame, truth: AnnotationDetector) -> None:
+    trace = ask(row, "mug between the book and the laptop", truth)
+    assert trace.ranking is not None
+    best = trace.ranking.pairs[0]
+    assert best.second_reference is not None
+    assert best.reference is not None
+    ids = [trace.objects[k].id for k in (best.target, best.reference, best.second_reference)]
+    assert ids == [2, 1, 3]
+    assert best.p_relation == 0.95
+
+
+def test_an_inverse_phrase_asks_for_the_other_direction(row: Frame, truth: AnnotationDetector) -> None:
+    target, reference, p = answer(row, "table holding a laptop", truth)
+    assert (target, reference) == (5, 3)
+    straight = answer(row, "laptop on the table", truth)
+    assert straight == (3, 5, p)
+
+
+def test_a_vocabulary_without_on_asks_for_above(row: Frame, truth: AnnotationDetector) -> None:
+    config = AskConfig(relations=VOCABULARIES["avd"])
+    trace = ask(row, "laptop on the table", truth, config=config)
+    assert trace.query.expression.mapped_from == "on"
+    assert trace.ranking is not None
+    assert trace.ranking.pairs[0].links[0].relation == "above"
+
+
+def test_each_detection_stands_once_among_the_objects(row: Frame, truth: AnnotationDetector) -> None:
+    trace = ask(row, "mug left of a mug", truth)
+    assert [o.id for o in trace.objects] == [0, 2, 4]
+    assert trace.ranking is not None
+    pairs = {(p.target, p.reference) for p in trace.ranking.pairs}
+    assert pairs == {(a, b) for a in range(3) for b in range(3) if a != b}
+
+
+def test_a_context_lifts_an_object_once(row: Frame, truth: AnnotationDetector) -> None:
+    context = FrameContext(row)
+    first, second = ask(context, "mug left of the laptop", truth), ask(context, "laptop right of the mug", truth)
+    lifted = {o.id: o.lifted for o in first.objects}
+    assert all(lifted[o.id] is o.lifted for o in second.objects)
+    assert second.timings["frame"] == first.timings["frame"] == context.seconds
+
+
+def test_a_context_and_a_frame_give_the_same_answer(row: Frame, truth: AnnotationDetector) -> None:
+    text = "mug right of the laptop"
+    assert answer(row, text, truth) == answer(FrameContext(row), text, truth)
+
+
+def test_the_timings_of_all_stages_are_there(row: Frame, truth: AnnotationDetector) -> None:
+    trace = ask(row, "mug left of the laptop", truth)
+    assert set(trace.timings) == {"parse", "frame", "opm", "lift", "srm", "prm"}
+    assert all(seconds >= 0 for seconds in trace.timings.values())
+    assert set(ask(row, "mug left of the lamp", truth).timings) == {"parse", "frame", "opm", "lift", "srm"}
+
+
+def test_a_class_that_is_not_in_the_frame_is_missing(row: Frame, truth: AnnotationDetector) -> None:
+    trace = ask(row, "lamp left of the mug", truth)
+    assert trace.ranking is None
+    assert trace.missing == ("lamp",)
+    assert ask(row, "lamp left of the box", truth).missing == ("lamp", "box")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("mugg left of the laptop", "does not know the class 'mugg'.*'mug'"),
+        ("mug besidse the laptop", "relation"),
+        ("mug", "no relation"),
+        ("", "empty"),
+    ],
+)
+def test_what_cannot_be_asked_is_refused(row: Frame, truth: AnnotationDetector, text: str, message: str) -> None:
+    with pytest.raises(InputError, match=message) as caught:
+        ask(row, text, truth)
+    assert "\n" not in str(caught.value)
+
+
+def test_one_object_for_both_names_is_no_pair(row: Frame, truth: AnnotationDetector) -> None:
+    trace = ask(row, "laptop left of the laptop", truth)
+    assert trace.ranking is not None
+    assert trace.ranking.degenerate
+
+
+def test_objects_without_depth_are_in_doubt_and_never_fail(row: Frame, truth: AnnotationDetector) -> None:
+    depth = row.depth.copy()
+    mask = row.annotations[3].mask
+    assert mask is not None
+    depth[mask] = 0
+    blind = Frame(row.id, row.rgb, depth, row.camera, row.annotations)
+    trace = ask(blind, "book left of the laptop", truth)
+    assert trace.ranking is not None
+    assert trace.ranking.pairs[0].p_relation == 0.5
+    for text in ("mug closest to the laptop", "mug between the book and the laptop", "laptop on the table"):
+        assert ask(blind, text, truth).ranking is not None
+    answer_picture(trace)
+
+
+def test_the_best_k_of_a_detector_go_on_and_of_the_truth_all(row: Frame, truth: AnnotationDetector) -> None:
+    class Guess:
+        name, exact, vocabulary = "guess", False, None
+
+        def fingerprint(self) -> str:
+            return "guess"
+
+        def detect(self, frame: Frame, labels: Any) -> Proposals:
+            return truth.detect(frame, labels)
+
+    assert len(ask(row, "mug left of the laptop", Guess(), config=AskConfig(k=2)).candidates["mug"].index) == 2
+    assert len(ask(row, "mug left of the laptop", truth, config=AskConfig(k=2)).candidates["mug"].index) == 3
+
+
+def scene_object(number: int, x0: int, x1: int, row: Frame, height: int = 100) -> SceneObject:
+    mask = np.zeros(row.depth.shape, bool)
+    mask[50 : 50 + height, x0:x1] = True
+    lifted = FrameContext(row).lift(AnnotationDetector().detect(row, ["mug"]).take(np.array([0])), AnnotationDetector())
+    return SceneObject(number, "x", 0.5, np.array([x0, 50, x1, 50 + height], np.float32), mask, lifted[0].lifted)
+
+
+def test_two_detections_of_one_thing_are_known_as_the_same(row: Frame) -> None:
+    objects = [
+        scene_object(0, 10, 110, row),
+        scene_object(1, 15, 115, row),  # IoU 0.90 with the first
+        scene_object(2, 40, 140, row),  # mask IoU 0.54 with the first
+        scene_object(3, 50, 150, row),  # 0.43 with the first, 0.82 with the third
+        scene_object(4, 200, 300, row),
+        scene_object(4, 10, 20, row),  # the same number
+        scene_object(-1, 150, 190, row, 40),
+        scene_object(-1, 160, 165, row, 5),  # no number: nothing is known
+    ]
+    same = same_object(objects, exact=False)
+    np.testing.assert_array_equal(same, same.T)
+    assert same[0].tolist() == [True, True, True, False, False, False, False, False]
+    assert same[2, 3]
+    assert same[4, 5]
+    assert not same[6, 7]
+    assert same_object(objects, exact=True).sum() == len(objects) + 2
+    assert same_object([], exact=False).shape == (0, 0)
+
+
+# Real frames: the ground-truth poses decide what is right.
+
+
+def ycb_pairs(root: Path) -> list[tuple[str, str, str]]:
+    """(frame, left object, right object) where the poses leave no doubt."""
+    found = []
+    dataset = open_dataset(root)
+    for frame_id in dataset.frame_ids:
+        context = FrameContext(dataset.load(frame_id))
+        scene, image = frame_id.split("/")
+        poses = json.loads((root / scene / "scene_gt.json").read_text())[str(int(image))]
+        right, _, forward = (np.array([p["cam_t_m2c"] for p in poses]) / 1000 @ context.viewer.matrix.T).T
+        labels = [a.label for a in context.frame.annotations]
+        for a, first in enumerate(labels):
+            for b, second in enumerate(labels):
+                aside = right[b] - right[a]
+                if aside > 0.12 and aside > 1.5 * abs(forward[b] - forward[a]):
+                    found.append((frame_id, first, second))
+    return found
+
+
+def test_clear_pairs_of_real_frames_are_told_left_and_right(shared_data: Path) -> None:
+    root = shared_data / "real" / "ycbv-bop"
+    dataset = open_dataset(root)
+    detector = AnnotationDetector(dataset.class_names)
+    pairs = ycb_pairs(root)
+    assert len(pairs) >= 10
+    found = {f: FrameContext(dataset.load(f)) for f in {p[0] for p in pairs}}
+    for frame_id, left, right in pairs:
+        for text, holds in (
+            (f"{left} left of the {right}", True),
+            (f"{right} right of the {left}", True),
+            (f"{left} right of the {right}", False),
+            (f"{right} left of the {left}", False),
+        ):
+            trace = ask(found[frame_id], text, detector, class_names=dataset.class_names)
+            assert trace.ranking is not None
+            assert (trace.ranking.pairs[0].p_relation >= 0.5) == holds, (frame_id, text)
+
+
+def test_nearer_and_farther_on_real_frames(shared_data: Path) -> None:
+    dataset = open_dataset(shared_data / "real" / "ycbv-bop")
+    detector = AnnotationDetector(dataset.class_names)
+    # By eye: the marker lies in front, the bottle at the back; can, box and bottle stand in depth on the right.
+    for frame_id in ("000002/000001", "000002/000020"):
+        context = FrameContext(dataset.load(frame_id))
+        for text, expected in (
+            ("large marker in front of the mustard bottle", 0.95),
+            ("mustard bottle behind the large marker", 0.95),
+            ("mustard bottle in front of the large marker", 0.05),
+            ("potted meat can above the banana", 0.05),
+        ):
+            trace = ask(context, text, detector, class_names=dataset.class_names)
+            assert trace.ranking is not None
+            assert trace.ranking.pairs[0].p_relation == expected, (frame_id, text)
+
+
+def test_a_network_answers_on_a_real_frame(shared_data: Path) -> None:
+    dataset = open_dataset(shared_data / "real" / "7scenes-redkitchen")
+    detector = make_detector("yolo-seg", model=shared_data / "onnx" / "yolov8n_seg_480x640.onnx")
+    trace = ask(dataset.load("frame-000540"), "cup on the dining table", detector)
+    assert trace.ranking is not None
+    best = trace.ranking.pairs[0]
+    assert trace.objects[best.target].label == "cup"
+    assert best.p_relation >= 0.5
+    assert trace.frame.camera.up_source == "plane"
+    places = [o.id for o in trace.objects]
+    assert len(places) == len(set(places))
+
+
+# The demo, and the jobs of the command line.
+
+
+def test_the_demo_answers_its_own_question() -> None:
+    source = open_source("demo")
+    (trace,) = ask_frames(source, 0, [DEMO_EXPRESSION])
+    assert trace.ranking is not None
+    assert trace.ranking.pairs[0].p_relation == 0.95
+    assert demo_path().is_dir()
+
+
+def test_suggested_expressions_have_exactly_one_right_answer() -> None:
+    source = open_source("demo")
+    detector = source.needed_detector()
+    asked = 0
+    for context in contexts(source, "all"):
+        objects = all_objects(context, detector)
+        scores = source.scorer.score([o.lifted for o in objects], context.viewer)
+        texts = suggest_expressions(objects, scores, 3)
+        assert len(texts) == len(set(texts)) <= 3
+        for text in texts:
+            trace = ask(context, text, detector, class_names=source.dataset.class_names)
+            assert trace.ranking is not None
+            right = [p for p in trace.ranking.pairs if p.p_relation >= 0.5]
+            assert len(right) == 1, text
+            asked += 1
+        assert suggest_expressions([], scores) == ()
+    assert asked >= 3
+
+
+@pytest.fixture
+def broken(tmp_path: Path) -> Source:
+    """Two frames, of which one has no depth file."""
+    write_bop(tmp_path / "set", {"000001": [0, 1]})
+    (tmp_path / "set" / "000001" / "depth" / "000000.png").unlink()
+    return open_source(tmp_path / "set")
+
+
+def test_a_broken_frame_is_skipped_among_all_and_an_error_by_name(broken: Source) -> None:
+    skipped: list[tuple[str, str]] = []
+    done = list(relate_frames(broken, "all", lambda frame, why: skipped.append((frame, why))))
+    assert [d.frame_id for d in done] == ["000001/000001"]
+    assert [frame for frame, _ in skipped] == ["000001/000000"]
+    assert skipped[0][1]
+    with pytest.raises(InputError):
+        list(relate_frames(broken, "000001/000000"))
+
+
+def test_a_frame_is_named_by_id_index_or_all(broken: Source) -> None:
+    every = ("000001/000000", "000001/000001")
+    assert frame_ids(broken.dataset, "all") == frame_ids(broken.dataset, None) == every
+    assert frame_ids(broken.dataset, 1) == frame_ids(broken.dataset, "1") == every[1:]
+    assert frame_ids(broken.dataset, every[0]) == every[:1]
+    with pytest.raises(InputError):
+        frame_ids(broken.dataset, "000009/000000")
+
+
+def test_a_dataset_without_annotations_needs_a_detector(shared_data: Path) -> None:
+    source = open_source(shared_data / "real" / "7scenes-redkitchen")
+    with pytest.raises(InputError, match=r"no detector was named.*--detector"):
+        next(iter(ask_frames(source, 0, ["cup on the table"])))
+
+
+def test_a_model_without_its_kind_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="--model needs --detector"):
+        open_source("demo", model=tmp_path / "x.onnx")
+
+
+def test_a_folder_of_datasets_opens_what_can_be_opened(shared_data: Path, tmp_path: Path) -> None:
+    sources, left_out = open_sources(shared_data / "real")
+    assert {"7scenes-redkitchen", "ycbv-bop"} <= set(sources)
+    assert "--intrinsics" in left_out["slambook-diningroom"]
+    assert not set(sources) & set(left_out)
+    single, none = open_sources(shared_data / "real" / "ycbv-bop")
+    assert list(single) == ["ycbv-bop"]
+    assert none == {}
+    (tmp_path / "empty").mkdir()
+    for bad in (tmp_path, tmp_path / "empty", tmp_path / "absent"):
+        with pytest.raises(InputError):
+            open_sources(bad)
+
+
+def test_the_bench_times_every_stage(tmp_path: Path) -> None:
+    write_bop(tmp_path, {"000001": [0, 1]})
+    found = bench_source(open_source(tmp_path), repeat=1)
+    assert found["frames"] == 2
+    assert found["objects"] == 6
+    assert set(found["ms_per_frame"]) >= {"decode", "up vector", "depth edges", "lift", "relations"}
+    assert all(ms > 0 for ms in found["ms_per_frame"].values())
+    assert set(found["ratios"]) == {"lift / backproject", "relations / lift", "pair loop / all at once"}
+    json.dumps(found, allow_nan=False)
+
+
+# Pictures.
+
+
+@pytest.fixture(scope="module")
+def trace(row: Frame, truth: AnnotationDetector) -> Trace:
+    return ask(row, "mug right of the laptop", truth)
+
+
+def test_a_picture_is_saved_whole(trace: Trace, tmp_path: Path) -> None:
+    for name in ("answer.png", "answer.jpg"):
+        save_picture(trace, tmp_path / name)
+        image = cv2.imread(str(tmp_path / name))
+        assert image is not None
+        assert image.shape[1] == trace.frame.width
+        assert image.shape[0] > trace.frame.height
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["answer.jpg", "answer.png"]
+    png = cv2.imread(str(tmp_path / "answer.png"))
+    assert png is not None
+    np.testing.assert_array_equal(png[..., ::-1], answer_picture(trace))
+
+
+def test_a_picture_that_cannot_be_saved_leaves_nothing(trace: Trace, tmp_path: Path) -> None:
+    (tmp_path / "folder.png").mkdir()
+    for path, message in (
+        (tmp_path / "absent" / "x.png", "folder for the picture does not exist"),
+        (tmp_path / "x.txt", "picture of this kind.*.txt.*png"),
+        (tmp_path / "x", "picture of this kind"),
+        (tmp_path / "folder.png", "cannot be written"),
+    ):
+        with pytest.raises(InputError, match=message) as caught:
+            save_picture(trace, path)
+        assert "\n" not in str(caught.value)
+    assert [p.name for p in tmp_path.iterdir()] == ["folder.png"]
+    with pytest.raises(InputError, match="cannot be written"):
+        save_picture(trace, Path("/proc/answer.png"))
+
+
+def test_a_failed_save_keeps_the_old_picture(
+    trace: Trace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "a.png"
+    path.write_bytes(b"old")
+
+    def half(self: Path, data: bytes) -> int:
+        with self.open("wb") as file:
+            file.write(data[: len(data) // 2])
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(Path, "write_bytes", half)
+    with pytest.raises(InputError, match="No space left"):
+        save_picture(trace, path)
+    assert path.read_bytes() == b"old"
+    assert [p.name for p in tmp_path.iterdir()] == ["a.png"]
+
+
+def test_only_objects_in_a_role_are_tinted(trace: Trace) -> None:
+    rgb = trace.frame.rgb
+    image = tinted(rgb, trace.objects, {0: "target"})
+    mask = trace.objects[0].mask
+    far = ~cv2.dilate(mask.view(np.uint8), np.ones((5, 5), np.uint8)).astype(bool)
+    np.testing.assert_array_equal(image[far], rgb[far])
+    core = cv2.erode(mask.view(np.uint8), np.ones((5, 5), np.uint8)).astype(bool)
+    before = np.abs(rgb[core].astype(int) - ON_DARK["target"]).sum()
+    assert np.abs(image[core].astype(int) - ON_DARK["target"]).sum() < 0.7 * before
+    np.testing.assert_array_equal(tinted(rgb, trace.objects, {}), rgb)
+    np.testing.assert_array_equal(rgb, trace.frame.rgb)
+
+
+def test_every_kind_of_answer_has_a_picture(row: Frame, truth: AnnotationDetector) -> None:
+    shapes = set()
+    for text in (
+        "mug between the book and the laptop",
+        "lamp left of the mug",
+        "laptop left of the laptop",
+        "mug left of a mug",
+    ):
+        image = answer_picture(ask(row, text, truth))
+        assert image.dtype == np.uint8
+        shapes.add(image.shape)
+    assert len(shapes) == 1
+
+
+def test_the_edges_of_a_box_are_cut_at_the_camera() -> None:
+    camera = camera_of()
+    ahead = Box3D(np.array([0.1, 0, 2.0]), np.eye(3), np.ones(3))
+    np.testing.assert_allclose(box_edges_2d(ahead, camera), project(ahead.corners, camera)[EDGES])
+    behind = Box3D(np.array([0, 0, -2.0]), np.eye(3), np.ones(3))
+    assert box_edges_2d(behind, camera).shape == (0, 2, 2)
+    around = Box3D(np.array([0, 1.0, 0]), np.eye(3), np.array([1, 1, 3.0]))
+    edges = box_edges_2d(around, camera)
+    assert edges.shape == (8, 2, 2)
+    assert np.isfinite(edges).all()
+    assert (edges[..., 1] > camera.cy).all(), "an edge of a box below the camera is drawn above it"
+
+
+# Colours.
+
+
+def test_roles_have_fixed_colours_that_differ() -> None:
+    for dark in (True, False):
+        assert len(set(palette(dark).values())) == len(palette(dark)) == 5
+    assert hex_color((255, 138, 51)) == "#ff8a33"
+    colors = instance_colors(20)
+    assert colors.shape == (20, 3)
+    assert len(np.unique(colors, axis=0)) == 20
+    assert instance_colors(0).shape == (0, 3)
+
+
+def test_depth_colours_run_from_near_red_to_far_blue() -> None:
+    depth = np.linspace(1, 3, 100, dtype=np.float32).reshape(10, 10)
+    depth[0, 0] = 0
+    colors = depth_colors(depth)
+    assert colors.shape == (10, 10, 3)
+    assert colors[0, 0].tolist() == [40, 42, 46]
+    assert colors[0, 3, 0] > colors[0, 3, 2]
+    assert colors[9, 6, 2] > colors[9, 6, 0]
+    assert depth_colors(np.zeros((2, 2), np.float32)).shape == (2, 2, 3)

@@ -1,0 +1,90 @@
+"""The walls of the house: the core knows no screen, is light to import, and needs only what it declares."""
+
+from __future__ import annotations
+
+import ast
+import json
+import re
+import subprocess
+import sys
+from importlib.metadata import packages_distributions
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parent.parent
+SOURCES = sorted((ROOT / "pipeline").rglob("*.py"))
+FORBIDDEN = ("viser", "spatialviz", "torch", "open3d", "scipy", "onnxruntime", "matplotlib")
+
+IMPORT_ALL = """
+import importlib, json, pkgutil, sys
+import pipeline
+found = [m.name for m in pkgutil.walk_packages(pipeline.__path__, "pipeline.", onerror=lambda name: 1 / 0)]
+for name in found:
+    importlib.import_module(name)
+print(json.dumps([found, sorted(sys.modules)]))
+"""
+
+
+@pytest.fixture(scope="module")
+def imported() -> tuple[list[str], set[str]]:
+    """(modules of the core, everything that importing them all brought in), seen by a fresh interpreter."""
+    done = subprocess.run(
+        [sys.executable, "-c", IMPORT_ALL], cwd=ROOT, capture_output=True, text=True, timeout=120, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    ours, everything = json.loads(done.stdout.splitlines()[-1])
+    return ours, set(everything)
+
+
+def test_all_modules_of_the_core_are_walked(imported: tuple[list[str], set[str]]) -> None:
+    files = {
+        ".".join(p.relative_to(ROOT).with_suffix("").parts).removesuffix(".__init__")
+        for p in SOURCES
+        if p != ROOT / "pipeline" / "__init__.py"
+    }
+    assert set(imported[0]) == files
+    assert {"pipeline.ask", "pipeline.proposals.yolo_seg", "pipeline.bench"} <= files
+
+
+@pytest.mark.parametrize("library", FORBIDDEN)
+def test_importing_the_core_does_not_import(imported: tuple[list[str], set[str]], library: str) -> None:
+    assert not {m for m in imported[1] if m == library or m.startswith(library + ".")}
+
+
+def test_no_module_of_the_core_names_the_screen() -> None:
+    screen = re.compile(r"^\s*(?:import|from)\s+(viser|spatialviz)\b|import_module\(\s*['\"](viser|spatialviz)", re.M)
+    assert len(SOURCES) > 20
+    for path in SOURCES:
+        assert not screen.search(path.read_text(encoding="utf-8")), path
+
+
+def imports_of(path: Path) -> set[str]:
+    """Top-level names of what a module imports, lazily or not."""
+    names: set[str] = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names |= {a.name.split(".")[0] for a in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module and not node.level:
+            names.add(node.module.split(".")[0])
+    return names
+
+
+def test_every_library_that_the_core_imports_is_declared() -> None:
+    text = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    table = text.split("[project.scripts]")[0]
+    declared = {n.lower().replace("_", "-") for n in re.findall(r'^\s*"([A-Za-z0-9_-]+)(?=[<>=;"\[])', table, re.M)}
+    declared |= {n.lower() for n in re.findall(r'"([A-Za-z0-9_-]+)[<>=][^"]*"', table)}
+    owners = packages_distributions()
+    missing = {}
+    for path in SOURCES:
+        for name in imports_of(path) - set(sys.stdlib_module_names) - {"pipeline"}:
+            if not {d.lower().replace("_", "-") for d in owners.get(name, [name])} & declared:
+                missing.setdefault(name, path.relative_to(ROOT).as_posix())
+    assert not missing, f"imported, but not among the dependencies of pyproject.toml: {missing}"
+
+
+def test_no_machine_path_is_written_into_the_core() -> None:
+    machine = re.compile(r"['\"](?:/work|/tmp|/home|/root|/Users)(?:/|['\"])")
+    for path in SOURCES:
+        assert not machine.search(path.read_text(encoding="utf-8")), path
