@@ -189,7 +189,8 @@ def _merged(
                 if entry.id >= 0:
                     place[entry.id] = at
             index.append(at)
-        candidates[name] = Candidates(np.array(index, np.int64), proposals.scores.astype(np.float64))
+        labels = tuple(proposals.label(i) for i in range(len(proposals)))
+        candidates[name] = Candidates(np.array(index, np.int64), proposals.scores.astype(np.float64), labels)
     return tuple(objects), candidates
 
 

@@ -98,11 +98,16 @@ class Frame:
                 got=f"{camera.width}x{camera.height}",
                 expected=f"{depth.shape[1]}x{depth.shape[0]}",
             )
-        valid = depth[depth > 0]
-        if valid.size == 0 or not np.isfinite(valid).all():
+        lowest, highest = float(depth.min()), float(depth.max())
+        if not (np.isfinite(lowest) and np.isfinite(highest)) or lowest < 0:
             raise InputError(
-                f"frame {self.id}: no usable depth", got="only zeros" if valid.size == 0 else "inf or NaN"
+                f"frame {self.id}: depth must be finite and at least 0",
+                got=f"{lowest:g} to {highest:g}",
+                cause="pixels without depth are 0",
             )
+        if highest == 0:
+            raise InputError(f"frame {self.id}: no usable depth", got="only zeros")
+        valid = depth[depth > 0]
         # A strided median is exact enough for a factor of a thousand.
         median = float(np.median(valid[:: max(1, valid.size // 20_000)]))
         if not NEAREST_MEDIAN_M <= median <= FARTHEST_MEDIAN_M:

@@ -7,7 +7,7 @@ branch is found exactly by max-product from the leaves up.
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -47,10 +47,13 @@ class Candidates:
         Places in the list of objects.
     scores : (K,) float64
         P(x | name), 0..1.
+    labels : tuple of str
+        What the detector calls each under this name; empty where it is of no matter.
     """
 
     index: np.ndarray
     scores: np.ndarray
+    labels: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -217,15 +220,19 @@ def _solve(
     branches = []
     best = own
     for attachment in node.attachments:
-        ends = tuple(
-            _solve(n, candidates, lookup, same, config, config.reference_weight) for n in attachment.nodes
-        )
+        ends = tuple(_solve(n, candidates, lookup, same, config, config.reference_weight) for n in attachment.nodes)
         places = (here.index, *(e.candidates.index for e in ends))
         probability = lookup(attachment, places[0], places[1:])
         total = config.relation_weight * np.log(np.maximum(probability, MIN_RELATION))
         for axis, end in enumerate(ends, start=1):
             total = total + end.best.reshape([-1 if a == axis else 1 for a in range(total.ndim)])
-        total = np.where(_one_object_twice(places, same), -np.inf, total)
+        forbidden = _one_object_twice(places, same)
+        if len(attachment.nodes) == 2 and attachment.nodes[0] == replace(
+            attachment.nodes[1], mention=attachment.nodes[0].mention
+        ):
+            # "between a mug and a mug": the two ends may be swapped, and one answer would stand twice.
+            forbidden |= places[1][:, None] > places[2][None, :]
+        total = np.where(forbidden, -np.inf, total)
         branches.append(_Branch(attachment.relation, ends, probability, total))
         best = best + _max_over_ends(total)
     return _Solved(here, own, best, tuple(branches))

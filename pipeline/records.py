@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -97,18 +98,23 @@ def pair_record(pair: RankedPair) -> Record:
 def trace_record(trace: Trace) -> Record:
     """The whole of `ask --json` for one expression on one frame."""
     pairs = () if trace.ranking is None else trace.ranking.pairs
+    expression = trace.query.expression
     answer: Record | None = None
     if pairs and trace.ranking is not None and not trace.ranking.degenerate:
         best = pairs[0]
         answer = {
-            "target": object_record(trace.objects[best.target]),
-            "reference": None if best.reference is None else object_record(trace.objects[best.reference]),
+            "target": _role_record(trace, expression.target, best.target),
+            "reference": None
+            if best.reference is None
+            else _role_record(trace, expression.reference, best.reference),
             "probability": _probability(best.probability),
             "p_relation": _probability(best.p_relation),
             "product": _probability(best.product),
         }
         if best.second_reference is not None:
-            answer["second_reference"] = object_record(trace.objects[best.second_reference])
+            answer["second_reference"] = _role_record(
+                trace, expression.second_reference or expression.reference, best.second_reference
+            )
     record: Record = {
         "expression": expression_record(trace.query),
         "frame": trace.frame.id,
@@ -133,6 +139,18 @@ def trace_record(trace: Trace) -> Record:
             "degenerate": trace.ranking.degenerate,
         }
     return record
+
+
+def _role_record(trace: Trace, name: str, place: int) -> Record:
+    """An object with the label and the score that it has under one name of the expression.
+
+    A detector may know one and the same thing as a cup and, less surely, as a bowl.
+    """
+    candidates = trace.candidates[name]
+    at = int(np.flatnonzero(candidates.index == place)[0])
+    return object_record(
+        replace(trace.objects[place], label=candidates.labels[at], score=float(candidates.scores[at]))
+    )
 
 
 def why_no_answer(trace: Trace) -> str | None:

@@ -63,6 +63,12 @@ class Proposals:
             )
         if n and not np.isfinite(self.boxes).all():
             raise InputError("proposal boxes must be finite")
+        if n and (self.boxes[:, 2:] < self.boxes[:, :2]).any():
+            raise InputError(
+                "proposal boxes must be x0, y0, x1, y1 with x1 >= x0 and y1 >= y0",
+                got=self.boxes[(self.boxes[:, 2:] < self.boxes[:, :2]).any(axis=1)][0].tolist(),
+                cause="are they x, y, width, height?",
+            )
 
     def __len__(self) -> int:
         return len(self.scores)

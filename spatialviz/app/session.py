@@ -169,10 +169,8 @@ class Session:
         self._sync_frame_box(frame_id)
         self._painted = self._paint_key()
         self.scene.set_frame(loaded, frame_colors(self.state.colors, loaded, {}, self.state.dark))
-        if first:
+        if first or self.scene.viewpoint.untouched:
             self.scene.viewpoint.place(self.state.camera)
-        elif self.state.camera == "sensor":
-            self.scene.viewpoint.place("sensor")
         scores = self._source().scorer.score([o.lifted for o in loaded.objects], loaded.context.viewer)
         self._suggestions = suggest_expressions(loaded.objects, scores)
         self._note(f"frame {frame_id}: {len(loaded.objects)} objects, up {loaded.context.viewer.up_source}")

@@ -56,6 +56,12 @@ class Viewpoint:
                 camera.fov = f0 * (1 - t) + fov * t
             self._client.flush()
             time.sleep(1 / 40)
+        self._placed, self._reached = (kind, self._aspect, eye), False
+
+    @property
+    def untouched(self) -> bool:
+        """Whether the view is as it was placed, nobody having turned it since."""
+        return self._placed is not None
 
     @property
     def _aspect(self) -> float:
