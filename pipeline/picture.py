@@ -15,7 +15,6 @@ from pipeline.camera import Camera, project
 from pipeline.errors import InputError
 from pipeline.objects import SceneObject
 from pipeline.palette import ON_DARK, Role
-from pipeline.relations import PHRASE
 
 TINT = 0.45
 
@@ -129,8 +128,7 @@ def _tag(image: np.ndarray, text: str, at: np.ndarray, color: Sequence[int], sca
 
 
 def _caption(trace: Trace, width: int, scale: float) -> np.ndarray:
-    e = trace.query.expression
-    text = f"{e.target} {PHRASE.get(e.relation, e.relation)} {e.reference}"
+    text = str(trace.query.expression)
     if trace.ranking is None or trace.ranking.degenerate:
         text += ": no answer"
     else:

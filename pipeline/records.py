@@ -98,23 +98,20 @@ def pair_record(pair: RankedPair) -> Record:
 def trace_record(trace: Trace) -> Record:
     """The whole of `ask --json` for one expression on one frame."""
     pairs = () if trace.ranking is None else trace.ranking.pairs
-    expression = trace.query.expression
     answer: Record | None = None
     if pairs and trace.ranking is not None and not trace.ranking.degenerate:
         best = pairs[0]
         answer = {
-            "target": _role_record(trace, expression.target, best.target),
+            "target": _role_record(trace, trace.query.expression.target, best.target),
             "reference": None
             if best.reference is None
-            else _role_record(trace, expression.reference, best.reference),
+            else _role_record(trace, trace.asked.nodes[0].label, best.reference),
             "probability": _probability(best.probability),
             "p_relation": _probability(best.p_relation),
             "product": _probability(best.product),
         }
         if best.second_reference is not None:
-            answer["second_reference"] = _role_record(
-                trace, expression.second_reference or expression.reference, best.second_reference
-            )
+            answer["second_reference"] = _role_record(trace, trace.asked.nodes[1].label, best.second_reference)
     record: Record = {
         "expression": expression_record(trace.query),
         "frame": trace.frame.id,

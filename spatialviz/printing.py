@@ -15,6 +15,7 @@ from rich.text import Text
 from pipeline.ask import Trace
 from pipeline.datasets import Dataset, FrameReport
 from pipeline.jobs import FrameRelations
+from pipeline.lexicon import wording
 from pipeline.objects import SceneObject
 from pipeline.records import why_no_answer
 from pipeline.relations import PHRASE, letter
@@ -37,8 +38,7 @@ def _name(entry: SceneObject, place: int, exact: bool) -> str:
 def print_trace(trace: Trace) -> None:
     """The answer, the ranked pairs with their factors, the doubts, and what each stage cost."""
     console = _console()
-    expression = trace.query.expression
-    phrase = PHRASE.get(expression.relation, expression.relation)
+    phrase = wording(trace.asked.relation, inverse=trace.asked.inverse)
     console.print(Text.assemble(("frame ", "dim"), trace.frame.id, ("  ", ""), (trace.query.text, "bold")))
     no_answer = why_no_answer(trace)
     if no_answer is not None:

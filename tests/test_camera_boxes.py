@@ -134,8 +134,10 @@ def test_a_unit_is_judged_by_the_measured_pixels_only() -> None:
         (np.full((240, 320), 1500, np.uint16), "float32 metres.*uint16"),
         (np.full((240, 320), 1.5), "float32 metres.*float64"),
         (np.zeros((240, 320), np.float32), "no usable depth.*only zeros"),
-        (np.full((240, 320), np.inf, np.float32), "no usable depth.*inf"),
-        (np.full((240, 320), np.nan, np.float32), "no usable depth"),
+        (np.full((240, 320), np.inf, np.float32), "finite.*inf"),
+        (np.full((240, 320), np.nan, np.float32), "finite.*nan"),
+        (np.where(np.eye(240, 320, dtype=bool), np.nan, 1.5).astype(np.float32), "finite.*nan"),
+        (np.where(np.eye(240, 320, dtype=bool), -1.0, 1.5).astype(np.float32), "at least 0.*-1"),
     ],
 )
 def test_a_frame_with_unusable_depth_is_refused(depth: np.ndarray, message: str) -> None:

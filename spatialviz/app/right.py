@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pipeline.lexicon import wording
 from pipeline.lifting import Pixel
 from pipeline.palette import DROPPED, RGB, hex_color, palette
 from pipeline.ranking import RankedPair
@@ -48,7 +49,7 @@ def _sentence(state: State, pair: RankedPair) -> str:
     assert state.trace is not None
     colors = palette(state.dark)
     target, reference = state.at(pair)
-    phrase = safe(PHRASE[state.trace.query.expression.relation])
+    phrase = safe(wording(state.trace.asked.relation, inverse=state.trace.asked.inverse))
     second = ""
     if pair.second_reference is not None:
         name = state.shown.names[state.shown.place[pair.second_reference]]
@@ -102,23 +103,34 @@ def relations_html(state: State) -> str:
     if trace is None or pair is None or pair.reference is None:
         return ""
     colors = palette(state.dark)
-    asked = trace.query.expression.relation
-    rows = []
-    for n, relation in enumerate(trace.scores.relations):
-        p = float(trace.scores.probabilities[pair.target, pair.reference, n])
-        mark = letter(trace.scores.states[pair.target, pair.reference, n])
-        on = relation == asked
-        color = hex_color(colors["target"]) if on else "#7d8896"
-        rows.append(
-            f'<div class="bar{" on" if on else ""}" style="--c:{color}" onclick="sv(\'relation:{n}\')"'
-            f' title="{safe(PHRASE[relation])}: {p:.3f} ({mark}); click to ask it">'
-            f"<span>{safe(PHRASE[relation])}</span>"
-            f'<span class="t"><span class="f" style="width:{p * 100:.0f}%"></span></span>'
-            f'<span class="s">{mark}</span><span class="n">{p:.2f}</span></div>'
+    asked = trace.asked
+    # "the table holding the lamp" asks for the lamp on the table.
+    a, b = (pair.reference, pair.target) if asked.inverse else (pair.target, pair.reference)
+    rows = [
+        _bar(
+            PHRASE[relation],
+            float(trace.scores.probabilities[a, b, n]),
+            letter(trace.scores.states[a, b, n]),
+            colors["target"] if relation == asked.relation else None,
+            f"sv('relation:{n}')",
         )
-    target, reference = state.at(pair)
-    names = f"{safe(state.shown.names[target])} → {safe(state.shown.names[reference])}"
-    return panel(heading("Relations", f"{names} · by {safe(trace.scorer)}"), *rows)
+        for n, relation in enumerate(trace.scores.relations)
+    ]
+    if asked.relation not in trace.scores.relations:
+        rows.append(_bar(PHRASE[asked.relation], pair.p_relation, "", colors["target"], ""))
+    names = (safe(state.shown.names[state.shown.place[i]]) for i in (a, b))
+    return panel(heading("Relations", f"{' → '.join(names)} · by {safe(trace.scorer)}"), *rows)
+
+
+def _bar(phrase: str, p: float, mark: str, asked: RGB | None, click: str) -> str:
+    color = "#7d8896" if asked is None else hex_color(asked)
+    title = f"{phrase}: {p:.3f}" + (f" ({mark}); click to ask it" if mark else "")
+    return (
+        f'<div class="bar{"" if asked is None else " on"}" style="--c:{color}" onclick="{click}" title="{safe(title)}">'
+        f"<span>{safe(phrase)}</span>"
+        f'<span class="t"><span class="f" style="width:{p * 100:.0f}%"></span></span>'
+        f'<span class="s">{mark}</span><span class="n">{p:.2f}</span></div>'
+    )
 
 
 def object_html(state: State) -> str:

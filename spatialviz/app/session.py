@@ -271,8 +271,10 @@ class Session:
         trace = self.state.trace
         if trace is None:
             return
-        e = trace.query.expression
-        self._ask(f"{e.target} {PHRASE[trace.scores.relations[number]]} the {e.reference}")
+        first, second = trace.query.expression.target, trace.asked.nodes[0].label
+        if trace.asked.inverse:
+            first, second = second, first
+        self._ask(f"{first} {PHRASE[trace.scores.relations[number]]} the {second}")
 
     def _choose_pair(self, place: int) -> None:
         pair = self.state.at(self.state.ranked[place])
