@@ -65,6 +65,10 @@ def _name(color: RGB, name: str) -> str:
     return f'<span class="name">{dot(color)}<b>{safe(name)}</b></span>'
 
 
+def _cell(color: RGB, name: str) -> str:
+    return f'<td class="w" title="{safe(name)}">{dot(color)}{safe(name)}</td>'
+
+
 def pairs_html(state: State) -> str:
     """The ranked pairs with each factor; the weakest factor of a pair stands out."""
     if not state.ranked:
@@ -81,8 +85,8 @@ def pairs_html(state: State) -> str:
         rows.append(
             f'<tr class="r{" sel" if state.at(pair) == state.pair else ""}" onclick="sv(\'pair:{i}\')">'
             f'<td class="n dim">{i + 1}</td>'
-            f'<td class="w">{dot(colors["target"])}{safe(state.shown.names[target])}</td>'
-            f'<td class="w">{dot(colors["reference"])}{safe(state.shown.names[reference])}</td>'
+            f"{_cell(colors['target'], state.shown.names[target])}"
+            f"{_cell(colors['reference'], state.shown.names[reference])}"
             f'{cells}<td class="n"><b>{pair.probability:.2f}</b></td></tr>'
         )
     more = "" if len(state.ranked) <= SHOWN_PAIRS else f"best {SHOWN_PAIRS} of {len(state.ranked)}"

@@ -33,7 +33,7 @@ CSS = """<style>
 .sv .tog span{border:1px solid var(--mantine-color-default-border);border-radius:10px;padding:0 8px;cursor:pointer;color:var(--mantine-color-dimmed)}
 .sv .tog .on{border-color:var(--mantine-primary-color-filled);color:var(--mantine-color-text);background:color-mix(in srgb,var(--mantine-primary-color-filled) 18%,transparent)}
 .sv table{border-collapse:collapse;width:100%}
-.sv td,.sv th{padding:3px 4px;text-align:left;white-space:nowrap}
+.sv td,.sv th{padding:3px;text-align:left;white-space:nowrap}
 .sv th{font-size:10.5px;font-weight:500;color:var(--mantine-color-dimmed);border-bottom:1px solid var(--mantine-color-default-border)}
 .sv td.n,.sv th.n{text-align:right}
 .sv td.w{max-width:0;width:50%;overflow:hidden;text-overflow:ellipsis}
