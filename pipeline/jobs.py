@@ -11,6 +11,7 @@ from pipeline.ask import AskConfig, Trace, ask
 from pipeline.datasets import Dataset, open_dataset, resolve_frame
 from pipeline.demo import DEMO_NAME, demo_path
 from pipeline.errors import InputError
+from pipeline.frame import Frame
 from pipeline.naming import Synonyms
 from pipeline.objects import FrameContext, SceneObject, all_objects
 from pipeline.proposals import Detector, make_detector
@@ -56,6 +57,19 @@ class Source:
                 path=self.dataset.root,
             )
         return self.detector
+
+    def ask(self, frame: Frame | FrameContext, text: str) -> Trace:
+        """Answer an expression on a frame with these models; raises as `pipeline.ask.ask`."""
+        detector = self.needed_detector()
+        return ask(
+            frame,
+            text,
+            detector,
+            scorer=self.scorer,
+            config=self.config,
+            class_names=self.dataset.class_names or (detector.vocabulary or ()),
+            synonyms=self.synonyms,
+        )
 
 
 def open_source(
@@ -164,18 +178,10 @@ def ask_frames(
     source: Source, key: str | int, expressions: Sequence[str], skipped: Skipped | None = None
 ) -> Iterator[Trace]:
     """Every expression on every frame that `key` means."""
-    detector = source.needed_detector()
+    source.needed_detector()
     for context in contexts(source, key, skipped):
         for text in expressions:
-            yield ask(
-                context,
-                text,
-                detector,
-                scorer=source.scorer,
-                config=source.config,
-                class_names=source.dataset.class_names or (detector.vocabulary or ()),
-                synonyms=source.synonyms,
-            )
+            yield source.ask(context, text)
 
 
 @dataclass(frozen=True)

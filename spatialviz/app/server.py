@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import socket
 import sys
 import threading
 import webbrowser
@@ -38,6 +39,7 @@ def start(
     for name, source in sources.items():
         if not source.dataset.frame_ids:
             raise InputError(f"the dataset {name} has no frames", path=source.dataset.root)
+    _check_address(host, port)
     try:
         with checked_origins(), redirect_stdout(io.StringIO()):
             server = viser.ViserServer(host=host, port=port, label="spatialviz", verbose=False)
@@ -66,6 +68,20 @@ def start(
             session.close()
 
     return server
+
+
+def _check_address(host: str, port: int) -> None:
+    """viser would try a thousand ports on an address that is not this machine's."""
+    if not 0 <= port <= 65535:
+        raise InputError("there is no such port", got=port, expected="0 to 65535")
+    try:
+        family, kind, protocol, _, address = socket.getaddrinfo(host or None, 0, type=socket.SOCK_STREAM)[0]
+        with socket.socket(family, kind, protocol) as probe:
+            probe.bind(address)
+    except OSError as error:
+        raise InputError(
+            f"cannot listen on {host}", got=error.strerror or str(error), cause="is it an address of this machine?"
+        ) from error
 
 
 def serve(

@@ -10,7 +10,6 @@ from typing import Any
 
 import viser
 
-from pipeline.ask import ask
 from pipeline.boxes import Box3D
 from pipeline.errors import InputError, NothingFound
 from pipeline.jobs import Source
@@ -20,7 +19,7 @@ from pipeline.suggestions import suggest_expressions
 from spatialviz.app import bottom, left, right
 from spatialviz.app.bridge import HELLO, HELLO_SECONDS, Bridge
 from spatialviz.app.fallback import Fallback
-from spatialviz.app.frames import FrameStore
+from spatialviz.app.frames import FrameStore, LoadedFrame
 from spatialviz.app.keys import HELP, add_keys
 from spatialviz.app.layout import build
 from spatialviz.app.paint import frame_colors
@@ -177,16 +176,16 @@ class Session:
         for remark in loaded.context.frame.notes:
             self._note(f"frame {frame_id}: {remark}")
         text = self.state.text
-        if first and text and not self._can_ask(text):
+        if first and text and not self._can_ask(loaded, text):
             text = self._suggestions[0] if self._suggestions else ""
         if text and self._source().detector is not None:
             self._ask(text, draw=False)
         self._draw()
         self._browse()
 
-    def _can_ask(self, text: str) -> bool:
+    def _can_ask(self, loaded: LoadedFrame, text: str) -> bool:
         try:
-            trace = self._trace(text)
+            trace = self._source().ask(loaded.context, text)
         except (InputError, NothingFound):
             return False
         return why_no_answer(trace) is None
@@ -216,20 +215,6 @@ class Session:
 
     # ---- questions ------------------------------------------------------------------
 
-    def _trace(self, text: str):
-        source, loaded = self._source(), self.state.loaded
-        assert loaded is not None
-        detector = source.needed_detector()
-        return ask(
-            loaded.context,
-            text,
-            detector,
-            scorer=source.scorer,
-            config=source.config,
-            class_names=source.dataset.class_names or (detector.vocabulary or ()),
-            synonyms=source.synonyms,
-        )
-
     def _ask(self, text: str, draw: bool = True) -> None:
         loaded = self.state.loaded
         if loaded is None:
@@ -239,7 +224,7 @@ class Session:
             self.page.expression.value = text
         exact = self._exact()
         try:
-            trace = self._trace(text)
+            trace = self._source().ask(loaded.context, text)
         except (InputError, NothingFound) as error:
             self.state = replace(
                 self.state, error=str(error), shown=shown_objects(loaded, None, exact), selected=None
