@@ -47,6 +47,10 @@ class AskConfig:
     rank: RankConfig = field(default_factory=RankConfig)
     relations: tuple[str, ...] | None = None
 
+    def __post_init__(self) -> None:
+        if self.k < 1:
+            raise InputError("at least one proposal must go on for each name", got=f"k={self.k}")
+
 
 @dataclass(frozen=True)
 class Trace:
@@ -71,6 +75,8 @@ class Trace:
     timings : dict of str to float
         Seconds by stage: parse, frame (up vector and depth edges, once for a frame), opm, lift, srm, prm.
     detector, scorer : str
+    exact : bool
+        The objects are the dataset's own.
     """
 
     frame: Frame
@@ -84,6 +90,7 @@ class Trace:
     timings: dict[str, float]
     detector: str
     scorer: str
+    exact: bool
 
     @property
     def asked(self) -> Attachment:
@@ -143,11 +150,12 @@ def ask(
     ranking = None
     if not missing:
         with _timed(timings, "prm"):
+            same = same_object(objects, detector.exact)
             ranking = rank(
                 query.readings,
                 candidates,
-                _lookup(scores, objects),
-                same_object(objects, detector.exact),
+                _lookup(scores, objects, same),
+                same,
                 np.array([o.lifted.quality.mask_pixels for o in objects]),
                 config.rank,
             )
@@ -163,6 +171,7 @@ def ask(
         timings=timings,
         detector=detector.name,
         scorer=scorer.name,
+        exact=detector.exact,
     )
 
 
@@ -200,7 +209,7 @@ def _merged(
     return tuple(objects), candidates
 
 
-def _lookup(scores: RelationScores, objects: Sequence[SceneObject]) -> RelationLookup:
+def _lookup(scores: RelationScores, objects: Sequence[SceneObject], same: np.ndarray) -> RelationLookup:
     lifted = [o.lifted for o in objects]
 
     def lookup(attachment: Attachment, heads: np.ndarray, ends: Sequence[np.ndarray]) -> np.ndarray:
@@ -208,7 +217,7 @@ def _lookup(scores: RelationScores, objects: Sequence[SceneObject]) -> RelationL
         if relation == "between":
             return between_probabilities(lifted, heads, ends[0], ends[1])
         if relation in ("closest", "farthest"):
-            return superlative_probabilities(lifted, relation, heads, ends[0])
+            return superlative_probabilities(lifted, relation, heads, ends[0], same)
         if relation not in scores.relations:
             raise InputError(f"the relation scorer has no {relation!r}", expected=", ".join(scores.relations))
         table = scores.of(relation)

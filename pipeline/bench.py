@@ -24,9 +24,9 @@ def bench_source(source: Source, repeat: int = 5) -> dict[str, Any]:
     -------
     dict
         frames, objects, width, height; ms_per_frame by stage (fastest of
-        `repeat` passes, mean over frames); ratios: lift and relations against
-        one plain back-projection of the whole frame, and relation scoring of
-        all pairs against a Python loop over the same pairs.
+        `repeat` passes, mean over frames); ratios: lifting all objects against
+        one back-projection of the whole frame, relations against lifting, and
+        scoring pair by pair in a Python loop against all pairs at once.
     """
     detector = source.needed_detector()
     totals: dict[str, float] = {}
@@ -47,7 +47,9 @@ def bench_source(source: Source, repeat: int = 5) -> dict[str, Any]:
             "up vector": lambda f=frame: level_plane(f.depth, f.camera),
             "backproject frame": lambda f=frame: _whole_cloud(f),
             "depth edges": lambda f=frame: depth_edges(f.depth),
-            "lift": lambda f=frame, m=masks, v=viewer, e=context.edges: lift(f.depth, f.camera, m, v, edges=e),
+            "lift": lambda f=frame, m=masks, v=viewer, e=context.edges: lift(
+                f.depth, f.camera, m, v, config=source.config.lift, edges=e
+            ),
             "relations": lambda k=lifted, v=viewer: source.scorer.score(k, v),
             "frame context": lambda f=frame: FrameContext(f, source.config.lift),
         }

@@ -1,4 +1,4 @@
-"""The two errors the core raises on purpose: bad input, and an honest "no"."""
+"""The errors the core raises on purpose."""
 
 from __future__ import annotations
 
@@ -47,8 +47,12 @@ class InputError(ValueError):
         self.path = None if path is None else Path(path)
 
 
-class NothingFound(LookupError):
-    """The input is fine and the answer is no: a class is not in the frame."""
+class UnknownFormat(InputError):
+    """A folder that no reader recognises as a dataset."""
+
+
+class FrameUnusable(InputError):
+    """One frame cannot be used, and that says nothing about the others."""
 
 
 class MissingExtra(ImportError):

@@ -10,7 +10,7 @@ from typing import Any
 from pipeline.ask import AskConfig, Trace, ask
 from pipeline.datasets import Dataset, open_dataset, resolve_frame
 from pipeline.demo import DEMO_NAME, demo_path
-from pipeline.errors import InputError
+from pipeline.errors import FrameUnusable, InputError, UnknownFormat
 from pipeline.frame import Frame
 from pipeline.naming import Synonyms
 from pipeline.objects import FrameContext, SceneObject, all_objects
@@ -133,10 +133,8 @@ def open_sources(path: str | Path, **options: Any) -> tuple[dict[str, Source], d
     """
     try:
         return {Path(path).name or str(path): open_source(path, **options)}, {}
-    except InputError:
+    except UnknownFormat:
         folder = Path(path)
-        if not folder.is_dir():
-            raise
         sources: dict[str, Source] = {}
         left_out: dict[str, str] = {}
         for inside in sorted(p for p in folder.iterdir() if p.is_dir() and not p.name.startswith(".")):
@@ -161,17 +159,20 @@ def contexts(source: Source, key: str | int | None, skipped: Skipped | None = No
 
     A broken frame that was asked for by name is an error; among all frames it is skipped with its reason.
     """
-    every = key is None or key == ALL_FRAMES
     for frame_id in frame_ids(source.dataset, key):
         try:
             context = FrameContext(source.dataset.load(frame_id), source.config.lift)
         except InputError as error:
-            if not every:
-                raise
-            if skipped is not None:
-                skipped(frame_id, str(error))
+            _skip_or_raise(error, key, frame_id, skipped)
             continue
         yield context
+
+
+def _skip_or_raise(error: InputError, key: str | int | None, frame_id: str, skipped: Skipped | None) -> None:
+    if key is not None and key != ALL_FRAMES:
+        raise error
+    if skipped is not None:
+        skipped(frame_id, str(error))
 
 
 def ask_frames(
@@ -180,8 +181,11 @@ def ask_frames(
     """Every expression on every frame that `key` means."""
     source.needed_detector()
     for context in contexts(source, key, skipped):
-        for text in expressions:
-            yield source.ask(context, text)
+        try:
+            for text in expressions:
+                yield source.ask(context, text)
+        except FrameUnusable as error:
+            _skip_or_raise(error, key, context.frame.id, skipped)
 
 
 @dataclass(frozen=True)
@@ -198,6 +202,10 @@ def relate_frames(source: Source, key: str | int | None, skipped: Skipped | None
     """Every pair of objects of every frame that `key` means."""
     detector = source.needed_detector()
     for context in contexts(source, key, skipped):
-        objects = all_objects(context, detector)
+        try:
+            objects = all_objects(context, detector)
+        except FrameUnusable as error:
+            _skip_or_raise(error, key, context.frame.id, skipped)
+            continue
         scores = source.scorer.score([o.lifted for o in objects], context.viewer)
         yield FrameRelations(context.frame.id, objects, scores, detector.exact)

@@ -146,5 +146,8 @@ def same_object(objects: Sequence[SceneObject], exact: bool) -> np.ndarray:
         shared = flat @ flat.T
         area = flat.sum(axis=1)
         union = area[:, None] + area[None, :] - shared
-        same |= np.divide(shared, union, out=np.zeros_like(union), where=union > 0) >= SAME_MASK_IOU
+        masked = np.array([o.lifted.quality.mask_source != "box" for o in objects])
+        alike = np.divide(shared, union, out=np.zeros_like(union), where=union > 0) >= SAME_MASK_IOU
+        # A filled 2D box is no mask; for it the stricter test of boxes stands.
+        same |= alike & masked[:, None] & masked[None, :]
     return same

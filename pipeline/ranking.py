@@ -58,13 +58,18 @@ class Candidates:
 
 @dataclass(frozen=True)
 class Link:
-    """One relation of the answer: object `a` RELATION object `b` (and `c`, for between), with its probability."""
+    """One relation of the answer: object `a` RELATION object `b` (and `c`, for between), with its probability.
+
+    Where `inverse` is set the relation holds the other way round: "table holding
+    a lamp" has the table as `a`, and says that `b` is on it.
+    """
 
     relation: str
     a: int
     b: int
     probability: float
     c: int | None = None
+    inverse: bool = False
 
 
 @dataclass(frozen=True)
@@ -201,7 +206,7 @@ class _Solved:
 class _Branch:
     """One attachment: its probability, and its log factor plus the best below, for every combination of ends."""
 
-    relation: str
+    attachment: Attachment
     ends: tuple[_Solved, ...]
     probability: np.ndarray
     total: np.ndarray
@@ -233,7 +238,7 @@ def _solve(
             # "between a mug and a mug": the two ends may be swapped, and one answer would stand twice.
             forbidden |= places[1][:, None] > places[2][None, :]
         total = np.where(forbidden, -np.inf, total)
-        branches.append(_Branch(attachment.relation, ends, probability, total))
+        branches.append(_Branch(attachment, ends, probability, total))
         best = best + _max_over_ends(total)
     return _Solved(here, own, best, tuple(branches))
 
@@ -314,11 +319,12 @@ def _links(solved: _Solved, at: int, first_ends: tuple[int, ...] | None) -> tupl
         product *= probability
         links.append(
             Link(
-                branch.relation,
+                branch.attachment.relation,
                 int(solved.candidates.index[at]),
                 objects[0],
                 probability,
                 objects[1] if len(objects) > 1 else None,
+                branch.attachment.inverse,
             )
         )
         for end, k in zip(branch.ends, ends, strict=True):

@@ -60,9 +60,14 @@ def viewer_record(viewer: ViewerAxes) -> Record:
 
 
 def expression_record(query: Query) -> Record:
-    """target, relation, reference and, where there are several, the readings."""
+    """target, relation, reference and, where there are several, the readings.
+
+    With "inverse" the relation holds from the reference to the target: "table holding a lamp" is lamp on table.
+    """
     e = query.expression
     record: Record = {"text": query.text, "target": e.target, "relation": e.relation, "reference": e.reference}
+    if e.inverse:
+        record["inverse"] = True
     if e.second_reference is not None:
         record["second_reference"] = e.second_reference
     if e.mapped_from is not None:
@@ -90,6 +95,7 @@ def pair_record(pair: RankedPair) -> Record:
         record["links"] = [
             {"relation": x.relation, "a": x.a, "b": x.b, "probability": _probability(x.probability)}
             | ({} if x.c is None else {"c": x.c})
+            | ({"inverse": True} if x.inverse else {})
             for x in pair.links
         ]
     return record
@@ -156,7 +162,7 @@ def why_no_answer(trace: Trace) -> str | None:
         names = " and no ".join(repr(n) for n in trace.missing)
         return f"no {names} found in frame {trace.frame.id}"
     if trace.ranking is None or trace.ranking.degenerate:
-        return f"in frame {trace.frame.id} only one object fits both names, and nothing relates to itself"
+        return f"in frame {trace.frame.id} there are not enough different objects for all names of the expression"
     return None
 
 

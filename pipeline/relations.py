@@ -292,7 +292,12 @@ RANK_MARGIN = 0.03
 
 
 def superlative_states(
-    lo: np.ndarray, hi: np.ndarray, candidates: Indices, references: Indices, farthest: bool = False
+    lo: np.ndarray,
+    hi: np.ndarray,
+    candidates: Indices,
+    references: Indices,
+    farthest: bool = False,
+    same: np.ndarray | None = None,
 ) -> np.ndarray:
     """closest or farthest: which candidate is at the end of the row, seen from each reference.
 
@@ -300,6 +305,8 @@ def superlative_states(
     ----------
     candidates, references : sequences of int
         Objects that compete, and objects they are measured from.
+    same : (N, N) bool, optional
+        Entries that are one and the same thing; by default each is only itself.
 
     Returns
     -------
@@ -314,8 +321,8 @@ def superlative_states(
     measure = np.where(np.isfinite(away), away + 1e-3 * apart, np.nan)
     if farthest:
         measure = -measure
-    same = np.asarray(candidates)[:, None] == np.asarray(references)[None, :]
-    measure = np.where(same | np.isnan(measure), np.inf, measure)
+    itself = np.eye(len(lo), dtype=np.bool_) if same is None else same
+    measure = np.where(itself[np.ix_(list(candidates), list(references))] | np.isnan(measure), np.inf, measure)
     best = measure.min(axis=0, keepdims=True) if len(measure) else measure
     state = np.where(measure <= best + RANK_MARGIN, U, F)
     # Rounding must not decide between two that are equally far.

@@ -7,6 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from pipeline.errors import InputError
+from pipeline.expression import parse
 from pipeline.objects import SceneObject
 from pipeline.relations import DIRECTIONAL, PHRASE
 from pipeline.srm.scorer import RelationScores
@@ -41,6 +43,18 @@ def suggest_expressions(objects: Sequence[SceneObject], scores: RelationScores, 
         best = max(found, key=lambda f: (f[0] - 1.5 * (used[f[1]] + used[f[2]]) - 0.7 * used[f[3]], f[1:]))
         found.remove(best)
         _, target, relation, reference = best
+        text = f"{target} {PHRASE[relation]} the {reference}"
+        if not _reads_back(text, target, reference, tuple(number)):
+            continue
         used.update((target, relation, reference))
-        chosen.append(f"{target} {PHRASE[relation]} the {reference}")
+        chosen.append(text)
     return tuple(chosen)
+
+
+def _reads_back(text: str, target: str, reference: str, class_names: tuple[str, ...]) -> bool:
+    """Whether the parser understands a suggestion as it is meant; class names may hold anything."""
+    try:
+        query = parse(text, class_names=class_names)
+    except InputError:
+        return False
+    return (query.expression.target, query.expression.reference) == (target, reference)

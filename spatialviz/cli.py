@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import sys
@@ -15,7 +16,7 @@ import tyro
 from tyro.conf import OmitArgPrefixes, Positional, subcommand
 
 from pipeline import __version__
-from pipeline.errors import InputError, MissingExtra, NothingFound
+from pipeline.errors import InputError, MissingExtra
 
 if TYPE_CHECKING:
     from pipeline.jobs import Source
@@ -282,12 +283,16 @@ Command = Union[
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line; returns the exit status: 0 fine, 1 the answer is no, 2 bad usage or input."""
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            # A terminal that cannot show a character shows a question mark instead.
+            stream.reconfigure(errors="replace")
     arguments = list(sys.argv[1:] if argv is None else argv)
     if arguments in (["--version"], ["-V"]):
         print(f"spatialviz {__version__}")
         return FINE
-    if not arguments:
-        arguments = ["view"]
+    if not arguments or (arguments[0].startswith("-") and arguments[0] not in ("-h", "--help")):
+        arguments = ["view", *arguments]
     try:
         command = tyro.cli(
             Command,  # pyright: ignore[reportArgumentType]
@@ -297,9 +302,6 @@ def main(argv: Sequence[str] | None = None) -> int:
             config=(tyro.conf.FlagCreatePairsOff,),
         )
         return command.run()
-    except NothingFound as error:
-        print(f"spatialviz: {error}", file=sys.stderr)
-        return NO
     except (InputError, MissingExtra) as error:
         print(f"spatialviz: error: {error}", file=sys.stderr)
         return BAD

@@ -23,8 +23,15 @@ from pipeline.relations import PHRASE, letter
 SHOWN_PAIRS = 5
 
 
+class _PipeConsole(Console):
+    """Leaves a closed pipe to the command line, which knows the right exit status."""
+
+    def on_broken_pipe(self) -> None:
+        raise BrokenPipeError
+
+
 def _console() -> Console:
-    console = Console(highlight=False, soft_wrap=True)
+    console = _PipeConsole(highlight=False, soft_wrap=True)
     if not console.is_terminal:
         # In a pipe there is no edge to wrap at.
         console.width = 160
@@ -53,7 +60,8 @@ def print_trace(trace: Trace) -> None:
                 (_at(trace, best.target), "bold dark_orange"),
                 f" {phrase} ",
                 (_at(trace, best.reference) + second, "bold dodger_blue2"),
-                f"   probability {best.probability:.3f}, margin {trace.ranking.margin:.3f}",
+                f"   relation {best.p_relation:.2f}, probability {best.probability:.3f}, "
+                + ("tied" if len(pairs) > 1 and trace.ranking.margin < 5e-4 else f"margin {trace.ranking.margin:.3f}"),
             )
         )
         if best.p_relation < 0.5:
@@ -67,10 +75,11 @@ def print_trace(trace: Trace) -> None:
             table.add_column(column, justify="right")
         for place, pair in enumerate(pairs[:SHOWN_PAIRS], start=1):
             assert pair.reference is not None
+            other = "" if pair.second_reference is None else f", {_at(trace, pair.second_reference)}"
             table.add_row(
                 str(place),
                 _at(trace, pair.target),
-                _at(trace, pair.reference),
+                _at(trace, pair.reference) + other,
                 f"{pair.p_target:.2f}",
                 f"{pair.p_reference:.2f}",
                 f"{pair.p_relation:.2f}",
@@ -89,7 +98,7 @@ def print_trace(trace: Trace) -> None:
 
 
 def _at(trace: Trace, place: int) -> str:
-    return _name(trace.objects[place], place, trace.detector == "annotations")
+    return _name(trace.objects[place], place, trace.exact)
 
 
 def print_relations(found: FrameRelations, relations: Sequence[str]) -> None:

@@ -102,7 +102,7 @@ def test_a_missing_class_is_null_with_a_reason(row: Frame) -> None:
     assert set(record) == DOCUMENTED | {"detector", "scorer", "viewer", "reason"}
     alone = strict(trace_record(ask(row, "laptop left of the laptop", TRUTH)))
     assert alone["answer"] is None
-    assert "only one object" in alone["reason"]
+    assert "not enough different objects" in alone["reason"]
     assert alone["pairs"][0]["reference"] is None
     assert why_no_answer(ask(row, "mug left of the laptop", TRUTH)) is None
 

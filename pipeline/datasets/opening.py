@@ -9,7 +9,7 @@ from pathlib import Path
 from pipeline.datasets import bop, folder, seven_scenes
 from pipeline.datasets.base import Dataset, DatasetFormat
 from pipeline.datasets.settings import read_settings
-from pipeline.errors import InputError
+from pipeline.errors import InputError, UnknownFormat
 
 FORMATS: tuple[DatasetFormat, ...] = (
     bop.FORMAT,
@@ -63,7 +63,7 @@ def open_dataset(
     for candidate in formats:
         if candidate.recognises(root):
             return candidate.open(root, settings)
-    raise InputError(
+    raise UnknownFormat(
         "no dataset is recognised in this folder",
         cause="looked for " + "; ".join(candidate.signature for candidate in formats),
         path=root,

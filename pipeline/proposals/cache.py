@@ -15,7 +15,9 @@ import xxhash
 from pipeline.frame import Frame
 from pipeline.proposals.base import Detector, Proposals
 
-_IN_MEMORY = 64
+_IN_MEMORY = 8
+_VERSION = "1"
+"""Part of every key: a change of what detectors make of a network's output must change it."""
 
 
 def cache_folder() -> Path:
@@ -66,7 +68,7 @@ class CachedDetector:
 
     def key(self, frame: Frame, labels: Sequence[str] | None) -> str:
         """Cache key of a run on a frame."""
-        parts = [frame.content_hash, self.fingerprint(), *(("*",) if labels is None else sorted(labels))]
+        parts = [_VERSION, frame.content_hash, self.fingerprint(), *(("*",) if labels is None else sorted(labels))]
         return xxhash.xxh3_128_hexdigest("\x1f".join(parts).encode())
 
 

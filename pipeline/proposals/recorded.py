@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
-from pipeline.errors import InputError
+from pipeline.errors import FrameUnusable, InputError
 from pipeline.frame import Frame
 from pipeline.naming import Synonyms, match
 from pipeline.proposals.annotations import box_mask
@@ -84,7 +84,7 @@ class RecordedDetector:
             return tuple(sorted({d.label for found in self._recording.frames.values() for d in found}))
         names: set[str] = set()
         for file in sorted(self.path.glob("*.npz")):
-            names.update(_read_npz(file)[2])
+            names.update(_read_labels(file))
         return tuple(sorted(names))
 
     def fingerprint(self) -> str:
@@ -121,7 +121,7 @@ class RecordedDetector:
         if self._recording is None:
             file = self.path / (frame.id.replace("/", "__") + ".npz")
             if not file.is_file():
-                raise InputError(f"the recording has no detections for frame {frame.id}", path=file)
+                raise FrameUnusable(f"the recording has no detections for frame {frame.id}", path=file)
             boxes, scores, names, masks = _read_npz(file)
             has_mask = np.full(len(boxes), masks is not None)
             if masks is None:
@@ -130,7 +130,7 @@ class RecordedDetector:
                 raise InputError("recorded masks have another size", got=masks.shape[1:], expected=shape, path=file)
             return boxes, scores, names, masks, has_mask
         if frame.id not in self._recording.frames:
-            raise InputError(f"the recording has no detections for frame {frame.id}", path=self.path)
+            raise FrameUnusable(f"the recording has no detections for frame {frame.id}", path=self.path)
         found = self._recording.frames[frame.id]
         masks = [self._mask(d, shape, f"frame {frame.id}, detection {i}") for i, d in enumerate(found)]
         return (
@@ -226,6 +226,15 @@ def _read_json(path: Path) -> Recording:
         raise InputError(
             f"the recording does not follow the format at {place or 'the top'}", got=first["msg"], path=path
         ) from error
+
+
+def _read_labels(file: Path) -> list[str]:
+    """The class names of one file, without its masks, which are far larger."""
+    try:
+        with np.load(file, allow_pickle=False) as data:
+            return np.asarray(data["labels"]).astype(np.str_).ravel().tolist()
+    except Exception:  # Whatever is wrong with the file is said in full where its detections are read.
+        return []
 
 
 def _read_npz(file: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:

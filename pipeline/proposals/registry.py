@@ -82,6 +82,8 @@ def make_detector(
     InputError
         For an unknown name, a missing model, or a model of another contract.
     """
+    if min_score is not None and not 0 <= min_score <= 1:
+        raise InputError("a minimum score must lie in 0..1", got=min_score)
     known = dict(DETECTORS)
     for entry in entry_points(group="spatialviz.detectors"):
         if entry.name not in known:

@@ -28,6 +28,8 @@ from pipeline.proposals.onnx_session import file_hash, open_session, signature
 from pipeline.proposals.selection import suppress
 
 MASK_COEFFICIENTS = 32
+MAX_CANDIDATES = 1000
+"""Rows that go into non-maximum suppression at most, best first."""
 CONTRACT = "images [1, 3, H, W] -> [1, 4+C+32, N], [1, 32, H/4, W/4] (an Ultralytics -seg export)"
 
 
@@ -40,6 +42,7 @@ class _Raw:
     coefficients: np.ndarray
     prototypes: np.ndarray
     placement: Letterbox
+    rows: np.ndarray
 
 
 class YoloSegDetector:
@@ -100,7 +103,7 @@ class YoloSegDetector:
         best = scores.argmax(axis=1)
         score = scores[np.arange(len(scores)), best] if len(scores) else np.zeros(0, np.float32)
         order = np.argsort(-score, kind="stable")
-        order = order[score[order] >= self.min_score]
+        order = order[score[order] >= self.min_score][:MAX_CANDIDATES]
         order = order[suppress(raw.boxes[order])]
         if not len(order):
             return no_proposals(frame.height, frame.width)
@@ -113,7 +116,7 @@ class YoloSegDetector:
             best[order][solid].astype(np.int64),
             tuple(wanted),
             masks[solid],
-            order[solid].astype(np.int64),
+            raw.rows[order[solid]],
         )
 
     def _forward(self, frame: Frame) -> _Raw:
@@ -125,14 +128,17 @@ class YoloSegDetector:
         width = width if isinstance(width, int) else _multiple_of_32(frame.width)
         image, placement = letterbox(frame.rgb, height, width)
         tensor = np.ascontiguousarray(image.transpose(2, 0, 1)[None], dtype=np.float32) / np.float32(255)
-        rows, prototypes = self._session.run(self._outputs, {self._input.name: tensor})
+        if "float16" in self._input.type:
+            tensor = tensor.astype(np.float16)
+        outputs = self._session.run(self._outputs, {self._input.name: tensor})
+        rows, prototypes = (np.asarray(o, dtype=np.float32) for o in outputs)
         rows = rows[0].T
         classes = rows[:, 4:-MASK_COEFFICIENTS]
-        keep = classes.max(axis=1) >= min(self.min_score, 0.05)
-        rows, classes = rows[keep], classes[keep]
+        index = np.flatnonzero(classes.max(axis=1) >= min(self.min_score, 0.05))
+        rows, classes = rows[index], classes[index]
         center, size = rows[:, :2], rows[:, 2:4]
         boxes = np.concatenate([center - size / 2, center + size / 2], axis=1)
-        raw = _Raw(boxes, classes, rows[:, -MASK_COEFFICIENTS:], prototypes[0], placement)
+        raw = _Raw(boxes, classes, rows[:, -MASK_COEFFICIENTS:], prototypes[0], placement, index)
         self._last = (frame.content_hash, raw)
         return raw
 

@@ -78,11 +78,17 @@ def stacked_extents(objects: Sequence[LiftedObject]) -> tuple[np.ndarray, np.nda
 
 
 def superlative_probabilities(
-    objects: Sequence[LiftedObject], relation: str, candidates: Indices, references: Indices
+    objects: Sequence[LiftedObject],
+    relation: str,
+    candidates: Indices,
+    references: Indices,
+    same: np.ndarray | None = None,
 ) -> np.ndarray:
     """(C, R) probabilities of "candidate closest to / farthest from reference"; always by rule."""
     lo, hi = stacked_extents(objects)
-    return rule_probabilities(superlative_states(lo, hi, candidates, references, farthest=relation == "farthest"))
+    return rule_probabilities(
+        superlative_states(lo, hi, candidates, references, farthest=relation == "farthest", same=same)
+    )
 
 
 def between_probabilities(

@@ -71,7 +71,8 @@ class Bridge:
             message = str(bus.value).rsplit("#", 1)[0]
             if message == HELLO:
                 self.alive.set()
-            self.post(lambda: self._on_message(message))
+            else:
+                self.post(lambda: self._on_message(message))
 
     def post(self, job: Callable[[], None]) -> None:
         """Run something after everything that waits already."""

@@ -30,11 +30,18 @@ class Fallback:
             paint = gui.add_dropdown("Paint", tuple(COLORS))
             camera = gui.add_dropdown("From", tuple(CAMERAS))
         self._pair, self._object = pair, object_
-        pair.on_update(lambda _: self._handle(f"pair:{pair.value.split('.')[0]}"))
-        object_.on_update(lambda _: self._handle(f"object:{object_.value.split('.')[0]}"))
-        paint.on_update(lambda _: self._handle(f"color:{paint.value}"))
-        camera.on_update(lambda _: self._handle(f"camera:{camera.value}"))
+        self._forward(pair, "pair")
+        self._forward(object_, "object")
+        self._forward(paint, "color")
+        self._forward(camera, "camera")
         self.update(state)
+
+    def _forward(self, box: viser.GuiDropdownHandle[Any], kind: str) -> None:
+        @box.on_update
+        async def _(event: viser.GuiEvent) -> None:
+            # Lists that Python fills call back without a client; only a person's choice counts.
+            if event.client_id is not None:
+                self._handle(f"{kind}:{str(box.value).split('.')[0]}")
 
     def update(self, state: State) -> None:
         """Bring the lists up to the state."""
@@ -44,7 +51,7 @@ class Fallback:
         pairs = tuple(
             f"{i}. {names[a]} | {names[b]} {p.probability:.2f}"
             for i, p in enumerate(state.ranked)
-            for a, b in [state.at(p)]
+            for a, b in [state.at(p)[:2]]
         )
         self._pair.options = pairs or ("–",)
         self._object.options = tuple(f"{i}. {n}" for i, n in enumerate(names)) or ("–",)

@@ -27,10 +27,13 @@ class LoadedFrame:
     context : FrameContext
     objects : tuple of SceneObject
         Everything the detector finds in it; empty without a detector.
+    problem : str
+        Why the detector could not be asked about this frame.
     """
 
     context: FrameContext
     objects: tuple[SceneObject, ...]
+    problem: str = ""
 
 
 class FrameStore:
@@ -57,8 +60,14 @@ class FrameStore:
                 return self._loaded[key]
         opened = self.sources[source]
         context = FrameContext(opened.dataset.load(frame_id), opened.config.lift)
-        objects = () if opened.detector is None else all_objects(context, opened.detector)
-        loaded = LoadedFrame(context, objects)
+        objects: tuple[SceneObject, ...] = ()
+        problem = ""
+        if opened.detector is not None:
+            try:
+                objects = all_objects(context, opened.detector)
+            except InputError as error:
+                problem = str(error)
+        loaded = LoadedFrame(context, objects, problem)
         with self._lock:
             self._loaded[key] = loaded
             while len(self._loaded) > KEPT_FRAMES:

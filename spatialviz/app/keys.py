@@ -28,13 +28,12 @@ KEYS: tuple[tuple[str, str, str], ...] = (
     ("Y", "Show or hide the viewer's axes at the reference", "flag:axes"),
     ("M", "Dark or light", "theme"),
     ("X", "Clear the question", "clear"),
-    ("H", "List the keys", "help"),
+    ("H", "List the keys (or ?)", "help"),
 )
 
 _ROWS = "".join(f"<span><kbd>{safe(key)}</kbd></span><span>{safe(label)}</span>" for key, label, _ in KEYS)
 HELP = (
     f'<div class="sv"><div class="keys"><span><kbd>/</kbd></span><span>Type a question</span>{_ROWS}'
-    "<span><kbd>?</kbd></span><span>List the keys</span>"
     "<span><kbd>Ctrl</kbd> <kbd>K</kbd></span><span>Find any command</span></div></div>"
 )
 

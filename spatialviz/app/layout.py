@@ -12,6 +12,18 @@ from spatialviz.app.bridge import Bridge
 LEFT_WIDTH, RIGHT_WIDTH = 304, 372
 
 
+LISTED_FRAMES = 1000
+"""A list of more frames would be slow to open; around the current one are enough to pick from."""
+
+
+def listed(ids: Sequence[str], current: str) -> tuple[str, ...]:
+    """The frames that the dropdown offers."""
+    if len(ids) <= LISTED_FRAMES:
+        return tuple(ids)
+    start = max(0, min(ids.index(current) - LISTED_FRAMES // 2, len(ids) - LISTED_FRAMES))
+    return tuple(ids[start : start + LISTED_FRAMES])
+
+
 @dataclass(frozen=True)
 class Page:
     """Handles of everything that changes."""
@@ -21,6 +33,7 @@ class Page:
     expression: viser.GuiTextHandle | viser.GuiInputHandle[str]
     ask: viser.GuiButtonHandle
     form: viser.GuiFormHandle
+    steps: viser.GuiHtmlHandle
     parse: viser.GuiHtmlHandle
     modules: viser.GuiHtmlHandle
     controls: viser.GuiHtmlHandle
@@ -42,10 +55,11 @@ def build(
     gui.set_panel_label("spatialviz")
     bridge.install()
     dataset_box = gui.add_dropdown("Dataset", tuple(datasets), initial_value=dataset, visible=len(datasets) > 1)
-    frame_box = gui.add_dropdown("Frame", tuple(frame_ids), initial_value=frame_ids[0])
+    frame_box = gui.add_dropdown("Frame", listed(frame_ids, frame_ids[0]), initial_value=frame_ids[0])
+    steps = gui.add_html("")
     form = gui.add_form(None)
     with form:
-        expression = gui.add_text("Ask", "", hint="TARGET RELATION REFERENCE, for example: mug left of the laptop")
+        expression = gui.add_text("Ask", "")
         ask = gui.add_button("Ask", icon=viser.Icon.PLAYER_PLAY)
     parse, modules, controls, objects = (gui.add_html("") for _ in range(4))
     gui.main_panel.dock_left()
@@ -64,6 +78,6 @@ def build(
     with lower.add_tab("Log", viser.Icon.LIST):
         log = gui.add_html("")
     return Page(
-        dataset_box, frame_box, expression, ask, form, parse, modules, controls, objects,
+        dataset_box, frame_box, expression, ask, form, steps, parse, modules, controls, objects,
         answer, pairs, relations, object_, image, frames, log,
     )  # fmt: skip

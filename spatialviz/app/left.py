@@ -14,6 +14,12 @@ from spatialviz.app.text import BAD, DOUBT, GOOD, IDLE, dot, heading, note, pane
 
 COLORS = {"rgb": "Colour", "objects": "Objects", "depth": "Depth", "evidence": "Cleaning"}
 CAMERAS = {"sensor": "Sensor", "orbit": "Orbit", "top": "Top"}
+SHOW_SELECTED = (
+    "const s=this.parentElement.querySelector('.scroll'),r=s&&s.querySelector('tr.sel');"
+    "if(r&&(r.offsetTop<s.scrollTop||r.offsetTop+r.offsetHeight>s.scrollTop+s.clientHeight))"
+    "s.scrollTop=r.offsetTop-s.clientHeight/2"
+)
+"""Scrolls the list of objects to the selected one; an update of the list begins at its top again."""
 ROLE_ORDER = {"target": 0, "reference": 1, "other": 2}
 FLAGS = {
     "cloud": "cloud",
@@ -24,6 +30,16 @@ FLAGS = {
     "axes": "axes",
     "camera": "camera",
 }
+
+
+def frame_html(place: int, count: int) -> str:
+    """Which frame of how many, with steps to its neighbours."""
+    return panel(
+        '<div class="nav">'
+        '<span class="try" onclick="sv(\'next-frame:-1\')" title="previous frame (P)">‹ previous</span>'
+        f'<span class="dim">{place + 1} of {count}</span>'
+        '<span class="try" onclick="sv(\'next-frame:1\')" title="next frame (N)">next ›</span></div>'
+    )
 
 
 def parse_html(state: State, suggestions: Sequence[str]) -> str:
@@ -152,7 +168,8 @@ def objects_html(state: State, thumbs: dict[int, str]) -> str:
     if state.loaded is None:
         return ""
     if not state.shown.objects:
-        return panel(heading("Objects"), note("No objects: the dataset has no annotations and no detector is set."))
+        reason = state.loaded.problem or "Nothing is annotated or detected in this frame."
+        return panel(heading("Objects"), note(reason))
     colors, roles = palette(state.dark), state.roles
     rgb = state.loaded.context.frame.rgb
     rows = []
@@ -175,7 +192,8 @@ def objects_html(state: State, thumbs: dict[int, str]) -> str:
         )
     return panel(
         heading(f"Objects ({len(rows)})"),
-        f'<div class="scroll" style="--mh:max(150px, calc(100vh - 540px))"><table>{"".join(rows)}</table></div>',
+        f'<div class="scroll" style="--mh:max(150px, calc(100vh - 566px))"><table>{"".join(rows)}</table></div>',
+        f'<img src="" style="display:none" onerror="{safe(SHOW_SELECTED)}">',
         '<div class="dim" style="font-size:11px;padding-top:5px"><kbd>/</kbd> ask &nbsp;<kbd>J</kbd> <kbd>K</kbd> pair'
         " &nbsp;<kbd>N</kbd> <kbd>P</kbd> frame &nbsp;<kbd>?</kbd> all keys</div>",
     )

@@ -18,8 +18,8 @@ KEPT: RGB = (53, 169, 107)
 def answer_html(state: State) -> str:
     """The answer in one line, its probability, and what to doubt about it."""
     trace = state.trace
-    if state.error:
-        return panel('<div style="height:.5em"></div>', note(state.error, BAD))
+    if state.error or state.problem:
+        return panel('<div class="dim" style="padding:.7em 0">No answer: see the message at the left.</div>')
     if trace is None:
         hint = "Type TARGET RELATION REFERENCE at the left, for example “mug left of the laptop”, and press Enter."
         return panel(f'<div class="dim" style="padding:.7em 0">{hint}</div>')
@@ -32,11 +32,13 @@ def answer_html(state: State) -> str:
     assert trace.ranking is not None
     place = state.ranked.index(pair) + 1
     if place == 1:
-        more = f"margin {trace.ranking.margin:.2f} to the runner-up"
+        tied = trace.ranking.margin < 0.005
+        more = "a tie with the runner-up" if tied else f"margin {trace.ranking.margin:.2f} to the runner-up"
     else:
         more = f"rank {place}; the answer has {best.probability:.2f}"
     count = len(state.ranked)
-    summary = f"{more} · {count} candidate pairs" if count > 1 else "the only candidate pair"
+    summary = f"relation {pair.p_relation:.2f} · "
+    summary += f"{more} · {count} pairs" if count > 1 else "the only candidate pair"
     parts.append(f'<div class="dim">{summary}</div>')
     if best.p_relation < 0.5 and place == 1:
         parts.append(
@@ -48,12 +50,11 @@ def answer_html(state: State) -> str:
 def _sentence(state: State, pair: RankedPair) -> str:
     assert state.trace is not None
     colors = palette(state.dark)
-    target, reference = state.at(pair)
+    target, reference, *second_reference = state.at(pair)
     phrase = safe(wording(state.trace.asked.relation, inverse=state.trace.asked.inverse))
     second = ""
-    if pair.second_reference is not None:
-        name = state.shown.names[state.shown.place[pair.second_reference]]
-        second = f' <span class="dim">and</span> {_name(colors["reference"], name)}'
+    for i in second_reference:
+        second = f' <span class="dim">and</span> {_name(colors["reference"], state.shown.names[i])}'
     return (
         f'<div class="big" style="flex-wrap:wrap">{_name(colors["target"], state.shown.names[target])}'
         f' <span class="dim">{phrase}</span> {_name(colors["reference"], state.shown.names[reference])}{second}'
@@ -76,7 +77,7 @@ def pairs_html(state: State) -> str:
     colors = palette(state.dark)
     rows = []
     for i, pair in enumerate(state.ranked[:SHOWN_PAIRS]):
-        target, reference = state.at(pair)
+        target, *references = state.at(pair)
         factors = (pair.p_target, pair.p_reference, pair.p_relation)
         weakest = min(factors)
         cells = "".join(
@@ -86,7 +87,7 @@ def pairs_html(state: State) -> str:
             f'<tr class="r{" sel" if state.at(pair) == state.pair else ""}" onclick="sv(\'pair:{i}\')">'
             f'<td class="n dim">{i + 1}</td>'
             f"{_cell(colors['target'], state.shown.names[target])}"
-            f"{_cell(colors['reference'], state.shown.names[reference])}"
+            f"{_cell(colors['reference'], ', '.join(state.shown.names[i] for i in references))}"
             f'{cells}<td class="n"><b>{pair.probability:.2f}</b></td></tr>'
         )
     more = "" if len(state.ranked) <= SHOWN_PAIRS else f"best {SHOWN_PAIRS} of {len(state.ranked)}"

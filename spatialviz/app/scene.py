@@ -130,6 +130,17 @@ class SceneView:
                 visible=False,
             )
 
+    def clear(self) -> None:
+        """Show nothing: the frame is broken."""
+        with self._client.atomic():
+            handles = [*self._bands, *self._lines.values(), *self._axes, self._faces, self._frustum]
+            for handle in handles:
+                if handle is not None:
+                    handle.remove()
+        self._bands, self._lines, self._axes = [], {}, []
+        self._faces = self._frustum = self._cloud = None
+        self._boxed = {}
+
     def recolor(self, colors: np.ndarray) -> None:
         """Paint the cloud with (H, W, 3) uint8 colours."""
         if self._cloud is None:
@@ -169,7 +180,7 @@ class SceneView:
             shown_truth = [self._shown_box(b) for b in truth]
             self._set_lines("/boxes/truth", _edges(shown_truth), colors["truth"], LINE_WIDTH["truth"], flags.truth)
             self._draw_faces(objects, boxed, role_of, colors, flags)
-            self._draw_pairs(objects, pairs, colors, flags)
+            self._draw_pairs(pairs, colors, flags)
             axes = self._draw_axes(pairs, dark)
             return axes + self._draw_tags(objects, names, boxed, role_of, selected, flags, colors)
 
@@ -228,21 +239,20 @@ class SceneView:
 
     def _draw_pairs(
         self,
-        objects: Sequence[SceneObject],
         pairs: Sequence[tuple[int, int]],
         colors: Mapping[Role, RGB],
         flags: SceneFlags,
     ) -> None:
-        lines = np.array(
-            [
-                [self._box(objects, a).center, self._box(objects, b).center]
-                for a, b in pairs
-                if objects[a].lifted.box is not None and objects[b].lifted.box is not None
-            ],
-            np.float32,
-        ).reshape(-1, 2, 3)
+        lines = [
+            np.array([[self._boxed[a].center, self._boxed[b].center]], np.float32)
+            if a in self._boxed and b in self._boxed
+            else np.zeros((0, 2, 3), np.float32)
+            for a, b in pairs
+        ]
+        none = np.zeros((0, 2, 3), np.float32)
+        chosen, others = (lines or [none])[0], np.concatenate([none, *lines[1:]])
         blend = np.array([[colors["target"], colors["reference"]]], np.uint8)
-        for name, segment, width in (("/pairs/chosen", lines[:1], 5.0), ("/pairs/others", lines[1:], 1.6)):
+        for name, segment, width in (("/pairs/chosen", chosen, 5.0), ("/pairs/others", others, 1.6)):
             handle = self._lines.pop(name, None)
             if handle is not None:
                 handle.remove()

@@ -54,19 +54,22 @@ def start(
     lock = threading.Lock()
     first = next(iter(sources))
 
-    @server.on_client_connect
-    def _(client: viser.ClientHandle) -> None:
-        session = Session(server, client, store, first, DEMO_EXPRESSION, dark)
-        with lock:
-            sessions[client.client_id] = session
-
-    @server.on_client_disconnect
-    def _(client: viser.ClientHandle) -> None:
+    def forget(client: viser.ClientHandle) -> None:
         with lock:
             session = sessions.pop(client.client_id, None)
         if session is not None:
             session.close()
 
+    @server.on_client_connect
+    def _(client: viser.ClientHandle) -> None:
+        session = Session(client, store, first, DEMO_EXPRESSION, dark)
+        with lock:
+            sessions[client.client_id] = session
+        if client.client_id not in server.get_clients():
+            # The browser went away while its page was being built.
+            forget(client)
+
+    server.on_client_disconnect(forget)
     return server
 
 
@@ -94,16 +97,22 @@ def serve(
 ) -> None:
     """Start the server, say where it is, and wait until it is stopped."""
     server = start(sources, host=host, port=port, dark=dark)
-    shown = "127.0.0.1" if host in ("", "0.0.0.0", "::") else host
+    shown = "127.0.0.1" if host in ("", "0.0.0.0", "::") else f"[{host}]" if ":" in host else host
     address = f"http://{shown}:{server.get_port()}"
-    if host not in LOCAL_NAMES:
+    if host not in (*LOCAL_NAMES, "::1"):
         print(
             f"spatialviz: warning: listening on {host}: anyone who reaches this machine sees the data, "
             "there is no password",
             file=sys.stderr,
         )
+    if port and server.get_port() != port:
+        print(f"spatialviz: port {port} is taken, using {server.get_port()}", file=sys.stderr)
     names = ", ".join("the built-in demo" if n == DEMO_NAME else n for n in sources)
     print(f"spatialviz: {names} at {address} (Ctrl-C stops)", flush=True)
     if open_browser:
         webbrowser.open(address)
-    server.sleep_forever()
+    try:
+        server.sleep_forever()
+    finally:
+        with redirect_stdout(io.StringIO()):
+            server.stop()

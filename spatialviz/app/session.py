@@ -11,17 +11,18 @@ from typing import Any
 import viser
 
 from pipeline.boxes import Box3D
-from pipeline.errors import InputError, NothingFound
+from pipeline.demo import DEMO_EXPRESSION
+from pipeline.errors import InputError
 from pipeline.jobs import Source
 from pipeline.records import why_no_answer
 from pipeline.relations import PHRASE
 from pipeline.suggestions import suggest_expressions
 from spatialviz.app import bottom, left, right
-from spatialviz.app.bridge import HELLO, HELLO_SECONDS, Bridge
+from spatialviz.app.bridge import HELLO_SECONDS, Bridge
 from spatialviz.app.fallback import Fallback
 from spatialviz.app.frames import FrameStore, LoadedFrame
 from spatialviz.app.keys import HELP, add_keys
-from spatialviz.app.layout import build
+from spatialviz.app.layout import build, listed
 from spatialviz.app.paint import frame_colors
 from spatialviz.app.scene import SceneView
 from spatialviz.app.state import NOTHING, CameraMode, ColorMode, State, shown_objects
@@ -39,7 +40,6 @@ class Session:
 
     def __init__(
         self,
-        server: viser.ViserServer,
         client: viser.ClientHandle,
         store: FrameStore,
         source: str,
@@ -52,8 +52,8 @@ class Session:
         self._thumbs: dict[int, str] = {}
         self._suggestions: tuple[str, ...] = ()
         self._painted: tuple[Any, ...] = ()
-        self._server = server
         self._closed = threading.Event()
+        self._modal: Any = None
         self.bridge = Bridge(client, self.handle)
         ids = store.sources[source].dataset.frame_ids
         self.state = State(source=source, frame_id=ids[0], dark=dark, text=first_expression)
@@ -81,35 +81,31 @@ class Session:
     def handle(self, message: str) -> None:
         """Carry out a command such as "pair:3"; unknown ones are ignored."""
         kind, _, argument = message.partition(":")
-        handlers: dict[str, Callable[[str], None]] = {
-            "pair": lambda a: self._choose_pair(int(a)),
-            "next-pair": lambda a: self._step_pair(int(a)),
-            "object": lambda a: self._select(int(a)),
-            "relation": lambda a: self._ask_relation(int(a)),
-            "chip": lambda a: self._select_role(a),
-            "try": lambda a: self._ask(self._suggestions[int(a)]),
-            "ask": lambda a: self._ask(a),
-            "again": lambda a: self._ask(str(self.page.expression.value)),
-            "color": lambda a: self._set_colors(a),
-            "next-color": lambda a: self._set_colors(MODES[(MODES.index(self.state.colors) + 1) % len(MODES)]),
-            "camera": lambda a: self._set_camera(a),
-            "focus": lambda a: self._focus(),
-            "flag": lambda a: self._toggle(a),
-            "frame": lambda a: self._open_frame(self._source().dataset.frame_ids[int(a)]),
-            "next-frame": lambda a: self._step_frame(int(a)),
-            "image": lambda a: self._select_fraction(*(float(x) for x in a.split(","))),
-            "theme": lambda a: self._set_theme(not self.state.dark),
-            "clear": lambda a: self._clear(),
-            "help": lambda a: self._help(),
-            HELLO: lambda a: None,
+        number = int(argument) if argument.lstrip("-").isdecimal() else -1
+        handlers: dict[str, Callable[[], None]] = {
+            "pair": lambda: self._choose_pair(number),
+            "next-pair": lambda: self._step_pair(number),
+            "object": lambda: self._select(number),
+            "relation": lambda: self._ask_relation(number),
+            "chip": lambda: self._select_role(argument),
+            "try": lambda: self._ask(self._suggestions[number]) if 0 <= number < len(self._suggestions) else None,
+            "ask": lambda: self._ask(argument),
+            "again": lambda: self._ask(str(self.page.expression.value)),
+            "color": lambda: self._set_colors(argument),
+            "next-color": lambda: self._set_colors(MODES[(MODES.index(self.state.colors) + 1) % len(MODES)]),
+            "camera": lambda: self._set_camera(argument),
+            "focus": self._focus,
+            "flag": lambda: self._toggle(argument),
+            "frame": lambda: self._open_number(number),
+            "next-frame": lambda: self._step_frame(number),
+            "image": lambda: self._select_at(argument),
+            "theme": lambda: self._set_theme(not self.state.dark),
+            "clear": self._clear,
+            "help": self._help,
+            "close-help": self._close_help,
         }
-        if kind not in handlers:
-            return
-        try:
-            handlers[kind](argument)
-        except (ValueError, IndexError):
-            # A click on a row that a newer answer has replaced.
-            return
+        if kind in handlers:
+            handlers[kind]()
 
     def _wire(self) -> None:
         page = self.page
@@ -120,15 +116,23 @@ class Session:
 
         @page.form.on_submit
         async def _(event: viser.GuiEvent) -> None:
-            self.post("again")
+            # Where the bridge is alive it has sent the text itself: viser drops
+            # a keystroke that comes within 50 ms before Enter.
+            if not self.bridge.alive.is_set():
+                self.post("again")
 
+        # viser calls back for values that Python sets, too; those carry no client.
         @page.frame.on_update
         async def _(event: viser.GuiEvent) -> None:
+            if event.client_id is None:
+                return
             wanted = str(page.frame.value)
             self.bridge.post(lambda: self._open_frame(wanted))
 
         @page.dataset.on_update
         async def _(event: viser.GuiEvent) -> None:
+            if event.client_id is None:
+                return
             wanted = str(page.dataset.value)
             self.bridge.post(lambda: self._open_source(wanted))
 
@@ -145,8 +149,8 @@ class Session:
         if name == self.state.source or name not in self._store.sources:
             return
         ids = self._store.sources[name].dataset.frame_ids
-        self.state = replace(self.state, source=name, frame_id="")
-        self.page.frame.options = ids
+        self.state = replace(self.state, source=name, frame_id="", text=self.state.text or DEMO_EXPRESSION)
+        self.page.frame.options = listed(ids, ids[0])
         self._open_frame(ids[0], first=True)
 
     def _open_frame(self, frame_id: str, first: bool = False) -> None:
@@ -162,7 +166,10 @@ class Session:
             self._note(str(error))
             self._suggestions = ()
             self._sync_frame_box(frame_id)
+            self.scene.clear()
+            self.bridge.show_tags([])
             self._draw()
+            self._browse()
             return
         self.state = replace(cleared, loaded=loaded, shown=shown_objects(loaded, None, self._exact()))
         self._sync_frame_box(frame_id)
@@ -173,12 +180,17 @@ class Session:
         scores = self._source().scorer.score([o.lifted for o in loaded.objects], loaded.context.viewer)
         self._suggestions = suggest_expressions(loaded.objects, scores)
         self._note(f"frame {frame_id}: {len(loaded.objects)} objects, up {loaded.context.viewer.up_source}")
+        if loaded.problem:
+            self._note(loaded.problem)
         for remark in loaded.context.frame.notes:
             self._note(f"frame {frame_id}: {remark}")
         text = self.state.text
-        if first and text and not self._can_ask(loaded, text):
+        if self._source().detector is None:
+            text = ""
+            self.page.expression.value = ""
+        elif first and not self._can_ask(loaded, text):
             text = self._suggestions[0] if self._suggestions else ""
-        if text and self._source().detector is not None:
+        if text:
             self._ask(text, draw=False)
         self._draw()
         self._browse()
@@ -186,13 +198,20 @@ class Session:
     def _can_ask(self, loaded: LoadedFrame, text: str) -> bool:
         try:
             trace = self._source().ask(loaded.context, text)
-        except (InputError, NothingFound):
+        except InputError:
             return False
         return why_no_answer(trace) is None
 
     def _sync_frame_box(self, frame_id: str) -> None:
+        if frame_id not in self.page.frame.options:
+            self.page.frame.options = listed(self._source().dataset.frame_ids, frame_id)
         if str(self.page.frame.value) != frame_id:
             self.page.frame.value = frame_id
+
+    def _open_number(self, number: int) -> None:
+        ids = self._source().dataset.frame_ids
+        if 0 <= number < len(ids):
+            self._open_frame(ids[number])
 
     def _step_frame(self, step: int) -> None:
         ids = self._source().dataset.frame_ids
@@ -225,7 +244,7 @@ class Session:
         exact = self._exact()
         try:
             trace = self._source().ask(loaded.context, text)
-        except (InputError, NothingFound) as error:
+        except InputError as error:
             self.state = replace(
                 self.state, error=str(error), shown=shown_objects(loaded, None, exact), selected=None
             )
@@ -248,13 +267,13 @@ class Session:
         total = sum(trace.timings.values()) * 1000
         if reason is not None or self.state.pair is None:
             return f"“{text}”: {reason} ({total:.0f} ms)"
-        a, b = (self.state.shown.names[i] for i in self.state.pair)
-        return f"“{text}”: {a}, {b}, probability {self.state.ranked[0].probability:.2f} ({total:.0f} ms)"
+        names = ", ".join(self.state.shown.names[i] for i in self.state.pair)
+        return f"“{text}”: {names}, probability {self.state.ranked[0].probability:.2f} ({total:.0f} ms)"
 
     def _ask_relation(self, number: int) -> None:
         """Ask the same two names with another relation."""
         trace = self.state.trace
-        if trace is None:
+        if trace is None or not 0 <= number < len(trace.scores.relations):
             return
         first, second = trace.query.expression.target, trace.asked.nodes[0].label
         if trace.asked.inverse:
@@ -262,6 +281,8 @@ class Session:
         self._ask(f"{first} {PHRASE[trace.scores.relations[number]]} the {second}")
 
     def _choose_pair(self, place: int) -> None:
+        if not 0 <= place < len(self.state.ranked):
+            return  # A click on a row that a newer answer has replaced.
         pair = self.state.at(self.state.ranked[place])
         self.state = replace(self.state, pair=pair, selected=pair[0])
         self._draw()
@@ -309,7 +330,12 @@ class Session:
             if i != self.state.selected:
                 self._select(i)
 
-    def _select_fraction(self, x: float, y: float) -> None:
+    def _select_at(self, fractions: str) -> None:
+        """A click in the picture: "0.25,0.5" is a quarter from the left, half way down."""
+        try:
+            x, y = (float(part) for part in fractions.split(","))
+        except ValueError:
+            return
         found = bottom.object_at(self.state, x, y)
         if found is not None and found != self.state.selected:
             self._select(found)
@@ -348,14 +374,23 @@ class Session:
         self._draw()
 
     def _help(self) -> None:
-        modal = self._client.gui.add_modal("Keys")
+        """Show the keys; the same key hides them."""
+        if self._modal is not None:
+            self._close_help()
+            return
+        self._modal = modal = self._client.gui.add_modal("Keys")
         with modal:
             self._client.gui.add_html(HELP)
             close = self._client.gui.add_button("Close")
 
         @close.on_click
         async def _(event: viser.GuiEvent) -> None:
-            modal.close()
+            self.post("close-help")
+
+    def _close_help(self) -> None:
+        if self._modal is not None:
+            self._modal.close()
+            self._modal = None
 
     # ---- drawing --------------------------------------------------------------------
 
@@ -370,7 +405,10 @@ class Session:
     def _draw(self) -> None:
         """Bring the whole page up to the state. Handles that would not change send nothing."""
         state, page = self.state, self.page
+        ids = self._source().dataset.frame_ids
         with self._client.atomic():
+            page.ask.disabled = self._source().detector is None
+            page.steps.content = left.frame_html(ids.index(state.frame_id), len(ids))
             page.parse.content = left.parse_html(state, self._suggestions)
             page.modules.content = left.modules_html(state)
             page.controls.content = left.controls_html(state)
@@ -404,7 +442,9 @@ class Session:
         state = self.state
         if state.pair is None:
             return []
-        return [state.pair, *[p for p in map(state.at, state.ranked[:6]) if p != state.pair]]
+        chosen = state.pair[:2]
+        others = dict.fromkeys(state.at(p)[:2] for p in state.ranked[:6])
+        return [(chosen[0], chosen[1]), *[(a, b) for a, b in others if (a, b) != chosen]]
 
     def _check_bridge(self) -> None:
         if not self.bridge.alive.is_set() and not self._closed.is_set():

@@ -56,8 +56,8 @@ class State:
     error : str
         Why the expression could not be asked.
     shown : Shown
-    pair : (int, int) or None
-        The chosen pair, as places in `shown.objects`; kept by objects, not by rank.
+    pair : tuple of int or None
+        The chosen pair (with "between", all three), as places in `shown.objects`; kept by objects, not by rank.
     selected : int or None
         Place in `shown.objects`.
     """
@@ -70,7 +70,7 @@ class State:
     trace: Trace | None = None
     error: str = ""
     shown: Shown = NOTHING
-    pair: tuple[int, int] | None = None
+    pair: tuple[int, ...] | None = None
     selected: int | None = None
     colors: ColorMode = "rgb"
     camera: CameraMode = "orbit"
@@ -84,10 +84,10 @@ class State:
             return ()
         return self.trace.ranking.pairs
 
-    def at(self, pair: RankedPair) -> tuple[int, int]:
-        """A ranked pair as places in `shown.objects`."""
-        assert pair.reference is not None
-        return self.shown.place[pair.target], self.shown.place[pair.reference]
+    def at(self, pair: RankedPair) -> tuple[int, ...]:
+        """A ranked pair as places in `shown.objects`: target, reference and, with "between", the other end."""
+        ends = (pair.target, pair.reference, pair.second_reference)
+        return tuple(self.shown.place[i] for i in ends if i is not None)
 
     @property
     def chosen(self) -> RankedPair | None:

@@ -7,17 +7,19 @@ CSS = """<style>
 .sv ::-webkit-scrollbar-thumb{background:color-mix(in srgb,var(--mantine-color-dimmed) 45%,transparent);border-radius:4px}
 .sv .dim{color:var(--mantine-color-dimmed)}
 .sv .h{display:flex;justify-content:space-between;align-items:baseline;font-size:10.5px;letter-spacing:.07em;text-transform:uppercase;color:var(--mantine-color-dimmed);margin:.55em 0 .3em;font-weight:600}
-.sv .h>span{letter-spacing:0;text-transform:none;font-weight:400}
+.sv .h{gap:10px}
+.sv .h>span{min-width:0;overflow:hidden;text-overflow:ellipsis;white-space:nowrap;letter-spacing:0;text-transform:none;font-weight:400}
 .sv .h>b{letter-spacing:0;text-transform:none;font-size:12.5px;color:var(--mantine-color-text)}
 .sv .dot{display:inline-block;width:8px;height:8px;border-radius:2px;background:var(--c);margin-right:6px;flex:none}
 .sv .ring{display:inline-block;width:8px;height:8px;border-radius:2px;box-shadow:inset 0 0 0 1.5px var(--c);margin-right:6px;flex:none}
 .sv .chips{display:flex;flex-wrap:wrap;gap:4px;align-items:center}
-.sv .chip{border-radius:4px;padding:1px 7px;border:1px solid var(--c);color:var(--c);font-weight:600;white-space:nowrap}
+.sv .nav{display:flex;justify-content:space-between;align-items:center;font-size:11.5px}
+.sv .chip{max-width:100%;overflow:hidden;text-overflow:ellipsis;border-radius:4px;padding:1px 7px;border:1px solid var(--c);color:var(--c);font-weight:600;white-space:nowrap}
 .sv .chip.rel{border:1px dashed var(--mantine-color-dimmed);color:var(--mantine-color-text);font-weight:500}
 .sv .try{border-radius:10px;padding:1px 9px;border:1px solid var(--mantine-color-default-border);color:var(--mantine-color-dimmed);cursor:pointer;max-width:100%;overflow:hidden;text-overflow:ellipsis;white-space:nowrap}
 .sv .try:hover{color:var(--mantine-color-text);background:var(--mantine-color-default-hover)}
 .sv .try.on{color:var(--mantine-color-text);border-color:var(--mantine-primary-color-filled)}
-.sv .note{border-left:3px solid var(--c);padding:4px 8px;background:color-mix(in srgb,var(--c) 12%,transparent);border-radius:0 4px 4px 0;overflow-wrap:anywhere}
+.sv .note{margin-top:.35em;border-left:3px solid var(--c);padding:4px 8px;background:color-mix(in srgb,var(--c) 12%,transparent);border-radius:0 4px 4px 0;overflow-wrap:anywhere}
 .sv .strip{display:grid;grid-template-columns:repeat(5,1fr);gap:3px}
 .sv .mod{border-radius:4px;padding:3px 2px;text-align:center;background:color-mix(in srgb,var(--c) 13%,transparent);border-top:3px solid var(--c);cursor:help;overflow:hidden}
 .sv .mod b{display:block;font-size:11px;font-weight:650}
@@ -25,7 +27,7 @@ CSS = """<style>
 .sv .row{display:flex;align-items:center;gap:8px;margin-bottom:5px}
 .sv .row>label{width:52px;flex:none;color:var(--mantine-color-dimmed)}
 .sv .seg{display:flex;flex:1;border:1px solid var(--mantine-color-default-border);border-radius:5px;overflow:hidden}
-.sv .seg span{flex:1;text-align:center;padding:2px 0;cursor:pointer;border-right:1px solid var(--mantine-color-default-border);white-space:nowrap}
+.sv .seg span{flex:1 1 auto;text-align:center;padding:2px 0;cursor:pointer;border-right:1px solid var(--mantine-color-default-border);white-space:nowrap}
 .sv .seg span:last-child{border:0}
 .sv .seg span:not(.on):hover{background:var(--mantine-color-default-hover)}
 .sv .seg .on{background:var(--mantine-primary-color-filled);color:#fff}
@@ -54,8 +56,8 @@ CSS = """<style>
 .sv .bar .s{font-size:10px;color:var(--mantine-color-dimmed);text-align:center}
 .sv .big{display:flex;align-items:center;font-size:15px;gap:6px;padding:.35em 0 .1em}
 .sv .big .p{margin-left:auto;font-size:19px;font-weight:650}
-.sv .name{display:inline-flex;align-items:center;min-width:0}
-.sv .name b{overflow:hidden;text-overflow:ellipsis;white-space:nowrap}
+.sv .name{display:inline-flex;align-items:center;min-width:0;max-width:100%}
+.sv .name b{min-width:0;overflow:hidden;text-overflow:ellipsis;white-space:nowrap}
 .sv .thumb{width:34px;height:34px;object-fit:cover;border-radius:4px;display:block;background:var(--mantine-color-default-hover)}
 .sv .stack{display:flex;height:9px;border-radius:2px;overflow:hidden;margin:3px 0}
 .sv .stack i{background:var(--c);height:100%}
@@ -69,7 +71,7 @@ CSS = """<style>
 .sv .cell{cursor:pointer;border-radius:5px;overflow:hidden;border:2px solid transparent;background:var(--mantine-color-default-hover);font-size:10.5px}
 .sv .cell img{width:100%;aspect-ratio:4/3;object-fit:cover;display:block}
 .sv .cell div{padding:1px 5px;overflow:hidden;text-overflow:ellipsis;white-space:nowrap;direction:rtl;text-align:left}
-.sv .cell .none{aspect-ratio:4/3;display:flex;align-items:center;justify-content:center;color:var(--mantine-color-dimmed);padding:6px;white-space:normal;text-align:center;direction:ltr}
+.sv .cell .none{aspect-ratio:4/3;display:flex;align-items:center;justify-content:center;color:var(--mantine-color-dimmed);padding:4px 6px;white-space:normal;overflow:hidden;font-size:10px;line-height:1.25}
 .sv .cell:hover{border-color:var(--mantine-color-dimmed)}
 .sv .cell.sel{border-color:var(--mantine-primary-color-filled)}
 .sv kbd{font:inherit;font-size:10.5px;border:1px solid var(--mantine-color-default-border);border-radius:3px;padding:0 4px;background:var(--mantine-color-default-hover)}
@@ -77,6 +79,7 @@ CSS = """<style>
 .sv .log div{padding:2px 0;border-bottom:1px solid color-mix(in srgb,var(--mantine-color-default-border) 50%,transparent);overflow-wrap:anywhere}
 .svhost{position:absolute;inset:0;overflow:hidden;pointer-events:none;z-index:1}
 .svtag{position:absolute;left:0;top:0;will-change:transform;background:var(--c);color:#fff;font:600 12px/1 system-ui,sans-serif;padding:4px 7px;border-radius:4px;white-space:nowrap;box-shadow:0 1px 5px rgba(0,0,0,.5);text-shadow:0 0 2px rgba(0,0,0,.45)}
+.svtag{max-width:240px;overflow:hidden;text-overflow:ellipsis}
 .svtag i{font-style:normal;font-weight:400;opacity:.9}
 .svtag.weak{font-weight:500;font-size:11px;padding:3px 5px;opacity:.92}
 </style>"""
@@ -123,7 +126,9 @@ if (!window.svTags) {
   place();
   window.addEventListener('keydown', e => {
     const a = document.activeElement;
+    if (e.key === 'Enter' && a && a.tagName === 'INPUT' && a.closest('form')) window.sv('ask:' + a.value);
     if (a && (a.tagName === 'INPUT' || a.tagName === 'TEXTAREA')) return;
+    if (e.key === 'Escape') window.sv('close-help');
     if (e.key === '?') { e.preventDefault(); window.sv('help'); }
     if (e.key === '/') {
       const box = [...document.querySelectorAll('input')].find(i => i.placeholder === '' && i.closest('form'));

@@ -21,6 +21,7 @@ class Viewpoint:
         self._camera: Camera | None = None
         self._placed: tuple[str, float, np.ndarray] | None = None
         self._reached = False
+        self._moved = False
 
         @client.camera.on_update
         async def _(camera: viser.CameraHandle) -> None:
@@ -29,7 +30,7 @@ class Viewpoint:
             kind, aspect, eye = self._placed
             there = np.linalg.norm(np.array(camera.position) - eye) < 0.02
             if self._reached and not there:
-                self._placed = None
+                self._placed, self._moved = None, True
                 return
             # Until the browser has taken the pose over it reports an older one.
             self._reached = self._reached or bool(there)
@@ -56,12 +57,12 @@ class Viewpoint:
                 camera.fov = f0 * (1 - t) + fov * t
             self._client.flush()
             time.sleep(1 / 40)
-        self._placed, self._reached = (kind, self._aspect, eye), False
+        self._placed, self._reached, self._moved = (kind, self._aspect, eye), False, False
 
     @property
     def untouched(self) -> bool:
         """Whether the view is as it was placed, nobody having turned it since."""
-        return self._placed is not None
+        return not self._moved
 
     @property
     def _aspect(self) -> float:
@@ -71,7 +72,7 @@ class Viewpoint:
         """The same at once; repeated when the shape of the page changes before anybody has turned the view."""
         eye, look, fov = self._pose(kind)
         self._placed = (kind, self._aspect, eye)
-        self._reached = False
+        self._reached = self._moved = False
         with self._client.atomic():
             self._client.camera.up_direction = self._up(kind)
             self._client.camera.position = eye
@@ -81,6 +82,8 @@ class Viewpoint:
     def focus(self, box: Box3D) -> None:
         """Turn around an object: look at it from where the camera stands, nearer."""
         center = self._to_show @ box.center
+        # The next frame is shown as a whole again.
+        self._placed, self._moved = None, False
         camera = self._client.camera
         away = np.array(camera.position) - center
         distance = max(float(np.linalg.norm(box.size)) * 1.9, 0.5)
@@ -99,6 +102,8 @@ class Viewpoint:
         assert self._camera is not None
         points = self._points
         middle = np.median(points, axis=0) if len(points) else np.array([0.0, 2.0, 0.0])
+        if not len(points):
+            kind = "sensor"
         forward = self._to_show @ np.array([0.0, 0.0, 1.0])
         distance = float(np.linalg.norm(middle))
         if kind == "sensor":
