@@ -14,7 +14,7 @@ from pipeline.errors import InputError
 from pipeline.jobs import Source
 from pipeline.objects import FrameContext, SceneObject, all_objects
 
-KEPT_FRAMES = 6
+KEPT_FRAMES = 4
 THUMB_WIDTH = 160
 
 

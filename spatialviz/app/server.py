@@ -15,6 +15,7 @@ from pipeline.demo import DEMO_EXPRESSION, DEMO_NAME
 from pipeline.errors import InputError
 from pipeline.jobs import Source
 from spatialviz.app.frames import FrameStore
+from spatialviz.app.memory import return_freed_memory
 from spatialviz.app.origin import LOCAL_NAMES, checked_origins
 from spatialviz.app.session import Session, apply_theme
 
@@ -40,6 +41,7 @@ def start(
         if not source.dataset.frame_ids:
             raise InputError(f"the dataset {name} has no frames", path=source.dataset.root)
     _check_address(host, port)
+    return_freed_memory()
     try:
         with checked_origins(), redirect_stdout(io.StringIO()):
             server = viser.ViserServer(host=host, port=port, label="spatialviz", verbose=False)
