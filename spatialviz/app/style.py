@@ -71,7 +71,7 @@ CSS = """<style>
 .sv .cell{cursor:pointer;border-radius:5px;overflow:hidden;border:2px solid transparent;background:var(--mantine-color-default-hover);font-size:10.5px}
 .sv .cell img{width:100%;aspect-ratio:4/3;object-fit:cover;display:block}
 .sv .cell div{padding:1px 5px;overflow:hidden;text-overflow:ellipsis;white-space:nowrap;direction:rtl;text-align:left}
-.sv .cell .none{aspect-ratio:4/3;display:flex;align-items:center;justify-content:center;color:var(--mantine-color-dimmed);padding:4px 6px;white-space:normal;overflow:hidden;font-size:10px;line-height:1.25}
+.sv .cell .none{aspect-ratio:4/3;display:block;overflow-wrap:anywhere;color:var(--mantine-color-dimmed);padding:4px 6px;white-space:normal;overflow:hidden;font-size:10px;line-height:1.25}
 .sv .cell:hover{border-color:var(--mantine-color-dimmed)}
 .sv .cell.sel{border-color:var(--mantine-primary-color-filled)}
 .sv kbd{font:inherit;font-size:10.5px;border:1px solid var(--mantine-color-default-border);border-radius:3px;padding:0 4px;background:var(--mantine-color-default-hover)}
