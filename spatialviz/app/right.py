@@ -70,6 +70,18 @@ def _cell(color: RGB, name: str) -> str:
     return f'<td class="w" title="{safe(name)}">{dot(color)}{safe(name)}</td>'
 
 
+def answer_in_words(state: State) -> str:
+    """The answer as a line of the log."""
+    trace = state.trace
+    assert trace is not None
+    reason = why_no_answer(trace)
+    total = sum(trace.timings.values()) * 1000
+    if reason is not None or state.pair is None:
+        return f"“{state.text}”: {reason} ({total:.0f} ms)"
+    names = ", ".join(state.shown.names[i] for i in state.pair)
+    return f"“{state.text}”: {names}, probability {state.ranked[0].probability:.2f} ({total:.0f} ms)"
+
+
 def pairs_html(state: State) -> str:
     """The ranked pairs with each factor; the weakest factor of a pair stands out."""
     if not state.ranked:

@@ -20,6 +20,7 @@ from pipeline.suggestions import suggest_expressions
 from spatialviz.app import bottom, left, right
 from spatialviz.app.bridge import HELLO_SECONDS, Bridge
 from spatialviz.app.fallback import Fallback
+from spatialviz.app.filling import fill_page
 from spatialviz.app.frames import FrameStore, LoadedFrame
 from spatialviz.app.keys import HELP, add_keys
 from spatialviz.app.layout import build, listed
@@ -256,19 +257,9 @@ class Session:
             ranked = self.state.ranked
             pair = self.state.at(ranked[0]) if ranked else None
             self.state = replace(self.state, pair=pair, selected=None if pair is None else pair[0])
-            self._note(self._answer_in_words(text))
+            self._note(right.answer_in_words(self.state))
         if draw:
             self._draw()
-
-    def _answer_in_words(self, text: str) -> str:
-        trace = self.state.trace
-        assert trace is not None
-        reason = why_no_answer(trace)
-        total = sum(trace.timings.values()) * 1000
-        if reason is not None or self.state.pair is None:
-            return f"“{text}”: {reason} ({total:.0f} ms)"
-        names = ", ".join(self.state.shown.names[i] for i in self.state.pair)
-        return f"“{text}”: {names}, probability {self.state.ranked[0].probability:.2f} ({total:.0f} ms)"
 
     def _ask_relation(self, number: int) -> None:
         """Ask the same two names with another relation."""
@@ -404,21 +395,17 @@ class Session:
 
     def _draw(self) -> None:
         """Bring the whole page up to the state. Handles that would not change send nothing."""
-        state, page = self.state, self.page
-        ids = self._source().dataset.frame_ids
-        with self._client.atomic():
-            page.ask.disabled = self._source().detector is None
-            page.steps.content = left.frame_html(ids.index(state.frame_id), len(ids))
-            page.parse.content = left.parse_html(state, self._suggestions)
-            page.modules.content = left.modules_html(state)
-            page.controls.content = left.controls_html(state)
-            page.objects.content = left.objects_html(state, self._thumbs)
-            page.answer.content = right.answer_html(state)
-            page.pairs.content = right.pairs_html(state)
-            page.relations.content = right.relations_html(state)
-            page.object.content = right.object_html(state)
-            page.image.content = bottom.image_html(state)
-            page.log.content = bottom.log_html(self._log)
+        state = self.state
+        fill_page(
+            self.page,
+            state,
+            frame_ids=self._source().dataset.frame_ids,
+            can_ask=self._source().detector is not None,
+            suggestions=self._suggestions,
+            thumbs=self._thumbs,
+            log=self._log,
+            atomic=self._client.atomic,
+        )
         if state.loaded is not None:
             if self._painted != self._paint_key():
                 self._painted = self._paint_key()

@@ -1,0 +1,37 @@
+"""Bring every panel of the page up to a state."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
+
+from spatialviz.app import bottom, left, right
+from spatialviz.app.layout import Page
+from spatialviz.app.state import State
+
+
+def fill_page(
+    page: Page,
+    state: State,
+    *,
+    frame_ids: Sequence[str],
+    can_ask: bool,
+    suggestions: Sequence[str],
+    thumbs: dict[int, str],
+    log: Sequence[tuple[str, str]],
+    atomic: Callable[[], AbstractContextManager[None]],
+) -> None:
+    """Fill all panels at once. Handles whose content would not change send nothing."""
+    with atomic():
+        page.ask.disabled = not can_ask
+        page.steps.content = left.frame_html(frame_ids.index(state.frame_id), len(frame_ids))
+        page.parse.content = left.parse_html(state, suggestions)
+        page.modules.content = left.modules_html(state)
+        page.controls.content = left.controls_html(state)
+        page.objects.content = left.objects_html(state, thumbs)
+        page.answer.content = right.answer_html(state)
+        page.pairs.content = right.pairs_html(state)
+        page.relations.content = right.relations_html(state)
+        page.object.content = right.object_html(state)
+        page.image.content = bottom.image_html(state)
+        page.log.content = bottom.log_html(log)
