@@ -248,6 +248,41 @@ class Render:
 
 
 @dataclass(frozen=True)
+class Context:
+    """Fuse the posed frames around a frame into a mesh, in its camera frame (extra: open3d)."""
+
+    dataset: Positional[str]
+    """Dataset folder, or "demo"."""
+    frame: Positional[str]
+    """Frame id, or its index."""
+    out: Positional[Path]
+    """Mesh file to write: .ply, .obj or .glb."""
+    intrinsics: str | None = None
+    """fx,fy,cx,cy in pixels, for recordings without a camera file."""
+    depth_scale: float | None = None
+    """Depth units in one metre (1000 for millimetres)."""
+    json: bool = False
+    """Print one JSON object."""
+
+    def run(self) -> int:
+        from pipeline.context import export_mesh, fuse_context
+        from pipeline.datasets import resolve_frame
+        from pipeline.jobs import open_source
+
+        camera = _four_numbers(self.intrinsics)
+        dataset = open_source(self.dataset, intrinsics=camera, depth_scale=self.depth_scale).dataset
+        frame = dataset.load(resolve_frame(dataset, self.frame))
+        mesh = fuse_context(dataset, frame)
+        export_mesh(mesh, self.out)
+        record = {"frame": frame.id, "frames": mesh.frames, "vertices": len(mesh.vertices), "faces": len(mesh.faces)}
+        if self.json:
+            _print_json(record)
+        else:
+            print(f"{mesh.frames} frames around {frame.id}: {len(mesh.faces)} faces -> {self.out}")
+        return FINE
+
+
+@dataclass(frozen=True)
 class Bench:
     """Time the stages on a dataset: milliseconds a frame, and ratios measured in one run."""
 
@@ -277,6 +312,7 @@ Command = Union[
     Annotated[Relations, subcommand("relations")],
     Annotated[Frames, subcommand("frames")],
     Annotated[Render, subcommand("render")],
+    Annotated[Context, subcommand("context")],
     Annotated[Bench, subcommand("bench")],
 ]
 

@@ -26,6 +26,7 @@ KEYS: tuple[tuple[str, str, str], ...] = (
     ("O", "Show or hide pair lines", "flag:pairs"),
     ("G", "Show or hide exact boxes", "flag:truth"),
     ("Y", "Show or hide the viewer's axes at the reference", "flag:axes"),
+    ("U", "Show or hide the room around the frame", "flag:context"),
     ("M", "Dark or light", "theme"),
     ("X", "Clear the question", "clear"),
     ("H", "List the keys (or ?)", "help"),

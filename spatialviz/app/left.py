@@ -28,6 +28,7 @@ FLAGS = {
     "pairs": "pairs",
     "truth": "exact boxes",
     "axes": "axes",
+    "context": "room",
     "camera": "camera",
 }
 

@@ -16,11 +16,13 @@ import viser.transforms as vtf
 
 from pipeline.boxes import EDGES, Box3D, ray_entry
 from pipeline.camera import lift_pixels
+from pipeline.context import ContextMesh
 from pipeline.lifting import flying_pixels
 from pipeline.objects import SceneObject
 from pipeline.palette import RGB, Role, hex_color, palette
 from spatialviz.app.bridge import Tag
 from spatialviz.app.frames import LoadedFrame
+from spatialviz.app.glb import unlit_glb
 from spatialviz.app.viewpoint import Viewpoint
 
 MAX_POINTS = 320_000
@@ -49,6 +51,7 @@ class SceneFlags:
     pairs: bool = True
     truth: bool = False
     axes: bool = False
+    context: bool = False
     camera: bool = False
 
 
@@ -79,6 +82,7 @@ class SceneView:
         self._anchors: list[viser.FrameHandle] = []
         self._frustum: Any = None
         self._axes: list[Any] = []
+        self._context: Any = None
         self._to_show = np.eye(3)
 
         @client.scene.on_click()
@@ -130,15 +134,28 @@ class SceneView:
                 visible=False,
             )
 
+    def show_context(self, mesh: ContextMesh | None, dark: bool) -> None:
+        """Show the room around the frame, dimmed toward the background; None shows none."""
+        if self._context is not None:
+            self._context.remove()
+            self._context = None
+        if mesh is None or not len(mesh.faces):
+            return
+        background = 20 if dark else 250
+        dimmed = (mesh.colors * 0.45 + background * 0.55).astype(np.uint8)
+        vertices = mesh.vertices @ self._to_show.T.astype(np.float32)
+        data = unlit_glb(vertices, mesh.faces, dimmed)
+        self._context = self._client.scene.add_glb("/context", data, cast_shadow=False, receive_shadow=False)
+
     def clear(self) -> None:
         """Show nothing: the frame is broken."""
         with self._client.atomic():
-            handles = [*self._bands, *self._lines.values(), *self._axes, self._faces, self._frustum]
+            handles = [*self._bands, *self._lines.values(), *self._axes, self._faces, self._frustum, self._context]
             for handle in handles:
                 if handle is not None:
                     handle.remove()
         self._bands, self._lines, self._axes = [], {}, []
-        self._faces = self._frustum = self._cloud = None
+        self._faces = self._frustum = self._cloud = self._context = None
         self._boxed = {}
 
     def recolor(self, colors: np.ndarray) -> None:

@@ -11,8 +11,9 @@ from typing import Any
 import viser
 
 from pipeline.boxes import Box3D
+from pipeline.context import fuse_context
 from pipeline.demo import DEMO_EXPRESSION
-from pipeline.errors import InputError
+from pipeline.errors import FrameUnusable, InputError, MissingExtra
 from pipeline.jobs import Source
 from pipeline.records import why_no_answer
 from pipeline.relations import PHRASE
@@ -27,6 +28,7 @@ from spatialviz.app.layout import build, listed
 from spatialviz.app.paint import frame_colors
 from spatialviz.app.scene import SceneView
 from spatialviz.app.state import NOTHING, CameraMode, ColorMode, State, shown_objects
+from spatialviz.app.text import safe
 
 LOG_LENGTH = 200
 MODES: tuple[ColorMode, ...] = ("rgb", "objects", "depth", "evidence")
@@ -176,6 +178,7 @@ class Session:
         self._sync_frame_box(frame_id)
         self._painted = self._paint_key()
         self.scene.set_frame(loaded, frame_colors(self.state.colors, loaded, {}, self.state.dark))
+        self._show_context()
         if first or self.scene.viewpoint.untouched:
             self.scene.viewpoint.place(self.state.camera)
         scores = self._source().scorer.score([o.lifted for o in loaded.objects], loaded.context.viewer)
@@ -356,12 +359,27 @@ class Session:
         if flag in left.FLAGS:
             flags = replace(self.state.flags, **{flag: not getattr(self.state.flags, flag)})
             self.state = replace(self.state, flags=flags)
+            if flag == "context":
+                self._show_context()
             self._draw()
+
+    def _show_context(self) -> None:
+        """Fuse the frames around this one, where that is wanted and possible."""
+        mesh = None
+        if self.state.flags.context and self.state.loaded is not None:
+            try:
+                mesh = fuse_context(self._source().dataset, self.state.loaded.context.frame)
+            except (FrameUnusable, MissingExtra) as error:
+                self.state = replace(self.state, flags=replace(self.state.flags, context=False))
+                self._note(str(error))
+                self._client.add_notification("No room to show", safe(error), auto_close_seconds=12)
+        self.scene.show_context(mesh, self.state.dark)
 
     def _set_theme(self, dark: bool) -> None:
         self.state = replace(self.state, dark=dark)
         apply_theme(self._client.gui, dark)
         self._painted = ()
+        self._show_context()
         self._draw()
 
     def _help(self) -> None:
