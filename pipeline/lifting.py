@@ -23,7 +23,9 @@ BoxMode = Literal["gravity", "pca", "pca-raw"]
 """gravity: upright, yaw by PCA in plan. pca: the paper's PCA box, canonicalised
 in the level camera frame. pca-raw: the same with the axes as PCA gives them."""
 
-MaskSource = Literal["annotation", "detector", "box"]
+MaskSource = Literal["annotation", "detector", "box3d", "box"]
+"""Whose pixels they are: the dataset's mask, the detector's, those inside the
+annotated 3D box, or the whole 2D box."""
 
 
 class Pixel(IntEnum):
@@ -151,6 +153,8 @@ class Quality:
             found.append("cut by the image border")
         if self.mask_source == "box":
             found.append("no mask: the whole 2D box was lifted")
+        elif self.mask_source == "box3d":
+            found.append("no mask: the points inside the annotated 3D box were lifted")
         return tuple(found)
 
 

@@ -8,7 +8,8 @@ from time import perf_counter
 
 import numpy as np
 
-from pipeline.boxes import iou_2d
+from pipeline.boxes import Box3D, iou_2d
+from pipeline.camera import backproject
 from pipeline.frame import Frame
 from pipeline.lifting import LiftConfig, LiftedObject, MaskSource, depth_edges, lift
 from pipeline.proposals.annotations import box_mask
@@ -17,6 +18,8 @@ from pipeline.viewer import ViewerAxes, resolve_up, viewer_axes
 
 SAME_BOX_IOU = 0.7
 SAME_MASK_IOU = 0.5
+BOX_MARGIN_M = 0.02
+"""How far beyond an annotated 3D box a point still counts as inside: the noise of the depth and of the hand."""
 
 
 @dataclass(frozen=True)
@@ -71,7 +74,7 @@ class FrameContext:
         self.frame = replace(frame, camera=camera)
         self.viewer: ViewerAxes = viewer_axes(camera.up, camera.up_source or "assumed")
         self.edges = depth_edges(frame.depth, self.config)
-        self._lifted: dict[tuple[str, int], LiftedObject] = {}
+        self._lifted: dict[tuple[str, int], tuple[LiftedObject, np.ndarray]] = {}
         self.seconds = perf_counter() - start
 
     def lift(self, proposals: Proposals, detector: Detector) -> tuple[SceneObject, ...]:
@@ -79,35 +82,48 @@ class FrameContext:
         found = []
         fingerprint = detector.fingerprint()
         for i in range(len(proposals)):
-            bbox = proposals.boxes[i]
-            mask = (
-                box_mask(bbox, self.frame.height, self.frame.width)
-                if proposals.masks is None
-                else proposals.masks[i]
-            )
             key = (fingerprint, int(proposals.ids[i]))
-            lifted = self._lifted.get(key) if key[1] >= 0 else None
-            if lifted is None:
+            known = self._lifted.get(key) if key[1] >= 0 else None
+            if known is None:
+                mask, source = self._mask(proposals, i, detector.exact)
                 (lifted,) = lift(
                     self.frame.depth,
                     self.frame.camera,
                     [mask],
                     self.viewer,
                     config=self.config,
-                    mask_source=_mask_source(proposals, i, detector.exact),
+                    mask_source=source,
                     edges=self.edges,
                 )
+                known = lifted, mask
                 if key[1] >= 0:
-                    self._lifted[key] = lifted
-            found.append(
-                SceneObject(key[1], proposals.label(i), float(proposals.scores[i]), bbox, mask, lifted)
-            )
+                    self._lifted[key] = known
+            label, score = proposals.label(i), float(proposals.scores[i])
+            found.append(SceneObject(key[1], label, score, proposals.boxes[i], known[1], known[0]))
         return tuple(found)
 
-def _mask_source(proposals: Proposals, i: int, exact: bool) -> MaskSource:
-    if proposals.masks is None or (proposals.has_mask is not None and not proposals.has_mask[i]):
-        return "box"
-    return "annotation" if exact else "detector"
+    def _mask(self, proposals: Proposals, i: int, exact: bool) -> tuple[np.ndarray, MaskSource]:
+        """The pixels of a proposal, and whose they are."""
+        if proposals.masks is not None and (proposals.has_mask is None or proposals.has_mask[i]):
+            return proposals.masks[i], "annotation" if exact else "detector"
+        mask = box_mask(proposals.boxes[i], self.frame.height, self.frame.width)
+        if exact:
+            box = next((a.box for a in self.frame.annotations if a.index == proposals.ids[i]), None)
+            if box is not None:
+                within = pixels_inside(box, mask, self.frame)
+                if within.any():
+                    return within, "box3d"
+        return mask, "box"
+
+
+def pixels_inside(box: Box3D, mask: np.ndarray, frame: Frame, margin: float = BOX_MARGIN_M) -> np.ndarray:
+    """(H, W) bool: the pixels of a mask whose points lie in a 3D box (camera frame) or at most `margin` m beyond."""
+    v, u = np.nonzero(mask & (frame.depth > 0))
+    points = backproject(frame.depth, frame.camera, v, u)
+    inside = (np.abs((points - box.center) @ box.R) <= box.size / 2 + margin).all(axis=1)
+    within = np.zeros_like(mask)
+    within[v[inside], u[inside]] = True
+    return within
 
 
 def all_objects(context: FrameContext, detector: Detector) -> tuple[SceneObject, ...]:

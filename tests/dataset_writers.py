@@ -148,3 +148,113 @@ def quaternion_line(T: np.ndarray) -> np.ndarray:
         ]
     )
     return np.concatenate([T[:3, 3], np.linalg.eigh(N / 3)[1][:, -1]])
+
+
+START = 1305031102.175304
+"""Time of the first colour image that `write_tum` writes."""
+
+
+def write_tum(root: Path, count: int, seed: int = 0) -> dict[str, Truth]:
+    """A TUM recording at 30 Hz: depth 11 ms after colour, the path 3 ms after it. By frame id."""
+    rng = np.random.default_rng(seed)
+    header = "# timestamp filename"
+    lines: dict[str, list[str]] = {"rgb": [header], "depth": [header], "groundtruth": []}
+    written: dict[str, Truth] = {}
+    for k in range(count):
+        truth, time = random_truth(rng), START + k / 30
+        color, depth = f"{time:.6f}", f"{time + 0.011:.6f}"
+        write_png(root / "rgb" / f"{color}.png", truth.rgb)
+        write_png(root / "depth" / f"{depth}.png", truth.millimetres * 5)
+        lines["rgb"].append(f"{color} rgb/{color}.png")
+        lines["depth"].append(f"{depth} depth/{depth}.png")
+        numbers = " ".join(f"{v:.9f}" for v in quaternion_line(truth.T_world_camera))
+        lines["groundtruth"].append(f"{time + 0.003:.4f} {numbers}")
+        written[color] = truth
+    for name, text in lines.items():
+        (root / f"{name}.txt").write_text("\n".join(text) + "\n")
+    return written
+
+
+def write_scannet(root: Path, numbers: list[int], seed: int = 0) -> dict[str, Truth]:
+    """A ScanNet export whose colour is lossless and of the depth's size. By frame id."""
+    rng = np.random.default_rng(seed)
+    written: dict[str, Truth] = {}
+    for folder in ("pose", "intrinsic"):
+        (root / folder).mkdir(parents=True)
+    for number in numbers:
+        truth = written[str(number)] = random_truth(rng)
+        write_png(root / "color" / f"{number}.png", truth.rgb)
+        write_png(root / "depth" / f"{number}.png", truth.millimetres)
+        np.savetxt(root / "pose" / f"{number}.txt", truth.T_world_camera)
+    M = np.eye(4)
+    M[:3, :3] = K
+    np.savetxt(root / "intrinsic" / "intrinsic_depth.txt", M)
+    M[:2] *= 2
+    np.savetxt(root / "intrinsic" / "intrinsic_color.txt", M)
+    return written
+
+
+def write_redwood(root: Path, names: list[str], inside: str = "", seed: int = 0) -> dict[str, Truth]:
+    """A Redwood recording, its images and its trajectory in the folder `inside`, the camera file in `root`."""
+    rng = np.random.default_rng(seed)
+    written: dict[str, Truth] = {}
+    log: list[str] = []
+    for k, name in enumerate(names):
+        truth = written[name] = random_truth(rng)
+        write_png(root / inside / "color" / f"{name}.png", truth.rgb)
+        write_png(root / inside / "depth" / f"{name}.png", truth.millimetres)
+        rows = [" ".join(f"{v:.12g}" for v in row) for row in truth.T_world_camera]
+        log += [f"{k} {k} {k + 1}", *rows]
+    (root / inside / "trajectory.log").write_text("\n".join(log) + "\n")
+    camera = {"width": WIDTH, "height": HEIGHT, "intrinsic_matrix": K.T.ravel().tolist()}
+    (root / "camera_primesense.json").write_text(json.dumps(camera))
+    return written
+
+
+def tilt_of(rng: np.random.Generator) -> np.ndarray:
+    """Rtilt of a camera that is held like a hand holds it: up to 0.3 radians from level."""
+    x, y = rng.uniform(-0.3, 0.3, 2)
+    return cv2.Rodrigues(np.array([x, y, 0.0]))[0]
+
+
+def write_sunrgbd(root: Path, frames: list[str], seed: int = 0) -> dict[str, tuple[Truth, np.ndarray]]:
+    """SUN RGB-D's own folders; by frame id what was written, and Rtilt."""
+    rng = np.random.default_rng(seed)
+    written: dict[str, tuple[Truth, np.ndarray]] = {}
+    for frame in frames:
+        truth, Rtilt = random_truth(rng), tilt_of(rng)
+        rotated = (truth.millimetres << 3) | (truth.millimetres >> 13)
+        write_png(root / frame / "image" / "0000001.png", truth.rgb)
+        write_png(root / frame / "depth" / "0000001.png", rotated)
+        write_png(root / frame / "depth_bfx" / "0000001.png", np.full_like(rotated, 2000 << 3))
+        np.savetxt(root / frame / "intrinsics.txt", K, fmt="%.6f")
+        (root / frame / "extrinsics").mkdir()
+        np.savetxt(root / frame / "extrinsics" / "20141221170930.txt", np.c_[Rtilt, np.zeros(3)], fmt="%.6f")
+        written[frame] = truth, Rtilt
+    return written
+
+
+def write_votenet(root: Path, frames: list[str], seed: int = 0) -> dict[str, tuple[Truth, np.ndarray]]:
+    """VoteNet's export of SUN RGB-D, with one box `chair` a frame; what was written, and Rtilt."""
+    from scipy.io import savemat
+
+    rng = np.random.default_rng(seed)
+    written: dict[str, tuple[Truth, np.ndarray]] = {}
+    for folder in ("depth", "calib", "label"):
+        (root / folder).mkdir(parents=True)
+    for frame in frames:
+        truth, Rtilt = random_truth(rng), tilt_of(rng)
+        # A JPEG keeps a picture of one colour to within one step.
+        truth.rgb[:] = rng.integers(0, 256, 3)
+        write_png(root / "image" / f"{frame}.jpg", truth.rgb)
+        v, u = np.nonzero(truth.depth)
+        z = truth.depth[v, u].astype(np.float64)
+        camera = np.stack([(u - K[0, 2]) / K[0, 0] * z, z, -(v - K[1, 2]) / K[1, 1] * z], axis=1)
+        instance = np.concatenate([camera @ Rtilt.T, truth.rgb[v, u] / 255], axis=1).astype(np.float32)
+        savemat(root / "depth" / f"{frame}.mat", {"instance": instance}, do_compression=True)
+        from_one = np.add(K, [[0, 0, 1], [0, 0, 1], [0, 0, 0]])
+        rows = [" ".join(f"{x:.9g}" for x in M.T.ravel()) for M in (Rtilt, from_one)]
+        (root / "calib" / f"{frame}.txt").write_text("\n".join(rows) + "\n")
+        (root / "label" / f"{frame}.txt").write_text("chair 11 6 20 30 0.1 2.5 -0.4 0.3 0.5 0.4 0.6 -0.8\n")
+        written[frame] = truth, Rtilt
+    return written

@@ -13,9 +13,9 @@ from pipeline.frame import Annotation, Frame
 
 
 def read_pair(
-    color: Path, depth: Path, units_per_metre: float | None, nothing: int | None = None
+    color: Path, depth: Path, units_per_metre: float | None, nothing: int | None = None, rotated: int = 0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """A colour file and its depth file, (H, W, 3) uint8 and (H, W) float32 metres.
+    """A colour file and its depth file, (H, W, 3) uint8 and (H, W) float32 metres; see `read_depth`.
 
     Raises
     ------
@@ -23,16 +23,21 @@ def read_pair(
         Either is broken, or their sizes differ.
     """
     rgb = read_color(color)
-    metres = read_depth(depth, units_per_metre, nothing)
+    metres = read_depth(depth, units_per_metre, nothing, rotated)
     if rgb.shape[:2] != metres.shape:
-        raise InputError(
-            "colour and depth differ in size",
-            got=f"depth {metres.shape[1]}x{metres.shape[0]}",
-            expected=f"{rgb.shape[1]}x{rgb.shape[0]} as {color.name}",
-            cause="is this the raw depth and not the one registered to the colour image?",
-            path=depth,
-        )
+        raise differ_in_size(rgb, metres, color, depth)
     return rgb, metres
+
+
+def differ_in_size(rgb: np.ndarray, metres: np.ndarray, color: Path, depth: Path) -> InputError:
+    """The error for a colour image and a depth image that do not belong together."""
+    return InputError(
+        "colour and depth differ in size",
+        got=f"depth {metres.shape[1]}x{metres.shape[0]}",
+        expected=f"{rgb.shape[1]}x{rgb.shape[0]} as {color.name}",
+        cause="is this the raw depth and not the one registered to the colour image?",
+        path=depth,
+    )
 
 
 def make_frame(

@@ -20,9 +20,11 @@ class Dataset(Protocol):
     Attributes
     ----------
     root : Path
-        The folder that was opened. Nothing outside it is read.
+        The folder that was opened. Nothing outside it is read, except the camera
+        file of a Redwood recording, which may stand one folder up.
     format : str
-        Name of the on-disk format: "bop", "7-scenes", "folder", or a plugin's.
+        Name of the on-disk format: "bop", "7-scenes", "scannet", "tum", "sunrgbd",
+        "sunrgbd-votenet", "redwood", "folder", or a plugin's.
     frame_ids : tuple of str
         Every frame the dataset lists, broken ones too, in order.
     class_names : tuple of str

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
-from pathlib import Path
+from pathlib import Path, PurePosixPath, PureWindowsPath
 from typing import Any
 
 import numpy as np
@@ -56,11 +56,43 @@ def read_json(path: Path) -> dict[str, Any]:
 
 def read_lines(path: Path) -> list[str]:
     """The lines of a text file that say something: no blanks, no # comments."""
+    return [line for _, line in numbered_lines(path)]
+
+
+def numbered_lines(path: Path) -> list[tuple[int, str]]:
+    """The lines of a text file that say something, each with its number in the file, from 1.
+
+    Raises
+    ------
+    InputError
+        Missing, empty, unreadable, or no text.
+    """
     try:
         text = read_bytes(path).decode("utf-8-sig")
     except UnicodeDecodeError as error:
         raise InputError("not a text file", path=path) from error
-    return [line for line in map(str.strip, text.splitlines()) if line and not line.startswith("#")]
+    lines = ((number, line.strip()) for number, line in enumerate(text.splitlines(), start=1))
+    return [(number, line) for number, line in lines if line and not line.startswith("#")]
+
+
+def path_inside(root: Path, name: str, source: Path, line: int) -> Path:
+    """The file that line `line` of the list `source` names, which must lie inside `root`.
+
+    Raises
+    ------
+    InputError
+        An absolute path, one with "..", or one with control characters.
+    """
+    windows = PureWindowsPath(name)
+    outside = PurePosixPath(name).is_absolute() or windows.drive or windows.root or ".." in windows.parts
+    if not name or outside or not name.isprintable():
+        raise InputError(
+            f"line {line} names a file outside the dataset",
+            got=repr(name[:80]),
+            expected="a path relative to the dataset's folder, without ..",
+            path=source,
+        )
+    return root / name
 
 
 def read_matrix(path: Path, rows: int, columns: int) -> np.ndarray:

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import re
-from collections import Counter
-from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -13,27 +10,15 @@ import numpy as np
 from pipeline.datasets.assembly import make_frame, one_file, read_pair
 from pipeline.datasets.base import DatasetFormat, unknown_frame
 from pipeline.datasets.cameras import make_camera, pose_from_matrix, pose_from_quaternion
-from pipeline.datasets.files import as_floats, listing, natural, read_lines, read_matrix
+from pipeline.datasets.files import as_floats, listing, read_lines, read_matrix
 from pipeline.datasets.images import COLOR_SUFFIXES, DEPTH_SUFFIXES, INTEGER_DEPTH_SUFFIXES
+from pipeline.datasets.pairing import Key, Naming, choose_naming, image_files, pair_files, twice
 from pipeline.datasets.settings import FILE_NAME, Settings
 from pipeline.errors import InputError
 from pipeline.frame import Frame
 
 COLOR_FOLDERS = ("color", "colour", "rgb", "image", "images")
 DEPTH_FOLDERS = ("depth",)
-
-Key = tuple[str, ...]
-Naming = Callable[[Path], Key]
-"""What two files of one frame have in common: a part of their names."""
-
-
-@dataclass(frozen=True)
-class _Pair:
-    """The files of one frame; either may be missing, and the frame is then broken."""
-
-    key: Key
-    color: Path | None
-    depth: Path | None
 
 
 @dataclass(frozen=True)
@@ -64,12 +49,12 @@ class FolderDataset:
     def __init__(self, root: Path, settings: Settings) -> None:
         self.root = root
         self._settings = settings
-        colors = _files(root, COLOR_FOLDERS, COLOR_SUFFIXES, "colour")
-        depths = _files(root, DEPTH_FOLDERS, DEPTH_SUFFIXES, "depth")
+        colors = image_files(root, COLOR_FOLDERS, COLOR_SUFFIXES, "colour")
+        depths = image_files(root, DEPTH_FOLDERS, DEPTH_SUFFIXES, "depth")
         _ask_for_the_missing(root, depths, settings)
-        naming = _naming(colors, depths)
+        naming = choose_naming(colors, depths)
         self._pairs = {
-            (pair.color or pair.depth or root).stem: pair for pair in _paired(naming, colors, depths)
+            (pair.color or pair.depth or root).stem: pair for pair in pair_files(naming, colors, depths)
         }
         self.frame_ids = tuple(self._pairs)
         self._poses, self._pose_problem = _poses(root, naming, [pair.key for pair in self._pairs.values()])
@@ -95,26 +80,6 @@ class FolderDataset:
         return make_frame(frame_id, images, camera, depth, notes=tuple(notes))
 
 
-def _files(root: Path, folders: tuple[str, ...], suffixes: tuple[str, ...], what: str) -> list[Path]:
-    """The image files of the only folder that is named as one of `folders`."""
-    found: dict[str, list[Path]] = {}
-    for name in listing(root)[0]:
-        if name.lower() in folders:
-            paths = [root / name / file for file in listing(root / name)[1]]
-            found[name] = [path for path in paths if path.suffix.lower() in suffixes]
-    full = {name: paths for name, paths in found.items() if paths}
-    if not full:
-        raise InputError(
-            f"no {what} files",
-            got=f"{'/, '.join(found)}/ without one",
-            expected=", ".join(suffixes),
-            path=root,
-        )
-    if len(full) > 1:
-        raise InputError(f"more than one {what} folder", got=", ".join(full), expected="one", path=root)
-    return next(iter(full.values()))
-
-
 def _ask_for_the_missing(root: Path, depths: list[Path], settings: Settings) -> None:
     missing: list[str] = []
     if settings.intrinsics is None:
@@ -130,77 +95,13 @@ def _ask_for_the_missing(root: Path, depths: list[Path], settings: Settings) -> 
         )
 
 
-def _numbers(path: Path) -> Key:
-    """Every number in a file's name; a time stamp with its decimals is one number."""
-    numbers = re.findall(r"[0-9]+(?:\.[0-9]+)?", path.stem)
-    return tuple(re.sub(r"^0+(?=[0-9])", "", number) for number in numbers)
-
-
-def _last_number(path: Path) -> Key:
-    return _numbers(path)[-1:]
-
-
-def _stem(path: Path) -> Key:
-    return (path.stem,)
-
-
-def _naming(colors: list[Path], depths: list[Path]) -> Naming:
-    """The first way of naming a frame under which no folder has two files of the same name.
-
-    Raises
-    ------
-    InputError
-        None does.
-    """
-    numbered = all(_numbers(path) for path in (*colors, *depths))
-    namings: tuple[Naming, ...] = (_last_number, _numbers) if numbered else (_stem,)
-    same: list[str] = []
-    for naming in namings:
-        same = [_twice(naming, colors), _twice(naming, depths)]
-        if not any(same):
-            return naming
-    raise InputError(
-        "colour and depth cannot be paired: two files have the same number"
-        if numbered
-        else "colour and depth cannot be paired: two files have the same name",
-        got=next(filter(None, same)),
-        path=(colors if same[0] else depths)[0].parent,
-    )
-
-
-def _twice(naming: Naming, paths: list[Path]) -> str:
-    """Two files that `naming` cannot tell apart, as text; empty where there are none."""
-    key, count = Counter(map(naming, paths)).most_common(1)[0]
-    return " and ".join(path.name for path in paths if naming(path) == key) if count > 1 else ""
-
-
-def _paired(naming: Naming, colors: list[Path], depths: list[Path]) -> list[_Pair]:
-    """Every frame that has colour or depth, in natural order.
-
-    Raises
-    ------
-    InputError
-        No colour file has a depth file.
-    """
-    color = {naming(path): path for path in colors}
-    depth = {naming(path): path for path in depths}
-    if not color.keys() & depth.keys():
-        raise InputError(
-            "colour and depth do not pair: no number or name in common",
-            got=f"{colors[0].name} ... {colors[-1].name} and {depths[0].name} ... {depths[-1].name}",
-            path=colors[0].parent.parent,
-        )
-    keys = sorted(color.keys() | depth.keys(), key=lambda key: [natural(part) for part in key])
-    return [_Pair(key, color.get(key), depth.get(key)) for key in keys]
-
-
 def _poses(root: Path, naming: Naming, keys: list[Key]) -> tuple[dict[Key, _PoseText], str | None]:
     """Where each frame's pose stands, and why there are none although there is a file."""
     if (root / "pose").is_dir():
         files = [root / "pose" / name for name in listing(root / "pose")[1] if name.lower().endswith(".txt")]
         if files:
-            if twice := _twice(naming, files):
-                return {}, f"pose/ has {twice} for one frame"
+            if same := twice(naming, files):
+                return {}, f"pose/ has {same} for one frame"
             return {naming(path): _PoseText(path) for path in files}, None
     path = root / "pose.txt"
     if not path.is_file():

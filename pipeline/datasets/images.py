@@ -69,7 +69,9 @@ def read_mask(path: Path) -> np.ndarray:
     return pixels > 0
 
 
-def read_depth(path: Path, units_per_metre: float | None, nothing: int | None = None) -> np.ndarray:
+def read_depth(
+    path: Path, units_per_metre: float | None, nothing: int | None = None, rotated: int = 0
+) -> np.ndarray:
     """A depth file as (H, W) float32 metres, 0 where nothing was measured.
 
     Parameters
@@ -81,6 +83,8 @@ def read_depth(path: Path, units_per_metre: float | None, nothing: int | None = 
         depth is an error.
     nothing : int, optional
         A stored value, besides 0, that means nothing was measured.
+    rotated : int
+        By how many bits the stored 16-bit values were rotated to the left: 3 in SUN RGB-D.
 
     Raises
     ------
@@ -108,6 +112,10 @@ def read_depth(path: Path, units_per_metre: float | None, nothing: int | None = 
         raise InputError("depth must have one channel", got=f"shape {stored.shape}", path=path)
     if stored.dtype.kind not in "uif":
         raise InputError("depth must be numbers", got=stored.dtype, path=path)
+    if rotated:
+        if stored.dtype != np.uint16:
+            raise InputError("depth with rotated bits must have 16", got=stored.dtype, path=path)
+        stored = (stored >> rotated) | (stored << (16 - rotated))
     if units_per_metre is None:
         if stored.dtype.kind != "f":
             raise InputError(

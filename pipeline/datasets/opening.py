@@ -6,7 +6,7 @@ import warnings
 from importlib.metadata import entry_points
 from pathlib import Path
 
-from pipeline.datasets import bop, folder, seven_scenes
+from pipeline.datasets import bop, folder, redwood, scannet, seven_scenes, sunrgbd, sunrgbd_votenet, tum
 from pipeline.datasets.base import Dataset, DatasetFormat
 from pipeline.datasets.settings import read_settings
 from pipeline.errors import InputError, UnknownFormat
@@ -14,6 +14,11 @@ from pipeline.errors import InputError, UnknownFormat
 FORMATS: tuple[DatasetFormat, ...] = (
     bop.FORMAT,
     seven_scenes.FORMAT,
+    scannet.FORMAT,
+    tum.FORMAT,
+    sunrgbd_votenet.FORMAT,
+    sunrgbd.FORMAT,
+    redwood.FORMAT,
 )
 """The formats with marks of their own; the first that recognises a folder opens it.
 A new reader is one file and one line here."""

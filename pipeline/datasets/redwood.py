@@ -1,0 +1,224 @@
+"""Redwood and Open3D: `color/` (or `image/`) and `depth/` with Open3D's camera file and `trajectory.log`."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.datasets.assembly import make_frame, one_file, read_pair
+from pipeline.datasets.base import DatasetFormat, unknown_frame
+from pipeline.datasets.cameras import make_camera, pose_from_matrix
+from pipeline.datasets.files import as_floats, listing, numbered_lines, read_json
+from pipeline.datasets.images import COLOR_SUFFIXES
+from pipeline.datasets.pairing import Key, choose_naming, image_files, pair_files
+from pipeline.datasets.settings import Settings
+from pipeline.errors import InputError
+from pipeline.frame import Frame
+
+UNITS_PER_METRE = 1000.0
+COLOR_FOLDERS = ("color", "image", "rgb")
+DEPTH_FOLDERS = ("depth",)
+CAMERA_FILES = ("camera_primesense.json", "camera_intrinsic.json", "intrinsics.json", "intrinsic.json")
+TRAJECTORY = "trajectory.log"
+CAMERA_FILE_BYTES = 64 * 1024
+"""Open3D's camera files have some 300 bytes; what is larger is not read to find out."""
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """Where the parts of a recording stand; the frames' folder is the opened one or its only recording."""
+
+    frames: Path
+    camera: Path | None
+    trajectory: Path | None
+
+
+class RedwoodDataset:
+    """Frames of id the colour file's stem; depth in millimetres, poses camera-to-world.
+
+    The opened folder holds the images, or one folder that holds them. The
+    camera file and the trajectory stand beside the images or in the opened
+    folder; the camera file alone is also looked for one folder above the opened
+    one, by its four names and nothing else. Block k of the trajectory is frame k
+    where there are as many of both; else the blocks' own numbers are the files',
+    where both begin at the same number.
+    """
+
+    format = "redwood"
+    class_names: tuple[str, ...] = ()
+
+    def __init__(self, root: Path, settings: Settings) -> None:
+        layout = _layout(root)
+        if layout is None:
+            raise InputError("no colour and depth folders", path=root)
+        self.root = root
+        self._settings = settings
+        self._camera_file = layout.camera
+        if layout.camera is None and settings.intrinsics is None:
+            raise InputError(
+                "the camera is not known",
+                expected=f"{' or '.join(CAMERA_FILES)}, or --intrinsics fx,fy,cx,cy",
+                path=root,
+            )
+        colors = image_files(layout.frames, COLOR_FOLDERS, COLOR_SUFFIXES, "colour")
+        depths = image_files(layout.frames, DEPTH_FOLDERS, (".png",), "depth")
+        pairs = pair_files(choose_naming(colors, depths), colors, depths)
+        self._pairs = {(pair.color or pair.depth or root).stem: pair for pair in pairs}
+        self.frame_ids = tuple(self._pairs)
+        self._poses: dict[Key, np.ndarray] = {}
+        self._pose_problem: str | None = None
+        if layout.trajectory is not None:
+            try:
+                self._poses = _poses(layout.trajectory, [pair.key for pair in pairs])
+            except InputError as error:
+                self._pose_problem = error.what
+
+    def load(self, frame_id: str) -> Frame:
+        """Decode one frame; see `Dataset.load`."""
+        if frame_id not in self._pairs:
+            raise unknown_frame(self, frame_id)
+        files = self._pairs[frame_id]
+        present = files.color or files.depth or self.root
+        color = one_file([files.color] if files.color else [], "colour", present)
+        depth = one_file([files.depth] if files.depth else [], "depth", present)
+        pair = read_pair(color, depth, self._settings.depth_scale or UNITS_PER_METRE)
+        size = (pair[1].shape[0], pair[1].shape[1])
+        notes: list[str] = []
+        if self._pose_problem is not None:
+            notes.append(f"no camera pose, {TRAJECTORY}: {self._pose_problem}")
+        pose = None
+        if files.key in self._poses:
+            try:
+                pose = pose_from_matrix(self._poses[files.key])
+            except InputError as error:
+                notes.append(f"no camera pose, {TRAJECTORY}: {error.what}")
+        elif self._poses:
+            notes.append(f"no camera pose: {TRAJECTORY} has none for this frame")
+        K = None
+        if self._settings.intrinsics is None and self._camera_file is not None:
+            K = _camera_matrix(self._camera_file, size)
+        camera = make_camera(K, size, pose, self._settings, self._camera_file or color)
+        return make_frame(frame_id, pair, camera, depth, notes=tuple(notes))
+
+
+def _layout(root: Path) -> _Layout | None:
+    """The parts of a recording in a folder; None where there are no images."""
+    frames = root
+    if not _has_images(root):
+        inside = [root / name for name in listing(root)[0]]
+        recordings = [folder for folder in inside if _has_images(folder)]
+        if len(recordings) != 1:
+            return None
+        frames = recordings[0]
+    places = list(dict.fromkeys((frames, root)))
+    above = root.resolve().parent if frames == root else root
+    cameras = [place / name for place in dict.fromkeys((*places, above)) for name in CAMERA_FILES]
+    logs = [place / TRAJECTORY for place in places]
+    return _Layout(
+        frames,
+        next((path for path in cameras if _is_camera_file(path)), None),
+        next((path for path in logs if os.path.isfile(path)), None),
+    )
+
+
+def _has_images(folder: Path) -> bool:
+    try:
+        names = {name.lower() for name in listing(folder)[0]}
+    except InputError:  # A folder that may not be read is no recording.
+        return False
+    return bool(names.intersection(COLOR_FOLDERS)) and bool(names.intersection(DEPTH_FOLDERS))
+
+
+def _is_camera_file(path: Path) -> bool:
+    """Whether a file of the right name speaks of Open3D's intrinsics; what is wrong with them is told at loading."""
+    try:
+        small = path.is_file() and path.stat().st_size <= CAMERA_FILE_BYTES
+        return small and b"intrinsic_matrix" in path.read_bytes()
+    except OSError:
+        return False
+
+
+def _camera_matrix(path: Path, size: tuple[int, int]) -> np.ndarray:
+    """(3, 3) intrinsics of an Open3D PinholeCameraIntrinsic, which stores them column by column.
+
+    Raises
+    ------
+    InputError
+        Malformed, or for images of another size.
+    """
+    table = read_json(path)
+    for key in ("width", "height", "intrinsic_matrix"):
+        if key not in table:
+            raise InputError(f"{key} is missing", path=path)
+    width, height = as_floats([table["width"], table["height"]], 2, path, "width and height")
+    if (height, width) != size:
+        raise InputError(
+            "the camera file is for another image size",
+            got=f"{width:g}x{height:g}",
+            expected=f"{size[1]}x{size[0]} as the images",
+            path=path,
+        )
+    return as_floats(table["intrinsic_matrix"], 9, path, "intrinsic_matrix").reshape(3, 3).T
+
+
+def _poses(path: Path, keys: list[Key]) -> dict[Key, np.ndarray]:
+    """The 4x4 matrices of a trajectory by frame, not yet checked to be poses.
+
+    A block is a line of three whole numbers, of which the first counts the
+    frames, and four lines of a camera-to-world matrix.
+
+    Raises
+    ------
+    InputError
+        A malformed block, a number that stands twice, or blocks that cannot be given to the frames.
+    """
+    lines = numbered_lines(path)
+    if len(lines) % 5:
+        raise InputError("the last block is not whole", got=f"{len(lines)} lines", expected="5 a frame", path=path)
+    blocks: dict[int, np.ndarray] = {}
+    for start in range(0, len(lines), 5):
+        number, header = lines[start]
+        words = header.split()
+        if len(words) != 3 or not all(word.isdecimal() and len(word) <= 12 for word in words):
+            raise InputError(f"line {number} does not begin a block of three whole numbers", path=path)
+        if int(words[0]) in blocks:
+            raise InputError(f"line {number} repeats frame {words[0]}", path=path)
+        rows = [as_floats(text.split(), 4, path, f"line {n}") for n, text in lines[start + 1 : start + 5]]
+        blocks[int(words[0])] = np.stack(rows)
+    if len(blocks) == len(keys):
+        return dict(zip(keys, (blocks[n] for n in sorted(blocks)), strict=True))
+    if all(len(key) == 1 and key[0].isdecimal() for key in keys):
+        frame = {int(key[0]): key for key in keys}
+        # Files may count from 1 and blocks from 0; only the same first number says that they agree.
+        if min(frame) == min(blocks):
+            return {key: blocks[n] for n, key in frame.items() if n in blocks}
+    raise InputError(f"{len(blocks)} poses for {len(keys)} frames", path=path)
+
+
+def _recognises(root: Path) -> bool:
+    # A recording with poses of the plain kind is the plain reader's, which reads them.
+    if os.path.isfile(root / "pose.txt") or os.path.isdir(root / "pose"):
+        return False
+    layout = _layout(root)
+    if layout is None:
+        return False
+    marks = [path for path in (layout.camera, layout.trajectory) if path is not None]
+    # A folder of several datasets may hold one recording; only its own files make it the recording's.
+    if not marks or (layout.frames != root and all(path.parent != root for path in marks)):
+        return False
+    try:
+        image_files(layout.frames, DEPTH_FOLDERS, (".png",), "depth")
+    except InputError:
+        return False
+    return True
+
+
+FORMAT = DatasetFormat(
+    "redwood",
+    f"redwood: color/ or image/ with depth/, and {CAMERA_FILES[0]}, intrinsics.json or {TRAJECTORY}",
+    _recognises,
+    RedwoodDataset,
+)

@@ -1,0 +1,197 @@
+"""TUM RGB-D: `rgb.txt` and `depth.txt` name the images by time, `groundtruth.txt` gives the camera's path."""
+
+from __future__ import annotations
+
+import os
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.camera import intrinsics
+from pipeline.datasets.assembly import make_frame, read_pair
+from pipeline.datasets.base import DatasetFormat, unknown_frame
+from pipeline.datasets.cameras import make_camera, pose_from_quaternion
+from pipeline.datasets.files import as_floats, numbered_lines, path_inside
+from pipeline.datasets.settings import Settings
+from pipeline.errors import InputError
+from pipeline.frame import Frame
+
+UNITS_PER_METRE = 5000.0
+WITHIN = 0.02
+"""Seconds by which two entries of one frame may differ."""
+
+SIZE = (480, 640)
+CAMERAS = {
+    "freiburg1": (517.3, 516.5, 318.6, 255.3),
+    "freiburg2": (520.9, 521.0, 325.1, 249.7),
+    "freiburg3": (535.4, 539.2, 320.1, 247.6),
+}
+"""Intrinsics of the dataset's three cameras, for 640x480."""
+DEFAULT_CAMERA = (525.0, 525.0, 319.5, 239.5)
+
+_ROUNDING = 1e-6
+_TIME = re.compile(r"[0-9]{1,12}(\.[0-9]{1,12})?")
+
+
+@dataclass(frozen=True)
+class _Entry:
+    """One line of rgb.txt or depth.txt."""
+
+    stamp: str
+    path: Path
+
+    @property
+    def time(self) -> float:
+        return float(self.stamp)
+
+
+class TumDataset:
+    """A frame for each line of rgb.txt, in order of time; its id is the time stamp as written.
+
+    Colour and depth belong together where they lie within 20 ms, the nearest
+    first and each image once; a colour image that is left without depth is a
+    broken frame. The pose is the nearest line of groundtruth.txt within 20 ms.
+    The intrinsics are those of the camera that the folder's name tells
+    (freiburg1, 2 or 3), else the default of the format, with a note. The world
+    axes of the motion capture are not declared.
+    """
+
+    format = "tum"
+    class_names: tuple[str, ...] = ()
+
+    def __init__(self, root: Path, settings: Settings) -> None:
+        self.root = root
+        self._settings = settings
+        colors, depths = _entries(root, "rgb.txt"), _entries(root, "depth.txt")
+        times = np.array([entry.time for entry in colors]), np.array([entry.time for entry in depths])
+        matched = _match(*times)
+        if not matched:
+            raise InputError(
+                "no colour image has a depth image within 20 ms",
+                got=f"times from {colors[0].stamp} in rgb.txt and from {depths[0].stamp} in depth.txt",
+                path=root / "depth.txt",
+            )
+        self._colors = {entry.stamp: entry for entry in colors}
+        self._depths = {colors[i].stamp: depths[j] for i, j in matched.items()}
+        self.frame_ids = tuple(self._colors)
+        self._path, self._path_problem = _camera_path(root / "groundtruth.txt")
+        found = re.search("freiburg[123]", root.resolve().name.lower())
+        self._camera_name = found[0] if found else None
+
+    def load(self, frame_id: str) -> Frame:
+        """Decode one frame; see `Dataset.load`."""
+        if frame_id not in self._colors:
+            raise unknown_frame(self, frame_id)
+        color = self._colors[frame_id]
+        if frame_id not in self._depths:
+            raise InputError(f"no depth image within 20 ms of {frame_id}", path=self.root / "depth.txt")
+        depth = self._depths[frame_id].path
+        pair = read_pair(color.path, depth, self._settings.depth_scale or UNITS_PER_METRE)
+        size = (pair[1].shape[0], pair[1].shape[1])
+        notes: list[str] = []
+        pose = self._pose(color.time, notes)
+        K = self._camera_matrix(size, color.path, notes)
+        camera = make_camera(K, size, pose, self._settings, color.path)
+        return make_frame(frame_id, pair, camera, depth, notes=tuple(notes))
+
+    def _camera_matrix(self, size: tuple[int, int], path: Path, notes: list[str]) -> np.ndarray | None:
+        if self._settings.intrinsics is not None:
+            return None
+        if size != SIZE:
+            raise InputError(
+                "the camera is not known: TUM's own intrinsics are for 640x480",
+                got=f"{size[1]}x{size[0]}",
+                expected="--intrinsics fx,fy,cx,cy",
+                path=path,
+            )
+        if self._camera_name is None:
+            notes.append("the camera is not named: TUM's default intrinsics 525,525,319.5,239.5 are used")
+            return intrinsics(*DEFAULT_CAMERA)
+        return intrinsics(*CAMERAS[self._camera_name])
+
+    def _pose(self, time: float, notes: list[str]) -> np.ndarray | None:
+        if self._path_problem is not None:
+            notes.append(f"no camera pose, groundtruth.txt: {self._path_problem}")
+        if not len(self._path):
+            return None
+        after = int(np.searchsorted(self._path[:, 0], time))
+        near = [k for k in (after - 1, after) if 0 <= k < len(self._path)]
+        k = min(near, key=lambda k: abs(float(self._path[k, 0]) - time))
+        if abs(float(self._path[k, 0]) - time) > WITHIN + _ROUNDING:
+            notes.append("no camera pose: groundtruth.txt has none within 20 ms")
+            return None
+        try:
+            return pose_from_quaternion(self._path[k, 1:])
+        except InputError as error:
+            notes.append(f"no camera pose, groundtruth.txt: {error.what}")
+            return None
+
+
+def _entries(root: Path, name: str) -> list[_Entry]:
+    """The lines of a list of images, in order of time.
+
+    Raises
+    ------
+    InputError
+        A malformed line, a time that stands twice, a path that leaves the folder, or no line.
+    """
+    source = root / name
+    found: dict[float, _Entry] = {}
+    for number, line in numbered_lines(source):
+        stamp, _, path = line.partition(" ")
+        if not _TIME.fullmatch(stamp) or not path.strip():
+            raise InputError(
+                f"line {number} is malformed", got=repr(line[:60]), expected="timestamp path", path=source
+            )
+        entry = _Entry(stamp, path_inside(root, path.strip(), source, number))
+        if entry.time in found:
+            raise InputError(f"line {number} repeats a time stamp", got=stamp, path=source)
+        found[entry.time] = entry
+    if not found:
+        raise InputError("a list without a line", expected="timestamp path", path=source)
+    return [found[time] for time in sorted(found)]
+
+
+def _match(a: np.ndarray, b: np.ndarray) -> dict[int, int]:
+    """One-to-one matches of two sorted lists of times within 20 ms, the nearest first.
+
+    The greedy rule is that of the dataset's own associate.py.
+    """
+    low = np.searchsorted(b, a - WITHIN - _ROUNDING, side="left")
+    high = np.searchsorted(b, a + WITHIN + _ROUNDING, side="right")
+    count = high - low
+    first = np.repeat(np.arange(len(a)), count)
+    second = np.arange(count.sum()) - np.repeat(np.cumsum(count) - count, count) + np.repeat(low, count)
+    found: dict[int, int] = {}
+    taken: set[int] = set()
+    for k in np.argsort(np.abs(a[first] - b[second]), kind="stable").tolist():
+        i, j = int(first[k]), int(second[k])
+        if i not in found and j not in taken:
+            found[i] = j
+            taken.add(j)
+    return found
+
+
+def _camera_path(path: Path) -> tuple[np.ndarray, str | None]:
+    """(N, 8) rows timestamp tx ty tz qx qy qz qw in order of time, and why there are none although there is a file."""
+    nothing = np.empty((0, 8))
+    if not path.is_file():
+        return nothing, None
+    try:
+        rows = [as_floats(line.replace(",", " ").split(), 8, path, f"line {n}") for n, line in numbered_lines(path)]
+    except InputError as error:
+        return nothing, error.what
+    table = np.stack(rows) if rows else nothing
+    if not np.isfinite(table[:, 0]).all():
+        return nothing, "a time stamp with inf or NaN"
+    return table[np.argsort(table[:, 0], kind="stable")], None
+
+
+FORMAT = DatasetFormat(
+    "tum",
+    "tum: rgb.txt and depth.txt",
+    lambda root: os.path.isfile(root / "rgb.txt") and os.path.isfile(root / "depth.txt"),
+    TumDataset,
+)
