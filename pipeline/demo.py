@@ -1,10 +1,10 @@
-"""Where the built-in demo dataset lies: beside the package in a checkout, inside it when installed."""
+"""The built-in demo dataset."""
 
 from __future__ import annotations
 
 from pathlib import Path
 
-from pipeline.errors import InputError
+from pipeline.assets import asset_path
 
 DEMO_NAME = "demo"
 DEMO_EXPRESSION = "mug left of the laptop"
@@ -18,8 +18,4 @@ def demo_path() -> Path:
     InputError
         Where the installation lacks it.
     """
-    here = Path(__file__).resolve().parent
-    for candidate in (here / "assets" / DEMO_NAME, here.parent / "assets" / DEMO_NAME):
-        if candidate.is_dir():
-            return candidate
-    raise InputError("the built-in demo is not part of this installation", cause="reinstall spatialviz")
+    return asset_path(DEMO_NAME)

@@ -80,11 +80,13 @@ def open_source(
     detector: str | None = None,
     model: Path | None = None,
     min_score: float | None = None,
-    srm: str = "rule",
+    srm: str | Path = "trained",
     synonyms: Path | None = None,
     config: AskConfig | None = None,
 ) -> Source:
     """Open a dataset and the models for it; the path "demo" is the built-in one.
+
+    `srm` is "trained" (the shipped network), "rule", or the path of a network that `spatialviz train` wrote.
 
     Raises
     ------

@@ -81,8 +81,21 @@ class Profile:
 
 
 @dataclass(frozen=True)
-class _Pairs:
-    """Measures of all ordered pairs; the axis of the last dimension is (right, up, forward)."""
+class PairMeasures:
+    """Measures of all ordered pairs [a, b]; the last dimension is (right, up, forward).
+
+    Attributes
+    ----------
+    lo, hi, center, extent : (N, 3) float64
+        Of each object, metres; extents are at least a millimetre.
+    delta : (N, N, 3) float64
+        Centre of a less that of b, metres.
+    gap : (N, N, 3) float64
+        Signed distance between the extents, metres: positive where a lies
+        after b along the axis, negative where before, 0 where they overlap.
+    overlap, overlap_share : (N, N, 3) float64
+        Length of the overlap in metres, and as a share of the shorter extent.
+    """
 
     lo: np.ndarray
     hi: np.ndarray
@@ -94,16 +107,18 @@ class _Pairs:
     overlap_share: np.ndarray
 
 
-def _known(lo: np.ndarray, hi: np.ndarray) -> np.ndarray:
+def known_extents(lo: np.ndarray, hi: np.ndarray) -> np.ndarray:
     """(N,) bool: objects whose extents are finite."""
     return np.logical_and.reduce(np.isfinite(np.concatenate([lo, hi], axis=1)), axis=1)
 
 
-def _measure(lo: np.ndarray, hi: np.ndarray, profile: Profile) -> _Pairs:
+def measure_pairs(lo: np.ndarray, hi: np.ndarray, profile: Profile | None = None) -> PairMeasures:
+    """What the rules measure, and what the network is given: lo and hi are (N, 3), metres."""
+    profile = profile or Profile()
     center, extent = (lo + hi) / 2, np.maximum(hi - lo, profile.min_extent)
     ahead, back = lo[:, None] - hi[None, :], lo[None, :] - hi[:, None]
     overlap = np.maximum(np.minimum(hi[:, None], hi[None, :]) - np.maximum(lo[:, None], lo[None, :]), 0)
-    return _Pairs(
+    return PairMeasures(
         lo,
         hi,
         center,
@@ -131,8 +146,8 @@ def directional_states(lo: np.ndarray, hi: np.ndarray, profile: Profile | None =
     """
     profile = profile or Profile()
     lo, hi = np.asarray(lo, np.float64).reshape(-1, 3), np.asarray(hi, np.float64).reshape(-1, 3)
-    known = _known(lo, hi)
-    pairs = _measure(np.where(known[:, None], lo, 0.0), np.where(known[:, None], hi, 0.0), profile)
+    known = known_extents(lo, hi)
+    pairs = measure_pairs(np.where(known[:, None], lo, 0.0), np.where(known[:, None], hi, 0.0), profile)
 
     widest_gap = np.abs(pairs.gap[..., [0, 2]]).max(axis=2)
     by_gap = _horizontal(pairs, pairs.gap, profile)
@@ -150,7 +165,7 @@ def directional_states(lo: np.ndarray, hi: np.ndarray, profile: Profile | None =
     return result
 
 
-def _horizontal(pairs: _Pairs, displacement: np.ndarray, profile: Profile) -> np.ndarray:
+def _horizontal(pairs: PairMeasures, displacement: np.ndarray, profile: Profile) -> np.ndarray:
     """(N, N, 4) states of left, right, front, behind for one reading of the displacement."""
     angle = np.rad2deg(np.arctan2(np.abs(displacement[..., 2]), np.abs(displacement[..., 0])))
     lateral = _overlap_gate(_cone(angle, profile), pairs.overlap_share[..., 0], profile)
@@ -185,7 +200,7 @@ def _sign_gate(state: np.ndarray, signed: np.ndarray, dead_zone: np.ndarray | fl
     return np.where(signed <= 0, F, np.where(signed < dead_zone, np.minimum(state, U), state))
 
 
-def _above(pairs: _Pairs, profile: Profile) -> np.ndarray:
+def _above(pairs: PairMeasures, profile: Profile) -> np.ndarray:
     area = pairs.extent[:, 0] * pairs.extent[:, 2]
     plan = pairs.overlap[..., 0] * pairs.overlap[..., 2] / np.minimum(area[:, None], area[None, :])
     clearance = pairs.lo[:, None, 1] - pairs.hi[None, :, 1]
@@ -221,9 +236,9 @@ def pairwise_states(
     """
     profile = profile or Profile()
     lo, hi = np.asarray(lo, np.float64).reshape(-1, 3), np.asarray(hi, np.float64).reshape(-1, 3)
-    known = _known(lo, hi)
+    known = known_extents(lo, hi)
     clean_lo, clean_hi = np.where(known[:, None], lo, 0.0), np.where(known[:, None], hi, 0.0)
-    pairs = _measure(clean_lo, clean_hi, profile)
+    pairs = measure_pairs(clean_lo, clean_hi, profile)
     extra = np.stack([_on(pairs, clouds), _in(pairs, clouds), _near(pairs)], axis=2).astype(np.int8)
     extra[~(known[:, None] & known[None, :])] = U
     extra[np.eye(len(lo), dtype=bool)] = F
@@ -236,7 +251,7 @@ IN_INFLATION, IN_SHARE, IN_SHARE_DOUBTFUL, IN_BELOW_RIM = 0.02, 0.7, 0.4, 0.25
 NEAR_DIAGONALS, NEAR_DIAGONALS_DOUBTFUL = 0.5, 1.0
 
 
-def _on(pairs: _Pairs, clouds: Sequence[np.ndarray] | None) -> np.ndarray:
+def _on(pairs: PairMeasures, clouds: Sequence[np.ndarray] | None) -> np.ndarray:
     area = pairs.extent[:, 0] * pairs.extent[:, 2]
     covered = pairs.overlap[..., 0] * pairs.overlap[..., 2] / area[:, None]
     supported = (covered >= ON_OVERLAP) & (area[:, None] / area[None, :] < ON_AREA_RATIO)
@@ -246,7 +261,7 @@ def _on(pairs: _Pairs, clouds: Sequence[np.ndarray] | None) -> np.ndarray:
     return np.where(supported & (gap <= touching), T, np.where(supported & (gap <= ON_GAP_DOUBTFUL), U, F))
 
 
-def _surface_heights(pairs: _Pairs, b: int, clouds: Sequence[np.ndarray] | None) -> np.ndarray:
+def _surface_heights(pairs: PairMeasures, b: int, clouds: Sequence[np.ndarray] | None) -> np.ndarray:
     """(N,) height of object b under and around each object's footprint: the 95th percentile of its points there."""
     top = np.full(len(pairs.lo), pairs.hi[b, 1])
     if clouds is None or not len(clouds[b]):
@@ -262,7 +277,7 @@ def _surface_heights(pairs: _Pairs, b: int, clouds: Sequence[np.ndarray] | None)
     return np.where(number > 0, cloud[order, 1][at], top)
 
 
-def _in(pairs: _Pairs, clouds: Sequence[np.ndarray] | None) -> np.ndarray:
+def _in(pairs: PairMeasures, clouds: Sequence[np.ndarray] | None) -> np.ndarray:
     low, high = pairs.lo - IN_INFLATION, pairs.hi + IN_INFLATION
     share = np.zeros(pairs.delta.shape[:2])
     for a in range(len(pairs.lo)):
@@ -276,7 +291,7 @@ def _in(pairs: _Pairs, clouds: Sequence[np.ndarray] | None) -> np.ndarray:
     return np.where(below_rim & (share >= IN_SHARE), T, np.where(below_rim & (share >= IN_SHARE_DOUBTFUL), U, F))
 
 
-def _near(pairs: _Pairs) -> np.ndarray:
+def _near(pairs: PairMeasures) -> np.ndarray:
     diagonal = np.linalg.norm(pairs.extent, axis=1)
     mean = (diagonal[:, None] + diagonal[None, :]) / 2
     gap = np.linalg.norm(pairs.gap, axis=2)
@@ -285,7 +300,7 @@ def _near(pairs: _Pairs) -> np.ndarray:
 
 def distances(lo: np.ndarray, hi: np.ndarray) -> np.ndarray:
     """(N, N) float64: metres between the extents of every two objects, 0 where they overlap."""
-    return np.linalg.norm(_measure(lo, hi, Profile()).gap, axis=2)
+    return np.linalg.norm(measure_pairs(lo, hi).gap, axis=2)
 
 
 RANK_MARGIN = 0.03

@@ -33,7 +33,9 @@ def suggest_expressions(objects: Sequence[SceneObject], scores: RelationScores, 
                 if target == reference or number[reference] > 1:
                     continue
                 column = scores.states[np.ix_(rows, ends)][..., n]
-                if (column == 1).sum() == 1 and (column == 0).sum() == 0:
+                likely = scores.probabilities[np.ix_(rows, ends)][..., n] >= 0.5
+                # The rule and the scorer must agree on the one that is right.
+                if (column == 1).sum() == 1 and (column == 0).sum() == 0 and (likely == (column == 1)).all():
                     pixels = min(objects[i].lifted.quality.mask_pixels for i in (*rows, *ends))
                     score = min(number[target], 3) + min(pixels, 3000) / 3000
                     found.append((score, target, relation, reference))

@@ -35,8 +35,8 @@ class SourceOptions:
     """Model file or recording for the detector."""
     min_score: float | None = None
     """Drop detections below this score. Default: the detector's own."""
-    srm: str = "rule"
-    """What scores relations: rule."""
+    srm: str = "trained"
+    """What scores relations: trained (the network that comes with the program) | rule | an ONNX file."""
     box: Literal["gravity", "pca"] = "gravity"
     """How 3D boxes are fitted: upright, or the paper's PCA box."""
     k: int = 10
@@ -283,6 +283,48 @@ class Context:
 
 
 @dataclass(frozen=True)
+class Train:
+    """Train a relation network on rendered rooms, calibrate it, and measure it on rooms it has not seen."""
+
+    out: Positional[Path]
+    """ONNX file to write; its card goes beside it as JSON."""
+    rooms: int = 300
+    """Rooms in all: 7 in 10 to learn from, 1 to calibrate, 2 to measure."""
+    views: int = 3
+    """Views of each room."""
+    seed: int = 0
+    """The same seed gives the same network."""
+    features: Literal["rel14", "paper30", "canon30"] = "rel14"
+    """What the network is given of a pair."""
+    epochs: int = 10
+    width: int = 480
+    height: int = 360
+    workers: int = os.cpu_count() or 1
+    """Rooms made at once, each by a process of its own. The network does not depend on it."""
+    json: bool = False
+    """Print the card."""
+
+    def run(self) -> int:
+        from pipeline.srm.card import RoomConfig, train_on_rooms
+        from pipeline.srm.train import TrainConfig
+        from spatialviz.printing import print_training, progress_bars
+
+        with progress_bars() as advance:
+            card = train_on_rooms(
+                self.out,
+                RoomConfig(self.rooms, self.views, self.width, self.height, self.seed),
+                TrainConfig(features=self.features, epochs=self.epochs, seed=self.seed),
+                workers=self.workers,
+                progress=advance,
+            )
+        if self.json:
+            _print_json(card)
+        else:
+            print_training(card, self.out)
+        return FINE
+
+
+@dataclass(frozen=True)
 class Bench:
     """Time the stages on a dataset: milliseconds a frame, and ratios measured in one run."""
 
@@ -313,6 +355,7 @@ Command = Union[
     Annotated[Frames, subcommand("frames")],
     Annotated[Render, subcommand("render")],
     Annotated[Context, subcommand("context")],
+    Annotated[Train, subcommand("train")],
     Annotated[Bench, subcommand("bench")],
 ]
 

@@ -301,7 +301,8 @@ def test_the_demo_answers_its_own_question() -> None:
     source = open_source("demo")
     (trace,) = ask_frames(source, 0, [DEMO_EXPRESSION])
     assert trace.ranking is not None
-    assert trace.ranking.pairs[0].p_relation == 0.95
+    assert trace.ranking.pairs[0].p_relation > 0.9
+    assert trace.scorer == "rel14"
     assert demo_path().is_dir()
 
 

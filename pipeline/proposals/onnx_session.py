@@ -10,8 +10,14 @@ import xxhash
 from pipeline.errors import InputError
 
 
-def open_session(path: Path) -> Any:
+def open_session(path: Path, threads: int | None = None) -> Any:
     """An `onnxruntime.InferenceSession` on the CPU (or on CUDA where it is installed).
+
+    Parameters
+    ----------
+    path : Path
+    threads : int, optional
+        For a network so small that waking more threads costs more than it saves.
 
     Raises
     ------
@@ -24,6 +30,8 @@ def open_session(path: Path) -> Any:
 
     options = ort.SessionOptions()
     options.log_severity_level = 3
+    if threads is not None:
+        options.intra_op_num_threads = threads
     available = ort.get_available_providers()
     providers = [p for p in ("CUDAExecutionProvider", "CPUExecutionProvider") if p in available]
     try:

@@ -1,20 +1,40 @@
 """SRM: a probability for each relation of each ordered pair of objects."""
 
+from pathlib import Path
+
+from pipeline.assets import asset_path
+from pipeline.errors import InputError
 from pipeline.srm.scorer import RelationScorer, RelationScores, RuleScorer
 
-__all__ = ["RelationScorer", "RelationScores", "RuleScorer", "make_scorer"]
+__all__ = ["RelationScorer", "RelationScores", "RuleScorer", "make_scorer", "shipped_network"]
+
+RULE, TRAINED = "rule", "trained"
 
 
-def make_scorer(name: str = "rule") -> RelationScorer:
-    """The relation scorer of that name.
+def shipped_network() -> Path:
+    """The file of the network that comes with the program.
 
     Raises
     ------
     InputError
-        For an unknown name.
+        Where the installation lacks it.
     """
-    from pipeline.errors import InputError
+    return asset_path("srm", "rel14.onnx")
 
-    if name != "rule":
-        raise InputError(f"there is no relation scorer {name!r}", expected="rule")
-    return RuleScorer()
+
+def make_scorer(name: str | Path = RULE) -> RelationScorer:
+    """The relation scorer of that name: "rule", "trained" (the shipped network), or the path of an ONNX file.
+
+    Raises
+    ------
+    InputError
+        For an unknown name, or a file that is not a relation network this program can feed.
+    """
+    if name == RULE:
+        return RuleScorer()
+    path = shipped_network() if name == TRAINED else Path(name)
+    if path.suffix.lower() != ".onnx" and not path.is_file():
+        raise InputError(f"there is no relation scorer {str(name)!r}", expected="trained, rule, or an ONNX file")
+    from pipeline.srm.model import OnnxScorer
+
+    return OnnxScorer(path)

@@ -70,3 +70,25 @@ def render_view(room: Room, camera: Camera, rng: np.random.Generator) -> Rendere
         tuple(instance.box.transformed(T_camera_world) for instance in room.instances),
         camera,
     )
+
+
+def sense_view(room: Room, camera: Camera, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Only the `depth` and the `instances` of `render_view`, many times as fast: colour is what costs.
+
+    Raises
+    ------
+    InputError
+        The camera has no pose.
+    MissingExtra
+        embreex is not installed.
+    """
+    if camera.T_world_camera is None:
+        raise InputError("a camera must have a pose to be rendered from", got="T_world_camera=None")
+    scene = build_scene(room)
+    shape = (camera.height, camera.width)
+    v, u = (g.ravel() for g in np.meshgrid(np.arange(shape[0]), np.arange(shape[1]), indexing="ij"))
+    hits = scene.trace(camera.T_world_camera[:3, 3].astype(np.float32), pixel_rays(camera, v, u))
+    hit = hits.face >= 0
+    exact = np.where(hit, hits.t, np.float32(0)).reshape(shape)
+    owner = scene.part_instance[scene.face_part[np.where(hit, hits.face, 0)]]
+    return sense(exact, rng), np.where(hit, owner, -1).reshape(shape).astype(np.int32)

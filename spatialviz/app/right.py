@@ -8,6 +8,7 @@ from pipeline.palette import DROPPED, RGB, hex_color, palette
 from pipeline.ranking import RankedPair
 from pipeline.records import why_no_answer
 from pipeline.relations import PHRASE, letter
+from pipeline.srm.scorer import RelationScores
 from spatialviz.app.state import State
 from spatialviz.app.text import BAD, DOUBT, dot, heading, note, panel, safe, words
 
@@ -136,7 +137,17 @@ def relations_html(state: State) -> str:
     if asked.relation not in trace.scores.relations:
         rows.append(_bar(PHRASE[asked.relation], pair.p_relation, "", colors["target"], ""))
     names = (safe(state.shown.names[state.shown.place[i]]) for i in (a, b))
-    return panel(heading("Relations", f"{' → '.join(names)} · by {safe(trace.scorer)}"), *rows)
+    by = safe(_scored_by(trace.scores, trace.scorer))
+    return panel(heading("Relations", f"{' → '.join(names)} · by {by}"), *rows)
+
+
+def _scored_by(scores: RelationScores, scorer: str) -> str:
+    """The scorer, and what the relations it has nothing for are scored by: "rel14; on, in, near by rule"."""
+    others: dict[str, list[str]] = {}
+    for relation in scores.relations:
+        if scores.scored_by[relation] != scorer:
+            others.setdefault(scores.scored_by[relation], []).append(relation)
+    return "; ".join([scorer, *(f"{', '.join(names)} by {other}" for other, names in others.items())])
 
 
 def _bar(phrase: str, p: float, mark: str, asked: RGB | None, click: str) -> str:

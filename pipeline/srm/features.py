@@ -1,0 +1,145 @@
+"""What the network is given of a pair: the feature contracts `rel14`, `paper30` and `canon30`.
+
+Each contract first describes every object by a row of numbers, then every
+ordered pair by a row made from two of them, all pairs at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.boxes import Box3D
+from pipeline.errors import InputError
+from pipeline.fitting import pca_box
+from pipeline.lifting import LiftedObject
+from pipeline.relations import measure_pairs
+from pipeline.viewer import ViewerAxes
+
+_AXES = ("right", "up", "forward")
+
+
+@dataclass(frozen=True)
+class FeatureSet:
+    """A feature contract.
+
+    Attributes
+    ----------
+    name : str
+    columns : tuple of str
+        Name of each feature; their number is the network's input dimension.
+    describe : callable
+        (objects, viewer) -> (N, K) float64, one row an object; NaN for an
+        object without points and box.
+    pair : callable
+        (N, K) -> (N, N, D) float64: the features of "a to b" at [a, b].
+    lengths : tuple of int
+        Columns of the description that are lengths: they grow with the scene, the others do not.
+    """
+
+    name: str
+    columns: tuple[str, ...]
+    describe: Callable[[Sequence[LiftedObject], ViewerAxes], np.ndarray]
+    pair: Callable[[np.ndarray], np.ndarray]
+    lengths: tuple[int, ...]
+
+    @property
+    def dimension(self) -> int:
+        return len(self.columns)
+
+
+def feature_set(name: str) -> FeatureSet:
+    """The contract of that name.
+
+    Raises
+    ------
+    InputError
+        For an unknown name.
+    """
+    if name not in FEATURES:
+        raise InputError("there is no such feature contract", got=repr(name), expected=", ".join(FEATURES))
+    return FEATURES[name]
+
+
+def describe_extents(objects: Sequence[LiftedObject], viewer: ViewerAxes) -> np.ndarray:
+    """(N, 6): lo and hi along (right, up, forward), metres."""
+    if not objects:
+        return np.zeros((0, 6))
+    return np.stack([np.concatenate([o.lo, o.hi]) for o in objects])
+
+
+def describe_raw_boxes(objects: Sequence[LiftedObject], viewer: ViewerAxes) -> np.ndarray:
+    """(N, 15): T(3), R row by row (9), D(3) of the paper's PCA box, camera frame, axes as PCA gives them."""
+    return _rows([_fitted(o, None) for o in objects])
+
+
+def describe_level_boxes(objects: Sequence[LiftedObject], viewer: ViewerAxes) -> np.ndarray:
+    """(N, 15): T, R, D of the canonical PCA box in the level frame (x right, y down, z forward)."""
+    T = np.eye(4)
+    T[:3, :3] = viewer.R_level_camera
+    boxes = [_fitted(o, viewer) for o in objects]
+    return _rows([None if box is None else box.transformed(T) for box in boxes])
+
+
+def _fitted(item: LiftedObject, viewer: ViewerAxes | None) -> Box3D | None:
+    return pca_box(item.points, viewer)[0] if len(item.points) else item.box
+
+
+def _rows(boxes: Sequence[Box3D | None]) -> np.ndarray:
+    rows = np.full((len(boxes), 15), np.nan)
+    for k, box in enumerate(boxes):
+        if box is not None:
+            rows[k] = np.concatenate([box.center, box.R.ravel(), box.size])
+    return rows
+
+
+def pair_relative(rows: np.ndarray) -> np.ndarray:
+    """`rel14` of all ordered pairs: (N, 6) extents -> (N, N, 14).
+
+    Differences of centres, signed gaps, overlap shares and the logarithm of the
+    ratio of extents (a over b), each along (right, up, forward); the forward
+    coordinates of both centres. Metres.
+    """
+    n = len(rows)
+    measured = measure_pairs(rows[:, :3], rows[:, 3:])
+    size = np.log(measured.extent)
+    depth = measured.center[:, 2]
+    return np.concatenate(
+        [
+            measured.delta,
+            measured.gap,
+            measured.overlap_share,
+            size[:, None] - size[None, :],
+            np.broadcast_to(depth[:, None, None], (n, n, 1)),
+            np.broadcast_to(depth[None, :, None], (n, n, 1)),
+        ],
+        axis=2,
+    )
+
+
+def pair_side_by_side(rows: np.ndarray) -> np.ndarray:
+    """The row of a, then the row of b: (N, K) -> (N, N, 2K)."""
+    n, k = rows.shape
+    first, second = np.broadcast_to(rows[:, None], (n, n, k)), np.broadcast_to(rows[None], (n, n, k))
+    return np.concatenate([first, second], axis=2)
+
+
+def _box_columns() -> tuple[str, ...]:
+    one = [f"T{k}" for k in range(3)] + [f"R{i}{j}" for i in range(3) for j in range(3)] + [f"D{k}" for k in range(3)]
+    return tuple(f"{which}_{name}" for which in ("a", "b") for name in one)
+
+
+_BOX_LENGTHS = (0, 1, 2, 12, 13, 14)
+_RELATIVE_COLUMNS = (
+    *(f"{what}_{axis}" for what in ("delta", "gap", "overlap", "log_size_ratio") for axis in _AXES),
+    "forward_a",
+    "forward_b",
+)
+
+FEATURES: dict[str, FeatureSet] = {
+    "rel14": FeatureSet("rel14", _RELATIVE_COLUMNS, describe_extents, pair_relative, tuple(range(6))),
+    "paper30": FeatureSet("paper30", _box_columns(), describe_raw_boxes, pair_side_by_side, _BOX_LENGTHS),
+    "canon30": FeatureSet("canon30", _box_columns(), describe_level_boxes, pair_side_by_side, _BOX_LENGTHS),
+}
