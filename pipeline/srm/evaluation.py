@@ -154,7 +154,7 @@ def clear_cut_report(
         a, b = np.nonzero(which >= 0)
         asked.append(p[a, b, which[a, b]])
         opposed.append(p[b, a, which[a, b]])
-    own, other = np.concatenate(asked), np.concatenate(opposed)
+    own, other = np.concatenate([*asked, []]), np.concatenate([*opposed, []])
     return {
         "clear_cut": len(own),
         "holds": _share((own > 0.5).sum(), len(own)),

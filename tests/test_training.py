@@ -1,0 +1,246 @@
+"""Training the relation network: what it learns from, that it learns, and that it can be made again."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from pipeline.errors import InputError, MissingExtra
+from pipeline.relations import DIRECTIONAL
+from pipeline.srm.features import FEATURES
+from pipeline.srm.model import OnnxScorer
+from pipeline.srm.train import TrainConfig, require_training, save_onnx, train_srm, write_onnx
+from pipeline.srm.training_data import (
+    FrameSamples,
+    degraded,
+    iterate_pairs,
+    make_samples,
+    make_split,
+    room_seeds,
+    varied_camera,
+    with_other_sizes,
+)
+from pipeline.synthetic import choose_views, make_room, render_view, sense_view
+
+pytest.importorskip("embreex")
+pytest.importorskip("torch")
+pytest.importorskip("onnx")
+
+WIDTH, HEIGHT = 200, 150
+SEEDS = (8_500_000, 8_500_002)
+
+
+@pytest.fixture(scope="module")
+def samples() -> tuple[FrameSamples, ...]:
+    return make_samples(SEEDS, views=1, width=WIDTH, height=HEIGHT)
+
+
+def same(a: FrameSamples, b: FrameSamples) -> bool:
+    arrays = ("seen_lo", "seen_hi", "exact_lo", "exact_hi")
+    return (
+        a.room == b.room
+        and all(np.array_equal(getattr(a, k), getattr(b, k)) for k in arrays)
+        and all(np.array_equal(a.rows[k], b.rows[k]) for k in FEATURES)
+    )
+
+
+# What it learns from.
+
+
+def test_the_sensed_view_is_that_of_the_picture() -> None:
+    room = make_room(6)
+    (camera,) = choose_views(room, 1, np.random.default_rng(0), 96, 72)
+    frame = render_view(room, camera, np.random.default_rng(5))
+    depth, instances = sense_view(room, camera, np.random.default_rng(5))
+    np.testing.assert_array_equal(depth, frame.depth)
+    np.testing.assert_array_equal(instances, frame.instances)
+
+
+def test_samples_are_repeatable_whatever_the_workers(samples: tuple[FrameSamples, ...]) -> None:
+    again = make_samples(SEEDS, views=1, workers=2, width=WIDTH, height=HEIGHT)
+    assert all(same(a, b) for a, b in zip(samples, again, strict=True))
+    varied = make_samples(SEEDS[:1], views=1, varied=True, width=WIDTH, height=HEIGHT)
+    assert not same(samples[0], varied[0])
+
+
+def test_labels_know_the_whole_object_and_features_only_what_is_seen(samples: tuple[FrameSamples, ...]) -> None:
+    for frame in samples:
+        assert len(frame.seen_lo) >= 5
+        # Half the slack is noise and masks that reach a little past the object.
+        inside = (frame.seen_lo > frame.exact_lo - 0.12) & (frame.seen_hi < frame.exact_hi + 0.12)
+        assert inside.mean() > 0.95
+        seen, whole = frame.seen_hi - frame.seen_lo, frame.exact_hi - frame.exact_lo
+        assert np.median(seen[:, 2] / whole[:, 2]) < 0.97, "the backs of things are not seen"
+        assert (frame.truth != frame.rule).any()
+
+
+def test_masks_are_a_little_wrong_and_never_vanish() -> None:
+    mask = np.zeros((60, 80), np.bool_)
+    mask[20:40, 30:50] = True
+    thin = np.zeros_like(mask)
+    thin[30:32, :] = True
+    areas = {int(degraded(mask, np.random.default_rng(s)).sum()) for s in range(40)}
+    assert min(areas) < mask.sum() < max(areas)
+    assert len(areas) == 6
+    assert all(degraded(thin, np.random.default_rng(s)).sum() >= 100 for s in range(20))
+
+
+def test_varied_cameras_still_know_what_is_up() -> None:
+    (camera,) = choose_views(make_room(5), 1, np.random.default_rng(0), 96, 72)
+    for seed in range(10):
+        varied = varied_camera(camera, np.random.default_rng(seed))
+        assert varied.T_world_camera is not None
+        assert varied.up is not None
+        np.testing.assert_allclose(varied.T_world_camera[:3, :3] @ varied.up, [0, 0, 1], atol=1e-9)
+        np.testing.assert_allclose(np.linalg.det(varied.T_world_camera[:3, :3]), 1)
+        assert varied.fx != camera.fx
+
+
+def test_a_scene_of_another_size_is_judged_anew(samples: tuple[FrameSamples, ...]) -> None:
+    frame = samples[0]
+    small = frame.scaled(0.1)
+    np.testing.assert_allclose(small.exact_hi, frame.exact_hi * 0.1)
+    box = FEATURES["paper30"]
+    rows, shrunk = frame.rows["paper30"], small.rows["paper30"]
+    np.testing.assert_allclose(shrunk[:, 3:12], rows[:, 3:12])
+    np.testing.assert_allclose(shrunk[:, list(box.lengths)], rows[:, list(box.lengths)] * 0.1)
+    assert (small.truth == 0).sum() > (frame.truth == 0).sum(), "dead zones are metres"
+    both = with_other_sizes(samples, 3)
+    assert len(both) == 2 * len(samples)
+    assert both[: len(samples)] == samples
+    assert all(same(a, b) for a, b in zip(both, with_other_sizes(samples, 3), strict=True))
+
+
+def test_rooms_are_split_from_rooms() -> None:
+    train, calibration, test = room_seeds(2, 50)
+    assert (len(train), len(calibration), len(test)) == (35, 5, 10)
+    assert len({*train, *calibration, *test}) == 50
+    assert not {*train, *calibration, *test} & set(room_seeds(1, 50)[0])
+    # `spatialviz render --seed 2` makes rooms 2,000,000 and up.
+    assert min(train) == 2_500_000
+    assert [len(part) for part in room_seeds(0, 3)] == [1, 1, 1]
+    for rooms, seed in ((2, 0), (600_000, 0), (10, -1)):
+        with pytest.raises(InputError):
+            room_seeds(seed, rooms)
+    with pytest.raises(InputError, match="at least"):
+        make_samples([1], views=0)
+
+
+def test_progress_counts_all_rooms() -> None:
+    seen = []
+    split = make_split(1, 3, views=1, width=64, height=48, progress=lambda done, of: seen.append((done, of)))
+    assert seen == [(1, 3), (2, 3), (3, 3)]
+    rooms = [{frame.room for frame in part} for part in (split.train, split.calibration, split.test)]
+    assert not rooms[0] & rooms[1]
+    assert not rooms[1] & rooms[2]
+
+
+# That it learns.
+
+
+@pytest.mark.parametrize("name", ["rel14", "paper30", "canon30"])
+def test_training_lowers_the_loss(name: str, samples: tuple[FrameSamples, ...]) -> None:
+    model = train_srm(samples, TrainConfig(features=name, hidden=32, epochs=9, batch=16, halve_every=9))
+    assert len(model.losses) == 9
+    assert model.losses[-1] < 0.7 * model.losses[0]
+    assert [w.shape for w, _ in model.layers] == [(FEATURES[name].dimension, 32), (32, 32), (32, 6)]
+    assert model.pairs == sum(len(f) for f, _ in iterate_pairs(samples, name))
+
+
+def test_the_file_computes_what_was_trained(samples: tuple[FrameSamples, ...], tmp_path: Path) -> None:
+    from pipeline.srm.calibration import antisymmetric
+
+    model = train_srm(samples, TrainConfig(hidden=16, epochs=2))
+    save_onnx(tmp_path / "m.onnx", model)
+    rows = samples[0].rows["rel14"]
+    x = (FEATURES["rel14"].pair(rows) - model.mean) / model.std
+    (w0, b0), (w1, b1), (w2, b2) = model.layers
+    expected = np.maximum(np.maximum(x @ w0 + b0, 0) @ w1 + b1, 0) @ w2 + b2
+    found = OnnxScorer(tmp_path / "m.onnx").logits(rows)
+    np.testing.assert_allclose(found, antisymmetric(expected, DIRECTIONAL), atol=1e-4)
+
+
+def test_equal_seeds_give_equal_bytes(samples: tuple[FrameSamples, ...], tmp_path: Path) -> None:
+    import torch
+
+    threads = torch.get_num_threads()
+    config = TrainConfig(hidden=16, epochs=2)
+    for name, seed in (("a", 0), ("b", 0), ("c", 1)):
+        save_onnx(tmp_path / name, train_srm(samples, TrainConfig(hidden=16, epochs=2, seed=seed)))
+        torch.rand(3)
+    assert (tmp_path / "a").read_bytes() == (tmp_path / "b").read_bytes()
+    first, third = (train_srm(samples, c) for c in (config, TrainConfig(hidden=16, epochs=2, seed=1)))
+    assert not np.array_equal(first.layers[0][0], third.layers[0][0])
+    assert torch.get_num_threads() == threads
+    assert not torch.are_deterministic_algorithms_enabled()
+
+
+def test_doubtful_cells_teach_nothing(samples: tuple[FrameSamples, ...], monkeypatch: pytest.MonkeyPatch) -> None:
+    import pipeline.srm.train as module
+
+    def half_doubtful(frames: object, name: str) -> list[tuple[np.ndarray, np.ndarray]]:
+        x = np.random.default_rng(0).normal(size=(400, 14))
+        states = np.ones((400, 6), np.int8)
+        states[:, 0] = 0
+        states[:, 1] = np.where(x[:, 0] > 0, 1, -1)
+        return [(x, states)]
+
+    monkeypatch.setattr(module, "iterate_pairs", half_doubtful)
+    model = train_srm(samples, TrainConfig(hidden=16, epochs=3))
+    before = train_srm(samples, TrainConfig(hidden=16, epochs=3))
+    assert model.losses == before.losses
+    # The output that was always in doubt kept its initial bias; the others moved.
+    assert model.layers[-1][1][0] == 0
+    assert (model.layers[-1][1][1:] != 0).all()
+
+
+def test_nothing_to_learn_from_is_refused(samples: tuple[FrameSamples, ...]) -> None:
+    with pytest.raises(InputError, match="no pairs"):
+        train_srm(())
+    with pytest.raises(InputError, match="positive"):
+        train_srm(samples, TrainConfig(epochs=0))
+    with pytest.raises(InputError, match="feature contract"):
+        train_srm(samples, TrainConfig(features="rel15"))
+
+
+@pytest.mark.parametrize("package", ["torch", "onnx"])
+def test_a_missing_extra_is_named(
+    package: str, samples: tuple[FrameSamples, ...], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setitem(sys.modules, package, None)
+    with pytest.raises(MissingExtra, match=r"spatialviz\[train\]"):
+        require_training()
+    layers = [(np.zeros((2, 2)), np.zeros(2))]
+    needs = (lambda: train_srm(samples)) if package == "torch" else (lambda: write_onnx(tmp_path / "m", layers, {}))
+    with pytest.raises(MissingExtra, match=r"spatialviz\[train\]"):
+        needs()
+
+
+# The command.
+
+
+def test_train_writes_a_network_that_answers_and_its_card(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from spatialviz.cli import main
+
+    out = tmp_path / "new" / "mine.onnx"
+    small = ["--rooms", "3", "--views", "1", "--width", "200", "--height", "150", "--epochs", "3", "--workers", "1"]
+    assert main(["train", str(out), *small, "--seed", "4", "--features", "canon30"]) == 0
+    text = capsys.readouterr().out
+    assert "always no" in text
+    assert "micro-F1" in text
+    card = json.loads(out.with_suffix(".json").read_text())
+    assert "--seed 4" in card["command"]
+    assert "--features canon30" in card["command"]
+    assert {"train_rooms", "calibration_rooms", "test_rooms"} <= set(card["rooms"])
+    assert card["held_out"]["network"]["all_negative_accuracy"] > 0.7
+    assert sorted(p.name for p in out.parent.iterdir()) == ["mine.json", "mine.onnx"]
+    assert main(["ask", "demo", "0", "mug left of the laptop", "--srm", str(out), "--json"]) == 0
+    assert json.loads(capsys.readouterr().out)["scorer"] == "canon30"
+    assert main(["train", str(tmp_path / "mine.pt"), *small]) == 2
+    assert ".onnx" in capsys.readouterr().err
