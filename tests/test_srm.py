@@ -345,7 +345,7 @@ def said(**changes: Any) -> dict[str, str]:
 
 def test_a_contract_survives_the_file_to_the_last_digit(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
-    calibration = dict.fromkeys(DIRECTIONAL, (1.1, 1 / 3))
+    calibration: dict[str, tuple[float, float]] = {r: (1.1, 1 / 3) for r in DIRECTIONAL}  # noqa: C420
     contract = Contract(
         "canon30", FEATURES["canon30"].columns, rng.normal(size=30), rng.uniform(0.1, 2, 30), DIRECTIONAL,
         calibration, 7, "f00d",
