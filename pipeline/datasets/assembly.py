@@ -7,6 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.camera import Camera
+from pipeline.datasets.cameras import pose_from_matrix
+from pipeline.datasets.files import read_matrix
 from pipeline.datasets.images import read_color, read_depth
 from pipeline.errors import InputError
 from pipeline.frame import Annotation, Frame
@@ -70,3 +72,12 @@ def one_file(candidates: list[Path], what: str, where: Path) -> Path:
             f"more than one {what} file", got=", ".join(path.name for path in candidates), path=where
         )
     return candidates[0]
+
+
+def read_pose(path: Path, notes: list[str]) -> np.ndarray | None:
+    """T_world_camera (4, 4) from a file of 4x4 numbers; an unusable one gives None and a note."""
+    try:
+        return pose_from_matrix(read_matrix(path, 4, 4))
+    except InputError as error:
+        notes.append(f"no camera pose, {path.name}: {error.what}")
+        return None

@@ -8,9 +8,9 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from pipeline.datasets.assembly import differ_in_size, make_frame, one_file
+from pipeline.datasets.assembly import differ_in_size, make_frame, one_file, read_pose
 from pipeline.datasets.base import DatasetFormat, unknown_frame
-from pipeline.datasets.cameras import make_camera, pose_from_matrix
+from pipeline.datasets.cameras import make_camera
 from pipeline.datasets.files import read_matrix
 from pipeline.datasets.images import COLOR_SUFFIXES, read_color, read_depth
 from pipeline.datasets.pairing import choose_naming, image_files, pair_files
@@ -66,7 +66,8 @@ class ScanNetDataset:
             if frame_id == self.frame_ids[0]:
                 notes.append(f"colour of {whole[1]}x{whole[0]} is resized to the depth's {width}x{height} everywhere")
         K, source = self._camera_matrix(whole == metres.shape)
-        pose = _pose(self.root / "pose" / f"{frame_id}.txt", notes)
+        poses = self.root / "pose"
+        pose = read_pose(poses / f"{frame_id}.txt", notes) if poses.is_dir() else None
         camera = make_camera(K, (height, width), pose, self._settings, source)
         return make_frame(frame_id, (rgb, metres), camera, depth, notes=tuple(notes))
 
@@ -85,16 +86,6 @@ class ScanNetDataset:
                 path=path,
             )
         return M[:3, :3], path
-
-
-def _pose(path: Path, notes: list[str]) -> np.ndarray | None:
-    if not path.parent.is_dir():
-        return None
-    try:
-        return pose_from_matrix(read_matrix(path, 4, 4))
-    except InputError as error:
-        notes.append(f"no camera pose, {path.name}: {error.what}")
-        return None
 
 
 def _recognises(root: Path) -> bool:

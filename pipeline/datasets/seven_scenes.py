@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from pipeline.camera import intrinsics
-from pipeline.datasets.assembly import make_frame, one_file, read_pair
+from pipeline.datasets.assembly import make_frame, one_file, read_pair, read_pose
 from pipeline.datasets.base import DatasetFormat, unknown_frame
-from pipeline.datasets.cameras import make_camera, pose_from_matrix
+from pipeline.datasets.cameras import make_camera
 from pipeline.datasets.files import listing, read_matrix
 from pipeline.datasets.settings import Settings
 from pipeline.errors import InputError
@@ -58,7 +58,8 @@ class SevenScenesDataset:
         pair = read_pair(color, depth, self._settings.depth_scale or UNITS_PER_METRE, NOTHING)
         size = pair[1].shape
         notes: list[str] = []
-        pose = _pose(stem.with_name(f"{stem.name}.pose.txt"), notes)
+        pose_file = stem.with_name(f"{stem.name}.pose.txt")
+        pose = read_pose(pose_file, notes) if pose_file.is_file() else None
         K, source = self._camera_matrix(stem.parent, (size[0], size[1]), color)
         camera = make_camera(K, (size[0], size[1]), pose, self._settings, source)
         return make_frame(frame_id, pair, camera, depth, notes=tuple(notes))
@@ -84,16 +85,6 @@ class SevenScenesDataset:
 
 def _sequences(root: Path) -> list[str]:
     return [name for name in listing(root)[0] if re.fullmatch(r"seq-?[0-9]+", name)]
-
-
-def _pose(path: Path, notes: list[str]) -> np.ndarray | None:
-    if not path.is_file():
-        return None
-    try:
-        return pose_from_matrix(read_matrix(path, 4, 4))
-    except InputError as error:
-        notes.append(f"no camera pose, {path.name}: {error.what}")
-        return None
 
 
 def _recognises(root: Path) -> bool:

@@ -52,16 +52,14 @@ def render_view(room: Room, camera: Camera, rng: np.random.Generator) -> Rendere
     MissingExtra
         embreex is not installed.
     """
-    if camera.T_world_camera is None:
-        raise InputError("a camera must have a pose to be rendered from", got="T_world_camera=None")
+    T_world_camera = _pose(camera)
     scene = build_scene(room)
     shape = (camera.height, camera.width)
-    v, u = (g.ravel() for g in np.meshgrid(np.arange(shape[0]), np.arange(shape[1]), indexing="ij"))
-    directions = pixel_rays(camera, v, u)
+    directions = _all_rays(camera)
     surfaces = find_surfaces(scene, camera, directions)
     exact = surfaces.depth.reshape(shape)
     index = np.where(surfaces.hit, scene.part_instance[surfaces.part], -1).reshape(shape).astype(np.int32)
-    T_camera_world = np.linalg.inv(camera.T_world_camera)
+    T_camera_world = np.linalg.inv(T_world_camera)
     return RenderedFrame(
         render_colour(scene, camera, surfaces, directions),
         sense(exact, rng),
@@ -82,13 +80,23 @@ def sense_view(room: Room, camera: Camera, rng: np.random.Generator) -> tuple[np
     MissingExtra
         embreex is not installed.
     """
-    if camera.T_world_camera is None:
-        raise InputError("a camera must have a pose to be rendered from", got="T_world_camera=None")
+    T_world_camera = _pose(camera)
     scene = build_scene(room)
     shape = (camera.height, camera.width)
-    v, u = (g.ravel() for g in np.meshgrid(np.arange(shape[0]), np.arange(shape[1]), indexing="ij"))
-    hits = scene.trace(camera.T_world_camera[:3, 3].astype(np.float32), pixel_rays(camera, v, u))
+    hits = scene.trace(T_world_camera[:3, 3].astype(np.float32), _all_rays(camera))
     hit = hits.face >= 0
     exact = np.where(hit, hits.t, np.float32(0)).reshape(shape)
     owner = scene.part_instance[scene.face_part[np.where(hit, hits.face, 0)]]
     return sense(exact, rng), np.where(hit, owner, -1).reshape(shape).astype(np.int32)
+
+
+def _pose(camera: Camera) -> np.ndarray:
+    if camera.T_world_camera is None:
+        raise InputError("a camera must have a pose to be rendered from", got="T_world_camera=None")
+    return camera.T_world_camera
+
+
+def _all_rays(camera: Camera) -> np.ndarray:
+    """Directions of the rays through all pixels, row by row."""
+    v, u = np.meshgrid(np.arange(camera.height), np.arange(camera.width), indexing="ij")
+    return pixel_rays(camera, v.ravel(), u.ravel())

@@ -49,3 +49,32 @@ def add_keys(client: viser.ClientHandle, post: Callable[[str], None]) -> None:
             post(message)
 
         command.on_trigger(trigger)
+
+
+class HelpDialog:
+    """The list of keys as a dialog; the key that opens it closes it, as Escape does."""
+
+    def __init__(self, client: viser.ClientHandle, post: Callable[[str], None]) -> None:
+        self._client = client
+        self._post = post
+        self._modal: Any = None
+
+    def toggle(self) -> None:
+        """Show it, or hide it where it is shown."""
+        if self._modal is not None:
+            self.close()
+            return
+        self._modal = self._client.gui.add_modal("Keys")
+        with self._modal:
+            self._client.gui.add_html(HELP)
+            button = self._client.gui.add_button("Close")
+
+        @button.on_click
+        async def _(event: viser.GuiEvent) -> None:
+            self._post("close-help")
+
+    def close(self) -> None:
+        """Hide it."""
+        if self._modal is not None:
+            self._modal.close()
+            self._modal = None

@@ -23,7 +23,7 @@ from spatialviz.app.bridge import HELLO_SECONDS, Bridge
 from spatialviz.app.fallback import Fallback
 from spatialviz.app.filling import fill_page
 from spatialviz.app.frames import FrameStore, LoadedFrame
-from spatialviz.app.keys import HELP, add_keys
+from spatialviz.app.keys import HelpDialog, add_keys
 from spatialviz.app.layout import build, listed
 from spatialviz.app.paint import frame_colors
 from spatialviz.app.scene import SceneView
@@ -56,8 +56,8 @@ class Session:
         self._suggestions: tuple[str, ...] = ()
         self._painted: tuple[Any, ...] = ()
         self._closed = threading.Event()
-        self._modal: Any = None
         self.bridge = Bridge(client, self.handle)
+        self._help = HelpDialog(client, self.post)
         ids = store.sources[source].dataset.frame_ids
         self.state = State(source=source, frame_id=ids[0], dark=dark, text=first_expression)
         self.page = build(client, self.bridge, tuple(store.sources), source, ids)
@@ -104,8 +104,8 @@ class Session:
             "image": lambda: self._select_at(argument),
             "theme": lambda: self._set_theme(not self.state.dark),
             "clear": self._clear,
-            "help": self._help,
-            "close-help": self._close_help,
+            "help": self._help.toggle,
+            "close-help": self._help.close,
         }
         if kind in handlers:
             handlers[kind]()
@@ -381,25 +381,6 @@ class Session:
         self._painted = ()
         self._show_context()
         self._draw()
-
-    def _help(self) -> None:
-        """Show the keys; the same key hides them."""
-        if self._modal is not None:
-            self._close_help()
-            return
-        self._modal = modal = self._client.gui.add_modal("Keys")
-        with modal:
-            self._client.gui.add_html(HELP)
-            close = self._client.gui.add_button("Close")
-
-        @close.on_click
-        async def _(event: viser.GuiEvent) -> None:
-            self.post("close-help")
-
-    def _close_help(self) -> None:
-        if self._modal is not None:
-            self._modal.close()
-            self._modal = None
 
     # ---- drawing --------------------------------------------------------------------
 
