@@ -24,10 +24,6 @@ def _words(text: str) -> frozenset[str]:
     return frozenset(text.split())
 
 
-def _phrases(text: str) -> frozenset[str]:
-    return frozenset(text.split("|"))
-
-
 def _side(side: str) -> tuple[str, ...]:
     places = (side, f"{side} side", f"{side} hand side")
     led = [f"{p} {the}{s} of" for p in ("to", "on", "at", "in") for the in ("the ", "") for s in places]
