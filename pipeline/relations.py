@@ -78,6 +78,18 @@ class Profile:
     elevation: float = 45.0
     elevation_doubtful: float = 22.5
     min_extent: float = 0.001
+    on_overlap: float = 0.3
+    on_area_ratio: float = 1.5
+    on_footprint_margin: float = 0.10
+    on_gap: float = 0.05
+    on_gap_relative: float = 0.15
+    on_gap_doubtful: float = 0.15
+    in_inflation: float = 0.02
+    in_share: float = 0.7
+    in_share_doubtful: float = 0.4
+    in_below_rim: float = 0.25
+    near_diagonals: float = 0.5
+    near_diagonals_doubtful: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -239,36 +251,54 @@ def pairwise_states(
     known = known_extents(lo, hi)
     clean_lo, clean_hi = np.where(known[:, None], lo, 0.0), np.where(known[:, None], hi, 0.0)
     pairs = measure_pairs(clean_lo, clean_hi, profile)
-    extra = np.stack([_on(pairs, clouds), _in(pairs, clouds), _near(pairs)], axis=2).astype(np.int8)
+    extra = np.stack([_on(pairs, clouds, profile), _in(pairs, clouds, profile), _near(pairs, profile)], axis=2).astype(np.int8)
     extra[~(known[:, None] & known[None, :])] = U
     extra[np.eye(len(lo), dtype=bool)] = F
     return np.concatenate([directional_states(lo, hi, profile), extra], axis=2)
 
 
-ON_OVERLAP, ON_AREA_RATIO, ON_FOOTPRINT_MARGIN = 0.3, 1.5, 0.10
-ON_GAP, ON_GAP_RELATIVE, ON_GAP_DOUBTFUL = 0.05, 0.15, 0.15
-IN_INFLATION, IN_SHARE, IN_SHARE_DOUBTFUL, IN_BELOW_RIM = 0.02, 0.7, 0.4, 0.25
-NEAR_DIAGONALS, NEAR_DIAGONALS_DOUBTFUL = 0.5, 1.0
+def on_measures(
+    pairs: PairMeasures, clouds: Sequence[np.ndarray] | None, profile: Profile
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """What decides "a on b".
 
-
-def _on(pairs: PairMeasures, clouds: Sequence[np.ndarray] | None) -> np.ndarray:
+    Returns
+    -------
+    covered : (N, N) float64
+        Share of a's footprint that lies over b's.
+    area_ratio : (N, N) float64
+        Footprint of a over that of b.
+    gap : (N, N) float64
+        Metres between a's bottom and the surface of b under it.
+    """
     area = pairs.extent[:, 0] * pairs.extent[:, 2]
     covered = pairs.overlap[..., 0] * pairs.overlap[..., 2] / area[:, None]
-    supported = (covered >= ON_OVERLAP) & (area[:, None] / area[None, :] < ON_AREA_RATIO)
-    surface = np.stack([_surface_heights(pairs, b, clouds) for b in range(len(area))], axis=1) if len(area) else covered
-    gap = np.abs(pairs.lo[:, None, 1] - surface)
-    touching = np.maximum(ON_GAP, ON_GAP_RELATIVE * pairs.extent[:, 1])[:, None]
-    return np.where(supported & (gap <= touching), T, np.where(supported & (gap <= ON_GAP_DOUBTFUL), U, F))
+    if not len(area):
+        return covered, covered, covered
+    surface = np.stack([_surface_heights(pairs, b, clouds, profile) for b in range(len(area))], axis=1)
+    return covered, area[:, None] / area[None, :], np.abs(pairs.lo[:, None, 1] - surface)
 
 
-def _surface_heights(pairs: PairMeasures, b: int, clouds: Sequence[np.ndarray] | None) -> np.ndarray:
+def _on(pairs: PairMeasures, clouds: Sequence[np.ndarray] | None, profile: Profile) -> np.ndarray:
+    covered, area_ratio, gap = on_measures(pairs, clouds, profile)
+    supported = (covered >= profile.on_overlap) & (area_ratio < profile.on_area_ratio)
+    touching = np.maximum(profile.on_gap, profile.on_gap_relative * pairs.extent[:, 1])[:, None]
+    return np.where(
+        supported & (gap <= touching), T, np.where(supported & (gap <= profile.on_gap_doubtful), U, F)
+    )
+
+
+def _surface_heights(
+    pairs: PairMeasures, b: int, clouds: Sequence[np.ndarray] | None, profile: Profile
+) -> np.ndarray:
     """(N,) height of object b under and around each object's footprint: the 95th percentile of its points there."""
     top = np.full(len(pairs.lo), pairs.hi[b, 1])
     if clouds is None or not len(clouds[b]):
         return top
     cloud = clouds[b][:: max(1, len(clouds[b]) // 1500)]
     plan = cloud[:, [0, 2]]
-    low, high = pairs.lo[:, [0, 2]] - ON_FOOTPRINT_MARGIN, pairs.hi[:, [0, 2]] + ON_FOOTPRINT_MARGIN
+    margin = profile.on_footprint_margin
+    low, high = pairs.lo[:, [0, 2]] - margin, pairs.hi[:, [0, 2]] + margin
     under = np.logical_and.reduce((plan[None] >= low[:, None]) & (plan[None] <= high[:, None]), axis=2)
     order = np.argsort(cloud[:, 1])
     rank = np.cumsum(under[:, order], axis=1)
@@ -277,8 +307,19 @@ def _surface_heights(pairs: PairMeasures, b: int, clouds: Sequence[np.ndarray] |
     return np.where(number > 0, cloud[order, 1][at], top)
 
 
-def _in(pairs: PairMeasures, clouds: Sequence[np.ndarray] | None) -> np.ndarray:
-    low, high = pairs.lo - IN_INFLATION, pairs.hi + IN_INFLATION
+def in_measures(
+    pairs: PairMeasures, clouds: Sequence[np.ndarray] | None, profile: Profile
+) -> tuple[np.ndarray, np.ndarray]:
+    """What decides "a in b".
+
+    Returns
+    -------
+    share : (N, N) float64
+        Share of a's points, or of its extents where it has none, in b's inflated extents.
+    below_rim : (N, N) float64
+        How far a's bottom lies below b's top, in heights of a.
+    """
+    low, high = pairs.lo - profile.in_inflation, pairs.hi + profile.in_inflation
     share = np.zeros(pairs.delta.shape[:2])
     for a in range(len(pairs.lo)):
         if clouds is not None and len(clouds[a]):
@@ -287,15 +328,27 @@ def _in(pairs: PairMeasures, clouds: Sequence[np.ndarray] | None) -> np.ndarray:
         else:
             shared = np.minimum(pairs.hi[a], high) - np.maximum(pairs.lo[a], low)
             share[a] = (np.clip(shared, 0, None) / pairs.extent[a]).clip(0, 1).prod(axis=1)
-    below_rim = pairs.hi[None, :, 1] - pairs.lo[:, None, 1] >= IN_BELOW_RIM * pairs.extent[:, None, 1]
-    return np.where(below_rim & (share >= IN_SHARE), T, np.where(below_rim & (share >= IN_SHARE_DOUBTFUL), U, F))
+    return share, (pairs.hi[None, :, 1] - pairs.lo[:, None, 1]) / pairs.extent[:, None, 1]
 
 
-def _near(pairs: PairMeasures) -> np.ndarray:
+def _in(pairs: PairMeasures, clouds: Sequence[np.ndarray] | None, profile: Profile) -> np.ndarray:
+    share, below_rim = in_measures(pairs, clouds, profile)
+    sunk = below_rim >= profile.in_below_rim
+    return np.where(
+        sunk & (share >= profile.in_share), T, np.where(sunk & (share >= profile.in_share_doubtful), U, F)
+    )
+
+
+def near_measures(pairs: PairMeasures) -> tuple[np.ndarray, np.ndarray]:
+    """What decides "a near b": metres between them, and the mean of their diagonals; both (N, N) float64."""
     diagonal = np.linalg.norm(pairs.extent, axis=1)
-    mean = (diagonal[:, None] + diagonal[None, :]) / 2
-    gap = np.linalg.norm(pairs.gap, axis=2)
-    return np.where(gap <= NEAR_DIAGONALS * mean, T, np.where(gap <= NEAR_DIAGONALS_DOUBTFUL * mean, U, F))
+    return np.linalg.norm(pairs.gap, axis=2), (diagonal[:, None] + diagonal[None, :]) / 2
+
+
+def _near(pairs: PairMeasures, profile: Profile) -> np.ndarray:
+    gap, mean = near_measures(pairs)
+    doubtful = np.where(gap <= profile.near_diagonals_doubtful * mean, U, F)
+    return np.where(gap <= profile.near_diagonals * mean, T, doubtful)
 
 
 def distances(lo: np.ndarray, hi: np.ndarray) -> np.ndarray:

@@ -1,0 +1,1 @@
+"""Auto-labels: from frames to checked expressions; their schema, their making, their checks and their exports."""

@@ -1,0 +1,234 @@
+"""Labelling one frame: its objects, every relation between them, and what can truly be said of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import xxhash
+
+from pipeline.frame import Annotation, Frame
+from pipeline.labels.config import LabelConfig
+from pipeline.labels.expressions import candidate_expressions
+from pipeline.labels.occlusion import occluded_share
+from pipeline.labels.profiles import Judged
+from pipeline.labels.tables import Columns
+from pipeline.objects import FrameContext, SceneObject
+from pipeline.relations import PAIRWISE
+from pipeline.viewer import ViewerAxes
+
+
+@dataclass(frozen=True)
+class FrameLabels:
+    """The rows of one frame, as columns of the four tables, and what was judged."""
+
+    frames: Columns
+    objects: Columns
+    relations: Columns
+    expressions: Columns
+    judged: Judged | None = None
+
+    def tables(self) -> dict[str, Columns]:
+        return {n: getattr(self, n) for n in ("frames", "objects", "relations", "expressions")}
+
+
+def broken_frame(frame_id: str, frame_index: int, scene: str, problem: str) -> FrameLabels:
+    """The rows of a frame that cannot be loaded: it is listed, with the reason."""
+    row = {"frame": frame_id, "frame_index": frame_index, "scene": scene, "ok": False, "problem": problem}
+    return FrameLabels(_rows([{**row, "width": 0, "height": 0, "objects": 0, "notes": []}]), {}, {}, {})
+
+
+def label_objects(
+    context: FrameContext,
+    objects: Sequence[SceneObject],
+    config: LabelConfig,
+    *,
+    frame_index: int,
+    scene: str,
+    exact: bool,
+) -> FrameLabels:
+    """The rows of a frame whose objects are lifted.
+
+    Parameters
+    ----------
+    context : FrameContext
+    objects : sequence of SceneObject
+        In any order; those of one detector.
+    config : LabelConfig
+    frame_index : int
+        The frame's place in the dataset.
+    scene : str
+    exact : bool
+        The objects are the dataset's own: their numbers are its annotations'.
+    """
+    frame = context.frame
+    numbers = [o.id if exact else k for k, o in enumerate(objects)]
+    known = {a.index: a for a in frame.annotations} if exact else {}
+    rows = [
+        _object_row(o, number, known.get(number), frame, frame_index, context.viewer, config)
+        for o, number in zip(objects, numbers, strict=True)
+    ]
+    related = [k for k, o in enumerate(objects) if not config.is_background(o.label)]
+    judged = judge_objects([objects[k] for k in related], context.viewer, config)
+    ids = [numbers[k] for k in related]
+    up_source = str(context.viewer.up_source)
+    return FrameLabels(
+        _frame_rows(frame, frame_index, scene, len(objects)),
+        _rows(rows),
+        _relation_columns(frame.id, frame_index, ids, judged, config),
+        candidate_expressions(
+            frame.id,
+            frame_index,
+            ids,
+            [objects[k].label for k in related],
+            np.array([rows[k]["usable"] for k in related], np.bool_),
+            judged,
+            config,
+            up_source,
+        ),
+        judged,
+    )
+
+
+def judge_objects(objects: Sequence[SceneObject], viewer: ViewerAxes, config: LabelConfig) -> Judged:
+    """Every ordered pair of the objects under the profile's rules."""
+    lifted = [o.lifted for o in objects]
+    matrix = viewer.matrix.T.astype(np.float32)
+    clouds = [item.points @ matrix for item in lifted]
+    lo = np.array([item.lo for item in lifted], np.float64).reshape(-1, 3)
+    hi = np.array([item.hi for item in lifted], np.float64).reshape(-1, 3)
+    return config.rules.judge(lo, hi, centroids(lo, hi, clouds), clouds)
+
+
+def centroids(lo: np.ndarray, hi: np.ndarray, clouds: Sequence[np.ndarray]) -> np.ndarray:
+    """(N, 3) mean points; the middle of the extents where an object has no points."""
+    middle = (lo + hi) / 2
+    for k, cloud in enumerate(clouds):
+        if len(cloud):
+            middle[k] = cloud.mean(axis=0, dtype=np.float64)
+    return middle
+
+
+def _frame_rows(frame: Frame, frame_index: int, scene: str, objects: int) -> Columns:
+    camera = frame.camera
+    pose = camera.T_world_camera
+    row = {
+        "frame": frame.id,
+        "frame_index": frame_index,
+        "scene": scene,
+        "ok": True,
+        "width": frame.width,
+        "height": frame.height,
+        "K": camera.K.ravel().tolist(),
+        "T_world_camera": None if pose is None else pose.ravel().tolist(),
+        "up": None if camera.up is None else camera.up.tolist(),
+        "up_source": camera.up_source,
+        "rgb_hash": frame.content_hash,
+        "depth_hash": xxhash.xxh3_128_hexdigest(np.ascontiguousarray(frame.depth).data),
+        "objects": objects,
+        "notes": list(frame.notes),
+    }
+    return _rows([{"problem": None, **row}])
+
+
+def _object_row(
+    entry: SceneObject,
+    number: int,
+    annotation: Annotation | None,
+    frame: Frame,
+    frame_index: int,
+    viewer: ViewerAxes,
+    config: LabelConfig,
+) -> dict[str, Any]:
+    lifted, quality = entry.lifted, entry.lifted.quality
+    box, known = lifted.box, bool(np.isfinite(lifted.lo).all())
+    exact = annotation.box if annotation is not None else None
+    matrix = viewer.matrix.T.astype(np.float32)
+    centre = (lifted.points @ matrix).mean(axis=0, dtype=np.float64) if len(lifted.points) else None
+    reason = _unusable(entry, config)
+    return {
+        "frame": frame.id,
+        "frame_index": frame_index,
+        "object": number,
+        "label": entry.label,
+        "score": entry.score,
+        "instance": getattr(annotation, "instance", None),
+        "bbox": [float(x) for x in entry.bbox],
+        "mask": run_length(entry.mask),
+        "mask_source": quality.mask_source,
+        "mask_pixels": quality.mask_pixels,
+        "points": quality.points,
+        "kept": quality.kept,
+        "depth_missing": quality.depth_missing,
+        "touches_border": quality.touches_border,
+        "fallback": quality.fallback,
+        "distance": None if np.isnan(quality.distance) else quality.distance,
+        "center": None if box is None else box.center.tolist(),
+        "R": None if box is None else box.R.ravel().tolist(),
+        "size": None if box is None else box.size.tolist(),
+        "yaw_confidence": float(np.clip(lifted.yaw_confidence, 0, 1)),
+        "estimator": config.lift.box,
+        "lo": lifted.lo.tolist() if known else None,
+        "hi": lifted.hi.tolist() if known else None,
+        "centroid": None if centre is None else centre.tolist(),
+        "exact_center": None if exact is None else exact.center.tolist(),
+        "exact_R": None if exact is None else exact.R.ravel().tolist(),
+        "exact_size": None if exact is None else exact.size.tolist(),
+        "visible": None if annotation is None else annotation.visible,
+        "occluded": 0.0 if lifted.evidence is None else occluded_share(lifted.evidence, frame.depth),
+        "usable": reason is None,
+        "reason": reason,
+    }
+
+
+def _unusable(entry: SceneObject, config: LabelConfig) -> str | None:
+    """Why an object is not asked for; None where it may be."""
+    quality = entry.lifted.quality
+    if config.is_background(entry.label):
+        return "background"
+    if quality.mask_pixels < config.min_pixels:
+        return f"fewer than {config.min_pixels} pixels"
+    if quality.points < config.min_points:
+        return f"fewer than {config.min_points} points"
+    return None
+
+
+def run_length(mask: np.ndarray) -> str:
+    """COCO's compressed run-length code of a mask ((H, W) bool)."""
+    from pycocotools import mask as coco
+
+    return coco.encode(np.asfortranarray(mask.view(np.uint8)))["counts"].decode("ascii")
+
+
+def _relation_columns(
+    frame: str, frame_index: int, ids: Sequence[int], judged: Judged, config: LabelConfig
+) -> Columns:
+    n = len(ids)
+    off = ~np.eye(n, dtype=np.bool_)
+    number = np.asarray(ids, np.int32)
+    order = np.argsort(number, kind="stable")
+    a, b = np.nonzero(off)
+    # Rows run by (a, b) as numbers, whatever the order of the objects.
+    rank = np.empty(n, np.int64)
+    rank[order] = np.arange(n)
+    by = np.lexsort((rank[b], rank[a]))
+    a, b = a[by], b[by]
+    distance = judged.distance[a, b].astype(np.float32)
+    columns: Columns = {
+        "frame": [frame] * len(a),
+        "frame_index": np.full(len(a), frame_index, np.int32),
+        "a": number[a],
+        "b": number[b],
+        "distance": [None if np.isnan(d) else d for d in distance.tolist()],
+    }
+    for relation in config.relations:
+        k = PAIRWISE.index(relation)
+        columns[relation] = judged.states[a, b, k]
+        columns[f"{relation}_margin"] = judged.margins[a, b, k].astype(np.float32)
+    return columns
+
+
+def _rows(rows: list[dict[str, Any]]) -> Columns:
+    return {name: [row[name] for row in rows] for name in rows[0]} if rows else {}

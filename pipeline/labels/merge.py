@@ -1,0 +1,195 @@
+"""Merging shards: all frames, objects and relations, and the expressions that are selected of all candidates."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import platform
+from collections.abc import Iterator, Sequence
+from datetime import datetime, timezone
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline import __version__
+from pipeline.errors import InputError
+from pipeline.labels.config import SelectConfig
+from pipeline.labels.plan import Plan, Shard, load_plan
+from pipeline.labels.reading import MANIFEST_FILE
+from pipeline.labels.schema import SCHEMA_VERSION, Manifest, TableFile
+from pipeline.labels.selection import select
+from pipeline.labels.store import Store, write_whole
+from pipeline.labels.tables import ROW_GROUP, RowHash, arrow_schema
+from pipeline.relations import PAIRWISE
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+LISTED_WARNINGS = 100
+
+
+def missing_shards(plan: Plan, store: Store) -> tuple[Shard, ...]:
+    """The shards that are not there yet."""
+    return tuple(shard for shard in plan.shards if not store.has_part(shard.name))
+
+
+def merge_labels(where: str | Path, selection: SelectConfig | None = None, out: Path | None = None) -> Manifest:
+    """Merge the finished shards of a labels folder.
+
+    Tables are written part by part, so that memory does not grow with their
+    length; of the candidate expressions five numbers a row are held.
+
+    Parameters
+    ----------
+    where : str or Path
+        The labels folder, or a URL; then `out` is needed.
+    selection : SelectConfig, optional
+    out : Path, optional
+        Where the merged tables go; the labels folder by default.
+
+    Raises
+    ------
+    InputError
+        Shards are missing, or the folder holds no labels.
+    """
+    selection = selection or SelectConfig()
+    store = Store(where)
+    plan = load_plan(store)
+    missing = missing_shards(plan, store)
+    if missing:
+        raise InputError(
+            f"{len(missing)} of {len(plan.shards)} shards are missing",
+            got=", ".join(str(s.index) for s in missing[:8]) + (" ..." if len(missing) > 8 else ""),
+            cause=f"finish them with: spatialviz label {plan.spec.path} --out {store.where} --resume",
+            path=store.where,
+        )
+    if out is None:
+        if store.remote:
+            raise InputError("labels at a URL are merged into a local folder", expected="--to FOLDER", path=store.where)
+        out = store.folder
+    out.mkdir(parents=True, exist_ok=True)
+    shards = plan.shards
+    tables: dict[str, TableFile] = {}
+    warnings: list[str] = []
+    for name in ("frames", "objects", "relations"):
+        tables[name] = write_merged(out, name, (store.read_part(s.name, name) for s in shards))
+    candidates, chosen = choose(shards, store, selection)
+    tables["expressions"] = write_merged(out, "expressions", _selected(shards, store, chosen))
+    frames_ok = 0
+    for shard in shards:
+        rows = store.read_part(shard.name, "frames", ["frame", "ok", "problem"]).to_pylist()
+        frames_ok += sum(row["ok"] for row in rows)
+        warnings += [f"{row['frame']}: {row['problem']}" for row in rows if not row["ok"]]
+    more = len(warnings) - LISTED_WARNINGS
+    if more > 0:
+        warnings = [*warnings[:LISTED_WARNINGS], f"and {more} more frames"]
+    manifest = Manifest(
+        schema_version=SCHEMA_VERSION,
+        tool="spatialviz",
+        version=__version__,
+        config={**plan.config.record(), "relations": list(plan.config.relations)},
+        config_hash=plan.config.hash,
+        profile={"name": plan.config.profile, "parameters": plan.config.rules.parameters},
+        profile_hash=plan.config.rules.hash,
+        selection=selection.record(),
+        dataset={
+            "path": plan.spec.path,
+            "options": {k: str(v) for k, v in plan.spec.options.items() if v is not None},
+            "format": plan.format,
+            "input_hash": plan.input_hash,
+        },
+        models=plan.models,
+        seed=plan.config.seed,
+        counts={
+            "frames": tables["frames"].rows,
+            "frames_usable": frames_ok,
+            "objects": tables["objects"].rows,
+            "pairs": tables["relations"].rows,
+            "candidates": candidates,
+            "expressions": tables["expressions"].rows,
+        },
+        warnings=warnings,
+        tables=tables,
+        environment=environment(),
+        created=datetime.now(timezone.utc).isoformat(timespec="seconds"),
+    )
+    write_whole(out / MANIFEST_FILE, manifest.model_dump_json(indent=1).encode())
+    return manifest
+
+
+def choose(shards: Sequence[Shard], store: Store, selection: SelectConfig) -> tuple[int, dict[str, np.ndarray]]:
+    """How many candidates there are, and by shard which are kept."""
+    codes: dict[str, int] = {}
+    columns: list[list[np.ndarray]] = []
+    for shard in shards:
+        part = store.read_part(shard.name, "expressions", ["id", "frame_index", "relation", "target", "reference"])
+        ids = np.array([int(i, 16) for i in part.column("id").to_pylist()], np.uint64)
+        named = [
+            np.array([codes.setdefault(v, len(codes)) for v in part.column(n).to_pylist()], np.int32)
+            for n in ("target", "reference")
+        ]
+        relation = np.array([PAIRWISE.index(r) for r in part.column("relation").to_pylist()], np.int32)
+        columns.append([ids, part.column("frame_index").to_numpy().astype(np.int32), relation, *named])
+    if not columns:
+        return 0, {}
+    ids, frame, relation, target, reference = (np.concatenate(parts) for parts in zip(*columns, strict=True))
+    kept = select(ids, frame, relation, target, reference, selection)
+    at = np.cumsum([0, *(len(part[0]) for part in columns)])
+    return len(ids), {shard.name: kept[at[k] : at[k + 1]] for k, shard in enumerate(shards)}
+
+
+def _selected(shards: Sequence[Shard], store: Store, chosen: dict[str, np.ndarray]) -> Iterator[pa.Table]:
+    import pyarrow as pa
+
+    for shard in shards:
+        yield store.read_part(shard.name, "expressions").filter(pa.array(chosen[shard.name]))
+
+
+def write_merged(out: Path, name: str, parts: Iterator[pa.Table]) -> TableFile:
+    """Write a table from its parts, whole or not at all; its rows and hashes."""
+    import pyarrow.parquet as pq
+
+    path = out / f"{name}.parquet"
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    digest = RowHash(name)
+    waiting: list[pa.Table] = []
+    try:
+        with pq.ParquetWriter(temporary, arrow_schema(name), compression="zstd") as writer:
+            for part in parts:
+                digest.update(part)
+                waiting.append(part)
+                if sum(t.num_rows for t in waiting) >= ROW_GROUP:
+                    _write_group(writer, waiting)
+            _write_group(writer, waiting)
+        with open(temporary, "rb") as written:
+            os.fsync(written.fileno())
+            sha256 = hashlib.file_digest(written, "sha256").hexdigest() if hasattr(hashlib, "file_digest") else ""
+        if not sha256:
+            sha256 = hashlib.sha256(temporary.read_bytes()).hexdigest()
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+    return TableFile(file=path.name, rows=digest.rows, content_hash=digest.hexdigest(), sha256=sha256)
+
+
+def _write_group(writer: Any, waiting: list[pa.Table]) -> None:
+    import pyarrow as pa
+
+    if waiting and sum(t.num_rows for t in waiting):
+        writer.write_table(pa.concat_tables(waiting).combine_chunks(), row_group_size=ROW_GROUP)
+    waiting.clear()
+
+
+def environment() -> dict[str, str]:
+    """What the run ran on, for the record: nothing of it changes the rows' hashes."""
+    found = {"python": platform.python_version(), "platform": platform.platform()}
+    for package in ("numpy", "opencv-python-headless", "pyarrow", "pycocotools", "scipy"):
+        try:
+            found[package] = version(package)
+        except PackageNotFoundError:
+            continue
+    return found
+
+

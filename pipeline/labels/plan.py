@@ -1,0 +1,240 @@
+"""The plan of a labelling run: what is labelled, how, and in which shards."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict, dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+from pipeline.errors import InputError
+from pipeline.jobs import Source, open_source
+from pipeline.labels.config import LabelConfig
+from pipeline.labels.profiles import canonical_hash
+from pipeline.labels.store import Store
+
+PLAN_FILE = "plan.json"
+FRAMES_A_SHARD = 64
+
+
+@dataclass(frozen=True)
+class SourceSpec:
+    """How a worker opens the dataset and its models: the arguments of `jobs.open_source`, as plain values."""
+
+    path: str
+    options: dict[str, Any] = field(default_factory=dict)
+
+    def open(self, config: LabelConfig) -> Source:
+        """The dataset with its models; relations are judged by the rules, and so no network is loaded."""
+        from pipeline.ask import AskConfig
+
+        return open_source(self.path, srm="rule", config=AskConfig(lift=config.lift), **self.options)
+
+
+@dataclass(frozen=True)
+class Shard:
+    """A run of frames that is labelled as one.
+
+    Attributes
+    ----------
+    index : int
+        Its place among the shards.
+    first : int
+        Place of its first frame in the dataset.
+    frames : tuple of str
+    key : str
+        Hash of everything its rows depend on: configuration, models, input.
+    """
+
+    index: int
+    first: int
+    frames: tuple[str, ...]
+    key: str
+
+    @property
+    def name(self) -> str:
+        """The folder of its files, below `parts/`."""
+        return f"{self.index:06d}-{self.key[:16]}"
+
+
+@dataclass(frozen=True)
+class Plan:
+    """All shards of a run.
+
+    Attributes
+    ----------
+    spec : SourceSpec
+    config : LabelConfig
+    frames : tuple of str
+        All frames of the dataset, in order.
+    models : dict of str to str
+        Fingerprints of detector and segmenter.
+    input_hash : str
+        Hash of the dataset's files by name, size and time of change.
+    format : str
+        The dataset's format.
+    frames_a_shard : int
+    """
+
+    spec: SourceSpec
+    config: LabelConfig
+    frames: tuple[str, ...]
+    models: dict[str, str]
+    input_hash: str
+    format: str
+    frames_a_shard: int = FRAMES_A_SHARD
+
+    @property
+    def key(self) -> str:
+        """Hash of what every row depends on."""
+        return canonical_hash({"config": self.config.hash, "models": self.models, "input": self.input_hash})
+
+    @property
+    def shards(self) -> tuple[Shard, ...]:
+        key, size = self.key, self.frames_a_shard
+        found = []
+        for index, first in enumerate(range(0, len(self.frames), size)):
+            frames = self.frames[first : first + size]
+            found.append(Shard(index, first, frames, canonical_hash([key, first, frames])))
+        return tuple(found)
+
+    def record(self) -> dict[str, Any]:
+        """As JSON, for `plan.json`."""
+        record = asdict(self)
+        record["config"]["background"] = list(self.config.background)
+        return {**record, "frames": list(self.frames), "key": self.key}
+
+
+def make_plan(
+    spec: SourceSpec,
+    config: LabelConfig,
+    *,
+    frames_a_shard: int = FRAMES_A_SHARD,
+    limit: int | None = None,
+) -> Plan:
+    """Look at the dataset and lay out the shards; no image is decoded.
+
+    Parameters
+    ----------
+    limit : int, optional
+        Only the first so many frames.
+
+    Raises
+    ------
+    InputError
+        The dataset cannot be opened, has no frames, or nothing finds objects in it.
+    """
+    if frames_a_shard < 1:
+        raise InputError("a shard needs at least one frame", got=frames_a_shard)
+    source = spec.open(config)
+    detector = source.needed_detector()
+    frames = source.dataset.frame_ids[:limit]
+    if not frames:
+        raise InputError("the dataset has no frames", path=source.dataset.root)
+    return Plan(
+        spec,
+        config,
+        tuple(frames),
+        {"detector": f"{detector.name}: {detector.fingerprint()}"},
+        files_hash(source.dataset.root),
+        source.dataset.format,
+        frames_a_shard,
+    )
+
+
+def files_hash(root: Path) -> str:
+    """Hash of all files below a folder by relative path, size and time of change; nothing is read.
+
+    Links are not followed, and hidden files are left out.
+    """
+    return canonical_hash(sorted(_files(root, "")))
+
+
+def _files(folder: Path, prefix: str) -> Iterator[tuple[str, int, int]]:
+    with os.scandir(folder) as entries:
+        for entry in entries:
+            if entry.name.startswith("."):
+                continue
+            if entry.is_dir(follow_symlinks=False):
+                yield from _files(Path(entry.path), f"{prefix}{entry.name}/")
+            else:
+                stat = entry.stat(follow_symlinks=False)
+                yield f"{prefix}{entry.name}", stat.st_size, stat.st_mtime_ns
+
+
+def save_plan(plan: Plan, store: Store) -> None:
+    """Write `plan.json`, or check that the one there is of the same labels.
+
+    Raises
+    ------
+    InputError
+        The folder holds labels made otherwise: which setting differs.
+    """
+    found = store.read_text(PLAN_FILE)
+    if found is None:
+        store.write_text(PLAN_FILE, json.dumps(plan.record(), indent=1, ensure_ascii=False))
+        return
+    there = load_plan(store)
+    differing = [f.name for f in fields(Plan) if f.name != "spec" and getattr(there, f.name) != getattr(plan, f.name)]
+    if differing:
+        raise InputError(
+            "this folder holds labels made otherwise",
+            got=", ".join(_difference(there, plan, name) for name in differing[:3]),
+            cause="use another folder, or remove this one",
+            path=store.where,
+        )
+
+
+def _difference(a: Plan, b: Plan, name: str) -> str:
+    if name == "config":
+        changed = [f.name for f in fields(LabelConfig) if getattr(a.config, f.name) != getattr(b.config, f.name)]
+        return " and ".join(f"another {c}" for c in changed)
+    return {"input_hash": "other input files", "frames": "other frames", "models": "another detector"}.get(
+        name, f"another {name}"
+    )
+
+
+def load_plan(store: Store) -> Plan:
+    """The plan of a labels folder.
+
+    Raises
+    ------
+    InputError
+        There is none, or it is damaged.
+    """
+    from pipeline.lifting import LiftConfig
+
+    text = store.read_text(PLAN_FILE)
+    if text is None:
+        raise InputError("no labels here", expected=f"a folder with {PLAN_FILE}, as `label` writes it", path=store.where)
+    try:
+        record = json.loads(text)
+        config = dict(record["config"])
+        config["lift"] = LiftConfig(**config["lift"])
+        config["background"] = tuple(config["background"])
+        return Plan(
+            SourceSpec(**record["spec"]),
+            LabelConfig(**config),
+            tuple(record["frames"]),
+            dict(record["models"]),
+            str(record["input_hash"]),
+            str(record["format"]),
+            int(record["frames_a_shard"]),
+        )
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{PLAN_FILE} is damaged", got=f"{type(error).__name__}: {error}", path=store.where) from error
+
+
+def part_of(shards: Sequence[Shard], k: int, n: int) -> tuple[Shard, ...]:
+    """The shards of task k of n (k from 1): every n-th one, so that long scenes are shared evenly.
+
+    Raises
+    ------
+    InputError
+        k is not 1..n.
+    """
+    if not 1 <= k <= n:
+        raise InputError("no such part", got=f"{k}/{n}", expected=f"1/{n} to {n}/{n}")
+    return tuple(shards[k - 1 :: n])

@@ -1,0 +1,183 @@
+"""Rule profiles: named, hashed sets of rules that give every ordered pair its states and margins."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from pipeline.errors import InputError
+from pipeline.labels.margins import contact_margins, directional_margins
+from pipeline.relations import (
+    PAIRWISE,
+    PROFILE,
+    F,
+    Profile,
+    T,
+    U,
+    known_extents,
+    measure_pairs,
+    pairwise_states,
+)
+
+
+@dataclass(frozen=True)
+class Judged:
+    """All ordered pairs of a frame, judged.
+
+    Attributes
+    ----------
+    states : (N, N, 9) int8
+        1 T, 0 U, -1 F, in the order of PAIRWISE.
+    margins : (N, N, 9) float64
+        Metres: positive for T, negative for F, 0 for U.
+    distance : (N, N) float64
+        Metres between the extents of the two, NaN where either is unknown.
+    """
+
+    states: np.ndarray
+    margins: np.ndarray
+    distance: np.ndarray
+
+
+Judge = Callable[[np.ndarray, np.ndarray, np.ndarray, "Sequence[np.ndarray] | None"], Judged]
+"""Given lo and hi ((N, 3)), centroids ((N, 3)) and clouds along (right, up, forward), metres."""
+
+
+@dataclass(frozen=True)
+class RuleProfile:
+    """A set of rules under a name.
+
+    Attributes
+    ----------
+    name : str
+    relations : tuple of str
+        Those that the profile judges.
+    parameters : dict
+        Every threshold, as JSON.
+    judge : callable
+        See `Judge`.
+    """
+
+    name: str
+    relations: tuple[str, ...]
+    parameters: dict[str, Any]
+    judge: Judge
+
+    @property
+    def hash(self) -> str:
+        """sha256 of name, relations and parameters as canonical JSON."""
+        return canonical_hash({"name": self.name, "relations": self.relations, "parameters": self.parameters})
+
+
+def canonical_hash(content: Any) -> str:
+    """sha256 of JSON with sorted keys, without white space, numbers as Python writes them."""
+    text = json.dumps(content, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
+    return hashlib.sha256(text.encode()).hexdigest()
+
+
+def judge_viewer_cone(
+    lo: np.ndarray, hi: np.ndarray, centroids: np.ndarray, clouds: Sequence[np.ndarray] | None
+) -> Judged:
+    """`viewer-cone-v1`: see `pipeline.relations`. Centroids play no part in it."""
+    profile = Profile()
+    states = pairwise_states(lo, hi, clouds, profile)
+    known = known_extents(lo, hi)
+    pairs = measure_pairs(np.where(known[:, None], lo, 0.0), np.where(known[:, None], hi, 0.0), profile)
+    margins = np.concatenate([directional_margins(pairs, profile), contact_margins(pairs, clouds, profile)], axis=2)
+    both = known[:, None] & known[None, :] & ~np.eye(len(lo), dtype=np.bool_)
+    # A margin is never beyond its state: rounding at a threshold may part them by a hair.
+    margins = np.where(states == T, np.maximum(margins, 0), np.where(states == F, np.minimum(margins, 0), 0.0))
+    margins[~both] = 0.0
+    return Judged(states, margins, np.where(both, np.linalg.norm(pairs.gap, axis=2), np.nan))
+
+
+SA_SCALE = 0.6
+SA_COSINE = 0.6
+SA_REACH_EXTENTS, SA_LEAST_REACH, SA_GREATEST_REACH = 2.0, 0.1, 1.0
+"""The published thresholds of Semantic Abstraction; lengths in its scene units, of which one metre is 0.6."""
+
+
+def judge_semantic_abstraction(
+    lo: np.ndarray, hi: np.ndarray, centroids: np.ndarray, clouds: Sequence[np.ndarray] | None
+) -> Judged:
+    """Semantic Abstraction's published geometry, in the viewer's axes.
+
+    With disp from the target's mean point to the reference's, in scene units: a
+    pair is related where |disp| <= min(max(2 max(reference's extents in plan),
+    0.1), 1), and along the axis with which disp makes a cosine above 0.6. A pair
+    that is on or in one another gets no direction. Their on and in come from the
+    simulator; here they are those of `viewer-cone-v1`. There is no doubtful band.
+    """
+    contact = judge_viewer_cone(lo, hi, centroids, clouds)
+    known = known_extents(lo, hi) & np.isfinite(centroids).all(axis=1)
+    both = known[:, None] & known[None, :] & ~np.eye(len(lo), dtype=np.bool_)
+    disp = (centroids[:, None] - centroids[None, :]) * SA_SCALE
+    disp = np.where(both[..., None], disp, 0.0)
+    length = np.linalg.norm(disp, axis=2)
+    plan = np.where(known, np.nan_to_num(hi - lo)[:, [0, 2]].max(axis=1), 0.0) * SA_SCALE
+    reach = np.minimum(np.maximum(SA_REACH_EXTENTS * plan, SA_LEAST_REACH), SA_GREATEST_REACH)[None, :]
+    states, margins = np.full_like(contact.states, F), np.zeros_like(contact.margins)
+    on_in = [PAIRWISE.index("on"), PAIRWISE.index("in")]
+    held = contact.margins[..., on_in].max(axis=2)
+    held = np.maximum(held, held.T)
+    joined = (contact.states[..., on_in] == T).any(axis=2)
+    joined |= joined.T
+    cosine = np.divide(disp, length[..., None], out=np.zeros_like(disp), where=length[..., None] > 0)
+    for name, axis, sign in (("left", 0, -1), ("right", 0, 1), ("front", 2, -1), ("behind", 2, 1)):
+        along = sign * cosine[..., axis]
+        in_cone = length * np.sin(np.arccos(SA_COSINE) - np.arccos(np.clip(along, -1, 1)))
+        # Beyond a right angle to the cone the sine falls again; the distance itself is then the miss.
+        in_cone = np.where(along < 0, np.minimum(in_cone, -length * np.sqrt(1 - SA_COSINE**2)), in_cone)
+        slack = np.minimum(np.minimum(in_cone, reach - length) / SA_SCALE, -held)
+        holds = (along > SA_COSINE) & (length <= reach) & ~joined
+        k = PAIRWISE.index(name)
+        states[..., k] = np.where(holds, T, F)
+        margins[..., k] = np.where(holds, np.maximum(slack, 0), np.minimum(slack, 0))
+    for k in on_in:
+        states[..., k], margins[..., k] = contact.states[..., k], contact.margins[..., k]
+    states[~both] = U
+    margins[~both] = 0.0
+    states[np.eye(len(lo), dtype=np.bool_)] = F
+    return Judged(states, margins, contact.distance)
+
+
+PROFILES: dict[str, RuleProfile] = {
+    p.name: p
+    for p in (
+        RuleProfile(PROFILE, PAIRWISE, asdict(Profile()), judge_viewer_cone),
+        RuleProfile(
+            "semantic-abstraction-published",
+            ("left", "right", "front", "behind", "on", "in"),
+            {
+                "scale": SA_SCALE,
+                "cosine": SA_COSINE,
+                "reach_extents": SA_REACH_EXTENTS,
+                "least_reach": SA_LEAST_REACH,
+                "greatest_reach": SA_GREATEST_REACH,
+                "contact": asdict(Profile()),
+            },
+            judge_semantic_abstraction,
+        ),
+    )
+}
+"""The profiles by name. A new one is a `Judge` and an entry here."""
+
+
+def profile_of(name: str) -> RuleProfile:
+    """The profile of that name.
+
+    Raises
+    ------
+    InputError
+        There is none.
+    """
+    if name not in PROFILES:
+        raise InputError("no such rule profile", got=repr(name), expected=" | ".join(PROFILES))
+    return PROFILES[name]
+
+

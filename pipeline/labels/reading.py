@@ -1,0 +1,94 @@
+"""Opening merged labels: the four tables and the manifest, each checked when it is read."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pydantic import ValidationError
+
+from pipeline.errors import InputError
+from pipeline.labels.schema import SCHEMA_VERSION, TABLES, Manifest
+from pipeline.labels.tables import read_table
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+MANIFEST_FILE = "manifest.json"
+
+
+@dataclass(frozen=True)
+class Labels:
+    """Merged labels of a dataset; tables are read when they are first asked for.
+
+    Attributes
+    ----------
+    root : Path
+    manifest : Manifest
+    """
+
+    root: Path
+    manifest: Manifest
+
+    def table(self, name: str) -> pa.Table:
+        """One of the tables "frames", "objects", "relations", "expressions", in canonical order."""
+        return read_table(self.root / f"{name}.parquet", name)
+
+    @cached_property
+    def frames(self) -> pa.Table:
+        return self.table("frames")
+
+    @cached_property
+    def objects(self) -> pa.Table:
+        return self.table("objects")
+
+    @cached_property
+    def relations(self) -> pa.Table:
+        return self.table("relations")
+
+    @cached_property
+    def expressions(self) -> pa.Table:
+        return self.table("expressions")
+
+    @property
+    def relation_names(self) -> tuple[str, ...]:
+        """The relations that were labelled, in the order of PAIRWISE."""
+        return tuple(self.manifest.config["relations"])
+
+
+def open_labels(path: str | Path) -> Labels:
+    """Open a labels folder that `label` or `merge` finished.
+
+    Raises
+    ------
+    InputError
+        No labels there, unmerged ones, or ones of another schema.
+    """
+    root = Path(path).expanduser()
+    file = root / MANIFEST_FILE
+    if not file.is_file():
+        unmerged = (root / "parts").is_dir()
+        raise InputError(
+            "these labels are not merged yet" if unmerged else "no labels here",
+            expected=f"a folder with {MANIFEST_FILE}",
+            cause=f"run: spatialviz merge {root}" if unmerged else "did `spatialviz label` finish?",
+            path=root,
+        )
+    try:
+        content = json.loads(file.read_text(encoding="utf-8"))
+        version = str(content.get("schema_version", ""))
+        if version.split(".")[0] != SCHEMA_VERSION.split(".")[0]:
+            raise InputError("labels of another schema", got=version, expected=SCHEMA_VERSION, path=file)
+        manifest = Manifest.model_validate(content)
+    except (ValueError, AttributeError) as error:
+        if isinstance(error, InputError):
+            raise
+        reason = error.errors()[0]["msg"] if isinstance(error, ValidationError) else str(error)
+        raise InputError("the manifest is damaged", got=reason, path=file) from error
+    missing = [name for name in TABLES if not (root / f"{name}.parquet").is_file()]
+    if missing:
+        raise InputError(f"the table {missing[0]} is missing", path=root / f"{missing[0]}.parquet")
+    return Labels(root, manifest)

@@ -1,0 +1,222 @@
+"""The schema of labels: one pydantic model a table, and the manifest of a run.
+
+A labels folder holds four tables. Rows are keyed by (frame, object) and
+(frame, a, b); `frame_index` is the frame's place in the dataset, and the rows'
+canonical order is that of these keys. Lengths are metres, angles do not occur.
+Vectors named `center`, `R`, `size` are in the camera frame (OpenCV); `lo`, `hi`
+and `centroid` along the viewer's (right, up, forward).
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+SCHEMA_VERSION = "1.0.0"
+"""Semantic version of the tables below: a new major number means that old readers must refuse."""
+
+State = Annotated[Literal[-1, 0, 1] | None, Field(json_schema_extra={"arrow": "int8"})]
+"""1 the relation holds (T), 0 too close to call (U), -1 it does not (F); null where the profile does not judge it."""
+Margin = Annotated[float | None, Field(json_schema_extra={"arrow": "float32"})]
+Count = Annotated[int, Field(ge=0, json_schema_extra={"arrow": "int32"})]
+Share = Annotated[float, Field(ge=0, le=1, json_schema_extra={"arrow": "float32"})]
+Vector = Annotated[list[float], Field(min_length=3, max_length=3)]
+Matrix = Annotated[list[float], Field(min_length=9, max_length=9)]
+Pose = Annotated[list[float], Field(min_length=16, max_length=16)]
+Pixels = Annotated[list[float], Field(min_length=4, max_length=4)]
+Objects = Annotated[list[int], Field(json_schema_extra={"arrow": "int32"})]
+
+
+class Row(BaseModel):
+    """What every table has."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    frame: str
+    frame_index: Count
+
+
+class FrameRow(Row):
+    """One frame; of a broken one only its id and the problem are known.
+
+    `up` is the unit vector against gravity in the camera frame; with it
+    `pipeline.viewer.viewer_axes` gives the axes in which everything is judged.
+    """
+
+    scene: str
+    ok: bool
+    problem: str | None
+    width: Count
+    height: Count
+    K: Matrix | None
+    T_world_camera: Pose | None
+    up: Vector | None
+    up_source: Literal["declared", "imu", "plane", "assumed"] | None
+    rgb_hash: str | None
+    depth_hash: str | None
+    objects: Count
+    notes: list[str]
+
+
+class ObjectRow(Row):
+    """One object of a frame: its pixels, its points, its box, and how far they can be trusted.
+
+    `mask` is COCO's compressed run-length code of the (height, width) mask.
+    `exact_center`, `exact_R` and `exact_size` are the dataset's own box where it
+    has one. `occluded` is the share of the mask's border beside which something
+    is at least 5 cm nearer. Only `usable` objects are asked for in expressions.
+    """
+
+    object: Annotated[int, Field(json_schema_extra={"arrow": "int32"})]
+    label: str
+    score: Share
+    instance: Annotated[int | None, Field(json_schema_extra={"arrow": "int32"})]
+    bbox: Pixels
+    mask: str | None
+    mask_source: str
+    mask_pixels: Count
+    points: Count
+    kept: Share
+    depth_missing: Share
+    touches_border: bool
+    fallback: bool
+    distance: float | None
+    center: Vector | None
+    R: Matrix | None
+    size: Vector | None
+    yaw_confidence: Share
+    estimator: Literal["gravity", "pca", "pca-raw"]
+    lo: Vector | None
+    hi: Vector | None
+    centroid: Vector | None
+    exact_center: Vector | None
+    exact_R: Matrix | None
+    exact_size: Vector | None
+    visible: Annotated[float | None, Field(json_schema_extra={"arrow": "float32"})]
+    occluded: Share
+    usable: bool
+    reason: str | None
+
+
+class RelationRow(Row):
+    """All relations of one ordered pair: "object a RELATION object b".
+
+    A margin is how far, in metres, the measures stand from where the state
+    would change: positive for T, negative for F, 0 for U.
+    """
+
+    a: Annotated[int, Field(json_schema_extra={"arrow": "int32"})]
+    b: Annotated[int, Field(json_schema_extra={"arrow": "int32"})]
+    distance: Annotated[float | None, Field(json_schema_extra={"arrow": "float32"})]
+    left: State = None
+    right: State = None
+    above: State = None
+    below: State = None
+    front: State = None
+    behind: State = None
+    on: State = None
+    in_: State = Field(default=None, alias="in")
+    near: State = None
+    left_margin: Margin = None
+    right_margin: Margin = None
+    above_margin: Margin = None
+    below_margin: Margin = None
+    front_margin: Margin = None
+    behind_margin: Margin = None
+    on_margin: Margin = None
+    in_margin: Margin = None
+    near_margin: Margin = None
+
+
+class ExpressionRow(Row):
+    """A sentence that is true of a pair of objects, with everything else it is true of.
+
+    `targets` are the objects of the target's class that satisfy it beyond doubt
+    (T with some object of the reference's class); `acceptable` are those and the
+    doubtful ones (U). `ambiguous` says that more than one is acceptable.
+    """
+
+    id: str
+    text: str
+    target: str
+    relation: str
+    reference: str
+    target_object: Annotated[int, Field(json_schema_extra={"arrow": "int32"})]
+    reference_object: Annotated[int, Field(json_schema_extra={"arrow": "int32"})]
+    targets: Objects
+    acceptable: Objects
+    ambiguous: bool
+    margin: Margin
+    judged_in: Literal["viewer"]
+    up_source: Literal["declared", "imu", "plane", "assumed"]
+    profile: str
+
+
+class TableFile(BaseModel):
+    """One table as written: its rows, the hash of their content, and that of the file."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    file: str
+    rows: int
+    content_hash: str
+    sha256: str
+
+
+class Manifest(BaseModel):
+    """What made the labels, from what, and what came out.
+
+    `content_hash` of a table depends on the rows in canonical order alone, not
+    on engine, workers, shards or the libraries that wrote the file.
+    """
+
+    model_config = ConfigDict(extra="forbid")
+
+    schema_version: str
+    tool: str
+    version: str
+    config: dict[str, Any]
+    config_hash: str
+    profile: dict[str, Any]
+    profile_hash: str
+    selection: dict[str, Any]
+    dataset: dict[str, Any]
+    models: dict[str, str]
+    seed: int
+    counts: dict[str, int]
+    warnings: list[str]
+    tables: dict[str, TableFile]
+    environment: dict[str, str]
+    created: str
+
+
+TABLES: dict[str, type[Row]] = {
+    "frames": FrameRow,
+    "objects": ObjectRow,
+    "relations": RelationRow,
+    "expressions": ExpressionRow,
+}
+"""The tables of a labels folder, by file name without suffix."""
+
+KEYS: dict[str, tuple[str, ...]] = {
+    "frames": ("frame_index",),
+    "objects": ("frame_index", "object"),
+    "relations": ("frame_index", "a", "b"),
+    "expressions": ("frame_index", "relation", "target_object", "reference_object"),
+}
+"""What orders the rows of a table canonically; relations run in the order of `relations.PAIRWISE`."""
+
+
+def json_schemas() -> dict[str, dict[str, Any]]:
+    """JSON Schema of each table's row and of the manifest, by name."""
+    models: dict[str, type[BaseModel]] = {**TABLES, "manifest": Manifest}
+    found = {}
+    for name, model in models.items():
+        schema = model.model_json_schema(by_alias=True)
+        found[name] = {
+            "$schema": "https://json-schema.org/draft/2020-12/schema",
+            "$id": f"spatialviz/labels/{SCHEMA_VERSION}/{name}.json",
+            **schema,
+        }
+    return found

@@ -1,0 +1,113 @@
+"""Labelling a shard: the one pure function that every engine runs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import PurePosixPath
+from time import perf_counter
+from typing import TYPE_CHECKING
+
+from pipeline.datasets import Dataset
+from pipeline.errors import InputError
+from pipeline.jobs import Source
+from pipeline.labels.config import LabelConfig
+from pipeline.labels.labelling import FrameLabels, broken_frame, label_objects
+from pipeline.labels.plan import Plan, Shard
+from pipeline.labels.schema import TABLES
+from pipeline.labels.store import Store
+from pipeline.labels.tables import arrow_schema, build_table
+from pipeline.objects import FrameContext, all_objects
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+
+@dataclass(frozen=True)
+class ShardReport:
+    """What became of a shard.
+
+    Attributes
+    ----------
+    name : str
+        Of its part.
+    frames : int
+    objects, pairs, expressions : int
+        Rows written.
+    broken : int
+        Frames that could not be used.
+    seconds : float
+        0 where it was there already.
+    reused : bool
+    """
+
+    name: str
+    frames: int
+    objects: int = 0
+    pairs: int = 0
+    expressions: int = 0
+    broken: int = 0
+    seconds: float = 0.0
+    reused: bool = False
+
+
+def label_frame(source: Source, frame_id: str, frame_index: int, config: LabelConfig) -> FrameLabels:
+    """The rows of one frame; one that cannot be used is a row with the reason."""
+    scene = scene_of(source.dataset, frame_id)
+    detector = source.needed_detector()
+    try:
+        context = FrameContext(source.dataset.load(frame_id), config.lift)
+        objects = all_objects(context, detector)
+    except InputError as error:
+        return broken_frame(frame_id, frame_index, scene, str(error))
+    return label_objects(context, objects, config, frame_index=frame_index, scene=scene, exact=detector.exact)
+
+
+def scene_of(dataset: Dataset, frame_id: str) -> str:
+    """The scene of a frame: the folder part of its id, or the dataset's own name."""
+    parent = str(PurePosixPath(frame_id).parent)
+    return dataset.root.resolve().name if parent in (".", "/") else parent
+
+
+def shard_tables(labels: Iterable[FrameLabels]) -> dict[str, pa.Table]:
+    """The rows of many frames as Arrow tables."""
+    import pyarrow as pa
+
+    found: dict[str, list[pa.Table]] = {name: [] for name in TABLES}
+    for frame in labels:
+        for name, columns in frame.tables().items():
+            if columns:
+                found[name].append(build_table(name, columns))
+    return {
+        name: pa.concat_tables(tables).combine_chunks() if tables else arrow_schema(name).empty_table()
+        for name, tables in found.items()
+    }
+
+
+def label_shard(shard: Shard, plan: Plan, source: Source, store: Store) -> ShardReport:
+    """Label the frames of a shard and write its part; one that is there already is left alone.
+
+    The rows depend on the plan alone: not on the engine, nor on what else runs.
+    """
+    if store.has_part(shard.name):
+        files = store.part_record(shard.name).get("files", {})
+        rows = {name: int(files.get(name, {}).get("rows", 0)) for name in TABLES}
+        return ShardReport(
+            shard.name, rows["frames"], rows["objects"], rows["relations"], rows["expressions"], reused=True
+        )
+    start = perf_counter()
+    tables = shard_tables(
+        label_frame(source, frame, shard.first + k, plan.config) for k, frame in enumerate(shard.frames)
+    )
+    seconds = perf_counter() - start
+    store.write_part(shard.name, tables, {"shard": shard.index, "key": shard.key, "seconds": round(seconds, 3)})
+    broken = sum(not ok for ok in tables["frames"].column("ok").to_pylist())
+    return ShardReport(
+        shard.name,
+        len(shard.frames),
+        tables["objects"].num_rows,
+        tables["relations"].num_rows,
+        tables["expressions"].num_rows,
+        broken,
+        seconds,
+    )

@@ -1,0 +1,208 @@
+"""Labels as Arrow tables: the schema from the models, building, writing whole or not at all, and hashing rows."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import types
+import typing
+from collections.abc import Iterable, Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from pydantic import ValidationError
+
+from pipeline.errors import InputError
+from pipeline.labels.schema import SCHEMA_VERSION, TABLES
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+VERSION_KEY = b"spatialviz.schema_version"
+TABLE_KEY = b"spatialviz.table"
+ROW_GROUP = 122_880
+
+Columns = dict[str, Any]
+"""A table as columns by name, each a sequence or an array of one length."""
+
+
+@lru_cache
+def arrow_schema(table: str) -> pa.Schema:
+    """The Arrow schema of a table, with the schema's version in its metadata."""
+    import pyarrow as pa
+
+    fields = []
+    for name, info in TABLES[table].model_fields.items():
+        kinds = [k for k in (typing.get_args(info.annotation) or (info.annotation,)) if k is not types.NoneType]
+        nullable = type(None) in typing.get_args(info.annotation)
+        hint = (info.json_schema_extra or {}) if isinstance(info.json_schema_extra, dict) else {}
+        fields.append(pa.field(info.alias or name, _arrow_type(info.annotation, kinds, hint.get("arrow")), nullable))
+    return pa.schema(fields, metadata={VERSION_KEY: SCHEMA_VERSION.encode(), TABLE_KEY: table.encode()})
+
+
+def _arrow_type(annotation: Any, kinds: Sequence[Any], hint: Any) -> pa.DataType:
+    import pyarrow as pa
+
+    named = {"int8": pa.int8(), "int32": pa.int32(), "float32": pa.float32()}
+    for kind in (annotation, *kinds):
+        while typing.get_origin(kind) is typing.Annotated:
+            kind = typing.get_args(kind)[0]
+        if typing.get_origin(kind) is list:
+            (inner,) = typing.get_args(kind)
+            plain = {str: pa.string(), float: pa.float64(), int: pa.int32()}
+            return pa.list_(plain[inner])
+    if hint is not None:
+        return named[str(hint)]
+    for kind in kinds:
+        if kind in (str, bool, int, float):
+            return {str: pa.string(), bool: pa.bool_(), int: pa.int64(), float: pa.float64()}[kind]
+    return pa.string()
+
+
+def build_table(table: str, columns: Columns) -> pa.Table:
+    """Columns as an Arrow table of the schema; a column that is left out is null throughout."""
+    import pyarrow as pa
+
+    schema = arrow_schema(table)
+    unknown = set(columns) - set(schema.names)
+    if unknown:
+        raise InputError(f"table {table} has no column {sorted(unknown)[0]!r}")
+    length = len(next(iter(columns.values()))) if columns else 0
+    arrays = []
+    for field in schema:
+        values = columns.get(field.name)
+        if values is None:
+            arrays.append(pa.nulls(length, field.type))
+        else:
+            arrays.append(pa.array(values, field.type, from_pandas=isinstance(values, np.ndarray)))
+    return pa.Table.from_arrays(arrays, schema=schema)
+
+
+def write_table(table: pa.Table, path: Path) -> None:
+    """Write Parquet under a temporary name, sync it, and rename it into place."""
+    import pyarrow.parquet as pq
+
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        pq.write_table(table, temporary, compression="zstd", row_group_size=ROW_GROUP)
+        with open(temporary, "rb") as written:
+            os.fsync(written.fileno())
+        os.replace(temporary, path)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+def read_table(path: Path, table: str, columns: Sequence[str] | None = None) -> pa.Table:
+    """A table of the labels.
+
+    Raises
+    ------
+    InputError
+        The file is missing, damaged, of another table, or of a newer schema.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        schema = pq.read_schema(path)
+        check_version(schema.metadata or {}, table, path)
+        missing = [n for n in columns or arrow_schema(table).names if n not in schema.names]
+        if missing:
+            raise InputError(f"table {table} lacks the column {missing[0]!r}", path=path)
+        return pq.read_table(path, columns=None if columns is None else list(columns))
+    except FileNotFoundError as error:
+        raise InputError(f"the table {table} is missing", cause="are these labels merged?", path=path) from error
+    except (pa.ArrowInvalid, pa.ArrowTypeError, OSError) as error:
+        raise InputError("not a readable Parquet file", got=str(error).split("\n")[0], path=path) from error
+
+
+def check_version(metadata: dict[bytes, bytes], table: str, path: Path) -> None:
+    """Refuse a file of another table or of a schema with another major version."""
+    found = metadata.get(VERSION_KEY, b"").decode() or None
+    if found is None:
+        raise InputError("not a table of labels", cause="it carries no schema version", path=path)
+    if found.split(".")[0] != SCHEMA_VERSION.split(".")[0]:
+        raise InputError(
+            "labels of another schema", got=found, expected=SCHEMA_VERSION, cause="made by another release?", path=path
+        )
+    if metadata.get(TABLE_KEY, b"").decode() != table:
+        raise InputError("another table", got=metadata.get(TABLE_KEY, b"").decode(), expected=table, path=path)
+
+
+class RowHash:
+    """Hash of a table's rows in order, whatever the chunks they come in.
+
+    Each column is hashed on its own, and of each column apart: which values are
+    null, the lengths of lists and strings, and the values.
+    """
+
+    def __init__(self, table: str) -> None:
+        self._names = arrow_schema(table).names
+        self._digests: dict[tuple[str, int], Any] = {}
+        self.rows = 0
+
+    def update(self, table: pa.Table) -> None:
+        """Add rows."""
+        self.rows += table.num_rows
+        for name in self._names:
+            for chunk in table.column(name).chunks:
+                for place, part in enumerate(_plain_bytes(chunk)):
+                    self._digests.setdefault((name, place), hashlib.sha256()).update(part)
+
+    def hexdigest(self) -> str:
+        """64 hexadecimal digits."""
+        whole = hashlib.sha256(str(self.rows).encode())
+        for (name, place), digest in sorted(self._digests.items()):
+            whole.update(f"{name}.{place}".encode() + digest.digest())
+        return whole.hexdigest()
+
+
+def _plain_bytes(array: Any) -> Iterable[bytes]:
+    """The values as bytes that do not depend on how Arrow lays them out."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    yield np.asarray(pc.is_valid(array)).astype(np.uint8).tobytes()  # pyright: ignore[reportAttributeAccessIssue]
+    if pa.types.is_dictionary(array.type):
+        array = array.dictionary_decode()
+    if pa.types.is_list(array.type):
+        lengths = pc.fill_null(pc.list_value_length(array), 0)  # pyright: ignore[reportAttributeAccessIssue]
+        yield np.asarray(lengths).astype(np.int64).tobytes()
+        yield from _plain_bytes(array.drop_null().flatten())
+    elif pa.types.is_string(array.type) or pa.types.is_large_string(array.type):
+        texts = [t.encode() for t in array.drop_null().to_pylist()]
+        yield np.array([len(t) for t in texts], np.int64).tobytes()
+        yield b"".join(texts)
+    elif pa.types.is_boolean(array.type):
+        yield np.asarray(array.drop_null()).astype(np.uint8).tobytes()
+    else:
+        yield np.ascontiguousarray(array.drop_null().to_numpy(zero_copy_only=False)).tobytes()
+
+
+def content_hash(table: pa.Table, name: str) -> str:
+    """The hash of all rows of one table; see `RowHash`."""
+    digest = RowHash(name)
+    digest.update(table)
+    return digest.hexdigest()
+
+
+def validate_rows(table: pa.Table, name: str, path: Path | None = None) -> None:
+    """Every row against its pydantic model.
+
+    Raises
+    ------
+    InputError
+        The first row that does not fit: which, and why.
+    """
+    model = TABLES[name]
+    for number, row in enumerate(table.to_pylist()):
+        try:
+            model.model_validate(row)
+        except ValidationError as error:
+            first = error.errors()[0]
+            where = ".".join(str(p) for p in first["loc"])
+            raise InputError(
+                f"row {number} of {name}: {where}: {first['msg']}", got=repr(first.get("input"))[:80], path=path
+            ) from error
