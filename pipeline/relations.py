@@ -251,7 +251,8 @@ def pairwise_states(
     known = known_extents(lo, hi)
     clean_lo, clean_hi = np.where(known[:, None], lo, 0.0), np.where(known[:, None], hi, 0.0)
     pairs = measure_pairs(clean_lo, clean_hi, profile)
-    extra = np.stack([_on(pairs, clouds, profile), _in(pairs, clouds, profile), _near(pairs, profile)], axis=2).astype(np.int8)
+    found = [_on(pairs, clouds, profile), _in(pairs, clouds, profile), _near(pairs, profile)]
+    extra = np.stack(found, axis=2).astype(np.int8)
     extra[~(known[:, None] & known[None, :])] = U
     extra[np.eye(len(lo), dtype=bool)] = F
     return np.concatenate([directional_states(lo, hi, profile), extra], axis=2)

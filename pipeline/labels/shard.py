@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import PurePosixPath
 from time import perf_counter
 from typing import TYPE_CHECKING
+
+import numpy as np
 
 from pipeline.datasets import Dataset
 from pipeline.errors import InputError
@@ -17,7 +19,8 @@ from pipeline.labels.plan import Plan, Shard
 from pipeline.labels.schema import TABLES
 from pipeline.labels.store import Store
 from pipeline.labels.tables import arrow_schema, build_table
-from pipeline.objects import FrameContext, all_objects
+from pipeline.objects import FrameContext
+from pipeline.proposals.base import Proposals
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -51,16 +54,34 @@ class ShardReport:
     reused: bool = False
 
 
-def label_frame(source: Source, frame_id: str, frame_index: int, config: LabelConfig) -> FrameLabels:
-    """The rows of one frame; one that cannot be used is a row with the reason."""
+def label_frame(
+    source: Source, frame_id: str, frame_index: int, config: LabelConfig, found: Proposals | None = None
+) -> FrameLabels:
+    """The rows of one frame; one that cannot be used is a row with the reason.
+
+    `found` is what the detector said of the frame, where another process ran it.
+    """
     scene = scene_of(source.dataset, frame_id)
     detector = source.needed_detector()
     try:
         context = FrameContext(source.dataset.load(frame_id), config.lift)
-        objects = all_objects(context, detector)
+        found = detector.detect(context.frame, None) if found is None else found
+        objects = context.lift(found.take(np.argsort(found.ids, kind="stable")), detector)
     except InputError as error:
         return broken_frame(frame_id, frame_index, scene, str(error))
     return label_objects(context, objects, config, frame_index=frame_index, scene=scene, exact=detector.exact)
+
+
+def detect_shard(shard: Shard, source: Source) -> dict[str, Proposals]:
+    """What the detector finds in the frames of a shard; frames that cannot be used are left to the labelling."""
+    detector = source.needed_detector()
+    found = {}
+    for frame_id in shard.frames:
+        try:
+            found[frame_id] = detector.detect(FrameContext(source.dataset.load(frame_id)).frame, None)
+        except InputError:
+            continue
+    return found
 
 
 def scene_of(dataset: Dataset, frame_id: str) -> str:
@@ -84,20 +105,31 @@ def shard_tables(labels: Iterable[FrameLabels]) -> dict[str, pa.Table]:
     }
 
 
-def label_shard(shard: Shard, plan: Plan, source: Source, store: Store) -> ShardReport:
+def finished(shard: Shard, store: Store) -> ShardReport | None:
+    """The report of a shard that is there already, else None."""
+    if not store.has_part(shard.name):
+        return None
+    files = store.part_record(shard.name).get("files", {})
+    rows = {name: int(files.get(name, {}).get("rows", 0)) for name in TABLES}
+    return ShardReport(shard.name, rows["frames"], rows["objects"], rows["relations"], rows["expressions"], reused=True)
+
+
+def label_shard(
+    shard: Shard, plan: Plan, source: Source, store: Store, found: Mapping[str, Proposals] | None = None
+) -> ShardReport:
     """Label the frames of a shard and write its part; one that is there already is left alone.
 
     The rows depend on the plan alone: not on the engine, nor on what else runs.
+    `found` is what the detector said of its frames, where another process ran it.
     """
-    if store.has_part(shard.name):
-        files = store.part_record(shard.name).get("files", {})
-        rows = {name: int(files.get(name, {}).get("rows", 0)) for name in TABLES}
-        return ShardReport(
-            shard.name, rows["frames"], rows["objects"], rows["relations"], rows["expressions"], reused=True
-        )
+    there = finished(shard, store)
+    if there is not None:
+        return there
     start = perf_counter()
+    found = found or {}
     tables = shard_tables(
-        label_frame(source, frame, shard.first + k, plan.config) for k, frame in enumerate(shard.frames)
+        label_frame(source, frame, shard.first + k, plan.config, found.get(frame))
+        for k, frame in enumerate(shard.frames)
     )
     seconds = perf_counter() - start
     store.write_part(shard.name, tables, {"shard": shard.index, "key": shard.key, "seconds": round(seconds, 3)})
