@@ -64,7 +64,7 @@ class LabelConfig:
 
     @property
     def relations(self) -> tuple[str, ...]:
-        """The relations that are labelled, in the order of PAIRWISE: of the vocabulary, those that the profile judges."""
+        """The vocabulary's relations that the profile judges, in the order of PAIRWISE."""
         wanted = VOCABULARIES[self.vocabulary]
         return tuple(r for r in PAIRWISE if r in wanted and r in self.rules.relations)
 

@@ -66,7 +66,9 @@ def label_frame(
     try:
         context = FrameContext(source.dataset.load(frame_id), config.lift)
         found = detector.detect(context.frame, None) if found is None else found
-        objects = context.lift(found.take(np.argsort(found.ids, kind="stable")), detector)
+        if (np.diff(found.ids) < 0).any():
+            found = found.take(np.argsort(found.ids, kind="stable"))
+        objects = context.lift(found, detector)
     except InputError as error:
         return broken_frame(frame_id, frame_index, scene, str(error))
     return label_objects(context, objects, config, frame_index=frame_index, scene=scene, exact=detector.exact)
