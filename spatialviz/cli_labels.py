@@ -89,6 +89,8 @@ class Label:
     """Which relations."""
     profile: Literal["viewer-cone-v1", "semantic-abstraction-published"] = "viewer-cone-v1"
     """The rules that decide them."""
+    second_opinion: str = "trained"
+    """trained | none | an ONNX file: a network that makes labels doubtful where it says the opposite."""
     style: Literal["varied", "plain", "semantic-abstraction"] = "varied"
     """How sentences are worded."""
     box: Literal["gravity", "pca"] = "gravity"
@@ -123,6 +125,7 @@ class Label:
             lift=LiftConfig(box=self.box),
             style=self.style,
             seed=self.seed,
+            second_opinion=self.second_opinion,
         )
         with rate_bar("labelling", "frames") as advance:
             report = label_dataset(

@@ -69,17 +69,17 @@ def candidate_expressions(
         sure = (state == T).astype(np.int32) @ kinds > 0
         likely = (state >= U).astype(np.int32) @ kinds > 0
         for a, b in zip(*np.nonzero((state == T) & usable[:, None] & usable[None, :]), strict=True):
-            alike = same[a]
+            alike, target, reference = same[a], labels[int(a)], labels[int(b)]
             targets = number[alike & sure[:, b]].tolist()
             acceptable = number[alike & likely[:, b]].tolist()
             key = row_hash(config.seed, frame, number[a], relation, number[b])
             try:
-                text = expression_text(labels[a], relation, labels[b], key, style=config.style)
+                text = expression_text(target, relation, reference, key, style=config.style)
             except InputError:
                 # A class name that no sentence can carry, such as one of white space.
                 continue
             row = (
-                frame, frame_index, f"{key:016x}", text, labels[a], relation, labels[b], int(number[a]),
+                frame, frame_index, f"{key:016x}", text, target, relation, reference, int(number[a]),
                 int(number[b]), targets, acceptable, len(acceptable) > 1, float(judged.margins[a, b, k]), "viewer",
                 up_source, config.profile,
             )  # fmt: skip

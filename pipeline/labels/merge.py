@@ -163,15 +163,15 @@ def write_merged(out: Path, name: str, parts: Iterator[pa.Table]) -> TableFile:
                 if sum(t.num_rows for t in waiting) >= ROW_GROUP:
                     _write_group(writer, waiting)
             _write_group(writer, waiting)
+        sha256 = hashlib.sha256()
         with open(temporary, "rb") as written:
             os.fsync(written.fileno())
-            sha256 = hashlib.file_digest(written, "sha256").hexdigest() if hasattr(hashlib, "file_digest") else ""
-        if not sha256:
-            sha256 = hashlib.sha256(temporary.read_bytes()).hexdigest()
+            while block := written.read(1 << 20):
+                sha256.update(block)
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
-    return TableFile(file=path.name, rows=digest.rows, content_hash=digest.hexdigest(), sha256=sha256)
+    return TableFile(file=path.name, rows=digest.rows, content_hash=digest.hexdigest(), sha256=sha256.hexdigest())
 
 
 def _write_group(writer: Any, waiting: list[pa.Table]) -> None:

@@ -15,12 +15,14 @@ from pipeline.errors import InputError
 from pipeline.jobs import Source
 from pipeline.labels.config import LabelConfig
 from pipeline.labels.labelling import FrameLabels, broken_frame, label_objects
-from pipeline.labels.plan import Plan, Shard
+from pipeline.labels.plan import Shard, SourceSpec
 from pipeline.labels.schema import TABLES
+from pipeline.labels.second_opinion import open_second_opinion
 from pipeline.labels.store import Store
 from pipeline.labels.tables import arrow_schema, build_table
 from pipeline.objects import FrameContext
 from pipeline.proposals.base import Proposals
+from pipeline.srm.model import OnnxScorer
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -54,13 +56,35 @@ class ShardReport:
     reused: bool = False
 
 
-def label_frame(
-    source: Source, frame_id: str, frame_index: int, config: LabelConfig, found: Proposals | None = None
-) -> FrameLabels:
+@dataclass(frozen=True)
+class Labeller:
+    """What a process opens once and labels many frames with.
+
+    Attributes
+    ----------
+    config : LabelConfig
+    source : Source
+        The dataset and what finds objects in it.
+    network : OnnxScorer or None
+        The second opinion.
+    """
+
+    config: LabelConfig
+    source: Source
+    network: OnnxScorer | None
+
+
+def open_labeller(spec: SourceSpec, config: LabelConfig) -> Labeller:
+    """Open the dataset and the models of a plan; raises as `open_source`."""
+    return Labeller(config, spec.open(config), open_second_opinion(config.second_opinion))
+
+
+def label_frame(labeller: Labeller, frame_id: str, frame_index: int, found: Proposals | None = None) -> FrameLabels:
     """The rows of one frame; one that cannot be used is a row with the reason.
 
     `found` is what the detector said of the frame, where another process ran it.
     """
+    source, config = labeller.source, labeller.config
     scene = scene_of(source.dataset, frame_id)
     detector = source.needed_detector()
     try:
@@ -71,7 +95,15 @@ def label_frame(
         objects = context.lift(found, detector)
     except InputError as error:
         return broken_frame(frame_id, frame_index, scene, str(error))
-    return label_objects(context, objects, config, frame_index=frame_index, scene=scene, exact=detector.exact)
+    return label_objects(
+        context,
+        objects,
+        config,
+        frame_index=frame_index,
+        scene=scene,
+        exact=detector.exact,
+        network=labeller.network,
+    )
 
 
 def detect_shard(shard: Shard, source: Source) -> dict[str, Proposals]:
@@ -117,7 +149,7 @@ def finished(shard: Shard, store: Store) -> ShardReport | None:
 
 
 def label_shard(
-    shard: Shard, plan: Plan, source: Source, store: Store, found: Mapping[str, Proposals] | None = None
+    shard: Shard, labeller: Labeller, store: Store, found: Mapping[str, Proposals] | None = None
 ) -> ShardReport:
     """Label the frames of a shard and write its part; one that is there already is left alone.
 
@@ -130,7 +162,7 @@ def label_shard(
     start = perf_counter()
     found = found or {}
     tables = shard_tables(
-        label_frame(source, frame, shard.first + k, plan.config, found.get(frame))
+        label_frame(labeller, frame, shard.first + k, found.get(frame))
         for k, frame in enumerate(shard.frames)
     )
     seconds = perf_counter() - start
