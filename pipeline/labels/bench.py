@@ -168,7 +168,7 @@ def open3d_recipe(view: BenchView) -> Extents:
         label = np.asarray(cloud.cluster_dbscan(eps=0.2, min_points=10))
         if (label >= 0).any():
             largest = int(np.bincount(label[label >= 0]).argmax())
-            cloud = cloud.select_by_index(np.flatnonzero(label == largest))
+            cloud = cloud.select_by_index(np.flatnonzero(label == largest).tolist())
         points = np.asarray(cloud.points)
         if len(points) >= 4:
             cloud.get_oriented_bounding_box(robust=True)
