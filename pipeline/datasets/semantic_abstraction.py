@@ -284,9 +284,10 @@ def _bounds(file: Any) -> np.ndarray:
         bounds = read_array(file, "data/scene_bounds", 2, 3)
     except InputError:
         return SCENE_BOUNDS
+    if not np.abs(bounds).max() < LARGEST_SCENE:  # Nor is NaN.
+        return SCENE_BOUNDS
     size = bounds[1] - bounds[0]
-    good = np.isfinite(bounds).all() and size.min() > 0.01 * size.max() > 0 and np.abs(bounds).max() < LARGEST_SCENE
-    return bounds if good else SCENE_BOUNDS
+    return bounds if size.min() > 0.01 * size.max() > 0 else SCENE_BOUNDS
 
 
 def _views_below(root: Path, levels: int, prefix: str = "") -> list[str]:

@@ -94,7 +94,8 @@ def fit_pose(
     InputError
         cam_pose is no rotation with one scale, or no convention fits.
     """
-    grid = _Grid.of(points, point_owner, int(sample_owner.max(initial=-1)) + 1, bounds)
+    owners = int(max(sample_owner.max(initial=-1), point_owner.max(initial=-1))) + 1
+    grid = _Grid.of(points, point_owner, owners, bounds)
     best, best_hits, best_inside, best_name = None, -1, 0, ""
     for name, A in _conventions(np.asarray(cam_pose, np.float64)):
         inside, hits = grid.hits(samples @ A[:3, :3].T + A[:3, 3], sample_owner)

@@ -157,8 +157,14 @@ def view_name(listed: str) -> str | None:
     return path.with_suffix("").as_posix()
 
 
-class _PlainUnpickler(pickle.Unpickler):
-    """Builds containers, strings and numbers, and nothing that would have to be looked up and called."""
+class _PlainUnpickler(pickle._Unpickler):
+    """Builds containers, strings and numbers, and nothing that would have to be looked up and called.
+
+    It is the one in Python: that in C reserves as much memory as a few hostile bytes ask it for.
+    """
+
+    def get_extension(self, code: int) -> Any:
+        raise InputError(f"the pickle asks for the extension {code}", expected="only lists of file names")
 
     def find_class(self, module: str, name: str) -> Any:
         if module in ("builtins", "__builtin__") and name in _PLAIN:
