@@ -16,7 +16,7 @@ from tyro.conf import OmitArgPrefixes, Positional, subcommand
 
 from pipeline import __version__
 from pipeline.errors import InputError, MissingExtra
-from spatialviz.cli_labels import Check, Export, Label, Merge
+from spatialviz.cli_labels import BenchLabel, Check, Export, Label, Merge
 from spatialviz.exits import BAD, FINE, INTERRUPTED, NO
 from spatialviz.options import four_numbers, print_json, warn_skipped
 
@@ -359,6 +359,7 @@ Command = Union[
     Annotated[Export, subcommand("export")],
     Annotated[Train, subcommand("train")],
     Annotated[Bench, subcommand("bench")],
+    Annotated[BenchLabel, subcommand("bench-label")],
 ]
 
 
@@ -374,6 +375,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return FINE
     if not arguments or (arguments[0].startswith("-") and arguments[0] not in ("-h", "--help")):
         arguments = ["view", *arguments]
+    if arguments[:2] == ["bench", "label"]:
+        arguments = ["bench-label", *arguments[2:]]
     try:
         command = tyro.cli(
             Command,  # pyright: ignore[reportArgumentType]

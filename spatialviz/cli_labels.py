@@ -261,3 +261,32 @@ class Export:
             )
         print(f"{len(report.files)} files -> {self.out}")
         return FINE
+
+
+@dataclass(frozen=True)
+class BenchLabel:
+    """Time labelling: lifting and relations beside the usual Open3D recipe, and the whole job on a dataset."""
+
+    dataset: Positional[str] = "demo"
+    """What the whole job labels."""
+    views: int = 12
+    """Rendered views for the comparison (extra: render; open3d for the recipe)."""
+    repeat: int = 3
+    """Passes; the fastest counts."""
+    workers: int = os.cpu_count() or 1
+    """Processes of the whole job."""
+    json: bool = False
+    """Print one JSON object."""
+
+    def run(self) -> int:
+        from pipeline.labels.bench import bench_labels
+        from spatialviz.printing_labels import print_label_bench
+
+        record = bench_labels(
+            LabelSource().spec(self.dataset), views=self.views, repeat=self.repeat, workers=self.workers
+        )
+        if self.json:
+            print_json(record)
+        else:
+            print_label_bench(record)
+        return FINE
