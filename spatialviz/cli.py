@@ -33,6 +33,10 @@ class SourceOptions:
     """Model file or recording for the detector."""
     min_score: float | None = None
     """Drop detections below this score. Default: the detector's own."""
+    segmenter: str | None = None
+    """Makes masks for boxes that have none: depth | recorded | yolo-seg. Default: none, the whole box is lifted."""
+    segmenter_model: Path | None = None
+    """Model file or recording for the segmenter; depth needs none."""
     srm: str = "trained"
     """What scores relations: trained (the network that comes with the program) | rule | an ONNX file."""
     box: Literal["gravity", "pca"] = "gravity"
@@ -57,6 +61,8 @@ class SourceOptions:
             "detector": self.detector,
             "model": self.model,
             "min_score": self.min_score,
+            "segmenter": self.segmenter,
+            "segmenter_model": self.segmenter_model,
             "srm": self.srm,
             "synonyms": self.synonyms,
             "config": AskConfig(k=self.k, lift=LiftConfig(box=self.box)),
