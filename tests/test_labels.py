@@ -32,7 +32,7 @@ from pipeline.labels.schema import TABLES, Manifest
 from pipeline.labels.second_opinion import doubted, open_second_opinion
 from pipeline.labels.shard import label_shard, open_labeller
 from pipeline.labels.store import Store
-from pipeline.labels.tables import content_hash, read_table, validate_rows
+from pipeline.labels.tables import PART_TABLES, content_hash, read_table, validate_rows
 from pipeline.objects import FrameContext, all_objects
 from pipeline.proposals.annotations import AnnotationDetector
 from pipeline.relations import DIRECTIONAL, INVERSE, PAIRWISE, directional_states
@@ -167,7 +167,7 @@ def test_killed_in_the_middle_nothing_is_half_written_and_the_rest_is_kept(demo:
     store = Store(out)
     for name in finished:
         assert store.has_part(name)
-        for table in TABLES:
+        for table in PART_TABLES:
             read_table(out / "parts" / name / f"{table}.parquet", table)
     report = label_dataset(DEMO, out, limit=FRAMES, frames_a_shard=1, resume=True)
     assert report.reused == len(finished)
@@ -337,7 +337,7 @@ def three_boxes() -> Frame:
 
 def test_a_question_with_two_right_answers_says_so() -> None:
     frame = three_boxes()
-    found = labelled(frame).expressions
+    found = labelled(frame).candidates
     said = {
         (t, r, o): (s, x)
         for t, r, o, s, x in zip(
@@ -358,7 +358,7 @@ def test_walls_and_specks_are_not_asked_for() -> None:
     found = labelled(frame, LabelConfig(second_opinion="none", min_pixels=10**5))
     assert found.objects["reason"] == ["fewer than 100000 pixels"] * 3 + ["background"]
     assert 3 not in set(found.relations["a"].tolist())
-    assert found.expressions["text"] == []
+    assert found.candidates == {}
     assert len(found.relations["a"]) == 6
 
 
@@ -457,7 +457,7 @@ def test_shards_can_be_labelled_alone(tmp_path: Path) -> None:
     first = label_shard(plan.shards[4], labeller, store)
     again = label_shard(plan.shards[4], labeller, store)
     assert (first.reused, again.reused) == (False, True)
-    assert (again.objects, again.pairs, again.expressions) == (first.objects, first.pairs, first.expressions)
+    assert (again.objects, again.pairs, again.candidates) == (first.objects, first.pairs, first.candidates)
     assert parts(tmp_path / "out") == [plan.shards[4].name]
 
 

@@ -16,7 +16,7 @@ from pipeline.labels.expressions import candidate_expressions
 from pipeline.labels.occlusion import occluded_share
 from pipeline.labels.profiles import CONTACT, Judged
 from pipeline.labels.second_opinion import doubted
-from pipeline.labels.tables import Columns
+from pipeline.labels.tables import PART_TABLES, Columns
 from pipeline.lifting import LiftedObject
 from pipeline.objects import FrameContext, SceneObject
 from pipeline.relations import PAIRWISE
@@ -26,16 +26,16 @@ from pipeline.viewer import ViewerAxes
 
 @dataclass(frozen=True)
 class FrameLabels:
-    """The rows of one frame, as columns of the four tables, and what was judged."""
+    """The rows of one frame, as columns of the tables of a shard, and what was judged."""
 
     frames: Columns
     objects: Columns
     relations: Columns
-    expressions: Columns
+    candidates: Columns
     judged: Judged | None = None
 
     def tables(self) -> dict[str, Columns]:
-        return {n: getattr(self, n) for n in ("frames", "objects", "relations", "expressions")}
+        return {name: getattr(self, name) for name in PART_TABLES}
 
 
 def broken_frame(frame_id: str, frame_index: int, scene: str, problem: str) -> FrameLabels:

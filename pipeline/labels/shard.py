@@ -16,10 +16,9 @@ from pipeline.jobs import Source
 from pipeline.labels.config import LabelConfig
 from pipeline.labels.labelling import FrameLabels, broken_frame, label_objects
 from pipeline.labels.plan import Shard, SourceSpec
-from pipeline.labels.schema import TABLES
 from pipeline.labels.second_opinion import open_second_opinion
 from pipeline.labels.store import Store
-from pipeline.labels.tables import arrow_schema, build_table
+from pipeline.labels.tables import CANDIDATES, PART_TABLES, arrow_schema, build_table
 from pipeline.objects import FrameContext
 from pipeline.proposals.base import Proposals
 from pipeline.srm.model import OnnxScorer
@@ -37,7 +36,7 @@ class ShardReport:
     name : str
         Of its part.
     frames : int
-    objects, pairs, expressions : int
+    objects, pairs, candidates : int
         Rows written.
     broken : int
         Frames that could not be used.
@@ -50,7 +49,7 @@ class ShardReport:
     frames: int
     objects: int = 0
     pairs: int = 0
-    expressions: int = 0
+    candidates: int = 0
     broken: int = 0
     seconds: float = 0.0
     reused: bool = False
@@ -128,7 +127,7 @@ def shard_tables(labels: Iterable[FrameLabels]) -> dict[str, pa.Table]:
     """The rows of many frames as Arrow tables."""
     import pyarrow as pa
 
-    found: dict[str, list[pa.Table]] = {name: [] for name in TABLES}
+    found: dict[str, list[pa.Table]] = {name: [] for name in PART_TABLES}
     for frame in labels:
         for name, columns in frame.tables().items():
             if columns:
@@ -144,8 +143,8 @@ def finished(shard: Shard, store: Store) -> ShardReport | None:
     if not store.has_part(shard.name):
         return None
     files = store.part_record(shard.name).get("files", {})
-    rows = {name: int(files.get(name, {}).get("rows", 0)) for name in TABLES}
-    return ShardReport(shard.name, rows["frames"], rows["objects"], rows["relations"], rows["expressions"], reused=True)
+    rows = {name: int(files.get(name, {}).get("rows", 0)) for name in PART_TABLES}
+    return ShardReport(shard.name, rows["frames"], rows["objects"], rows["relations"], rows[CANDIDATES], reused=True)
 
 
 def label_shard(
@@ -173,7 +172,7 @@ def label_shard(
         len(shard.frames),
         tables["objects"].num_rows,
         tables["relations"].num_rows,
-        tables["expressions"].num_rows,
+        tables[CANDIDATES].num_rows,
         broken,
         seconds,
     )

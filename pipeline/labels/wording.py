@@ -5,3 +5,7 @@ def expression_text(target: str, relation: str, reference: str, key: int, *, sty
     from pipeline.relations import PHRASE
 
     return f"{target} {PHRASE[relation]} {reference}"
+
+
+def can_be_said(name: str) -> bool:
+    return bool(name.strip())
