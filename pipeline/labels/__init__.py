@@ -1,0 +1,1 @@
+"""Labels: what the geometry of annotated frames says, in words and tables."""
