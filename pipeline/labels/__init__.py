@@ -1,1 +1,1 @@
-"""Labels: what the geometry of annotated frames says, in words and tables."""
+"""Auto-labels: from frames to checked expressions; their schema, their making, their checks and their exports."""
