@@ -5,3 +5,13 @@ def expression_text(target: str, relation: str, reference: str, key: int, *, sty
     from pipeline.relations import PHRASE
 
     return f"{target} {PHRASE[relation]} {reference}"
+
+
+def question_text(relation: str, target: str, reference: str, key: int) -> str:
+    from pipeline.relations import PHRASE
+
+    return f"Is the {target} {PHRASE[relation]} the {reference}?"
+
+
+def can_be_said(name: str) -> bool:
+    return bool(name.strip())
