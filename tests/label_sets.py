@@ -154,9 +154,9 @@ def hostile_labels(folder: Path) -> Labels:
                     pairs.append(pair_row(frame, a, b, {"left": state, "right": -state, "on": None if a else -1}))
     expression = {
         "frame": last["frame"], "frame_index": 3, "id": "00ff", "text": 'the "mug",\nleft 🪴 of\u2028the lamp',
-        "target": "mug", "relation": "left", "reference": "lamp", "target_object": 0, "reference_object": 9, "targets": [0, 4],
-        "acceptable": [0, 4], "ambiguous": True, "margin": 0.1, "judged_in": "viewer", "up_source": "assumed",
-        "profile": "test",
+        "target": "mug", "relation": "left", "reference": "lamp", "target_object": 0, "reference_object": 9,
+        "targets": [0, 4], "acceptable": [0, 4], "ambiguous": True, "margin": 0.1, "judged_in": "viewer",
+        "up_source": "assumed", "profile": "test",
     }  # fmt: skip
     sure = {
         **expression, "id": "01ff", "text": "lamp right of mug", "target": "lamp", "relation": "right",

@@ -5,26 +5,40 @@ from __future__ import annotations
 import contextlib
 import io
 import json
+import math
+import tempfile
 from dataclasses import replace
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
-from label_sets import K
+from hypothesis import given
+from hypothesis import strategies as st
+from label_sets import K, frame_row, object_row, pair_row, write_labels
 
 from pipeline.boxes import Box3D
 from pipeline.camera import Camera, project
 from pipeline.datasets import open_dataset
 from pipeline.demo import demo_path
 from pipeline.errors import InputError
-from pipeline.labels.exports import FORMATS, ExportFormat, export_labels, exporting, frame_rows, import_labels, kitti
+from pipeline.labels.exports import (
+    FORMATS,
+    ExportFormat,
+    export_labels,
+    exporting,
+    frame_rows,
+    import_labels,
+    jsonl,
+    kitti,
+)
 from pipeline.labels.exports.hub import HubConfig
+from pipeline.labels.exports.json_text import json_lines
 from pipeline.labels.exports.vqa_records import VqaConfig
 from pipeline.labels.reading import Labels
 from pipeline.labels.schema import TABLES, json_schemas
 from pipeline.labels.schema_files import SCHEMA_FOLDER, schema_text
-from pipeline.labels.tables import content_hash
+from pipeline.labels.tables import build_table, content_hash
 
 LOSSLESS = [name for name, found in FORMATS.items() if found.lossless]
 
@@ -145,6 +159,35 @@ def test_a_damaged_export_is_refused(
         import_labels(tmp_path / "out", format)
 
 
+@given(
+    st.lists(st.none() | st.floats(width=32, allow_nan=False, allow_infinity=False), min_size=1),
+    st.text(st.characters(exclude_categories=("Cs",))),
+)
+def test_a_number_and_a_text_survive_json_lines(numbers: list[float | None], text: str) -> None:
+    rows = len(numbers)
+    columns = {"frame": [text] * rows, "frame_index": [0] * rows, "a": range(rows), "b": [0] * rows}
+    table = build_table("relations", {**columns, "distance": numbers, "left": [1] * rows})
+    lines = list(json_lines(table))
+    assert [len(line.splitlines()) for line in lines] == [1] * rows
+    assert [json.loads(line) for line in lines] == table.to_pylist()
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "relations.jsonl"
+        path.write_text("".join(lines), encoding="utf-8")
+        assert content_hash(jsonl.read_rows(path, "relations"), "relations") == content_hash(table, "relations")
+
+
+@pytest.mark.parametrize("format", ["jsonl", "coco"])
+@pytest.mark.parametrize("number", [math.nan, math.inf])
+def test_a_number_that_json_cannot_carry_is_refused(tmp_path: Path, format: str, number: float) -> None:
+    frame = frame_row(0, "f")
+    objects = [object_row(frame, n, "mug", None) for n in (0, 1)]
+    pair = {**pair_row(frame, 0, 1, {"left": 1}), "distance": number}
+    labels = write_labels(tmp_path / "labels", {"frames": [frame], "objects": objects, "relations": [pair]})
+    with pytest.raises(InputError, match="JSON cannot carry"):
+        export_labels(labels, format, tmp_path / "out")
+    assert not (tmp_path / "out").exists()
+
+
 def test_every_line_of_jsonl_fits_its_schema(label_sets: dict[str, Labels], tmp_path: Path) -> None:
     jsonschema = pytest.importorskip("jsonschema")
     for kind, every in (("demo", 29), ("hostile", 1)):
@@ -163,7 +206,7 @@ def test_every_line_of_jsonl_fits_its_schema(label_sets: dict[str, Labels], tmp_
 
 
 def test_the_committed_json_schemas_are_those_of_the_models() -> None:
-    again = "the models changed: raise SCHEMA_VERSION if readers must know, and run python -m pipeline.labels.schema_files"
+    again = "the models changed: raise SCHEMA_VERSION if need be, and run python -m pipeline.labels.schema_files"
     assert {p.stem for p in SCHEMA_FOLDER.glob("*.json")} == set(json_schemas()), again
     for name, schema in json_schemas().items():
         assert (SCHEMA_FOLDER / f"{name}.json").read_text(encoding="utf-8") == schema_text(schema), again

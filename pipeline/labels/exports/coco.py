@@ -196,7 +196,7 @@ def _relations(rows: FrameRows, ids: Mapping[int, int]) -> dict[str, Any]:
         column = rows.relations.column(name)
         if name in ("frame", "frame_index") or column.null_count == len(column):
             continue
-        found[name] = column.to_pylist()
+        found[name] = column.to_pylist() if column.null_count else column.to_numpy().tolist()
     for key in ("a", "b"):
         try:
             found[key] = [ids[n] for n in found[key]]

@@ -56,7 +56,8 @@ def table_batches(labels: Labels, name: str, columns: Sequence[str] | None = Non
 
     path = labels.root / f"{name}.parquet"
     try:
-        with pq.ParquetFile(path) as file:
+        # Pre-buffering keeps what was read of every row group until the last is done.
+        with pq.ParquetFile(path, pre_buffer=False) as file:
             check_version(file.schema_arrow.metadata or {}, name, path)
             for batch in file.iter_batches(BATCH, columns=None if columns is None else list(columns)):
                 yield pa.Table.from_batches([batch])

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 ROWS_A_FILE = 1_000_000
+GROUP_BYTES = 1 << 25
+"""What is held of a row group before it is written: masks make some rows long."""
 
 
 @dataclass(frozen=True)
@@ -90,7 +92,8 @@ def _write_table(job: Job, name: str, rows_a_file: int) -> list[DataFile]:
                 waiting = waiting.slice(taken.num_rows)
                 left -= taken.num_rows
                 group.append(taken)
-                if not left or sum(t.num_rows for t in group) >= ROW_GROUP:
+                rows, size = sum(t.num_rows for t in group), sum(t.nbytes for t in group)
+                if not left or rows >= ROW_GROUP or size >= GROUP_BYTES:
                     writer.write_table(pa.concat_tables(group).combine_chunks(), row_group_size=ROW_GROUP)
                     group.clear()
         relative = path.relative_to(job.folder).as_posix()

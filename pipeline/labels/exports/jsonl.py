@@ -15,7 +15,7 @@ from pipeline.errors import InputError
 from pipeline.labels.exports.base import ExportFormat, Job, Written
 from pipeline.labels.exports.frame_rows import iterate_frames, table_batches
 from pipeline.labels.exports.images import image_name
-from pipeline.labels.exports.json_text import json_line
+from pipeline.labels.exports.json_text import json_lines
 from pipeline.labels.exports.staging import text_file
 from pipeline.labels.schema import TABLES
 from pipeline.labels.schema_files import write_schemas
@@ -36,7 +36,7 @@ def write_jsonl(job: Job) -> Written:
         rows[name] = 0
         with text_file(job.folder / f"{name}.jsonl") as file:
             for batch in table_batches(job.labels, name):
-                file.writelines(json_line(row) + "\n" for row in batch.to_pylist())
+                file.writelines(json_lines(batch))
                 rows[name] += batch.num_rows
                 if name == "relations":  # By far the longest.
                     job.tell(min(batch.column("frame_index")[-1].as_py() + 1, frames), frames)

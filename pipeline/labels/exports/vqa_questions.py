@@ -260,22 +260,24 @@ def distance_units(scene: Scene) -> Iterator[Unit]:
         for a, b, gap in zip(*(rows.relations.column(n).to_pylist() for n in ("a", "b", "distance")), strict=True)
     }
     found: list[tuple[int, Unit]] = []
-    for a, b in combinations(np.flatnonzero(scene.measurable).tolist(), 2):
-        numbers = (int(scene.number[a]), int(scene.number[b]))
-        center = float(np.linalg.norm(np.subtract(rows.objects[a]["center"], rows.objects[b]["center"])))
-        for measure, value in (("center", center), ("gap", gaps.get(numbers))):
+    for places in combinations(np.flatnonzero(scene.measurable).tolist(), 2):
+        for measure in ("center", "gap"):
+            key = scene.key("distance", measure, *scene.number[list(places)])
+            # Who is named first is left to the hash, not to the order of the list.
+            a, b = places if key & 1 else places[::-1]
+            value = gaps.get((int(scene.number[a]), int(scene.number[b])))
+            if measure == "center":
+                value = float(np.linalg.norm(np.subtract(rows.objects[a]["center"], rows.objects[b]["center"])))
             if value is not None and value >= least:
-                key = scene.key("distance", measure, *numbers)
                 found.append((key, _distance(scene, measure, (a, b), value, key)))
     yield from (unit for _, unit in sorted(found, key=lambda item: item[0]))
 
 
 def _distance(scene: Scene, measure: str, places: tuple[int, int], value: float, key: int) -> Unit:
-    # Who is named first is left to the hash, not to the order of the list.
-    a, b = places if key & 1 else places[::-1]
+    a, b = places
     return lambda: (
         scene.question(
-            "distance", key, (a, b), measure,
+            "distance", key, places, measure,
             say.ask_distance(measure, scene.label(a), scene.label(b), key >> 1), say.say_metres(value),
         ),
     )  # fmt: skip
