@@ -160,7 +160,11 @@ def directional_states(lo: np.ndarray, hi: np.ndarray, profile: Profile | None =
     lo, hi = np.asarray(lo, np.float64).reshape(-1, 3), np.asarray(hi, np.float64).reshape(-1, 3)
     known = known_extents(lo, hi)
     pairs = measure_pairs(np.where(known[:, None], lo, 0.0), np.where(known[:, None], hi, 0.0), profile)
+    return measured_directions(pairs, known, profile)
 
+
+def measured_directions(pairs: PairMeasures, known: np.ndarray, profile: Profile) -> np.ndarray:
+    """`directional_states` where the pairs are measured already; `known` is (N,) bool."""
     widest_gap = np.abs(pairs.gap[..., [0, 2]]).max(axis=2)
     by_gap = _horizontal(pairs, pairs.gap, profile)
     by_center = _horizontal(pairs, pairs.delta, profile)
@@ -173,7 +177,7 @@ def directional_states(lo: np.ndarray, hi: np.ndarray, profile: Profile | None =
     left, right, front, behind = np.moveaxis(states, 2, 0)
     result = np.stack([left, right, above, above.T, front, behind], axis=2).astype(np.int8)
     result[~(known[:, None] & known[None, :])] = U
-    result[np.eye(len(lo), dtype=bool)] = F
+    result[np.eye(len(known), dtype=bool)] = F
     return result
 
 
@@ -251,7 +255,8 @@ def pairwise_states(
     known = known_extents(lo, hi)
     clean_lo, clean_hi = np.where(known[:, None], lo, 0.0), np.where(known[:, None], hi, 0.0)
     pairs = measure_pairs(clean_lo, clean_hi, profile)
-    extra = np.stack([_on(pairs, clouds, profile), _in(pairs, clouds, profile), _near(pairs, profile)], axis=2).astype(np.int8)
+    found = [_on(pairs, clouds, profile), _in(pairs, clouds, profile), _near(pairs, profile)]
+    extra = np.stack(found, axis=2).astype(np.int8)
     extra[~(known[:, None] & known[None, :])] = U
     extra[np.eye(len(lo), dtype=bool)] = F
     return np.concatenate([directional_states(lo, hi, profile), extra], axis=2)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 import os
 import sys
 import traceback
@@ -17,13 +16,12 @@ from tyro.conf import OmitArgPrefixes, Positional, subcommand
 
 from pipeline import __version__
 from pipeline.errors import InputError, MissingExtra
+from spatialviz.cli_labels import BenchLabel, Check, Export, Label, Merge
+from spatialviz.exits import BAD, FINE, INTERRUPTED, NO
+from spatialviz.options import four_numbers, print_json, warn_skipped
 
 if TYPE_CHECKING:
     from pipeline.jobs import Source
-
-FINE, NO, BAD = 0, 1, 2
-INTERRUPTED = 130
-
 
 @dataclass(frozen=True)
 class SourceOptions:
@@ -35,6 +33,10 @@ class SourceOptions:
     """Model file or recording for the detector."""
     min_score: float | None = None
     """Drop detections below this score. Default: the detector's own."""
+    segmenter: str | None = None
+    """Makes masks for boxes that have none: depth | recorded | yolo-seg. Default: none, the whole box is lifted."""
+    segmenter_model: Path | None = None
+    """Model file or recording for the segmenter; depth needs none."""
     srm: str = "trained"
     """What scores relations: trained (the network that comes with the program) | rule | an ONNX file."""
     box: Literal["gravity", "pca"] = "gravity"
@@ -54,11 +56,13 @@ class SourceOptions:
         from pipeline.lifting import LiftConfig
 
         return {
-            "intrinsics": _four_numbers(self.intrinsics),
+            "intrinsics": four_numbers(self.intrinsics),
             "depth_scale": self.depth_scale,
             "detector": self.detector,
             "model": self.model,
             "min_score": self.min_score,
+            "segmenter": self.segmenter,
+            "segmenter_model": self.segmenter_model,
             "srm": self.srm,
             "synonyms": self.synonyms,
             "config": AskConfig(k=self.k, lift=LiftConfig(box=self.box)),
@@ -130,10 +134,10 @@ class Ask:
         if self.save is not None and (self.frame == ALL_FRAMES or len(self.expressions) > 1):
             raise InputError("--save takes one frame and one expression", path=self.save)
         answered = 0
-        for trace in ask_frames(self.source.open(self.dataset), self.frame, self.expressions, _warn_skipped):
+        for trace in ask_frames(self.source.open(self.dataset), self.frame, self.expressions, warn_skipped):
             answered += why_no_answer(trace) is None
             if self.json:
-                _print_json(trace_record(trace))
+                print_json(trace_record(trace))
             else:
                 print_trace(trace)
             if self.save is not None:
@@ -163,11 +167,11 @@ class Relations:
 
         relations = VOCABULARIES[self.vocabulary]
         pairs = 0
-        for found in relate_frames(self.source.open(self.dataset), self.frame, _warn_skipped):
+        for found in relate_frames(self.source.open(self.dataset), self.frame, warn_skipped):
             pairs += len(found.objects) * max(len(found.objects) - 1, 0)
             if self.json:
                 for record in relation_records(found, relations):
-                    _print_json(record)
+                    print_json(record)
             else:
                 print_relations(found, relations)
         return FINE if pairs else NO
@@ -194,7 +198,7 @@ class Frames:
         from pipeline.records import frame_record
         from spatialviz.printing import print_frames
 
-        camera = _four_numbers(self.intrinsics)
+        camera = four_numbers(self.intrinsics)
         dataset = open_source(self.dataset, intrinsics=camera, depth_scale=self.depth_scale).dataset
         if self.remember:
             write_settings(dataset.root, camera, self.depth_scale)
@@ -204,7 +208,7 @@ class Frames:
         usable = 0
         for report in reports:
             usable += report.ok
-            _print_json(frame_record(report))
+            print_json(frame_record(report))
         return FINE if usable else NO
 
 
@@ -269,14 +273,14 @@ class Context:
         from pipeline.datasets import resolve_frame
         from pipeline.jobs import open_source
 
-        camera = _four_numbers(self.intrinsics)
+        camera = four_numbers(self.intrinsics)
         dataset = open_source(self.dataset, intrinsics=camera, depth_scale=self.depth_scale).dataset
         frame = dataset.load(resolve_frame(dataset, self.frame))
         mesh = fuse_context(dataset, frame)
         export_mesh(mesh, self.out)
         record = {"frame": frame.id, "frames": mesh.frames, "vertices": len(mesh.vertices), "faces": len(mesh.faces)}
         if self.json:
-            _print_json(record)
+            print_json(record)
         else:
             print(f"{mesh.frames} frames around {frame.id}: {len(mesh.faces)} faces -> {self.out}")
         return FINE
@@ -318,7 +322,7 @@ class Train:
                 progress=advance,
             )
         if self.json:
-            _print_json(card)
+            print_json(card)
         else:
             print_training(card, self.out)
         return FINE
@@ -342,7 +346,7 @@ class Bench:
 
         record = bench_source(self.source.open(self.dataset), repeat=self.repeat)
         if self.json:
-            _print_json(record)
+            print_json(record)
         else:
             print_bench(record)
         return FINE
@@ -355,8 +359,13 @@ Command = Union[
     Annotated[Frames, subcommand("frames")],
     Annotated[Render, subcommand("render")],
     Annotated[Context, subcommand("context")],
+    Annotated[Label, subcommand("label")],
+    Annotated[Merge, subcommand("merge")],
+    Annotated[Check, subcommand("check")],
+    Annotated[Export, subcommand("export")],
     Annotated[Train, subcommand("train")],
     Annotated[Bench, subcommand("bench")],
+    Annotated[BenchLabel, subcommand("bench-label")],
 ]
 
 
@@ -372,6 +381,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return FINE
     if not arguments or (arguments[0].startswith("-") and arguments[0] not in ("-h", "--help")):
         arguments = ["view", *arguments]
+    if arguments[:2] == ["bench", "label"]:
+        arguments = ["bench-label", *arguments[2:]]
     try:
         command = tyro.cli(
             Command,  # pyright: ignore[reportArgumentType]
@@ -405,22 +416,3 @@ def main(argv: Sequence[str] | None = None) -> int:
             file=sys.stderr,
         )
         return BAD
-
-
-def _print_json(record: dict) -> None:
-    print(json.dumps(record, ensure_ascii=False, allow_nan=False))
-
-
-def _warn_skipped(frame_id: str, reason: str) -> None:
-    print(f"spatialviz: skipped frame {frame_id}: {reason}", file=sys.stderr)
-
-
-def _four_numbers(text: str | None) -> tuple[float, float, float, float] | None:
-    if text is None:
-        return None
-    try:
-        fx, fy, cx, cy = (float(part) for part in text.split(","))
-    except ValueError:
-        raise InputError("--intrinsics must be four numbers", got=repr(text), expected="fx,fy,cx,cy") from None
-    return fx, fy, cx, cy
-

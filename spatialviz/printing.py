@@ -31,7 +31,8 @@ class _PipeConsole(Console):
         raise BrokenPipeError
 
 
-def _console() -> Console:
+def make_console() -> Console:
+    """A console that neither wraps in a pipe nor dies of a closed one."""
     console = _PipeConsole(highlight=False, soft_wrap=True)
     if not console.is_terminal:
         # In a pipe there is no edge to wrap at.
@@ -45,7 +46,7 @@ def _name(entry: SceneObject, place: int, exact: bool) -> str:
 
 def print_trace(trace: Trace) -> None:
     """The answer, the ranked pairs with their factors, the doubts, and what each stage cost."""
-    console = _console()
+    console = make_console()
     phrase = wording(trace.asked.relation, inverse=trace.asked.inverse)
     console.print(Text.assemble(("frame ", "dim"), trace.frame.id, ("  ", ""), (trace.query.text, "bold")))
     no_answer = why_no_answer(trace)
@@ -104,7 +105,7 @@ def _at(trace: Trace, place: int) -> str:
 
 def print_relations(found: FrameRelations, relations: Sequence[str]) -> None:
     """The relations of a frame that hold (T) or are in doubt (U), a line for each pair."""
-    console = _console()
+    console = make_console()
     console.print(Text.assemble(("frame ", "dim"), found.frame_id, (f"  {len(found.objects)} objects", "dim")))
     for i, a in enumerate(found.objects):
         for j, b in enumerate(found.objects):
@@ -124,7 +125,7 @@ def print_relations(found: FrameRelations, relations: Sequence[str]) -> None:
 
 def print_frames(dataset: Dataset, reports: Iterable[FrameReport]) -> int:
     """A table of frames; returns how many can be used."""
-    console = _console()
+    console = make_console()
     console.print(Text.assemble((str(dataset.root), "bold"), f"  {dataset.format}, {len(dataset.frame_ids)} frames"))
     usable = total = 0
     for report in reports:
@@ -150,7 +151,7 @@ def print_frames(dataset: Dataset, reports: Iterable[FrameReport]) -> int:
 
 def print_bench(record: dict[str, Any]) -> None:
     """Milliseconds by stage and the ratios between them."""
-    console = _console()
+    console = make_console()
     console.print(f"{record['frames']} frames, {record['objects']} objects, {record['width']}x{record['height']}")
     for stage, ms in record["ms_per_frame"].items():
         console.print(f"  {stage:<22} {ms:8.2f} ms")
@@ -160,7 +161,7 @@ def print_bench(record: dict[str, Any]) -> None:
 
 def print_training(card: dict[str, Any], out: Path) -> None:
     """The figures of a trained network on rooms it has not seen, beside those of the rule and of always saying no."""
-    console = _console()
+    console = make_console()
     network, rule = card["held_out"]["network"], card["held_out"]["rule"]
     rooms, training = card["rooms"], card["training"]
     console.print(
@@ -226,3 +227,27 @@ def progress_bar(what: str, total: int) -> Iterator[Callable[[int, int], None]]:
     with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
         task = progress.add_task(what, total=total)
         yield lambda done, total: progress.update(task, completed=done, total=total)
+
+
+@contextmanager
+def rate_bar(what: str, unit: str) -> Iterator[Callable[[int, int], None]]:
+    """A progress bar with rate and time left on a terminal, nothing elsewhere; yields a function of (done, total)."""
+    if not sys.stderr.isatty():
+        yield lambda done, total: None
+        return
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("{task.fields[rate]}"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True), transient=True) as progress:
+        task = progress.add_task(what, total=None, rate="")
+
+        def tell(done: int, total: int) -> None:
+            elapsed = progress.tasks[0].elapsed or 0.0
+            rate = f"{done / elapsed:.1f} {unit}/s" if elapsed > 0 else ""
+            progress.update(task, completed=done, total=total, rate=rate)
+
+        yield tell

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import cv2
 import numpy as np
 import xxhash
 
@@ -13,25 +14,28 @@ from pipeline.frame import Annotation, Frame
 from pipeline.labels.config import LabelConfig
 from pipeline.labels.expressions import candidate_expressions
 from pipeline.labels.occlusion import occluded_share
-from pipeline.labels.profiles import Judged
-from pipeline.labels.tables import Columns
+from pipeline.labels.profiles import CONTACT, Judged
+from pipeline.labels.second_opinion import doubted
+from pipeline.labels.tables import PART_TABLES, Columns
+from pipeline.lifting import LiftedObject
 from pipeline.objects import FrameContext, SceneObject
 from pipeline.relations import PAIRWISE
+from pipeline.srm.model import OnnxScorer
 from pipeline.viewer import ViewerAxes
 
 
 @dataclass(frozen=True)
 class FrameLabels:
-    """The rows of one frame, as columns of the four tables, and what was judged."""
+    """The rows of one frame, as columns of the tables of a shard, and what was judged."""
 
     frames: Columns
     objects: Columns
     relations: Columns
-    expressions: Columns
+    candidates: Columns
     judged: Judged | None = None
 
     def tables(self) -> dict[str, Columns]:
-        return {n: getattr(self, n) for n in ("frames", "objects", "relations", "expressions")}
+        return {name: getattr(self, name) for name in PART_TABLES}
 
 
 def broken_frame(frame_id: str, frame_index: int, scene: str, problem: str) -> FrameLabels:
@@ -48,6 +52,7 @@ def label_objects(
     frame_index: int,
     scene: str,
     exact: bool,
+    network: OnnxScorer | None = None,
 ) -> FrameLabels:
     """The rows of a frame whose objects are lifted.
 
@@ -62,6 +67,8 @@ def label_objects(
     scene : str
     exact : bool
         The objects are the dataset's own: their numbers are its annotations'.
+    network : OnnxScorer, optional
+        The second opinion.
     """
     frame = context.frame
     numbers = [o.id if exact else k for k, o in enumerate(objects)]
@@ -71,7 +78,10 @@ def label_objects(
         for o, number in zip(objects, numbers, strict=True)
     ]
     related = [k for k, o in enumerate(objects) if not config.is_background(o.label)]
-    judged = judge_objects([objects[k] for k in related], context.viewer, config)
+    lifted = [objects[k].lifted for k in related]
+    judged = judge_objects(lifted, context.viewer, config)
+    if network is not None:
+        judged = doubted(judged, network, lifted, context.viewer)
     ids = [numbers[k] for k in related]
     up_source = str(context.viewer.up_source)
     return FrameLabels(
@@ -92,23 +102,24 @@ def label_objects(
     )
 
 
-def judge_objects(objects: Sequence[SceneObject], viewer: ViewerAxes, config: LabelConfig) -> Judged:
+def judge_objects(lifted: Sequence[LiftedObject], viewer: ViewerAxes, config: LabelConfig) -> Judged:
     """Every ordered pair of the objects under the profile's rules."""
-    lifted = [o.lifted for o in objects]
-    matrix = viewer.matrix.T.astype(np.float32)
-    clouds = [item.points @ matrix for item in lifted]
     lo = np.array([item.lo for item in lifted], np.float64).reshape(-1, 3)
     hi = np.array([item.hi for item in lifted], np.float64).reshape(-1, 3)
-    return config.rules.judge(lo, hi, centroids(lo, hi, clouds), clouds)
+    centres = (lo + hi) / 2
+    for k, item in enumerate(lifted):
+        if len(item.points):
+            centres[k] = centroid(item, viewer)
+    clouds = None
+    if set(config.relations) & set(CONTACT):
+        matrix = viewer.matrix.T.astype(np.float32)
+        clouds = [item.points @ matrix for item in lifted]
+    return config.rules.judge(lo, hi, centres, clouds, config.relations)
 
 
-def centroids(lo: np.ndarray, hi: np.ndarray, clouds: Sequence[np.ndarray]) -> np.ndarray:
-    """(N, 3) mean points; the middle of the extents where an object has no points."""
-    middle = (lo + hi) / 2
-    for k, cloud in enumerate(clouds):
-        if len(cloud):
-            middle[k] = cloud.mean(axis=0, dtype=np.float64)
-    return middle
+def centroid(lifted: LiftedObject, viewer: ViewerAxes) -> np.ndarray:
+    """(3,) mean of an object's points along (right, up, forward), metres."""
+    return viewer.matrix @ lifted.points.mean(axis=0, dtype=np.float64)
 
 
 def _frame_rows(frame: Frame, frame_index: int, scene: str, objects: int) -> Columns:
@@ -145,8 +156,7 @@ def _object_row(
     lifted, quality = entry.lifted, entry.lifted.quality
     box, known = lifted.box, bool(np.isfinite(lifted.lo).all())
     exact = annotation.box if annotation is not None else None
-    matrix = viewer.matrix.T.astype(np.float32)
-    centre = (lifted.points @ matrix).mean(axis=0, dtype=np.float64) if len(lifted.points) else None
+    centre = centroid(lifted, viewer) if len(lifted.points) else None
     reason = _unusable(entry, config)
     return {
         "frame": frame.id,
@@ -199,7 +209,9 @@ def run_length(mask: np.ndarray) -> str:
     """COCO's compressed run-length code of a mask ((H, W) bool)."""
     from pycocotools import mask as coco
 
-    return coco.encode(np.asfortranarray(mask.view(np.uint8)))["counts"].decode("ascii")
+    # The code runs down columns; OpenCV transposes several times faster than a strided copy.
+    code: Any = coco.encode(cv2.transpose(mask.view(np.uint8)).T)
+    return code["counts"].decode("ascii")
 
 
 def _relation_columns(

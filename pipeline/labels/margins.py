@@ -24,25 +24,21 @@ from pipeline.relations import (
 
 def directional_margins(pairs: PairMeasures, profile: Profile) -> np.ndarray:
     """(N, N, 6) float64 margins in the order of DIRECTIONAL, metres; see the module."""
-    by_gap = _horizontal(pairs, pairs.gap, profile)
-    by_center = _horizontal(pairs, pairs.delta, profile)
-    widest = np.abs(pairs.gap[..., [0, 2]]).max(axis=2)[..., None]
+    holds, allows = _horizontal(pairs, profile)
+    widest = np.abs(pairs.gap[..., ::2]).max(axis=2)[..., None]
     low, high = profile.gap_switch_band
-    holds = np.where(widest < low, by_center[0], by_gap[0])
-    allows = np.where(widest < low, by_center[1], by_gap[1])
-    between = (widest >= low) & (widest <= high)
-    holds = np.where(between, np.minimum(by_gap[0], by_center[0]), holds)
-    allows = np.where(between, np.maximum(by_gap[1], by_center[1]), allows)
-    own = margin_of(holds, allows)
+    below = widest < low
+    between = ~below & (widest <= high)
+    read = margin_of(holds, allows)
+    own, other = np.where(below, read[1], read[0]), np.where(below, read[0], read[1])
+    own = np.where(between, margin_of(holds.min(axis=0), allows.max(axis=0)), own)
     # Outside the band the other reading takes over at its edge; where it would
     # decide otherwise, that edge is as near as any threshold.
-    other = np.where(widest < low, margin_of(*by_gap), margin_of(*by_center))
-    edge = np.where(widest < low, low - widest, widest - high)
+    edge = np.where(below, low - widest, widest - high)
     differs = ~between & (np.sign(other) != np.sign(own))
     own = np.where(differs, np.sign(own) * np.minimum(np.abs(own), np.maximum(edge, 0)), own)
-    left, right, front, behind = np.moveaxis(own, 2, 0)
     above = margin_of(*_above(pairs, profile))
-    return np.stack([left, right, above, above.T, front, behind], axis=2)
+    return np.concatenate([own[..., :2], above[..., None], above.T[..., None], own[..., 2:]], axis=2)
 
 
 def margin_of(holds: np.ndarray, allows: np.ndarray) -> np.ndarray:
@@ -50,30 +46,36 @@ def margin_of(holds: np.ndarray, allows: np.ndarray) -> np.ndarray:
     return np.where(holds >= 0, holds, np.where(allows >= 0, 0.0, allows))
 
 
-def _horizontal(pairs: PairMeasures, displacement: np.ndarray, profile: Profile) -> tuple[np.ndarray, np.ndarray]:
-    """Slack of T and of "T or U" for left, right, front, behind ((N, N, 4) each) under one reading."""
-    sideways, away = np.abs(displacement[..., 0]), np.abs(displacement[..., 2])
-    distance, angle = np.hypot(sideways, away), np.arctan2(away, sideways)
-    shorter = np.minimum(pairs.extent[:, None], pairs.extent[None, :])
-    dead_depth = np.maximum(
-        profile.dead_zone_depth,
-        profile.dead_zone_depth_relative
-        * np.maximum(np.abs(pairs.center[:, None, 2]), np.abs(pairs.center[None, :, 2])),
+def _horizontal(pairs: PairMeasures, profile: Profile) -> tuple[np.ndarray, np.ndarray]:
+    """Slack of T and of "T or U" of left, right, front, behind.
+
+    Returns
+    -------
+    (2, N, N, 4) float64 each
+        By gaps, and by centres.
+    """
+    n = len(pairs.center)
+    displacement = np.abs(np.stack([pairs.gap[..., ::2], pairs.delta[..., ::2]]))
+    distance = np.sqrt(np.square(displacement).sum(axis=-1))[..., None]
+    # How far the displacement is off each of the two axes, radians.
+    off = np.arctan2(displacement[..., ::-1], displacement)
+    extent = pairs.extent[:, ::2]
+    shorter = np.minimum(extent[:, None], extent[None, :])
+    away = np.abs(pairs.center[:, 2])
+    dead = np.full((n, n, 2), profile.dead_zone)
+    dead[..., 1] = np.maximum(
+        profile.dead_zone_depth, profile.dead_zone_depth_relative * np.maximum(away[:, None], away[None, :])
     )
-    dead_zone = {0: profile.dead_zone, 2: dead_depth}
+    side = np.stack([-pairs.delta[..., ::2], pairs.delta[..., ::2]], axis=-1)
     slacks = []
-    for cone, excess, dead in (
-        (profile.cone, profile.overlap_doubts, 1.0),
-        (profile.doubtful_cone, profile.overlap_excludes, 0.0),
+    for cone, excess, zone in (
+        (profile.cone, profile.overlap_doubts, dead),
+        (profile.doubtful_cone, profile.overlap_excludes, 0.0 * dead),
     ):
-        found = []
-        for axis, off in ((0, angle), (2, np.pi / 2 - angle)):
-            in_cone = distance * np.sin(np.deg2rad(cone) - off)
-            apart = (excess - pairs.overlap_share[..., axis]) * shorter[..., axis]
-            for sign in (-1, 1):
-                side = sign * pairs.delta[..., axis] - dead * dead_zone[axis]
-                found.append(np.minimum(np.minimum(in_cone, apart), side))
-        slacks.append(np.stack(found, axis=2))
+        in_cone = distance * np.sin(np.deg2rad(cone) - off)
+        apart = (excess - pairs.overlap_share[..., ::2]) * shorter
+        gate = np.minimum(in_cone, apart)[..., None]
+        slacks.append(np.minimum(gate, side - zone[..., None]).reshape(2, n, n, 4))
     return slacks[0], slacks[1]
 
 

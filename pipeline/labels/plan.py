@@ -13,10 +13,14 @@ from pipeline.errors import InputError
 from pipeline.jobs import Source, open_source
 from pipeline.labels.config import LabelConfig
 from pipeline.labels.profiles import canonical_hash
+from pipeline.labels.second_opinion import fingerprint
 from pipeline.labels.store import Store
 
 PLAN_FILE = "plan.json"
-FRAMES_A_SHARD = 64
+MOST_FRAMES_A_SHARD = 64
+FEWEST_FRAMES_A_SHARD = 4
+SHARDS_WANTED = 32
+"""Small datasets get small shards, so that workers share them and progress shows."""
 
 
 @dataclass(frozen=True)
@@ -75,6 +79,8 @@ class Plan:
         Hash of the dataset's files by name, size and time of change.
     format : str
         The dataset's format.
+    exact : bool
+        The objects are the dataset's own annotations.
     frames_a_shard : int
     """
 
@@ -84,7 +90,8 @@ class Plan:
     models: dict[str, str]
     input_hash: str
     format: str
-    frames_a_shard: int = FRAMES_A_SHARD
+    exact: bool
+    frames_a_shard: int
 
     @property
     def key(self) -> str:
@@ -111,7 +118,7 @@ def make_plan(
     spec: SourceSpec,
     config: LabelConfig,
     *,
-    frames_a_shard: int = FRAMES_A_SHARD,
+    frames_a_shard: int | None = None,
     limit: int | None = None,
 ) -> Plan:
     """Look at the dataset and lay out the shards; no image is decoded.
@@ -126,20 +133,27 @@ def make_plan(
     InputError
         The dataset cannot be opened, has no frames, or nothing finds objects in it.
     """
-    if frames_a_shard < 1:
+    if frames_a_shard is not None and frames_a_shard < 1:
         raise InputError("a shard needs at least one frame", got=frames_a_shard)
     source = spec.open(config)
     detector = source.needed_detector()
     frames = source.dataset.frame_ids[:limit]
     if not frames:
         raise InputError("the dataset has no frames", path=source.dataset.root)
+    if frames_a_shard is None:
+        even = -(-len(frames) // SHARDS_WANTED)
+        frames_a_shard = min(max(even, FEWEST_FRAMES_A_SHARD), MOST_FRAMES_A_SHARD)
     return Plan(
         spec,
         config,
         tuple(frames),
-        {"detector": f"{detector.name}: {detector.fingerprint()}"},
+        {
+            "detector": f"{detector.name}: {detector.fingerprint()}",
+            "second_opinion": fingerprint(config.second_opinion),
+        },
         files_hash(source.dataset.root),
         source.dataset.format,
+        detector.exact,
         frames_a_shard,
     )
 
@@ -208,7 +222,7 @@ def load_plan(store: Store) -> Plan:
 
     text = store.read_text(PLAN_FILE)
     if text is None:
-        raise InputError("no labels here", expected=f"a folder with {PLAN_FILE}, as `label` writes it", path=store.where)
+        raise InputError("no labels here", expected=f"a folder with the {PLAN_FILE} of `label`", path=store.where)
     try:
         record = json.loads(text)
         config = dict(record["config"])
@@ -221,6 +235,7 @@ def load_plan(store: Store) -> Plan:
             dict(record["models"]),
             str(record["input_hash"]),
             str(record["format"]),
+            bool(record["exact"]),
             int(record["frames_a_shard"]),
         )
     except (ValueError, KeyError, TypeError) as error:

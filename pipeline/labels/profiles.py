@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import asdict, dataclass
 from typing import Any
 
@@ -13,6 +13,7 @@ import numpy as np
 from pipeline.errors import InputError
 from pipeline.labels.margins import contact_margins, directional_margins
 from pipeline.relations import (
+    DIRECTIONAL,
     PAIRWISE,
     PROFILE,
     F,
@@ -21,6 +22,7 @@ from pipeline.relations import (
     U,
     known_extents,
     measure_pairs,
+    measured_directions,
     pairwise_states,
 )
 
@@ -44,8 +46,12 @@ class Judged:
     distance: np.ndarray
 
 
-Judge = Callable[[np.ndarray, np.ndarray, np.ndarray, "Sequence[np.ndarray] | None"], Judged]
-"""Given lo and hi ((N, 3)), centroids ((N, 3)) and clouds along (right, up, forward), metres."""
+Judge = Callable[[np.ndarray, np.ndarray, np.ndarray, "Sequence[np.ndarray] | None", "Collection[str]"], Judged]
+"""Given lo and hi ((N, 3)), centroids ((N, 3)) and clouds along (right, up, forward), metres, and the relations
+that are wanted: the others may be left at U with margin 0."""
+
+CONTACT = ("on", "in", "near")
+"""The relations that look at points, and so cost the most."""
 
 
 @dataclass(frozen=True)
@@ -81,14 +87,24 @@ def canonical_hash(content: Any) -> str:
 
 
 def judge_viewer_cone(
-    lo: np.ndarray, hi: np.ndarray, centroids: np.ndarray, clouds: Sequence[np.ndarray] | None
+    lo: np.ndarray,
+    hi: np.ndarray,
+    centroids: np.ndarray,
+    clouds: Sequence[np.ndarray] | None,
+    relations: Collection[str] = PAIRWISE,
 ) -> Judged:
     """`viewer-cone-v1`: see `pipeline.relations`. Centroids play no part in it."""
     profile = Profile()
-    states = pairwise_states(lo, hi, clouds, profile)
     known = known_extents(lo, hi)
     pairs = measure_pairs(np.where(known[:, None], lo, 0.0), np.where(known[:, None], hi, 0.0), profile)
-    margins = np.concatenate([directional_margins(pairs, profile), contact_margins(pairs, clouds, profile)], axis=2)
+    margins = np.zeros((len(lo), len(lo), len(PAIRWISE)))
+    margins[..., : len(DIRECTIONAL)] = directional_margins(pairs, profile)
+    if set(relations) & set(CONTACT):
+        states = pairwise_states(lo, hi, clouds, profile)
+        margins[..., len(DIRECTIONAL) :] = contact_margins(pairs, clouds, profile)
+    else:
+        states = np.full(margins.shape, U, np.int8)
+        states[..., : len(DIRECTIONAL)] = measured_directions(pairs, known, profile)
     both = known[:, None] & known[None, :] & ~np.eye(len(lo), dtype=np.bool_)
     # A margin is never beyond its state: rounding at a threshold may part them by a hair.
     margins = np.where(states == T, np.maximum(margins, 0), np.where(states == F, np.minimum(margins, 0), 0.0))
@@ -103,7 +119,11 @@ SA_REACH_EXTENTS, SA_LEAST_REACH, SA_GREATEST_REACH = 2.0, 0.1, 1.0
 
 
 def judge_semantic_abstraction(
-    lo: np.ndarray, hi: np.ndarray, centroids: np.ndarray, clouds: Sequence[np.ndarray] | None
+    lo: np.ndarray,
+    hi: np.ndarray,
+    centroids: np.ndarray,
+    clouds: Sequence[np.ndarray] | None,
+    relations: Collection[str] = PAIRWISE,
 ) -> Judged:
     """Semantic Abstraction's published geometry, in the viewer's axes.
 

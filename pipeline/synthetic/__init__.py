@@ -2,7 +2,7 @@
 
 from pipeline.synthetic.dataset import RenderReport, render_dataset
 from pipeline.synthetic.layout import Instance, Room
-from pipeline.synthetic.render import RenderedFrame, render_view, sense_view
+from pipeline.synthetic.render import RenderedFrame, exact_view, render_view, sense_view
 from pipeline.synthetic.rooms import make_room
 from pipeline.synthetic.views import camera_at, choose_views
 
@@ -13,6 +13,7 @@ __all__ = [
     "Room",
     "camera_at",
     "choose_views",
+    "exact_view",
     "make_room",
     "render_dataset",
     "render_view",

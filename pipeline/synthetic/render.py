@@ -80,6 +80,12 @@ def sense_view(room: Room, camera: Camera, rng: np.random.Generator) -> tuple[np
     MissingExtra
         embreex is not installed.
     """
+    exact, instances = exact_view(room, camera)
+    return sense(exact, rng), instances
+
+
+def exact_view(room: Room, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """Only the `depth_exact` and the `instances` of `render_view`; raises as `sense_view`."""
     T_world_camera = _pose(camera)
     scene = build_scene(room)
     shape = (camera.height, camera.width)
@@ -87,7 +93,7 @@ def sense_view(room: Room, camera: Camera, rng: np.random.Generator) -> tuple[np
     hit = hits.face >= 0
     exact = np.where(hit, hits.t, np.float32(0)).reshape(shape)
     owner = scene.part_instance[scene.face_part[np.where(hit, hits.face, 0)]]
-    return sense(exact, rng), np.where(hit, owner, -1).reshape(shape).astype(np.int32)
+    return exact.astype(np.float32), np.where(hit, owner, -1).reshape(shape).astype(np.int32)
 
 
 def _pose(camera: Camera) -> np.ndarray:

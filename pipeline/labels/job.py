@@ -1,0 +1,131 @@
+"""The labelling job: plan, run the shards that are missing, and merge."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from time import perf_counter
+from typing import Literal
+
+from pipeline.errors import InputError
+from pipeline.labels.config import LabelConfig, SelectConfig
+from pipeline.labels.local import run_local
+from pipeline.labels.merge import merge_labels
+from pipeline.labels.plan import SourceSpec, make_plan, part_of, save_plan
+from pipeline.labels.schema import Manifest
+from pipeline.labels.shard import ShardReport
+from pipeline.labels.store import Store
+
+Engine = Literal["local", "ray"]
+Progress = Callable[[int, int], None]
+"""Called with (frames done, frames in all)."""
+
+
+@dataclass(frozen=True)
+class LabelReport:
+    """What a labelling run did.
+
+    Attributes
+    ----------
+    frames : int
+        Frames of the shards that were asked for.
+    reused : int
+        Of those, frames whose shard was there already.
+    broken : int
+        Frames that could not be used, of the shards labelled now.
+    objects, pairs, candidates : int
+    seconds : float
+    manifest : Manifest or None
+        Of the merged labels; None where only a part was asked for.
+    """
+
+    frames: int
+    reused: int
+    broken: int
+    objects: int
+    pairs: int
+    candidates: int
+    seconds: float
+    manifest: Manifest | None
+
+
+def label_dataset(
+    spec: SourceSpec,
+    out: str | Path,
+    config: LabelConfig | None = None,
+    selection: SelectConfig | None = None,
+    *,
+    engine: Engine = "local",
+    workers: int = 1,
+    part: tuple[int, int] | None = None,
+    resume: bool = False,
+    limit: int | None = None,
+    frames_a_shard: int | None = None,
+    gpus_a_detector: float = 0.0,
+    progress: Progress | None = None,
+) -> LabelReport:
+    """Label a dataset into a folder (or URL), and merge what was labelled.
+
+    Parameters
+    ----------
+    spec : SourceSpec
+    out : str or Path
+        Must be new or empty, but for `resume` and `part`.
+    engine : str
+        "local" or "ray"; the rows are the same.
+    workers : int
+        Processes at once.
+    part : (k, n), optional
+        Only task k of n (from 1), for arrays of jobs that share `out`; the last
+        to finish, or anyone after, merges.
+    resume : bool
+        Go on in a folder where a run was stopped: finished shards are kept.
+    limit : int, optional
+        Only the first so many frames.
+
+    Raises
+    ------
+    InputError
+        For a dataset that cannot be opened, a folder that holds something else.
+    """
+    config = config or LabelConfig()
+    start = perf_counter()
+    store = Store(out)
+    if workers < 1:
+        raise InputError("at least one worker is needed", got=workers)
+    if not resume and part is None and not store.is_empty():
+        raise InputError(
+            "the folder for the labels is not empty", cause="--resume goes on where a run was stopped", path=out
+        )
+    plan = make_plan(spec, config, frames_a_shard=frames_a_shard, limit=limit)
+    shards = plan.shards if part is None else part_of(plan.shards, *part)
+    store.prepare()
+    save_plan(plan, store)
+    if part is None:
+        store.clear_unfinished()
+    total = sum(len(s.frames) for s in shards)
+    reports: list[ShardReport] = []
+
+    def done(report: ShardReport) -> None:
+        reports.append(report)
+        if progress is not None:
+            progress(sum(r.frames for r in reports), total)
+
+    if engine == "ray":
+        from pipeline.labels.ray_engine import run_ray
+
+        run_ray(plan, shards, store, workers, done, gpus_a_detector=gpus_a_detector)
+    else:
+        run_local(plan, shards, store, workers, done)
+    manifest = merge_labels(out, selection) if part is None and not store.remote else None
+    return LabelReport(
+        total,
+        sum(r.frames for r in reports if r.reused),
+        sum(r.broken for r in reports),
+        sum(r.objects for r in reports),
+        sum(r.pairs for r in reports),
+        sum(r.candidates for r in reports),
+        perf_counter() - start,
+        manifest,
+    )

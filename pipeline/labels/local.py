@@ -1,0 +1,105 @@
+"""The local engine: shards labelled by processes of this machine, one thread of arithmetic each."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+
+from pipeline.errors import InputError
+from pipeline.labels.config import LabelConfig
+from pipeline.labels.plan import Plan, Shard, SourceSpec
+from pipeline.labels.shard import Labeller, ShardReport, label_shard, open_labeller
+from pipeline.labels.store import Store
+
+Done = Callable[[ShardReport], None]
+"""Called with each shard's report when it is finished."""
+
+_THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+
+
+@contextmanager
+def one_thread() -> Iterator[None]:
+    """Arithmetic of this process on one thread: so that sums come out the same everywhere."""
+    import cv2
+    from threadpoolctl import threadpool_limits
+
+    threads = cv2.getNumThreads()
+    cv2.setNumThreads(1)
+    try:
+        with threadpool_limits(1):
+            yield
+    finally:
+        cv2.setNumThreads(threads)
+
+
+def run_local(plan: Plan, shards: Sequence[Shard], store: Store, workers: int, done: Done) -> None:
+    """Label shards with so many processes; what is finished stays when the run is stopped.
+
+    Raises
+    ------
+    InputError
+        A worker was killed.
+    """
+    if workers <= 1 or len(shards) <= 1:
+        with one_thread():
+            labeller = open_labeller(plan.spec, plan.config)
+            for shard in shards:
+                done(label_shard(shard, labeller, store))
+        return
+    with _threads_in_children():
+        models = plan.spec, plan.config, store.where
+        pool = ProcessPoolExecutor(min(workers, len(shards)), multiprocessing.get_context("spawn"), _start, models)
+        try:
+            for future in as_completed([pool.submit(_label, shard) for shard in shards]):
+                done(future.result())
+        except BrokenProcessPool as error:
+            raise InputError(
+                "a worker process died", cause="out of memory? finished shards are kept: run again with --resume"
+            ) from error
+        except BaseException:
+            pool.shutdown(wait=False, cancel_futures=True)
+            for process in multiprocessing.active_children():
+                process.terminate()
+            raise
+        pool.shutdown()
+
+
+@contextmanager
+def _threads_in_children() -> Iterator[None]:
+    """Thread counts are read when numpy is loaded, so that they must be set before a child starts."""
+    before = {name: os.environ.get(name) for name in _THREAD_VARIABLES}
+    os.environ.update(dict.fromkeys(_THREAD_VARIABLES, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+_worker: tuple[Labeller, Store] | None = None
+"""What a worker process opened when it started."""
+
+
+def _start(spec: SourceSpec, config: LabelConfig, where: str) -> None:
+    global _worker
+    import signal
+
+    import cv2
+
+    # Ctrl-C reaches the whole group; the parent alone decides what to do.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    cv2.setNumThreads(1)
+    _worker = open_labeller(spec, config), Store(where)
+
+
+def _label(shard: Shard) -> ShardReport:
+    assert _worker is not None
+    labeller, store = _worker
+    return label_shard(shard, labeller, store)

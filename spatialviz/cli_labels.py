@@ -1,0 +1,292 @@
+"""The commands that make, merge, check and export labels."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from tyro.conf import OmitArgPrefixes, Positional
+
+from spatialviz.exits import FINE, NO
+from spatialviz.options import four_numbers, print_json, task_of
+
+if TYPE_CHECKING:
+    from pipeline.labels.config import SelectConfig
+    from pipeline.labels.plan import SourceSpec
+
+
+@dataclass(frozen=True)
+class LabelSource:
+    """What is labelled, and what finds the objects."""
+
+    detector: str | None = None
+    """annotations | recorded | yolo-seg. Default: annotations, where the dataset has them."""
+    model: Path | None = None
+    """Model file or recording for the detector."""
+    segmenter: str | None = "depth"
+    """depth | recorded | yolo-seg: masks for the boxes that have none."""
+    segmenter_model: Path | None = None
+    """Model file or recording for the segmenter."""
+    min_score: float | None = None
+    """Drop detections below this score. Default: the detector's own."""
+    synonyms: Path | None = None
+    """A JSON file with more synonyms."""
+    intrinsics: str | None = None
+    """fx,fy,cx,cy in pixels, for recordings without a camera file."""
+    depth_scale: float | None = None
+    """Depth units in one metre (1000 for millimetres), for recordings without a camera file."""
+
+    def spec(self, dataset: str) -> SourceSpec:
+        """The same as the core takes it."""
+        from pipeline.labels.plan import SourceSpec
+
+        options: dict[str, Any] = {
+            "detector": self.detector,
+            "model": self.model,
+            "segmenter": self.segmenter,
+            "segmenter_model": self.segmenter_model,
+            "min_score": self.min_score,
+            "synonyms": self.synonyms,
+            "intrinsics": four_numbers(self.intrinsics),
+            "depth_scale": self.depth_scale,
+        }
+        return SourceSpec(dataset, {k: str(v) if isinstance(v, Path) else v for k, v in options.items()})
+
+
+@dataclass(frozen=True)
+class Selection:
+    """Which of all candidate expressions are kept."""
+
+    expressions: int | None = None
+    """At most so many, level over relations and classes. Default: as many as the other rules allow."""
+    per_frame: int = 40
+    """At most so many of one frame."""
+    balance: float = 3.0
+    """No relation has more than so many times the expressions of the rarest one; 0 for no such limit."""
+    selection_seed: int = 0
+    """Another seed chooses others."""
+
+    def config(self) -> SelectConfig:
+        """The same as the core takes it."""
+        from pipeline.labels.config import SelectConfig
+
+        return SelectConfig(self.expressions, self.per_frame, self.balance or None, self.selection_seed)
+
+
+@dataclass(frozen=True)
+class Label:
+    """Label a dataset: objects, every relation between them, and sentences that are true of them."""
+
+    dataset: Positional[str]
+    """Dataset folder, or "demo"."""
+    out: str
+    """Folder for the labels, or a URL that fsspec knows; what is at a URL is then merged with `merge --to`."""
+    source: OmitArgPrefixes[LabelSource] = LabelSource()
+    selection: OmitArgPrefixes[Selection] = Selection()
+    vocabulary: Literal["avd", "semantic-abstraction", "all"] = "avd"
+    """Which relations."""
+    profile: Literal["viewer-cone-v1", "semantic-abstraction-published"] = "viewer-cone-v1"
+    """The rules that decide them."""
+    second_opinion: str = "trained"
+    """trained | none | an ONNX file: a network that makes labels doubtful where it says the opposite."""
+    style: Literal["varied", "plain", "semantic-abstraction"] = "varied"
+    """How sentences are worded."""
+    box: Literal["gravity", "pca"] = "gravity"
+    """How 3D boxes are fitted: upright, or the paper's PCA box."""
+    seed: int = 0
+    """The same seed gives the same labels."""
+    engine: Literal["local", "ray"] = "local"
+    """Processes of this machine, or a Ray cluster (extra: cluster)."""
+    workers: int = os.cpu_count() or 1
+    """Processes at once. The labels do not depend on it."""
+    gpus_a_detector: float = 0.0
+    """Share of a GPU for each detector of the engine ray."""
+    shard: str | None = None
+    """k/N: only this task of N that share the folder, for arrays of jobs; then run `merge`."""
+    resume: bool = False
+    """Go on in a folder where a run was stopped."""
+    limit: int | None = None
+    """Only the first so many frames."""
+    json: bool = False
+    """Print one JSON object: counts, seconds, hashes."""
+
+    def run(self) -> int:
+        from pipeline.labels.config import LabelConfig
+        from pipeline.labels.job import label_dataset
+        from pipeline.lifting import LiftConfig
+        from spatialviz.printing import rate_bar
+        from spatialviz.printing_labels import label_record, print_labelled
+
+        config = LabelConfig(
+            profile=self.profile,
+            vocabulary=self.vocabulary,
+            lift=LiftConfig(box=self.box),
+            style=self.style,
+            seed=self.seed,
+            second_opinion=self.second_opinion,
+        )
+        with rate_bar("labelling", "frames") as advance:
+            report = label_dataset(
+                self.source.spec(self.dataset),
+                self.out,
+                config,
+                self.selection.config(),
+                engine=self.engine,
+                workers=self.workers,
+                part=task_of(self.shard),
+                resume=self.resume,
+                limit=self.limit,
+                gpus_a_detector=self.gpus_a_detector,
+                progress=advance,
+            )
+        if self.json:
+            print_json(label_record(report))
+        else:
+            print_labelled(report, self.out)
+        return FINE if report.frames > report.broken else NO
+
+
+@dataclass(frozen=True)
+class Merge:
+    """Merge the shards of `label --shard`, or select expressions anew."""
+
+    labels: Positional[str]
+    """Labels folder, or URL."""
+    to: Path | None = None
+    """Where the merged tables go. Default: the labels folder."""
+    selection: OmitArgPrefixes[Selection] = Selection()
+    json: bool = False
+    """Print the manifest."""
+
+    def run(self) -> int:
+        import json
+
+        from pipeline.labels.merge import merge_labels
+        from spatialviz.printing_labels import print_manifest
+
+        manifest = merge_labels(self.labels, self.selection.config(), self.to)
+        if self.json:
+            print_json(json.loads(manifest.model_dump_json()))
+        else:
+            print_manifest(manifest, str(self.to or self.labels))
+        return FINE
+
+
+@dataclass(frozen=True)
+class Check:
+    """Say what is wrong with labels; exit status 1 where errors stand."""
+
+    labels: Positional[Path]
+    """Labels folder."""
+    report: Path | None = None
+    """Folder for statistics as pictures and a page."""
+    rules: tuple[str, ...] = ()
+    """Only these rules, or groups of them such as "expression"."""
+    show: int = 20
+    """Findings shown of each rule."""
+    json: bool = False
+    """Print one JSON object for each finding, and one with the statistics."""
+
+    def run(self) -> int:
+        from pipeline.labels.check import check_labels, finding_record
+        from pipeline.labels.report import write_report
+        from pipeline.labels.statistics import label_statistics
+
+        from pipeline.labels.reading import open_labels
+        from spatialviz.printing_labels import print_findings, print_statistics
+
+        labels = open_labels(self.labels)
+        errors = 0
+        findings = []
+        for finding in check_labels(labels, rules=self.rules or None):
+            errors += finding.severity == "error"
+            if self.json:
+                print_json(finding_record(finding))
+            else:
+                findings.append(finding)
+        statistics = label_statistics(labels)
+        if self.json:
+            print_json({"statistics": statistics})
+        else:
+            print_statistics(statistics, labels)
+            print_findings(findings, self.show)
+        if self.report is not None:
+            write_report(labels, statistics, self.report)
+        return NO if errors else FINE
+
+
+@dataclass(frozen=True)
+class Export:
+    """Write labels in another format."""
+
+    labels: Positional[Path]
+    """Labels folder."""
+    out: Path
+    """What to write: a folder, or a file."""
+    format: Literal["jsonl", "coco", "kitti", "vqa", "parquet"]
+    """kitti: boxes only. vqa: conversations for tuning a vision-language model. parquet: Hugging Face's layout."""
+    images: Literal["none", "copy"] = "none"
+    """copy: write the colour images beside the labels too."""
+    dataset: str | None = None
+    """Where the dataset is now, for its images. Default: where it was labelled."""
+    overwrite: bool = False
+    """Replace what is there."""
+
+    def run(self) -> int:
+        from pipeline.labels.exports import export_labels
+
+        from pipeline.labels.reading import open_labels
+        from spatialviz.printing import rate_bar
+
+        labels = open_labels(self.labels)
+        dataset = None
+        if self.images == "copy":
+            from pipeline.labels.plan import load_plan
+            from pipeline.labels.store import Store
+
+            plan = load_plan(Store(self.labels))
+            spec = plan.spec if self.dataset is None else type(plan.spec)(self.dataset, plan.spec.options)
+            dataset = spec.open(plan.config).dataset
+        with rate_bar("exporting", "frames") as advance:
+            report = export_labels(
+                labels,
+                self.format,
+                self.out,
+                images=self.images,
+                dataset=dataset,
+                overwrite=self.overwrite,
+                progress=advance,
+            )
+        print(f"{len(report.files)} files -> {self.out}")
+        return FINE
+
+
+@dataclass(frozen=True)
+class BenchLabel:
+    """Time labelling: lifting and relations beside the usual Open3D recipe, and the whole job on a dataset."""
+
+    dataset: Positional[str] = "demo"
+    """What the whole job labels."""
+    views: int = 12
+    """Rendered views for the comparison (extra: render; open3d for the recipe)."""
+    repeat: int = 3
+    """Passes; the fastest counts."""
+    workers: int = os.cpu_count() or 1
+    """Processes of the whole job."""
+    json: bool = False
+    """Print one JSON object."""
+
+    def run(self) -> int:
+        from pipeline.labels.bench import bench_labels
+        from spatialviz.printing_labels import print_label_bench
+
+        record = bench_labels(
+            LabelSource().spec(self.dataset), views=self.views, repeat=self.repeat, workers=self.workers
+        )
+        if self.json:
+            print_json(record)
+        else:
+            print_label_bench(record)
+        return FINE
