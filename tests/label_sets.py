@@ -10,13 +10,11 @@ import numpy as np
 
 from pipeline.boxes import Box3D
 from pipeline.labels.config import LabelConfig
+from pipeline.labels.job import label_dataset
 from pipeline.labels.labelling import run_length
-from pipeline.labels.merge import merge_labels
-from pipeline.labels.plan import SourceSpec, make_plan, save_plan
+from pipeline.labels.plan import SourceSpec
 from pipeline.labels.reading import MANIFEST_FILE, Labels, open_labels
 from pipeline.labels.schema import SCHEMA_VERSION, TABLES, Manifest, TableFile
-from pipeline.labels.shard import label_shard
-from pipeline.labels.store import Store
 from pipeline.labels.tables import arrow_schema, build_table, content_hash, validate_rows, write_table
 from pipeline.relations import PAIRWISE
 from pipeline.viewer import viewer_axes
@@ -33,14 +31,7 @@ NASTY = (
 
 def label_demo(folder: Path) -> Labels:
     """Labels of the built-in dataset, all relations."""
-    config, spec = LabelConfig(vocabulary="all"), SourceSpec("demo")
-    plan, store = make_plan(spec, config, frames_a_shard=4), Store(folder)
-    store.prepare()
-    save_plan(plan, store)
-    source = spec.open(config)
-    for shard in plan.shards:
-        label_shard(shard, plan, source, store)
-    merge_labels(folder)
+    label_dataset(SourceSpec("demo"), folder, LabelConfig(vocabulary="all"), frames_a_shard=4)
     return open_labels(folder)
 
 
