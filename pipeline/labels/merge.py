@@ -144,15 +144,30 @@ def choose(shards: Sequence[Shard], store: Store, selection: SelectConfig) -> tu
 def _worded(
     shards: Sequence[Shard], store: Store, chosen: dict[str, np.ndarray], style: TextStyle
 ) -> Iterator[pa.Table]:
-    """The chosen candidates, put into words: a row's own hash chooses its sentence."""
+    """The chosen candidates, put into words: a row's own hash chooses its sentence.
+
+    A row whose names no sentence can carry beside the dataset's other names is left out.
+    """
     import pyarrow as pa
+
+    labels = (store.read_part(s.name, "objects", ["label"]).column("label").unique().to_pylist() for s in shards)
+    class_names = tuple(sorted({name for found in labels for name in found}))
+
+    def said(target: str, relation: str, reference: str, key: str) -> str | None:
+        try:
+            return expression_text(
+                target, relation, reference, int(key, 16), style=style, class_names=class_names
+            )
+        except InputError:
+            return None
 
     for shard in shards:
         rows = store.read_part(shard.name, CANDIDATES).filter(pa.array(chosen[shard.name]))
-        said = zip(*(rows.column(n).to_pylist() for n in ("target", "relation", "reference", "id")), strict=True)
-        texts = pa.array([expression_text(t, r, o, int(key, 16), style=style) for t, r, o, key in said], pa.string())
+        named = zip(*(rows.column(n).to_pylist() for n in ("target", "relation", "reference", "id")), strict=True)
+        texts = pa.array([said(*row) for row in named], pa.string())
         schema = arrow_schema("expressions")
-        yield pa.Table.from_arrays([texts if n == "text" else rows.column(n) for n in schema.names], schema=schema)
+        columns = [texts if n == "text" else rows.column(n).combine_chunks() for n in schema.names]
+        yield pa.table(columns, schema.names).filter(texts.is_valid()).cast(schema)
 
 
 def write_merged(out: Path, name: str, parts: Iterator[pa.Table]) -> TableFile:
