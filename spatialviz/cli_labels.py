@@ -236,7 +236,6 @@ class Export:
 
     def run(self) -> int:
         from pipeline.labels.exports import export_labels
-
         from pipeline.labels.reading import open_labels
         from spatialviz.printing import rate_bar
 
