@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 import platform
 from collections.abc import Iterator, Sequence
@@ -15,10 +16,12 @@ import numpy as np
 
 from pipeline import __version__
 from pipeline.errors import InputError
+from pipeline.labels.card import croissant, dataset_card
 from pipeline.labels.config import SelectConfig, TextStyle
 from pipeline.labels.plan import Plan, Shard, load_plan
-from pipeline.labels.reading import MANIFEST_FILE
+from pipeline.labels.reading import MANIFEST_FILE, Labels
 from pipeline.labels.schema import SCHEMA_VERSION, Manifest, TableFile
+from pipeline.labels.schema_files import write_schemas
 from pipeline.labels.selection import select
 from pipeline.labels.store import Store, write_whole
 from pipeline.labels.tables import CANDIDATES, ROW_GROUP, RowHash, arrow_schema
@@ -29,6 +32,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 LISTED_WARNINGS = 100
+CARD_FILE, CROISSANT_FILE = "README.md", "croissant.json"
 
 
 def missing_shards(plan: Plan, store: Store) -> tuple[Shard, ...]:
@@ -117,6 +121,10 @@ def merge_labels(where: str | Path, selection: SelectConfig | None = None, out: 
         created=datetime.now(timezone.utc).isoformat(timespec="seconds"),
     )
     write_whole(out / MANIFEST_FILE, manifest.model_dump_json(indent=1).encode())
+    labels = Labels(out, manifest)
+    write_whole(out / CARD_FILE, dataset_card(labels).encode())
+    write_whole(out / CROISSANT_FILE, json.dumps(croissant(labels), indent=1, ensure_ascii=False).encode())
+    write_schemas(out / "schemas")
     return manifest
 
 
