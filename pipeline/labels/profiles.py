@@ -154,7 +154,13 @@ def judge_semantic_abstraction(
     that is on or in one another gets no direction. Their on and in come from the
     simulator; here they are those of `viewer-cone-v1`. There is no doubtful band.
     """
-    contact = judge_viewer_cone(lo, hi, centroids, clouds)
+    return semantic_abstraction_directions(lo, hi, centroids, judge_viewer_cone(lo, hi, centroids, clouds))
+
+
+def semantic_abstraction_directions(
+    lo: np.ndarray, hi: np.ndarray, centroids: np.ndarray, contact: Judged
+) -> Judged:
+    """The directions of `judge_semantic_abstraction`, given what is on and in what."""
     known = known_extents(lo, hi) & np.isfinite(centroids).all(axis=1)
     both = known[:, None] & known[None, :] & ~np.eye(len(lo), dtype=np.bool_)
     disp = (centroids[:, None] - centroids[None, :]) * SA_SCALE

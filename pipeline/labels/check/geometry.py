@@ -1,0 +1,221 @@
+"""Relations against geometry: what the stored extents say under the rules that the manifest names.
+
+Directions, near and distances follow from the extents alone, and are compared
+exactly. "On" and "in" also read the objects' points, which labels do not keep:
+of them only what extents can decide is checked, as a lowest and a highest state.
+
+- "a on b" asks that 30 % of a's footprint lie over b's, that a's footprint be
+  less than 1.5 times b's, and that a's bottom be near b's surface. The first two
+  follow from the extents; the surface lies between b's bottom and top, give or
+  take SURFACE_SLACK for the points beyond the percentiles.
+- "a in b" asks that a reach below b's top, which follows from the extents, and
+  that enough of a's points lie in b: surely not where the extents are apart,
+  surely where a's lie within b's.
+
+In `semantic-abstraction-published` directions follow from extents, mean points
+and the stored "on" and "in". Without stored "on" and "in" a pair that may touch
+can be refused any direction, so that only T is compared.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.labels.check.findings import Finding
+from pipeline.labels.check.stream import UNKNOWN
+from pipeline.labels.check.view import FrameView, pairs_where, state_letter
+from pipeline.labels.margins import directional_margins, margin_of
+from pipeline.labels.profiles import Judged, semantic_abstraction_directions
+from pipeline.relations import (
+    DIRECTIONAL,
+    PAIRWISE,
+    F,
+    PairMeasures,
+    Profile,
+    T,
+    U,
+    directional_states,
+    known_extents,
+    letter,
+    measure_pairs,
+    near_measures,
+)
+
+SURFACE_SLACK = 0.10
+MANY_POINTS = 100
+"""With fewer points the percentiles of an object say little of where its points are."""
+MARGIN_TOLERANCE, MARGIN_TOLERANCE_RELATIVE = 1e-4, 1e-4
+"""Metres; margins are stored with 24 bits."""
+
+
+@dataclass(frozen=True)
+class Expected:
+    """What geometry allows of every ordered pair.
+
+    Attributes
+    ----------
+    low, high : dict of str to (N, N) int8
+        By relation: the stored state must lie between.
+    margins : dict of str to (N, N) float64
+        Metres; NaN where only its sign is known.
+    distance : (N, N) float64
+        Metres between the extents, NaN where unknown.
+    """
+
+    low: dict[str, np.ndarray]
+    high: dict[str, np.ndarray]
+    margins: dict[str, np.ndarray]
+    distance: np.ndarray
+
+
+def expected_viewer_cone(view: FrameView) -> Expected:
+    """`viewer-cone-v1` from the stored extents."""
+    profile = Profile()
+    lo, hi = view.extents
+    known = known_extents(lo, hi)
+    both = known[:, None] & known[None, :]
+    pairs = measure_pairs(np.where(known[:, None], lo, 0.0), np.where(known[:, None], hi, 0.0), profile)
+    low, high, margins = _contact(view, pairs, profile, both)
+    states = directional_states(lo, hi, profile)
+    slack = directional_margins(pairs, profile)
+    slack = np.where(states == T, np.maximum(slack, 0), np.where(states == F, np.minimum(slack, 0), 0.0))
+    slack[~both] = 0.0
+    for k, relation in enumerate(DIRECTIONAL):
+        low[relation] = high[relation] = states[..., k]
+        margins[relation] = slack[..., k]
+    apart, mean = near_measures(pairs)
+    holds, allows = profile.near_diagonals * mean - apart, profile.near_diagonals_doubtful * mean - apart
+    near = np.where(holds >= 0, T, np.where(allows >= 0, U, F)).astype(np.int8)
+    low["near"] = high["near"] = np.where(both, near, U)
+    margins["near"] = np.where(both, margin_of(holds, allows), 0.0)
+    return Expected(low, high, margins, np.where(both, np.linalg.norm(pairs.gap, axis=2), np.nan))
+
+
+def expected_semantic_abstraction(view: FrameView) -> Expected:
+    """`semantic-abstraction-published` from extents, mean points and the stored on and in."""
+    profile = Profile()
+    lo, hi = view.extents
+    known = known_extents(lo, hi)
+    both = known[:, None] & known[None, :]
+    pairs = measure_pairs(np.where(known[:, None], lo, 0.0), np.where(known[:, None], hi, 0.0), profile)
+    low, high, margins = _contact(view, pairs, profile, both)
+    centroid = view.objects["centroid"]
+    centroid = np.where(np.isfinite(centroid), centroid, (lo + hi) / 2)
+    distance = np.where(both, np.linalg.norm(pairs.gap, axis=2), np.nan)
+    n = len(lo)
+    contact = Judged(np.full((n, n, len(PAIRWISE)), F, np.int8), np.full((n, n, len(PAIRWISE)), -np.inf), distance)
+    stored = {"on", "in"} <= set(view.states)
+    if stored:
+        for relation in ("on", "in"):
+            k = PAIRWISE.index(relation)
+            contact.states[..., k] = np.where(view.present, view.states[relation], F)
+            contact.margins[..., k] = np.nan_to_num(view.margins[relation], nan=-np.inf)
+    judged = semantic_abstraction_directions(lo, hi, centroid, contact)
+    touching = np.maximum(high["on"], high["in"]) == T
+    touching |= touching.T
+    for relation in ("left", "right", "front", "behind"):
+        k = PAIRWISE.index(relation)
+        high[relation] = judged.states[..., k]
+        low[relation] = high[relation] if stored else np.where(touching, F, high[relation]).astype(np.int8)
+        margins[relation] = judged.margins[..., k] if stored else np.full((n, n), np.nan)
+    return Expected(low, high, margins, distance)
+
+
+def _contact(
+    view: FrameView, pairs: PairMeasures, profile: Profile, both: np.ndarray
+) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """Lowest and highest states of on and in, and their margins as far as they are known."""
+    n = len(both)
+    if not n:
+        empty = np.zeros((0, 0), np.int8)
+        return ({"on": empty, "in": empty}, {"on": empty, "in": empty}, {"on": empty * 1.0, "in": empty * 1.0})
+    extent = pairs.extent
+    area = extent[:, 0] * extent[:, 2]
+    covered = pairs.overlap[..., 0] * pairs.overlap[..., 2] / area[:, None]
+    supported = (covered >= profile.on_overlap) & (area[:, None] / area[None, :] < profile.on_area_ratio)
+    bottom = pairs.lo[:, None, 1]
+    surface = np.clip(bottom, pairs.lo[None, :, 1] - SURFACE_SLACK, pairs.hi[None, :, 1] + SURFACE_SLACK)
+    gap = np.abs(bottom - surface)
+    touching = np.maximum(profile.on_gap, profile.on_gap_relative * extent[:, 1])[:, None]
+    on = np.where(gap <= touching, T, np.where(gap <= profile.on_gap_doubtful, U, F))
+    on = np.where(supported, on, F)
+
+    sunk = (pairs.hi[None, :, 1] - bottom) / extent[:, None, 1] >= profile.in_below_rim
+    low, high = pairs.lo - profile.in_inflation, pairs.hi + profile.in_inflation
+    apart = ((pairs.lo[:, None] > high[None]) | (pairs.hi[:, None] < low[None])).any(axis=2)
+    within = ((pairs.lo[:, None] >= low[None]) & (pairs.hi[:, None] <= high[None])).all(axis=2)
+    many = (view.objects["points"] >= MANY_POINTS)[:, None]
+    inside_high = np.where(sunk & ~(apart & many), T, F)
+    inside_low = np.where(sunk & within & many, T, F)
+    diagonal = np.eye(n, dtype=np.bool_)
+
+    def settled(states: np.ndarray) -> np.ndarray:
+        found = np.where(both, states, U).astype(np.int8)
+        found[diagonal] = F
+        return found
+
+    unknown = np.where(both, np.nan, 0.0)
+    return (
+        {"on": settled(np.full((n, n), F)), "in": settled(inside_low)},
+        {"on": settled(on), "in": settled(inside_high)},
+        {"on": unknown, "in": unknown.copy()},
+    )
+
+
+EXPECTED: dict[str, Callable[[FrameView], Expected]] = {
+    "viewer-cone-v1": expected_viewer_cone,
+    "semantic-abstraction-published": expected_semantic_abstraction,
+}
+"""What geometry says under a profile. Of a profile without an entry here, `profile/changed` tells that it has none."""
+
+
+def check_geometry(view: FrameView, expected: Expected) -> Iterator[Finding]:
+    """States, margins and distances against what the extents allow."""
+    for relation, states in view.states.items():
+        if relation not in expected.high:
+            continue
+        low, high, wanted = expected.low[relation], expected.high[relation], expected.margins[relation]
+        margins = view.margins[relation]
+        judged = view.present & (states != UNKNOWN)
+        off = judged & ((states < low) | (states > high))
+        for a, b in pairs_where(off):
+            nearest = int(np.clip(states[a, b], low[a, b], high[a, b]))
+            opposite = abs(int(states[a, b]) - nearest) > 1
+            figures = {"relation": relation, "stored": int(states[a, b]), "geometry": nearest}
+            if np.isfinite(wanted[a, b]):
+                figures["margin"] = float(wanted[a, b])
+            yield view.finding(
+                "relation/geometry",
+                (view.ids[a], view.ids[b]),
+                f"{view.said(a, relation, b)}: stored {state_letter(states[a, b])}, the extents say {letter(nearest)}",
+                figures,
+                "error" if opposite else "warning",
+            )
+        signed = np.where(states == T, margins >= 0, np.where(states == F, margins <= 0, margins == 0))
+        with np.errstate(invalid="ignore"):
+            differs = np.abs(margins - wanted) > MARGIN_TOLERANCE + MARGIN_TOLERANCE_RELATIVE * np.abs(wanted)
+        for a, b in pairs_where(judged & ~off & (~signed | differs)):
+            known = np.isfinite(wanted[a, b])
+            say = f"the extents say {wanted[a, b]:.4f} m" if known else "its sign is that of another state"
+            yield view.finding(
+                "relation/geometry",
+                (view.ids[a], view.ids[b]),
+                f"{view.said(a, relation, b)}: margin {margins[a, b]:.4f} m, {say}",
+                {"relation": relation, "stored_margin": float(margins[a, b]), "margin": float(wanted[a, b])},
+                "warning",
+            )
+    with np.errstate(invalid="ignore"):
+        far = np.abs(view.distance - expected.distance) > MARGIN_TOLERANCE * (1 + np.abs(expected.distance))
+    far |= np.isfinite(view.distance) != np.isfinite(expected.distance)
+    for a, b in pairs_where(view.present & far):
+        yield view.finding(
+            "relation/geometry",
+            (view.ids[a], view.ids[b]),
+            f"{view.named(a)} to {view.named(b)}: distance {view.distance[a, b]:.4f} m, "
+            f"the extents say {expected.distance[a, b]:.4f} m",
+            {"stored": float(view.distance[a, b]), "geometry": float(expected.distance[a, b])},
+            "warning",
+        )

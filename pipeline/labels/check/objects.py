@@ -1,0 +1,235 @@
+"""Rules on single objects: mask, 2D box, 3D box and extents must show one thing, and enough of it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from pipeline.boxes import CORNER_SIGNS
+from pipeline.labels.check.findings import Finding
+from pipeline.labels.check.rows import rotation_fault
+from pipeline.labels.check.runs import MaskRuns
+from pipeline.labels.check.view import FrameView, places_where
+from pipeline.viewer import ViewerAxes
+
+NEAREST_M = 0.05
+"""Corners nearer than this are projected as if they lay there."""
+
+
+def corners_of(center: np.ndarray, rotation: np.ndarray, size: np.ndarray) -> np.ndarray:
+    """(N, 8, 3) corners in the camera frame, metres, of boxes given as (N, 3), (N, 3, 3), (N, 3)."""
+    return center[:, None] + np.einsum("kj,nj,nij->nki", CORNER_SIGNS / 2, size, rotation)
+
+
+def projected(corners: np.ndarray, K: np.ndarray) -> np.ndarray:
+    """(N, 4) rectangles x0, y0, x1, y1 in pixels around (N, 8, 3) corners; edges exclusive, not clipped."""
+    z = np.maximum(corners[..., 2], NEAREST_M)
+    # Pixel centres are whole numbers, and edges lie half a pixel beyond.
+    u = K[0, 0] * corners[..., 0] / z + K[0, 2] + 0.5
+    v = K[1, 1] * corners[..., 1] / z + K[1, 2] + 0.5
+    return np.stack([u.min(axis=1), v.min(axis=1), u.max(axis=1), v.max(axis=1)], axis=1)
+
+
+def clipped(boxes: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+    """(N, 4) rectangles within a picture of (height, width)."""
+    height, width = size
+    return np.clip(boxes, 0, [width, height, width, height])
+
+
+def moved_towards(boxes: np.ndarray, targets: np.ndarray, slack: np.ndarray) -> np.ndarray:
+    """Each side of (N, 4) rectangles moved towards the target's, by at most `slack` ((N, 1)) pixels."""
+    return boxes + np.clip(targets - boxes, -slack, slack)
+
+
+def iou_each(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(N,) intersection over union of (N, 4) rectangles, row by row; 0 where either is empty."""
+    low, high = np.maximum(a[:, :2], b[:, :2]), np.minimum(a[:, 2:], b[:, 2:])
+    shared = np.clip(high - low, 0, None).prod(axis=1)
+    areas = [np.clip(x[:, 2:] - x[:, :2], 0, None).prod(axis=1) for x in (a, b)]
+    union = areas[0] + areas[1] - shared
+    return np.divide(shared, union, out=np.zeros_like(union), where=union > 0)
+
+
+def cleared(known: np.ndarray, *arrays: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Arrays with zeros in the rows that are not known ((N,) bool)."""
+    return tuple(np.where(known.reshape(-1, *[1] * (a.ndim - 1)), a, 0.0) for a in arrays)
+
+
+SLACK_PIXELS = 4.0
+"""At a width of 640, for what cleaning takes off a mask's border; measured on clean labels."""
+BOX_ON_MASK, BOX_ON_MASK_DOUBTFUL = 0.3, 0.5
+"""Least share of the projected 3D box on the mask's extents. Clean labels: 0.55 and more, of 2,107 cleaned objects."""
+MASK_IN_BOX, MASK_IN_BOX_DOUBTFUL = 0.05, 0.15
+"""Least share of the mask's extents on the projected box, for each share of its pixels that was kept: an object that
+an occluder cuts in parts may lose most of them (clean labels: 0.18 and more)."""
+BBOX_MASK, BBOX_MASK_DOUBTFUL = 0.2, 0.7
+"""Least IoU of the 2D box with the mask's extents; annotations have 1."""
+OUTSIDE_M, OUTSIDE_SHARE = (0.01, 0.05), (0.1, 0.2)
+"""How far extents may reach beyond the box's corners, in metres plus a share of its length: for a warning, an error.
+Clean labels: 7 mm."""
+FILLED, FILLED_DOUBTFUL = 0.2, 0.35
+"""Least length of the extents for the box's along an axis: a turned box is longer (clean labels: 0.41 and more)."""
+FLAT_M = 0.02
+"""A box may be so much longer than the extents in any case: that of a face without depth has no proportions."""
+FEW_POINTS, MOST_MISSING = 100, 0.5
+
+
+def check_objects(view: FrameView) -> Iterator[Finding]:
+    """All rules on single objects but those that compare it with its class."""
+    if not len(view.objects):
+        return
+    yield from _masks(view)
+    sound = np.array([isinstance(r, MaskRuns) and r.area > 0 for r in view.runs], np.bool_)
+    mask_box = np.array([r.bbox if isinstance(r, MaskRuns) else np.zeros(4) for r in view.runs]).reshape(-1, 4)
+    yield from _bbox(view, sound, mask_box)
+    objects = view.objects
+    rotation = objects["R"].reshape(-1, 3, 3)
+    boxed = np.isfinite(objects["center"]).all(axis=1) & np.isfinite(objects["size"]).all(axis=1)
+    boxed &= rotation_fault(rotation) < 0.1
+    corners = corners_of(*cleared(boxed, objects["center"], rotation, objects["size"]))
+    yield from _projection(view, boxed, corners, sound, mask_box)
+    if view.viewer is not None:
+        yield from _extents(view, boxed, corners, view.viewer)
+    yield from _quality(view)
+
+
+def _masks(view: FrameView) -> Iterator[Finding]:
+    stated = view.objects["mask_pixels"]
+    for k, run in enumerate(view.runs):
+        if isinstance(run, str):
+            yield view.finding("object/mask", (view.ids[k],), f"the mask of {view.named(k)} is damaged: {run}")
+        elif run is not None and run.area != stated[k]:
+            yield view.finding(
+                "object/mask",
+                (view.ids[k],),
+                f"the mask of {view.named(k)} has {run.area} pixels, and {stated[k]} are stated",
+                {"area": run.area, "stated": int(stated[k])},
+            )
+
+
+def _bbox(view: FrameView, sound: np.ndarray, mask_box: np.ndarray) -> Iterator[Finding]:
+    bbox = view.objects["bbox"]
+    finite = np.asarray(np.isfinite(bbox).all(axis=1))
+    for k in places_where(finite & ((bbox[:, 2] <= bbox[:, 0]) | (bbox[:, 3] <= bbox[:, 1]))):
+        yield view.finding("object/bbox-mask", (view.ids[k],), f"the 2D box of {view.named(k)} is empty")
+        finite[k] = False
+    slack = np.full((len(bbox), 1), SLACK_PIXELS / 2 * view.size[1] / 640)
+    within = clipped(bbox, view.size)
+    overlap = iou_each(moved_towards(within, mask_box, slack), mask_box)
+    # Of an object without a mask of its own, pixels inside its annotated 3D box were taken: a part of the 2D box.
+    partial = view.objects["mask_source"] == "box3d"
+    overlap = np.where(partial, shared_share(mask_box, within), overlap)
+    for k in places_where(finite & sound & (overlap < BBOX_MASK_DOUBTFUL)):
+        yield view.finding(
+            "object/bbox-mask",
+            (view.ids[k],),
+            f"the 2D box of {view.named(k)} and its mask agree to {overlap[k]:.0%}",
+            {"agreement": overlap[k]},
+            "error" if overlap[k] < BBOX_MASK else "warning",
+        )
+
+
+def shared_share(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """(N,) share of each rectangle of `a` ((N, 4)) that lies on that of `b`; 0 for an empty one."""
+    low, high = np.maximum(a[:, :2], b[:, :2]), np.minimum(a[:, 2:], b[:, 2:])
+    shared = np.clip(high - low, 0, None).prod(axis=1)
+    area = np.clip(a[:, 2:] - a[:, :2], 0, None).prod(axis=1)
+    return np.divide(shared, area, out=np.zeros_like(area), where=area > 0)
+
+
+def _projection(
+    view: FrameView, boxed: np.ndarray, corners: np.ndarray, sound: np.ndarray, mask_box: np.ndarray
+) -> Iterator[Finding]:
+    """3D boxes against masks, in the picture."""
+    behind = boxed & ((corners[..., 2].mean(axis=1) <= 0) | (corners[..., 2] <= 0).all(axis=1))
+    for k in places_where(behind):
+        yield view.finding(
+            "object/box-mask",
+            (view.ids[k],),
+            f"the 3D box of {view.named(k)} is behind the camera",
+            {"z": float(corners[k, :, 2].mean())},
+        )
+    K = view.K
+    if K is None:
+        return
+    slack = np.full((len(corners), 1), SLACK_PIXELS * view.size[1] / 640)
+    box = moved_towards(clipped(projected(corners, K), view.size), mask_box, slack)
+    on_mask, in_box = shared_share(box, mask_box), shared_share(mask_box, box)
+    relative = in_box / np.maximum(view.objects["kept"], 1e-6)
+    # The raw mask of an object too small to clean holds pixels of what is behind it.
+    raw = view.objects["fallback"]
+    bad = np.where(raw, on_mask <= 0, (on_mask < BOX_ON_MASK) | (relative < MASK_IN_BOX))
+    doubtful = (on_mask < np.where(raw, BOX_ON_MASK, BOX_ON_MASK_DOUBTFUL)) | (relative < MASK_IN_BOX_DOUBTFUL)
+    for k in places_where(boxed & ~behind & sound & (bad | doubtful)):
+        yield view.finding(
+            "object/box-mask",
+            (view.ids[k],),
+            f"seen by the camera, {on_mask[k]:.0%} of the 3D box of {view.named(k)} is where its mask is, "
+            f"and {in_box[k]:.0%} of the mask where the box is",
+            {"box_on_mask": on_mask[k], "mask_in_box": in_box[k], "kept": float(view.objects["kept"][k])},
+            "error" if bad[k] else "warning",
+        )
+
+
+def _extents(view: FrameView, boxed: np.ndarray, corners: np.ndarray, viewer: ViewerAxes) -> Iterator[Finding]:
+    """lo, hi and the mean point against the box, along (right, up, forward)."""
+    lo, hi = view.extents
+    known = np.isfinite(lo).all(axis=1) & np.isfinite(hi).all(axis=1)
+    level = corners @ viewer.matrix.T
+    first, last = level.min(axis=1), level.max(axis=1)
+    length = last - first
+    reach = np.maximum(np.maximum(first - lo, hi - last), 0)
+    # An upright box is exactly as high as the object; along the other axes, and tilted, it may be longer.
+    upright = (view.objects["estimator"] == "gravity")[:, None] & (np.arange(3) == 1)
+    reach = np.where(upright, np.maximum(np.abs(lo - first), np.abs(hi - last)), reach)
+    warn, fail = (m + s * length for m, s in zip(OUTSIDE_M, OUTSIDE_SHARE, strict=True))
+    warn = np.where(upright, OUTSIDE_M[0], warn)
+    filled = np.where(length - (hi - lo) > FLAT_M, (hi - lo) / np.maximum(length, 1e-3), 1.0)
+    turned = (hi < lo).any(axis=1)
+    bad = (reach > fail).any(axis=1) | (filled < FILLED).any(axis=1) | turned
+    doubtful = (reach > warn).any(axis=1) | (filled < FILLED_DOUBTFUL).any(axis=1)
+    off = known & boxed & (bad | doubtful)
+    for k in places_where(off):
+        axis = int(np.argmax(reach[k] - warn[k])) if (reach[k] > warn[k]).any() else int(np.argmin(filled[k]))
+        yield view.finding(
+            "object/extent-box",
+            (view.ids[k],),
+            f"along {('right', 'up', 'forward')[axis]} the extents of {view.named(k)} are {lo[k, axis]:.3f} to "
+            f"{hi[k, axis]:.3f} m, its box {first[k, axis]:.3f} to {last[k, axis]:.3f} m",
+            {"axis": ("right", "up", "forward")[axis], "off": reach[k, axis], "filled": filled[k, axis]},
+            "error" if bad[k] else "warning",
+        )
+    centroid = view.objects["centroid"]
+    stray = np.maximum(np.maximum(lo - centroid, centroid - hi), 0)
+    for k in places_where(known & ~off & (stray > OUTSIDE_M[0] + OUTSIDE_SHARE[0] * np.abs(hi - lo)).any(axis=1)):
+        yield view.finding(
+            "object/extent-box",
+            (view.ids[k],),
+            f"the mean point of {view.named(k)} is {stray[k].max():.3f} m outside its extents",
+            {"outside": float(stray[k].max())},
+            "warning",
+        )
+    for k in places_where(boxed & ~known):
+        yield view.finding("object/extent-box", (view.ids[k],), f"{view.named(k)} has a 3D box and no extents")
+
+
+def _quality(view: FrameView) -> Iterator[Finding]:
+    objects = view.objects
+    asked = objects["usable"]
+    for k in places_where(asked & (objects["points"] < FEW_POINTS)):
+        yield view.finding(
+            "object/few-points",
+            (view.ids[k],),
+            f"{view.named(k)} has {objects['points'][k]} points",
+            {"points": int(objects["points"][k])},
+        )
+    for k in places_where(asked & (objects["depth_missing"] > MOST_MISSING)):
+        yield view.finding(
+            "object/no-depth",
+            (view.ids[k],),
+            f"{objects['depth_missing'][k]:.0%} of the mask of {view.named(k)} has no depth",
+            {"depth_missing": float(objects["depth_missing"][k])},
+        )
+    for k in places_where(asked & objects["touches_border"]):
+        yield view.finding("object/border", (view.ids[k],), f"{view.named(k)} is cut by the image border")

@@ -1,0 +1,295 @@
+"""Tables of labels read frame by frame, whatever was done to the files.
+
+A table in order of frames is read in batches, and no more than one batch and
+one frame are held. One that is out of order is reported and sorted in memory.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_left
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.errors import InputError
+from pipeline.labels.check.constraints import Violation, constraints, violations
+from pipeline.labels.schema import TABLES
+from pipeline.labels.tables import arrow_schema, check_version
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+BATCH_ROWS = 8_192
+UNKNOWN = -128
+"""Stands for null in columns of states; null elsewhere is NaN, -1, False, None or an empty list."""
+
+
+@dataclass(frozen=True)
+class Rows:
+    """Rows of one frame.
+
+    Attributes
+    ----------
+    columns : dict of str to array
+        Numbers and bools as they are, vectors as (N, k), the rest as objects.
+    violations : tuple of Violation
+        Their `row` counts from the frame's first.
+    count : int
+    """
+
+    columns: dict[str, np.ndarray]
+    violations: tuple[Violation, ...]
+    count: int
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        return self.columns[name]
+
+    def __len__(self) -> int:
+        return self.count
+
+
+class TableStream:
+    """A table of labels, read in order of frames.
+
+    Parameters
+    ----------
+    path : Path
+    table : str
+
+    Attributes
+    ----------
+    problem : str or None
+        Why it cannot be read at all; it then has no rows.
+    lacking : frozenset of str
+        Columns that are not there or hold something else entirely.
+    other_types : tuple of str
+        Columns of another width than the schema's, in words.
+    extra : tuple of str
+        Columns that the schema does not know.
+    ordered : bool
+        Whether frames come in order.
+    opened : bool
+        Whether it could be read at first.
+    """
+
+    def __init__(self, path: Path, table: str) -> None:
+        import pyarrow as pa
+        import pyarrow.parquet as pq
+
+        self.table, self.path = table, path
+        self.problem: str | None = None
+        self.lacking: frozenset[str] = frozenset()
+        self.other_types: tuple[str, ...] = ()
+        self.extra: tuple[str, ...] = ()
+        self.ordered = True
+        self.opened = False
+        self._blocks: Iterator[pa.Table] = iter(())
+        self._block: dict[str, np.ndarray] = {}
+        self._violations: list[Violation] = []
+        self._index, self._at = np.zeros(0, np.int64), 0
+        try:
+            # Read ahead, a file would stay in memory until it is closed.
+            file = pq.ParquetFile(path, pre_buffer=False)
+            check_version(file.schema_arrow.metadata or {}, table, path)
+            self._compare(file.schema_arrow)
+            if "frame_index" in self.lacking:
+                raise InputError("it has no column frame_index")
+            self.ordered = _is_ordered(file)
+            self._blocks = self._read(file)
+            self._advance()
+            self.opened = self.problem is None
+        except FileNotFoundError:
+            self.problem = "the file is missing"
+        except InputError as error:
+            self.problem = error.what
+        except (pa.ArrowInvalid, pa.ArrowTypeError, OSError) as error:
+            self.problem = str(error).split("\n")[0]
+
+    def peek(self) -> int | None:
+        """The next frame's index; None at the end."""
+        return int(self._index[self._at]) if self._at < len(self._index) else None
+
+    def take(self, index: int) -> Rows:
+        """All rows of a frame, where it is the next one; else none."""
+        if self.peek() != index:
+            return Rows({}, (), 0)
+        start, stop = self._at, int(np.searchsorted(self._index, index, "right"))
+        first, last = (bisect_left(self._violations, at, key=lambda v: v.row) for at in (start, stop))
+        found = Rows(
+            {name: values[start:stop] for name, values in self._block.items()},
+            tuple(replace(v, row=v.row - start) for v in self._violations[first:last]),
+            stop - start,
+        )
+        self._at = stop
+        if stop == len(self._index):
+            self._advance()
+        return found
+
+    def _advance(self) -> None:
+        import pyarrow as pa
+
+        try:
+            block = next(self._blocks, None)
+        except (pa.ArrowInvalid, OSError) as error:
+            self.problem, block = str(error).split("\n")[0], None
+        if block is None:
+            self._block, self._violations, self._index, self._at = {}, [], np.zeros(0, np.int64), 0
+            return
+        self._violations = violations(block, self.table, self.lacking)
+        self._block = _arrays(block, self.table)
+        self._index, self._at = self._block["frame_index"], 0
+
+    def _compare(self, found: pa.Schema) -> None:
+        """What differs from the schema."""
+        lacking, other = set(), []
+        for field in arrow_schema(self.table):
+            if field.name not in found.names:
+                lacking.add(field.name)
+            elif not _alike(found.field(field.name).type, field.type):
+                other.append(f"{field.name} is {found.field(field.name).type} and not {field.type}")
+                if not _castable(found.field(field.name).type, field.type):
+                    lacking.add(field.name)
+        self.lacking, self.other_types = frozenset(lacking), tuple(other)
+        self.extra = tuple(n for n in found.names if n not in arrow_schema(self.table).names)
+
+    def _read(self, file: Any) -> Iterator[pa.Table]:
+        """Blocks of whole frames, in order, of the schema's types."""
+        import pyarrow as pa
+
+        wanted = [n for n in arrow_schema(self.table).names if n not in self.lacking]
+        if not self.ordered:
+            whole = self._typed(file.read(columns=wanted))
+            filled = whole.column("frame_index").fill_null(-1)
+            order = np.argsort(filled.to_numpy(), kind="stable")
+            yield whole.take(pa.array(order))
+            return
+        tail: pa.Table | None = None
+        for batch in file.iter_batches(BATCH_ROWS, columns=wanted):
+            rows = self._typed(pa.Table.from_batches([batch]))
+            rows = rows if tail is None else pa.concat_tables([tail, rows])
+            index = rows.column("frame_index").to_numpy()
+            cut = int(np.searchsorted(index, index[-1], "left")) if len(index) else 0
+            if cut:
+                yield rows.slice(0, cut)
+            tail = rows.slice(cut)
+        if tail is not None and tail.num_rows:
+            yield tail
+
+    def _typed(self, rows: pa.Table) -> pa.Table:
+        import pyarrow as pa
+
+        arrays = []
+        for field in arrow_schema(self.table):
+            if field.name in self.lacking:
+                arrays.append(pa.chunked_array([pa.nulls(rows.num_rows, field.type)]))
+                continue
+            column = rows.column(field.name)
+            arrays.append(column if column.type == field.type else column.cast(field.type, safe=False))
+        return pa.Table.from_arrays(arrays, names=arrow_schema(self.table).names)
+
+
+def _is_ordered(file: Any) -> bool:
+    """Whether frame_index never falls and is never null; read in batches."""
+    last = -1
+    for batch in file.iter_batches(BATCH_ROWS, columns=["frame_index"]):
+        column = batch.column(0)
+        if column.null_count:
+            return False
+        index = column.to_numpy(zero_copy_only=False)
+        if len(index) and (index[0] < last or (np.diff(index) < 0).any()):
+            return False
+        last = index[-1] if len(index) else last
+    return True
+
+
+def _alike(found: Any, wanted: Any) -> bool:
+    """One type, but for the width of offsets and for dictionaries: other libraries write those."""
+    import pyarrow as pa
+
+    if pa.types.is_dictionary(found):
+        found = found.value_type
+    if pa.types.is_large_string(found):
+        found = pa.string()
+    if pa.types.is_large_list(found) or pa.types.is_fixed_size_list(found) or pa.types.is_list(found):
+        return pa.types.is_list(wanted) and _alike(found.value_type, wanted.value_type)
+    return found == wanted
+
+
+def _castable(found: Any, wanted: Any) -> bool:
+    """Whether values of one type can stand for the other's."""
+    import pyarrow as pa
+
+    def kind(of: Any) -> str:
+        if pa.types.is_integer(of) or pa.types.is_floating(of):
+            return "number"
+        nested = pa.types.is_list(of) or pa.types.is_large_list(of) or pa.types.is_fixed_size_list(of)
+        return f"list of {kind(of.value_type)}" if nested else str(of)
+
+    return kind(found) == kind(wanted)
+
+
+def _arrays(block: pa.Table, table: str) -> dict[str, np.ndarray]:
+    import pyarrow as pa
+
+    found = {}
+    for name, constraint in constraints(table).items():
+        column = block.column(name).combine_chunks()
+        kind = column.type
+        if pa.types.is_list(kind):
+            inner = kind.value_type
+            if pa.types.is_string(inner):
+                continue
+            fixed = constraint.shortest if constraint.shortest == constraint.longest else None
+            found[name] = _lists(column) if fixed is None else _vectors(column, fixed)
+        elif pa.types.is_string(kind):
+            words = column.dictionary_encode()
+            known = np.array([*words.dictionary.to_pylist(), None], object)
+            found[name] = known[words.indices.fill_null(len(known) - 1).to_numpy(zero_copy_only=False)]
+        else:
+            empty: Any = -1
+            if pa.types.is_int8(kind):
+                empty = UNKNOWN
+            elif pa.types.is_floating(kind):
+                empty = float("nan")
+            elif pa.types.is_boolean(kind):
+                empty = False
+            values = column.fill_null(empty).to_numpy(zero_copy_only=False)
+            found[name] = values.astype(np.int64) if pa.types.is_int32(kind) else values
+    return found
+
+
+def _vectors(column: Any, k: int) -> np.ndarray:
+    """(N, k) float64; NaN where a list is null or of another length."""
+    found = np.full((len(column), k), np.nan)
+    offsets = column.offsets.to_numpy()
+    good = (np.diff(offsets) == k) & ~column.is_null().to_numpy(zero_copy_only=False).astype(np.bool_)
+    values = column.values.fill_null(float("nan")).to_numpy(zero_copy_only=False)
+    found[good] = values[offsets[:-1][good, None] + np.arange(k)]
+    return found
+
+
+def _lists(column: Any) -> np.ndarray:
+    """(N,) objects: an int64 array for each list."""
+    offsets, values = column.offsets.to_numpy(), column.values.fill_null(-1).to_numpy(zero_copy_only=False)
+    found = np.empty(len(column), object)
+    for row in range(len(found)):
+        found[row] = values[offsets[row] : offsets[row + 1]].astype(np.int64)
+    return found
+
+
+def open_streams(root: Path) -> dict[str, TableStream]:
+    """The four tables of a labels folder."""
+    return {name: TableStream(root / f"{name}.parquet", name) for name in TABLES}
+
+
+def frames_of(streams: dict[str, TableStream]) -> Iterator[tuple[int, dict[str, Rows]]]:
+    """Frame by frame, the rows of all tables; of a frame that a table lacks, none of that table."""
+    while True:
+        following = [p for p in (s.peek() for s in streams.values()) if p is not None]
+        if not following:
+            return
+        index = min(following)
+        yield index, {name: stream.take(index) for name, stream in streams.items()}

@@ -1,0 +1,245 @@
+"""One frame of labels, laid out for the rules: objects in a row, relations as matrices over them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from pipeline.labels.check.findings import RULES, Figure, Finding, Severity
+from pipeline.labels.check.runs import MaskRuns, read_runs
+from pipeline.labels.check.stream import UNKNOWN, Rows
+from pipeline.naming import normal_form, same_class
+from pipeline.relations import PHRASE, F, T, U, letter
+from pipeline.viewer import ViewerAxes, viewer_axes
+
+
+def plain_figures(figures: dict[str, Figure]) -> dict[str, Figure]:
+    """Figures as Python's own numbers; those that are not finite are left out, for JSON has none."""
+    plain = {k: v.item() if isinstance(v, np.generic) else v for k, v in figures.items()}
+    return {k: v for k, v in plain.items() if not isinstance(v, float) or np.isfinite(v)}
+
+
+def pairs_where(chosen: np.ndarray) -> list[tuple[int, int]]:
+    """Rows and columns of the true entries of (N, N) bool, row by row."""
+    rows, columns = np.nonzero(chosen)
+    return list(zip(rows.tolist(), columns.tolist(), strict=True))
+
+
+def places_where(chosen: np.ndarray) -> list[int]:
+    """Places of the true entries of (N,) bool."""
+    return np.flatnonzero(chosen).tolist()
+
+
+def state_letter(state: int) -> str:
+    """"T", "U", "F", or a number that is none of the three as it is."""
+    return letter(state) if state in (T, U, F) else str(int(state))
+
+
+@dataclass
+class Names:
+    """Which class names mean the same and which are background, each looked up once.
+
+    Attributes
+    ----------
+    background : frozenset of str
+        Normal forms of the background classes.
+    """
+
+    background: frozenset[str]
+    _same: dict[tuple[str, str], bool] = field(default_factory=dict)
+
+    def same(self, a: str, b: str) -> bool:
+        key = (a, b)
+        if key not in self._same:
+            self._same[key] = a == b or same_class(a, b)
+        return self._same[key]
+
+    def alike(self, names: list[str]) -> np.ndarray:
+        """(N, N) bool: which of the names mean the same."""
+        distinct = list(dict.fromkeys(names))
+        table = np.array([[self.same(a, b) for b in distinct] for a in distinct], np.bool_)
+        place = {name: k for k, name in enumerate(distinct)}
+        at = np.array([place[name] for name in names], np.int64)
+        return table.reshape(len(distinct), -1)[np.ix_(at, at)]
+
+
+@dataclass(frozen=True)
+class FrameView:
+    """The rows of one frame.
+
+    Attributes
+    ----------
+    index : int
+    tables : dict of str to Rows
+    names : Names
+    relation_names : tuple of str
+        The relations that the labels hold.
+    """
+
+    index: int
+    tables: dict[str, Rows]
+    names: Names
+    relation_names: tuple[str, ...]
+
+    @cached_property
+    def id(self) -> str | None:
+        """The frame's id, from whichever table has it."""
+        for rows in self.tables.values():
+            if len(rows) and rows["frame"][0] is not None:
+                return str(rows["frame"][0])
+        return None
+
+    def finding(
+        self,
+        rule: str,
+        objects: tuple[Any, ...],
+        message: str,
+        figures: dict[str, Figure] | None = None,
+        severity: Severity | None = None,
+    ) -> Finding:
+        """A finding of this frame, as severe as the rule says unless told otherwise."""
+        return Finding(
+            rule,
+            severity or RULES[rule].severity,
+            self.id,
+            tuple(int(o) for o in objects),
+            message,
+            plain_figures(figures or {}),
+        )
+
+    def named(self, k: int) -> str:
+        """An object in words, by its place: "mug 3"."""
+        return f"{self.labels[k]} {self.ids[k]}"
+
+    def said(self, a: int, relation: str, b: int) -> str:
+        """A relation in words, by the places of its objects: "mug 3 left of laptop 5"."""
+        return f"{self.named(a)} {PHRASE[relation]} {self.named(b)}"
+
+    @property
+    def objects(self) -> Rows:
+        return self.tables["objects"]
+
+    @property
+    def relations(self) -> Rows:
+        return self.tables["relations"]
+
+    @property
+    def expressions(self) -> Rows:
+        return self.tables["expressions"]
+
+    @cached_property
+    def usable(self) -> bool:
+        """The frame has a row that says it could be used."""
+        frames = self.tables["frames"]
+        return len(frames) > 0 and bool(frames["ok"][0])
+
+    @cached_property
+    def size(self) -> tuple[int, int]:
+        """(height, width) in pixels; (0, 0) where unknown."""
+        frames = self.tables["frames"]
+        return (int(frames["height"][0]), int(frames["width"][0])) if len(frames) else (0, 0)
+
+    @cached_property
+    def K(self) -> np.ndarray | None:
+        """(3, 3) intrinsics, where they are finite."""
+        return self._of_frame("K", (3, 3))
+
+    @cached_property
+    def viewer(self) -> ViewerAxes | None:
+        """The viewer's axes, where the up vector is one."""
+        up = self._of_frame("up", (3,))
+        return None if up is None or np.linalg.norm(up) < 1e-6 else viewer_axes(up)
+
+    def _of_frame(self, name: str, shape: tuple[int, ...]) -> np.ndarray | None:
+        frames = self.tables["frames"]
+        if not len(frames) or not np.isfinite(frames[name][0]).all():
+            return None
+        return frames[name][0].reshape(shape)
+
+    @cached_property
+    def ids(self) -> np.ndarray:
+        """(N,) int64: the objects' numbers."""
+        return self.objects["object"] if len(self.objects) else np.zeros(0, np.int64)
+
+    @cached_property
+    def labels(self) -> list[str]:
+        return ["" if x is None else str(x) for x in self.objects["label"]] if len(self.objects) else []
+
+    @cached_property
+    def place(self) -> dict[int, int]:
+        """Row of an object by its number."""
+        return {int(number): k for k, number in reversed(list(enumerate(self.ids)))}
+
+    @cached_property
+    def alike(self) -> np.ndarray:
+        """(N, N) bool: objects whose names mean the same."""
+        return self.names.alike(self.labels)
+
+    @cached_property
+    def related(self) -> np.ndarray:
+        """(N,) bool: objects that take part in relations."""
+        return np.array([normal_form(label) not in self.names.background for label in self.labels], np.bool_)
+
+    @cached_property
+    def runs(self) -> list[MaskRuns | str | None]:
+        """Each object's mask as its code says, or why it cannot be read; None without a mask or a frame's size."""
+        if not len(self.objects) or not all(self.size):
+            return [None] * len(self.ids)
+        return [None if code is None else read_runs(code, *self.size) for code in self.objects["mask"]]
+
+    @cached_property
+    def pair_rows(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Rows of relations between two different known objects, and the places of a and b; three (P,) int64."""
+        none = np.zeros(0, np.int64)
+        if not len(self.relations) or not len(self.ids):
+            return none, none, none
+        order = np.argsort(self.ids, kind="stable")
+        ids = self.ids[order]
+        places, known = [], np.ones(len(self.relations), np.bool_)
+        for end in ("a", "b"):
+            number = self.relations[end]
+            at = np.minimum(np.searchsorted(ids, number), len(ids) - 1)
+            known &= ids[at] == number
+            places.append(order[at])
+        known &= places[0] != places[1]
+        return np.flatnonzero(known), places[0][known], places[1][known]
+
+    @cached_property
+    def present(self) -> np.ndarray:
+        """(N, N) bool: pairs that have a row."""
+        found = np.zeros((len(self.ids), len(self.ids)), np.bool_)
+        _, a, b = self.pair_rows
+        found[a, b] = True
+        return found
+
+    @cached_property
+    def states(self) -> dict[str, np.ndarray]:
+        """(N, N) int8 by relation; UNKNOWN where there is none."""
+        return {r: self._matrix(r, np.int8, UNKNOWN) for r in self.relation_names}
+
+    @cached_property
+    def margins(self) -> dict[str, np.ndarray]:
+        """(N, N) float64 by relation; NaN where there is none."""
+        return {r: self._matrix(f"{r}_margin", np.float64, np.nan) for r in self.relation_names}
+
+    @cached_property
+    def distance(self) -> np.ndarray:
+        """(N, N) float64 metres between the extents as stored, NaN where there is none."""
+        return self._matrix("distance", np.float64, np.nan)
+
+    def _matrix(self, column: str, kind: type, empty: float) -> np.ndarray:
+        found = np.full((len(self.ids), len(self.ids)), empty, kind)
+        rows, a, b = self.pair_rows
+        if len(rows):
+            found[a, b] = self.relations[column][rows]
+        return found
+
+    @cached_property
+    def extents(self) -> tuple[np.ndarray, np.ndarray]:
+        """lo and hi, (N, 3) float64 metres along (right, up, forward); NaN where unknown."""
+        if not len(self.objects):
+            return np.zeros((0, 3)), np.zeros((0, 3))
+        return self.objects["lo"], self.objects["hi"]

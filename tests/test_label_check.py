@@ -1,0 +1,247 @@
+"""The linter of labels: nothing on clean labels, and of every single damage exactly the finding it calls for."""
+
+from __future__ import annotations
+
+import json
+import random
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from label_damages import DAMAGES, Damage, item, pair, put
+from label_damages_pairs import PAIR_DAMAGES
+from damaged_labels import Tables, copied, damage, write_labels
+
+from pipeline.errors import InputError
+from pipeline.labels.check import RULES, Finding, check_labels, finding_record, stream, summarise
+from pipeline.labels.config import LabelConfig
+from pipeline.labels.merge import merge_labels
+from pipeline.labels.plan import SourceSpec, make_plan, save_plan
+from pipeline.labels.reading import open_labels
+from pipeline.labels.schema import TABLES
+from pipeline.labels.shard import label_shard
+from pipeline.labels.store import Store
+
+CONFIGS = {
+    "avd": LabelConfig(),
+    "semantic-abstraction": LabelConfig(vocabulary="semantic-abstraction"),
+    "all": LabelConfig(vocabulary="all"),
+    "published": LabelConfig(vocabulary="semantic-abstraction", profile="semantic-abstraction-published"),
+    "published-directions": LabelConfig(vocabulary="avd", profile="semantic-abstraction-published"),
+}
+ALL_DAMAGES = [*DAMAGES, *PAIR_DAMAGES]
+
+
+@pytest.fixture(scope="module")
+def clean(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    folders = {}
+    for name in ("all", "published"):
+        folders[name] = tmp_path_factory.mktemp("labels") / name
+        write_labels(folders[name], CONFIGS[name])
+    return folders
+
+
+@pytest.fixture(scope="module")
+def baseline(clean: dict[str, Path]) -> list[Finding]:
+    return check(clean["all"])
+
+
+def check(root: Path, **options: Any) -> list[Finding]:
+    return list(check_labels(open_labels(root), **options))
+
+
+def errors(findings: list[Finding]) -> list[Finding]:
+    return [f for f in findings if f.severity == "error"]
+
+
+@pytest.mark.parametrize("name", CONFIGS)
+def test_clean_labels_of_rooms_have_no_error(name: str, tmp_path: Path) -> None:
+    spec, config = SourceSpec("demo"), CONFIGS[name]
+    plan, store = make_plan(spec, config, limit=5), Store(tmp_path)
+    store.prepare()
+    save_plan(plan, store)
+    source = spec.open(config)
+    for shard in plan.shards:
+        label_shard(shard, plan, source, store)
+    merge_labels(tmp_path)
+    findings = check(tmp_path)
+    assert errors(findings) == []
+    warnings = {f.rule for f in findings}
+    # The last two are of objects too small to clean: pixels of what is behind make their boxes metres long.
+    expected = {"object/border", "object/few-points", "expression/everything"}
+    expected |= {"object/implausible-size", "object/box-mask"}
+    # A stool and a book at one height, each within 5 cm of lying on the other.
+    both_ways = {"relation/antisymmetry"} if {"on"} & set(config.relations) else set()
+    assert warnings <= expected | both_ways
+    assert both_ways <= warnings
+
+
+@pytest.mark.parametrize("name", ["all", "published"])
+def test_clean_labels_of_exact_scenes_have_no_error(name: str, clean: dict[str, Path]) -> None:
+    findings = check(clean[name])
+    assert errors(findings) == []
+    assert {f.rule for f in findings} <= {"object/border", "expression/everything"}
+
+
+@pytest.mark.parametrize(("rule", "severity", "change"), ALL_DAMAGES, ids=[c.__name__ for _, _, c in ALL_DAMAGES])
+def test_a_damage_is_found_where_it_is(
+    rule: str, severity: str, change: Damage, clean: dict[str, Path], baseline: list[Finding], tmp_path: Path
+) -> None:
+    root = copied(clean["all"], tmp_path / "labels")
+    expected = damage(root, change)
+    before = {(f.frame, f.objects) for f in baseline if f.rule == rule}
+    findings = check(root)
+    found = {(f.frame, f.objects, f.severity) for f in findings if f.rule == rule}
+    new = {(frame, objects, s) for frame, objects, s in found if (frame, objects) not in before}
+    assert new == {(frame, objects, severity) for frame, objects in expected}
+    if rule == "profile/changed":
+        assert not [f for f in findings if f.rule == "relation/geometry"]
+    # Asked for alone, the rule says the same.
+    assert {(f.frame, f.objects, f.severity) for f in check(root, rules=[rule])} == found
+
+
+def test_every_rule_has_a_damage() -> None:
+    whole_files = {"file/unreadable", "file/schema"}
+    assert {rule for rule, _, _ in ALL_DAMAGES} | whole_files == set(RULES)
+
+
+def test_the_published_profile_is_compared_with_its_own_geometry(clean: dict[str, Path], tmp_path: Path) -> None:
+    def change(t: Tables) -> None:
+        put(pair(t, "room/0", 3, 4), left=-1)
+        put(pair(t, "room/1", 0, 1), right=1)
+
+    root = copied(clean["published"], tmp_path / "labels")
+    damage(root, change)
+    found = {(f.rule, f.frame, f.objects) for f in errors(check(root, rules=["relation"]))}
+    assert found == {("relation/geometry", "room/0", (3, 4)), ("relation/geometry", "room/1", (0, 1)),
+                     ("relation/antisymmetry", "room/1", (0, 1))}  # fmt: skip
+
+
+def test_mutual_on_that_the_extents_allow_is_a_warning(clean: dict[str, Path], tmp_path: Path) -> None:
+    """Two slabs of one height that overlap a little less than half: each lies within 5 cm of on the other."""
+
+    def change(t: Tables) -> None:
+        for number, left in ((0, 0.0), (1, 0.2)):
+            put(item(t, "room/1", number), lo=[left, -1.0, 2.0], hi=[left + 0.3, -0.98, 2.3])
+        put(pair(t, "room/1", 0, 1), on=1)
+        put(pair(t, "room/1", 1, 0), on=1)
+
+    root = copied(clean["all"], tmp_path / "labels")
+    damage(root, change)
+    (found,) = check(root, rules=["relation/antisymmetry"])
+    assert (found.severity, found.frame, found.objects) == ("warning", "room/1", (0, 1))
+
+
+def test_findings_are_json(clean: dict[str, Path], tmp_path: Path) -> None:
+    root = copied(clean["all"], tmp_path / "labels")
+    for _, _, change in ALL_DAMAGES[::7]:
+        damage(root, change)
+    findings = check(root)
+    assert len({f.rule for f in findings}) > 8
+    for finding in findings:
+        record = json.loads(json.dumps(finding_record(finding), allow_nan=False))
+        assert record["rule"] == finding.rule
+        assert RULES[finding.rule].severity == "error" or finding.severity == "warning"
+    summary = summarise(findings)
+    assert summary.errors == len(errors(findings))
+    assert summary.errors + summary.warnings == len(findings) == sum(r.errors + r.warnings for r in summary.rules)
+    assert {r.rule for r in summary.rules} == {f.rule for f in findings}
+    for count in summary.rules:
+        assert count.frames == len({f.frame for f in findings if f.rule == count.rule and f.frame})
+
+
+def test_an_unknown_rule_is_one_clear_error(clean: dict[str, Path]) -> None:
+    with pytest.raises(InputError, match="no such rule"):
+        check_labels(open_labels(clean["all"]), rules=["relation/inverted"])
+
+
+def test_a_garbled_file_is_a_finding(clean: dict[str, Path], tmp_path: Path) -> None:
+    root = copied(clean["all"], tmp_path / "labels")
+    (root / "objects.parquet").write_bytes(b"PAR1 and then nothing")
+    findings = check(root)
+    assert [(f.rule, f.figures["table"]) for f in findings if f.rule.startswith("file/")] == [
+        ("file/unreadable", "objects")
+    ]
+    # Everything else is checked as far as it goes.
+    assert {f.frame for f in findings if f.rule == "frame/objects"} == {"room/0", "room/1", "room/2"}
+
+
+def test_a_table_in_place_of_another_is_a_finding(clean: dict[str, Path], tmp_path: Path) -> None:
+    root = copied(clean["all"], tmp_path / "labels")
+    (root / "relations.parquet").write_bytes((root / "objects.parquet").read_bytes())
+    assert ("file/unreadable", "relations") in {(f.rule, f.figures.get("table")) for f in errors(check(root))}
+
+
+def rewritten(root: Path, table: str, change: Callable[[pa.Table], pa.Table]) -> None:
+    path = root / f"{table}.parquet"
+    old = pq.read_table(path)
+    pq.write_table(change(old).replace_schema_metadata(old.schema.metadata), path)
+
+
+def test_a_missing_column_is_a_finding(clean: dict[str, Path], tmp_path: Path) -> None:
+    root = copied(clean["all"], tmp_path / "labels")
+    rewritten(root, "objects", lambda t: t.drop_columns(["score", "lo"]))
+    rewritten(root, "frames", lambda t: t.append_column("weather", pa.array(["fair"] * len(t))))
+    found = {(f.figures["table"], f.figures["column"]) for f in errors(check(root, rules=["file/schema"]))}
+    assert found == {("objects", "score"), ("objects", "lo"), ("frames", "weather")}
+
+
+def test_another_width_is_a_warning_and_is_read(clean: dict[str, Path], tmp_path: Path) -> None:
+    root = copied(clean["all"], tmp_path / "labels")
+    schema = pq.read_schema(root / "relations.parquet")
+
+    def widened(table: pa.Table) -> pa.Table:
+        kinds = {pa.int8(): pa.float64(), pa.float32(): pa.float64(), pa.string(): pa.large_string()}
+        return table.cast(pa.schema([(f.name, kinds.get(f.type, f.type)) for f in schema]))
+
+    rewritten(root, "relations", widened)
+    findings = check(root)
+    assert errors(findings) == []
+    assert {f.rule for f in findings if f.frame is None} == {"file/changed", "file/schema"}
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 10**6))
+def test_wild_edits_never_crash(clean: dict[str, Path], tmp_path_factory: pytest.TempPathFactory, seed: int) -> None:
+    """Cells of any table set to null, to numbers and texts that make no sense, rows dropped and shuffled."""
+    rng = random.Random(seed)
+    root = copied(clean["all"], tmp_path_factory.mktemp("wild") / "labels")
+
+    def change(t: Tables) -> None:
+        for name in TABLES:
+            rows = t[name]
+            for row in rng.sample(rows, min(3, len(rows))):
+                column = rng.choice(list(row))
+                old = row[column]
+                wild: list[Any] = [None, type(old)(-100) if isinstance(old, int | float) else old]
+                if isinstance(old, list) and old:
+                    wild += [[], old[:1], [*old, old[0]]]
+                    wild += [[float("nan")] * len(old), [0.0] * len(old)] if isinstance(old[0], float) else []
+                if isinstance(old, str):
+                    wild += ["", "\u0436\u0437", old[::-1]]
+                row[column] = rng.choice(wild)
+            if rng.random() < 0.4:
+                rows.pop(rng.randrange(len(rows)))
+            if rng.random() < 0.3:
+                rng.shuffle(rows)
+
+    damage(root, change)
+    for finding in check(root):
+        json.dumps(finding_record(finding), allow_nan=False)
+
+
+def test_batches_change_nothing(
+    clean: dict[str, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    root = copied(clean["all"], tmp_path / "labels")
+    for _, _, change in ALL_DAMAGES[20:60:5]:
+        damage(root, change)
+    whole = check(root)
+    for rows in (1, 3, 16):
+        monkeypatch.setattr(stream, "BATCH_ROWS", rows)
+        assert check(root) == whole
