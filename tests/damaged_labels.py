@@ -50,7 +50,8 @@ def scenes() -> list[Frame]:
 def write_labels(root: Path, config: LabelConfig) -> None:
     """Label the scenes and merge them, in two shards."""
     frames = scenes()
-    plan = Plan(SourceSpec("scenes"), config, tuple(f.id for f in frames), {"detector": "annotations"}, "-", "test", True, 2)
+    ids = tuple(f.id for f in frames)
+    plan = Plan(SourceSpec("scenes"), config, ids, {"detector": "annotations"}, "-", "test", True, 2)
     store = Store(root)
     store.prepare()
     save_plan(plan, store)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from functools import partial
 
+from damaged_labels import Tables
 from label_damages import Listed, Where, item, pair, put, said
 from label_damages import damages as damages_into
-from damaged_labels import Tables
 
 PAIR_DAMAGES: Listed = []
 damages = partial(damages_into, into=PAIR_DAMAGES)

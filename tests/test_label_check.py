@@ -5,17 +5,18 @@ from __future__ import annotations
 import json
 import random
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
+from damaged_labels import Tables, copied, damage, write_labels
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from label_damages import DAMAGES, Damage, item, pair, put
 from label_damages_pairs import PAIR_DAMAGES
-from damaged_labels import Tables, copied, damage, write_labels
 
 from pipeline.errors import InputError
 from pipeline.labels.check import RULES, Finding, check_labels, finding_record, stream, summarise
@@ -24,7 +25,7 @@ from pipeline.labels.merge import merge_labels
 from pipeline.labels.plan import SourceSpec, make_plan, save_plan
 from pipeline.labels.reading import open_labels
 from pipeline.labels.schema import TABLES
-from pipeline.labels.shard import label_shard
+from pipeline.labels.shard import label_shard, open_labeller
 from pipeline.labels.store import Store
 
 CONFIGS = {
@@ -42,7 +43,7 @@ def clean(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     folders = {}
     for name in ("all", "published"):
         folders[name] = tmp_path_factory.mktemp("labels") / name
-        write_labels(folders[name], CONFIGS[name])
+        write_labels(folders[name], replace(CONFIGS[name], style="plain"))
     return folders
 
 
@@ -65,9 +66,9 @@ def test_clean_labels_of_rooms_have_no_error(name: str, tmp_path: Path) -> None:
     plan, store = make_plan(spec, config, limit=5), Store(tmp_path)
     store.prepare()
     save_plan(plan, store)
-    source = spec.open(config)
+    labeller = open_labeller(spec, config)
     for shard in plan.shards:
-        label_shard(shard, plan, source, store)
+        label_shard(shard, labeller, store)
     merge_labels(tmp_path)
     findings = check(tmp_path)
     assert errors(findings) == []

@@ -234,6 +234,7 @@ def _relation_columns(
         "a": number[a],
         "b": number[b],
         "distance": [None if np.isnan(d) else d for d in distance.tolist()],
+        "doubted": np.zeros(len(a), np.int32) if judged.doubted is None else judged.doubted[a, b],
     }
     for relation in config.relations:
         k = PAIRWISE.index(relation)

@@ -39,11 +39,14 @@ class Judged:
         Metres: positive for T, negative for F, 0 for U.
     distance : (N, N) float64
         Metres between the extents of the two, NaN where either is unknown.
+    doubted : (N, N) int32 or None
+        Bit k is set where relation k is U for a second opinion's sake alone.
     """
 
     states: np.ndarray
     margins: np.ndarray
     distance: np.ndarray
+    doubted: np.ndarray | None = None
 
 
 class Judge(Protocol):

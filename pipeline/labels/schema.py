@@ -109,6 +109,7 @@ class RelationRow(Row):
     a: Annotated[int, Field(json_schema_extra={"arrow": "int32"})]
     b: Annotated[int, Field(json_schema_extra={"arrow": "int32"})]
     distance: Annotated[float | None, Field(json_schema_extra={"arrow": "float32"})]
+    doubted: Count
     left: State = None
     right: State = None
     above: State = None

@@ -59,6 +59,7 @@ def doubted(
     """
     states, margins = judged.states.copy(), judged.margins.copy()
     found = network.of_pairs(objects, viewer)
+    bits = np.zeros(states.shape[:2], np.int32)
     for k, relation in enumerate(network.contract.vocabulary):
         column = PAIRWISE.index(relation)
         state, p = states[..., column], found[..., k]
@@ -66,4 +67,5 @@ def doubted(
         opposed &= ~np.eye(len(state), dtype=np.bool_)
         state[opposed] = U
         margins[..., column][opposed] = 0.0
-    return Judged(states, margins, judged.distance)
+        bits |= opposed.astype(np.int32) << column
+    return Judged(states, margins, judged.distance, bits)

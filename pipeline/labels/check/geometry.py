@@ -12,6 +12,8 @@ of them only what extents can decide is checked, as a lowest and a highest state
   that enough of a's points lie in b: surely not where the extents are apart,
   surely where a's lie within b's.
 
+Where the labels say that a second opinion doubts the rules, U is what is expected.
+
 In `semantic-abstraction-published` directions follow from extents, mean points
 and the stored "on" and "in". Without stored "on" and "in" a pair that may touch
 can be refused any direction, so that only T is compared.
@@ -177,7 +179,9 @@ def check_geometry(view: FrameView, expected: Expected) -> Iterator[Finding]:
     for relation, states in view.states.items():
         if relation not in expected.high:
             continue
-        low, high, wanted = expected.low[relation], expected.high[relation], expected.margins[relation]
+        doubted = view.doubted(relation)
+        low, high = (np.where(doubted, U, bound) for bound in (expected.low[relation], expected.high[relation]))
+        wanted = np.where(doubted, 0.0, expected.margins[relation])
         margins = view.margins[relation]
         judged = view.present & (states != UNKNOWN)
         off = judged & ((states < low) | (states > high))

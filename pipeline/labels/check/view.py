@@ -12,7 +12,7 @@ from pipeline.labels.check.findings import RULES, Figure, Finding, Severity
 from pipeline.labels.check.runs import MaskRuns, read_runs
 from pipeline.labels.check.stream import UNKNOWN, Rows
 from pipeline.naming import normal_form, same_class
-from pipeline.relations import PHRASE, F, T, U, letter
+from pipeline.relations import PAIRWISE, PHRASE, F, T, U, letter
 from pipeline.viewer import ViewerAxes, viewer_axes
 
 
@@ -229,6 +229,11 @@ class FrameView:
     def distance(self) -> np.ndarray:
         """(N, N) float64 metres between the extents as stored, NaN where there is none."""
         return self._matrix("distance", np.float64, np.nan)
+
+    def doubted(self, relation: str) -> np.ndarray:
+        """(N, N) bool: pairs of which a second opinion made a relation doubtful."""
+        bits = self._matrix("doubted", np.int64, 0)
+        return (np.maximum(bits, 0) >> PAIRWISE.index(relation)) & 1 == 1
 
     def _matrix(self, column: str, kind: type, empty: float) -> np.ndarray:
         found = np.full((len(self.ids), len(self.ids)), empty, kind)
