@@ -106,7 +106,7 @@ def pair_row(frame: Mapping[str, Any], a: int, b: int, states: Mapping[str, int 
     row: dict[str, Any] = {"frame": frame["frame"], "frame_index": frame["frame_index"], "a": a, "b": b}
     for relation, state in states.items():
         row |= {relation: state, f"{relation}_margin": None if state is None else 0.1 * state}
-    return {**row, "distance": 1 / 3 if None not in states.values() else None}
+    return {**row, "doubted": 0, "distance": 1 / 3 if None not in states.values() else None}
 
 
 def hostile_labels(folder: Path) -> Labels:
