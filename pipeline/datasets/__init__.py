@@ -5,6 +5,7 @@ from __future__ import annotations
 from pipeline.datasets.base import Dataset, DatasetFormat, resolve_frame
 from pipeline.datasets.opening import open_dataset
 from pipeline.datasets.settings import Settings, read_settings, write_settings
+from pipeline.datasets.summary import SurveyCounts, summarise
 from pipeline.datasets.survey import FrameReport, survey
 
 __all__ = [
@@ -12,9 +13,11 @@ __all__ = [
     "DatasetFormat",
     "FrameReport",
     "Settings",
+    "SurveyCounts",
     "open_dataset",
     "read_settings",
     "resolve_frame",
+    "summarise",
     "survey",
     "write_settings",
 ]
