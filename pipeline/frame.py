@@ -35,6 +35,10 @@ class Annotation:
         The exact 3D box in the camera frame, where the dataset knows it.
     visible : float or None
         Share of the object that is not occluded, 0..1.
+    instance : int or None
+        The dataset's number of this very object, the same in all frames that show it.
+    difficulty : int or None
+        How hard the dataset says the object is to find: 1 is easy.
     """
 
     index: int
@@ -43,6 +47,8 @@ class Annotation:
     mask: np.ndarray | None = None
     box: Box3D | None = None
     visible: float | None = None
+    instance: int | None = None
+    difficulty: int | None = None
 
     def __post_init__(self) -> None:
         bbox = np.asarray(self.bbox, dtype=np.float32)

@@ -211,7 +211,7 @@ class _Reader:
     def _noun(self, tokens: list[Token], after: str | None) -> int:
         """Add the noun that the tokens write; its number. `after` is the phrase before it, None for the target."""
         role: Role = "target" if after is None else "reference"
-        while tokens and tokens[0].plain in DETERMINERS:
+        while tokens and (tokens[0].plain in DETERMINERS or (tokens[0].plain in lexicon.OTHER and len(tokens) > 1)):
             tokens = tokens[1:]
         if not tokens:
             where = "before the relation" if after is None else f"after '{after}'"

@@ -14,7 +14,7 @@ from pipeline.errors import FrameUnusable, InputError, UnknownFormat
 from pipeline.frame import Frame
 from pipeline.naming import Synonyms
 from pipeline.objects import FrameContext, SceneObject, all_objects
-from pipeline.proposals import Detector, make_detector
+from pipeline.proposals import Detector, Segmented, make_detector, make_segmenter
 from pipeline.srm import RelationScorer, RelationScores, make_scorer
 
 ALL_FRAMES = "all"
@@ -80,12 +80,15 @@ def open_source(
     detector: str | None = None,
     model: Path | None = None,
     min_score: float | None = None,
+    segmenter: str | None = None,
+    segmenter_model: Path | None = None,
     srm: str | Path = "trained",
     synonyms: Path | None = None,
     config: AskConfig | None = None,
 ) -> Source:
     """Open a dataset and the models for it; the path "demo" is the built-in one.
 
+    `segmenter` makes masks for boxes that have none ("depth", "recorded", "yolo-seg"); by default there is none.
     `srm` is "trained" (the shipped network), "rule", or the path of a network that `spatialviz train` wrote.
 
     Raises
@@ -108,6 +111,11 @@ def open_source(
             detector, model=model, class_names=dataset.class_names, synonyms=table, min_score=min_score
         )
     )
+    if segmenter is None and segmenter_model is not None:
+        raise InputError("--segmenter-model needs --segmenter", cause="what is it for?", path=segmenter_model)
+    if segmenter is not None:
+        masks = make_segmenter(segmenter, model=segmenter_model, synonyms=table)
+        found = None if found is None else Segmented(found, masks)
     return Source(dataset, found, make_scorer(srm), config or AskConfig(), table)
 
 

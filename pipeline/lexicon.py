@@ -106,6 +106,8 @@ LEADING = frozenset(
         "looking for",
         "find",
         "find me",
+        "help me find",
+        "spot",
         "locate",
         "show",
         "show me",
@@ -144,6 +146,8 @@ LEADING = frozenset(
         "hand me",
         "pass me",
         "where is",
+        "where can i find",
+        "where can i see",
         "where are",
         "where's",
         "what is",
@@ -155,12 +159,16 @@ LEADING = frozenset(
         "what",
         "is there",
         "are there",
+        "is it true that",
         "there is",
         "there are",
         "is",
         "are",
         "does",
         "do you see",
+        "can you see",
+        "can i see",
+        "i can see",
         "tell me where",
         "tell me",
     ]
@@ -181,6 +189,9 @@ POSTURES = _words("stands sits lies rests hangs leans stand sit lie rest hang le
 CLOSING = _words("please thanks is are there")
 AND = frozenset({"and", "but", "&"})
 NEGATIONS = _words("not no isn't aren't without except excluding neither nor never cannot")
+
+OTHER = frozenset({"another", "other"})
+"""Before a noun they tell two things of one name apart, `the mug left of the other mug`, and say nothing more."""
 
 ARTICLES = _words("the a an this these those my your our")
 ARTICLE_BEARING = _words("of with for or")

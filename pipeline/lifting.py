@@ -23,9 +23,9 @@ BoxMode = Literal["gravity", "pca", "pca-raw"]
 """gravity: upright, yaw by PCA in plan. pca: the paper's PCA box, canonicalised
 in the level camera frame. pca-raw: the same with the axes as PCA gives them."""
 
-MaskSource = Literal["annotation", "detector", "box3d", "box"]
+MaskSource = Literal["annotation", "detector", "box3d", "segmenter", "box"]
 """Whose pixels they are: the dataset's mask, the detector's, those inside the
-annotated 3D box, or the whole 2D box."""
+annotated 3D box, those a segmenter found in the 2D box, or the whole 2D box."""
 
 
 class Pixel(IntEnum):
@@ -155,6 +155,8 @@ class Quality:
             found.append("no mask: the whole 2D box was lifted")
         elif self.mask_source == "box3d":
             found.append("no mask: the points inside the annotated 3D box were lifted")
+        elif self.mask_source == "segmenter":
+            found.append("no mask: one was made from the 2D box by a segmenter")
         return tuple(found)
 
 

@@ -25,7 +25,7 @@ DETERMINERS = _words("the a an this that these those my your our their its his h
 _UNCHANGED = _words(
     "bus gas glasses sunglasses eyeglasses goggles scissors pants trousers jeans shorts tights pliers tweezers tongs "
     "binoculars clothes stairs news series species headquarters chassis canvas atlas christmas tennis chess lens "
-    "iris rhinoceros brassiere molasses"
+    "iris rhinoceros brassiere molasses thermos cosmos asbestos alias bias pancreas forceps pyjamas adidas citrus"
 )
 _IRREGULAR = {
     "mice": "mouse", "men": "man", "women": "woman", "people": "person", "children": "child", "feet": "foot",
@@ -45,9 +45,9 @@ _NOT_MEN = ("specimen", "omen", "abdomen", "stamen", "acumen", "ramen", "semen",
 _OE_NOUNS = re.compile(r".*shoe|(?:tip)?toe|mistletoe|hoe|canoe|oboe|doe|foe")
 _NO_PLURAL_ENDINGS = ("ss", "us", "is")
 _S_AFTER_ENDING = _words("skis taxis bikinis kiwis zucchinis khakis menus emus gnus tofus salamis")
-_HEAD_ENDS = re.compile(r"(?<=.) (?=(?:of|with|in|on|for|without|from)\b)")
-_CAMEL = re.compile(r"(?<=[a-z]{2})(?=[A-Z][a-z])|(?<=[A-Z])(?=[A-Z][a-z]{2})")
-_QUALIFIER = re.compile(r"\s*\(([^()]*)\)\s*$")
+HEAD_ENDS = re.compile(r"(?<=.) (?=(?:of|with|in|on|for|without|from)\b)")
+CAMEL_CASE = re.compile(r"(?<=[a-z]{2})(?=[A-Z][a-z])|(?<=[A-Z])(?=[A-Z][a-z]{2})")
+QUALIFIER = re.compile(r"\s*\(([^()]*)\)\s*$")
 _EITHER = re.compile(r"/|[\s_]or[\s_]", re.IGNORECASE)
 _GAPS = re.compile(r"[\s_\-‐-―/]+")
 
@@ -97,9 +97,9 @@ def normal_form(name: str) -> str:
         A class name as a dataset, a detector or a person writes it.
     """
     text = unicodedata.normalize("NFKC", name)
-    text = _CAMEL.sub(" ", text).lower().replace("’", "'").replace("‘", "'")
+    text = CAMEL_CASE.sub(" ", text).lower().replace("’", "'").replace("‘", "'")
     text = re.sub(r"[\"“”„«»,;:?!]+", " ", text)
-    qualifier = _QUALIFIER.search(text)
+    qualifier = QUALIFIER.search(text)
     if qualifier and qualifier.start():
         inside = " ".join(_GAPS.split(qualifier[1].strip()))
         return f"{_plain(text[: qualifier.start()])} ({inside})" if inside else _plain(text[: qualifier.start()])
@@ -110,7 +110,7 @@ def _plain(text: str) -> str:
     words = [w for w in (w.strip(".'") for w in _GAPS.split(text)) if w]
     while len(words) > 1 and words[0] in DETERMINERS:
         words.pop(0)
-    head, *rest = _HEAD_ENDS.split(" ".join(words), maxsplit=1)
+    head, *rest = HEAD_ENDS.split(" ".join(words), maxsplit=1)
     words = head.split()
     if words:
         # Eyewear has no singular, but wine glasses are several wine glasses.
@@ -239,6 +239,12 @@ def same_class(a: str, b: str, synonyms: Synonyms | None = None) -> bool:
     return (synonyms or default_synonyms()).same(normal_form(a), normal_form(b))
 
 
+def is_named(query: str, name: str, synonyms: Synonyms | None = None) -> bool:
+    """Whether a query names this very class, by one of its spellings (`Monitor` for `Monitor/TV`, `bus` for
+    `bus (vehicle)`) or by a synonym, and not by a more general word."""
+    return _key(normal_form(query)) in _spellings(name) or same_class(query, name, synonyms)
+
+
 def match(query: str, names: Sequence[str], synonyms: Synonyms | None = None) -> tuple[str, ...]:
     """The names, out of those a dataset or a detector knows, that a query means.
 
@@ -275,7 +281,7 @@ def match(query: str, names: Sequence[str], synonyms: Synonyms | None = None) ->
     return tuple(
         name
         for name, form in known.items()
-        if _HEAD_ENDS.split(_base(form), maxsplit=1)[0].split()[-len(words) :] == words and not table.is_exception(form)
+        if HEAD_ENDS.split(_base(form), maxsplit=1)[0].split()[-len(words) :] == words and not table.is_exception(form)
     )
 
 
@@ -289,7 +295,7 @@ def _spellings(name: str) -> frozenset[str]:
 
 def _base(normal: str) -> str:
     """A name without its qualifier: who writes `bus` means `bus (vehicle)`."""
-    return _QUALIFIER.sub("", normal)
+    return QUALIFIER.sub("", normal)
 
 
 def suggest(query: str, names: Iterable[str], n: int = 3) -> tuple[str, ...]:

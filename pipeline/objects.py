@@ -104,7 +104,9 @@ class FrameContext:
 
     def _mask(self, proposals: Proposals, i: int, exact: bool) -> tuple[np.ndarray, MaskSource]:
         """The pixels of a proposal, and whose they are."""
-        if proposals.masks is not None and (proposals.has_mask is None or proposals.has_mask[i]):
+        masked = proposals.masks is not None and (proposals.has_mask is None or bool(proposals.has_mask[i]))
+        segmented = masked and proposals.segmented is not None and bool(proposals.segmented[i])
+        if proposals.masks is not None and masked and not segmented:
             return proposals.masks[i], "annotation" if exact else "detector"
         mask = box_mask(proposals.boxes[i], self.frame.height, self.frame.width)
         if exact:
@@ -112,7 +114,11 @@ class FrameContext:
             if box is not None:
                 within = pixels_inside(box, mask, self.frame)
                 if within.any():
+                    # Before a segmenter's guess: in the demo the centre of what is lifted is more than
+                    # 10 cm off for 7 % of the objects by these pixels, for 13 % by the depth segmenter's.
                     return within, "box3d"
+        if proposals.masks is not None and segmented:
+            return proposals.masks[i], "segmenter"
         return mask, "box"
 
 

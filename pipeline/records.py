@@ -203,8 +203,8 @@ def relation_records(
 
 
 def frame_record(report: FrameReport) -> Record:
-    """One record of `frames --json`."""
-    return {
+    """One record of `frames --json`; "moves" only where the dataset has moves."""
+    record: Record = {
         "index": report.index,
         "frame": report.id,
         "ok": report.ok,
@@ -219,3 +219,6 @@ def frame_record(report: FrameReport) -> Record:
         "up_source": report.up_source,
         "notes": list(report.notes),
     }
+    if report.moves is not None:
+        record["moves"] = dict(report.moves)
+    return record

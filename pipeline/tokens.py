@@ -10,7 +10,7 @@ from functools import lru_cache
 
 from pipeline.errors import InputError
 from pipeline.lexicon import AND, WITH, phrase_table
-from pipeline.naming import Synonyms
+from pipeline.naming import DETERMINERS, Synonyms
 
 MAX_LENGTH = 300
 """Characters; a spatial expression is a phrase, not a page."""
@@ -167,7 +167,9 @@ def tokenize(text: str, known: Vocabulary, *, hold_names: bool = True) -> list[T
         name = _longest(known.names.get(words[i]), words, opens, i)
         if name is not None and name[2] and not hold_names:
             name = None
-        phrase = _longest(_PHRASES.get(words[i]), words, opens, i)
+        # A phrase does not reach into quotes: in `in the "front of house"` it is `in`.
+        free = _next_quote(quotes, starts, i)
+        phrase = _longest(_PHRASES.get(words[i]), words[:free], opens, i)
         if phrase is not None and len(phrase[0]) > 1:
             phrase = _before_a_name(phrase, known, words, opens, i)
         best = name if phrase is None or (name is not None and len(name[0]) > len(phrase[0])) else phrase
@@ -200,15 +202,22 @@ def _longest(
 def _before_a_name(
     phrase: tuple[tuple[str, ...], str, bool], known: Vocabulary, words: list[str], opens: list[bool], at: int
 ) -> tuple[tuple[str, ...], str, bool]:
-    """The phrase, or a shorter one where a known name begins within it and ends after it: `in` + `front door`."""
+    """The phrase, or a shorter one where a known name begins within it and ends after it: `in` (`the`) `front door`."""
     for entry in _PHRASES[words[at]]:
         size = len(entry[0])
         if size >= len(phrase[0]) or tuple(words[at : at + size]) != entry[0]:
             continue
-        name = _longest(known.names.get(words[at + size]), words, opens, at + size)
-        if name is not None and at + size + len(name[0]) > at + len(phrase[0]):
+        begin = at + size + (words[at + size] in DETERMINERS)
+        name = _longest(known.names.get(words[begin]), words, opens, begin) if begin < len(words) else None
+        if name is not None and begin + len(name[0]) > at + len(phrase[0]):
             return entry
     return phrase
+
+
+def _next_quote(quotes: dict[int, re.Match[str]], starts: list[int], at: int) -> int:
+    """The number of the first word behind word `at` that begins a quoted name, or the number of words."""
+    ahead = min((q.start() for q in quotes.values() if q.start() > starts[at]), default=None)
+    return len(starts) if ahead is None else next((k for k in range(at, len(starts)) if starts[k] > ahead), len(starts))
 
 
 def _quoted(quotes: dict[int, re.Match[str]], starts: list[int], ends: list[int], at: int) -> int | None:

@@ -16,7 +16,7 @@ from tyro.conf import OmitArgPrefixes, Positional, subcommand
 
 from pipeline import __version__
 from pipeline.errors import InputError, MissingExtra
-from spatialviz.cli_labels import Check, Export, Label, Merge
+from spatialviz.cli_labels import BenchLabel, Check, Export, Label, Merge
 from spatialviz.exits import BAD, FINE, INTERRUPTED, NO
 from spatialviz.options import four_numbers, print_json, warn_skipped
 
@@ -33,6 +33,10 @@ class SourceOptions:
     """Model file or recording for the detector."""
     min_score: float | None = None
     """Drop detections below this score. Default: the detector's own."""
+    segmenter: str | None = None
+    """Makes masks for boxes that have none: depth | recorded | yolo-seg. Default: none, the whole box is lifted."""
+    segmenter_model: Path | None = None
+    """Model file or recording for the segmenter; depth needs none."""
     srm: str = "trained"
     """What scores relations: trained (the network that comes with the program) | rule | an ONNX file."""
     box: Literal["gravity", "pca"] = "gravity"
@@ -57,6 +61,8 @@ class SourceOptions:
             "detector": self.detector,
             "model": self.model,
             "min_score": self.min_score,
+            "segmenter": self.segmenter,
+            "segmenter_model": self.segmenter_model,
             "srm": self.srm,
             "synonyms": self.synonyms,
             "config": AskConfig(k=self.k, lift=LiftConfig(box=self.box)),
@@ -369,6 +375,7 @@ Command = Union[
     Annotated[Export, subcommand("export")],
     Annotated[Train, subcommand("train")],
     Annotated[Bench, subcommand("bench")],
+    Annotated[BenchLabel, subcommand("bench-label")],
 ]
 
 
@@ -384,6 +391,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return FINE
     if not arguments or (arguments[0].startswith("-") and arguments[0] not in ("-h", "--help")):
         arguments = ["view", *arguments]
+    if arguments[:2] == ["bench", "label"]:
+        arguments = ["bench-label", *arguments[2:]]
     try:
         command = tyro.cli(
             Command,  # pyright: ignore[reportArgumentType]

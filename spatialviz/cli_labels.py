@@ -89,6 +89,8 @@ class Label:
     """Which relations."""
     profile: Literal["viewer-cone-v1", "semantic-abstraction-published"] = "viewer-cone-v1"
     """The rules that decide them."""
+    second_opinion: str = "trained"
+    """trained | none | an ONNX file: a network that makes labels doubtful where it says the opposite."""
     style: Literal["varied", "plain", "semantic-abstraction"] = "varied"
     """How sentences are worded."""
     box: Literal["gravity", "pca"] = "gravity"
@@ -123,6 +125,7 @@ class Label:
             lift=LiftConfig(box=self.box),
             style=self.style,
             seed=self.seed,
+            second_opinion=self.second_opinion,
         )
         with rate_bar("labelling", "frames") as advance:
             report = label_dataset(
@@ -270,4 +273,33 @@ class Export:
                 progress=advance,
             )
         print(f"{len(report.files)} files -> {self.out}")
+        return FINE
+
+
+@dataclass(frozen=True)
+class BenchLabel:
+    """Time labelling: lifting and relations beside the usual Open3D recipe, and the whole job on a dataset."""
+
+    dataset: Positional[str] = "demo"
+    """What the whole job labels."""
+    views: int = 12
+    """Rendered views for the comparison (extra: render; open3d for the recipe)."""
+    repeat: int = 3
+    """Passes; the fastest counts."""
+    workers: int = os.cpu_count() or 1
+    """Processes of the whole job."""
+    json: bool = False
+    """Print one JSON object."""
+
+    def run(self) -> int:
+        from pipeline.labels.bench import bench_labels
+        from spatialviz.printing_labels import print_label_bench
+
+        record = bench_labels(
+            LabelSource().spec(self.dataset), views=self.views, repeat=self.repeat, workers=self.workers
+        )
+        if self.json:
+            print_json(record)
+        else:
+            print_label_bench(record)
         return FINE

@@ -64,3 +64,36 @@ def print_manifest(manifest: Manifest, out: str) -> None:
     if len(manifest.warnings) > 5:
         console.print(Text(f"and {len(manifest.warnings) - 5} more, in the manifest", "yellow"))
     console.print(Text(f"-> {out}", "dim"))
+
+
+def print_label_bench(record: dict[str, Any]) -> None:
+    """Lifting beside the recipe, relations, and the whole job."""
+    console = make_console()
+    lifting = record["lifting"]
+    console.print(
+        f"{record['views']} rendered views, {record['objects']} objects, {record['width']}x{record['height']}; "
+        "processor time of one thread"
+    )
+    table = Table(box=None, pad_edge=False, header_style="dim")
+    for column in ("lifting and relations", "ms/frame", "face error cm", "95 % of faces below cm"):
+        table.add_column(column, justify="left" if column.startswith("lifting") else "right")
+    for name in ("ours", "open3d recipe"):
+        entry = lifting[name]
+        if "skipped" in entry:
+            table.add_row(name, "-", "-", "-")
+        else:
+            figures = (entry["ms_per_frame"], entry["face_error_cm"], entry["face_error_p95_cm"])
+            table.add_row(name, *(f"{x:.2f}" for x in figures))
+    console.print(table)
+    if "ratio" in lifting:
+        console.print(f"ours is {lifting['ratio']:.1f} times as fast as {lifting['recipe']}")
+    else:
+        console.print(Text(lifting["open3d recipe"]["skipped"], "yellow"))
+    for name, rate in record["relations"]["pairs_per_s"].items():
+        console.print(f"  {name:<34} {rate:>10,} pairs/s")
+    job = record["job"]
+    console.print(
+        f"whole job: {job['frames']} frames with {job['objects_per_frame']} objects each in {job['seconds']} s "
+        f"({job['workers']} workers, {job['frames_per_s']} frames/s), {job['candidates_per_frame']} candidate "
+        f"expressions a frame; 1,500 such frames: {job['seconds_for_1500_frames']} s and the start"
+    )

@@ -483,3 +483,35 @@ def test_a_known_name_that_begins_within_a_phrase_and_ends_after_it_is_kept() ->
     assert parse("mug in front door", class_names=names).expression.reference == "front door"
     assert parse("mug in front of door", class_names=names).expression.relation == "front"
     assert parse("mug in front of front door", class_names=names).expression.reference == "front door"
+
+
+def test_a_known_name_after_an_article_is_kept_whole_too() -> None:
+    names = ["mug", "car", "front of car", "left side of stage"]
+    assert triple("mug in the front of car", class_names=names) == ("mug", "in", "front of car")
+    assert triple("mug on the left side of stage", class_names=names) == ("mug", "on", "left side of stage")
+    assert triple("mug in the front of the car", class_names=names) == ("mug", "front", "car")
+    assert triple("mug on the left side of the car", class_names=names) == ("mug", "left", "car")
+
+
+def test_a_phrase_does_not_reach_into_quotes() -> None:
+    assert triple('mug in the "front of house"') == ("mug", "in", "front of house")
+    assert triple('"mug" on the "left of field"') == ("mug", "on", "left of field")
+    assert triple('mug in "front" of "car"', class_names=["front", "car"])[1] == "in"
+    assert triple('the "left" of centre left of "right"')[1:] == ("left", "right")
+
+
+@pytest.mark.parametrize("other", ["the other mug", "another mug", "some other mug", "that other mug"])
+def test_another_thing_of_the_same_name(other: str) -> None:
+    assert triple(f"the mug left of {other}") == ("mug", "left", "mug")
+    assert triple(f"{other} left of the laptop") == ("mug", "left", "laptop")
+    assert triple("the mug left of the other furniture", class_names=["other furniture"])[2] == "other furniture"
+    assert triple("other left of another", class_names=["other", "another"]) == ("other", "left", "another")
+
+
+@pytest.mark.parametrize(
+    "lead",
+    ["where can I find the", "help me find the", "is it true that the", "can you see a", "spot the", "I can see the"],
+)
+def test_more_ways_to_ask(lead: str) -> None:
+    assert triple(f"{lead} mug left of the laptop") == ("mug", "left", "laptop")
+    assert triple("spot left of the laptop") == ("spot", "left", "laptop")

@@ -12,6 +12,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from avd_writer import write_scan
 from dataset_writers import (
     HEIGHT,
     START,
@@ -29,6 +30,7 @@ from dataset_writers import (
 )
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from semantic_abstraction_writer import write_view
 
 from pipeline.camera import backproject
 from pipeline.datasets import open_dataset, survey
@@ -69,6 +71,8 @@ WRITERS: dict[str, Callable[[Path], object]] = {
     "redwood": lambda root: write_redwood(root, ["00000", "00001"]),
     "sunrgbd": lambda root: write_sunrgbd(root, ["a", "b"]),
     "sunrgbd-votenet": lambda root: write_votenet(root, ["000001"]),
+    "avd": lambda root: write_scan(root, steps=1),
+    "semantic-abstraction": lambda root: write_view(root / "00001|FloorPlan1_physics.hdf5"),
     "folder": lambda root: write_folder(root, [1, 2]),
 }
 
@@ -89,7 +93,7 @@ def test_every_format_is_told_from_the_others(tmp_path: Path, name: str) -> None
 
 
 def test_a_folder_of_datasets_is_no_dataset_of_one_of_their_formats(tmp_path: Path) -> None:
-    for name in ("tum", "scannet", "redwood", "sunrgbd", "folder"):
+    for name in ("tum", "scannet", "redwood", "sunrgbd", "avd", "semantic-abstraction", "folder"):
         (tmp_path / name).mkdir()
         WRITERS[name](tmp_path / name)
     refused(lambda: open_dataset(tmp_path), "no dataset is recognised", "rgb.txt", "intrinsic_depth.txt")

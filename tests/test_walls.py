@@ -14,7 +14,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parent.parent
 SOURCES = sorted((ROOT / "pipeline").rglob("*.py"))
-FORBIDDEN = ("viser", "spatialviz", "torch", "open3d", "scipy", "onnxruntime", "matplotlib")
+FORBIDDEN = ("viser", "spatialviz", "torch", "open3d", "scipy", "onnxruntime", "matplotlib", "h5py")
 
 IMPORT_ALL = """
 import importlib, json, pkgutil, sys

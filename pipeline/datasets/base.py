@@ -17,14 +17,21 @@ from pipeline.frame import Frame
 class Dataset(Protocol):
     """A folder of frames, opened but not yet read.
 
+    A dataset may have more to say, by methods that `pipeline.datasets.capabilities`
+    asks for and that most do not have: `moves(frame_id)`, a dict of move to frame id;
+    `given_expressions(frame_id)`, a tuple of GivenExpression; `splits()`, a dict of
+    split to frame ids.
+
     Attributes
     ----------
     root : Path
         The folder that was opened. Nothing outside it is read, except the camera
-        file of a Redwood recording, which may stand one folder up.
+        file of a Redwood recording and the camera file and instance names of an AVD
+        scan, which may stand one folder up.
     format : str
         Name of the on-disk format: "bop", "7-scenes", "scannet", "tum", "sunrgbd",
-        "sunrgbd-votenet", "redwood", "folder", or a plugin's.
+        "sunrgbd-votenet", "redwood", "avd", "semantic-abstraction", "folder", or a
+        plugin's.
     frame_ids : tuple of str
         Every frame the dataset lists, broken ones too, in order.
     class_names : tuple of str

@@ -6,7 +6,18 @@ import warnings
 from importlib.metadata import entry_points
 from pathlib import Path
 
-from pipeline.datasets import bop, folder, redwood, scannet, seven_scenes, sunrgbd, sunrgbd_votenet, tum
+from pipeline.datasets import (
+    avd,
+    bop,
+    folder,
+    redwood,
+    scannet,
+    semantic_abstraction,
+    seven_scenes,
+    sunrgbd,
+    sunrgbd_votenet,
+    tum,
+)
 from pipeline.datasets.base import Dataset, DatasetFormat
 from pipeline.datasets.settings import read_settings
 from pipeline.errors import InputError, UnknownFormat
@@ -19,6 +30,8 @@ FORMATS: tuple[DatasetFormat, ...] = (
     sunrgbd_votenet.FORMAT,
     sunrgbd.FORMAT,
     redwood.FORMAT,
+    avd.FORMAT,
+    semantic_abstraction.FORMAT,
 )
 """The formats with marks of their own; the first that recognises a folder opens it.
 A new reader is one file and one line here."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.datasets.base import Dataset
+from pipeline.datasets.capabilities import has_moves, moves
 from pipeline.errors import InputError
 
 
@@ -39,6 +40,8 @@ class FrameReport:
         How the up vector is known, None where it is not.
     notes : tuple of str
         What was odd and could be left out.
+    moves : dict of str to str, or None
+        Where the possible moves lead, in a dataset that has moves; see `capabilities.moves`.
     """
 
     index: int
@@ -54,15 +57,17 @@ class FrameReport:
     has_pose: bool = False
     up_source: str | None = None
     notes: tuple[str, ...] = ()
+    moves: dict[str, str] | None = None
 
 
 def survey(dataset: Dataset) -> Iterator[FrameReport]:
     """Load every frame in turn and report it; a broken one does not stop the rest."""
     for index, frame_id in enumerate(dataset.frame_ids):
+        leads = moves(dataset, frame_id) if has_moves(dataset) else None
         try:
             frame = dataset.load(frame_id)
         except InputError as error:
-            yield FrameReport(index, frame_id, ok=False, problem=str(error))
+            yield FrameReport(index, frame_id, ok=False, problem=str(error), moves=leads)
             continue
         valid = frame.depth[frame.depth > 0]
         yield FrameReport(
@@ -78,4 +83,5 @@ def survey(dataset: Dataset) -> Iterator[FrameReport]:
             has_pose=frame.camera.T_world_camera is not None,
             up_source=frame.camera.up_source,
             notes=frame.notes,
+            moves=leads,
         )

@@ -39,6 +39,9 @@ class LabelConfig:
         How expressions are worded.
     seed : int
         Of the row hashes, which choose wordings and, in the merge, expressions.
+    second_opinion : str
+        "trained", "none", or the path of a network: see `labels.second_opinion`.
+        Published geometry is taken as published, without one.
     """
 
     profile: str = PROFILE
@@ -49,8 +52,11 @@ class LabelConfig:
     background: tuple[str, ...] = BACKGROUND
     style: TextStyle = "varied"
     seed: int = 0
+    second_opinion: str = "trained"
 
     def __post_init__(self) -> None:
+        if self.profile != PROFILE:
+            object.__setattr__(self, "second_opinion", "none")
         if self.vocabulary not in VOCABULARIES:
             raise InputError("no such vocabulary", got=repr(self.vocabulary), expected=" | ".join(VOCABULARIES))
         if not self.relations:
@@ -72,7 +78,7 @@ class LabelConfig:
         return normal_form(label) in {normal_form(b) for b in self.background}
 
     def record(self) -> dict[str, Any]:
-        """As JSON, the profile's thresholds included."""
+        """As JSON, the hash of the profile's thresholds included."""
         return {**asdict(self), "background": list(self.background), "profile_hash": self.rules.hash}
 
     @property

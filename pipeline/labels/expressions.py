@@ -8,10 +8,9 @@ from typing import Any
 import numpy as np
 import xxhash
 
-from pipeline.errors import InputError
 from pipeline.labels.config import LabelConfig
 from pipeline.labels.profiles import Judged
-from pipeline.labels.wording import expression_text
+from pipeline.labels.wording import can_be_said
 from pipeline.naming import same_class
 from pipeline.relations import PAIRWISE, T, U
 
@@ -38,8 +37,8 @@ def candidate_expressions(
     judged: Judged,
     config: LabelConfig,
     up_source: str,
-) -> dict[str, list[Any]]:
-    """All expressions that are true of a pair of usable objects of a frame.
+) -> dict[str, Any]:
+    """All expressions that are true of a pair of usable objects of a frame, not yet put into words.
 
     Parameters
     ----------
@@ -52,43 +51,53 @@ def candidate_expressions(
     Returns
     -------
     dict of str to list
-        Columns of the table `expressions`, in canonical order, one row for each
-        pair and relation that is T.
+        Columns of the table `candidates`, in canonical order, one row for each
+        pair and relation that is T; empty where there is none.
     """
-    columns: dict[str, list[Any]] = {name: [] for name in EXPRESSION_COLUMNS}
     if len(ids) < 2:
-        return columns
+        return {}
     same = same_names(labels)
+    kinds = same.astype(np.int32)
+    kind = same.argmax(axis=1)
+    asked = usable & np.array([can_be_said(label) for label in labels], np.bool_)
     number = np.asarray(ids)
+    names = [str(n) for n in ids]
+    found: dict[str, list[Any]] = {name: [] for name in _OWN_COLUMNS}
     for relation in config.relations:
         k = PAIRWISE.index(relation)
         state = judged.states[..., k].copy()
         np.fill_diagonal(state, -1)
         # satisfied[a, b]: object a has the relation to some object of b's class.
-        kinds = same.astype(np.int32)
         sure = (state == T).astype(np.int32) @ kinds > 0
         likely = (state >= U).astype(np.int32) @ kinds > 0
-        for a, b in zip(*np.nonzero((state == T) & usable[:, None] & usable[None, :]), strict=True):
-            alike = same[a]
-            targets = number[alike & sure[:, b]].tolist()
-            acceptable = number[alike & likely[:, b]].tolist()
-            key = row_hash(config.seed, frame, number[a], relation, number[b])
-            try:
-                text = expression_text(labels[a], relation, labels[b], key, style=config.style)
-            except InputError:
-                # A class name that no sentence can carry, such as one of white space.
-                continue
-            row = (
-                frame, frame_index, f"{key:016x}", text, labels[a], relation, labels[b], int(number[a]),
-                int(number[b]), targets, acceptable, len(acceptable) > 1, float(judged.margins[a, b, k]), "viewer",
-                up_source, config.profile,
-            )  # fmt: skip
-            for name, value in zip(EXPRESSION_COLUMNS, row, strict=True):
-                columns[name].append(value)
-    return columns
+        targets, references = np.nonzero((state == T) & asked[:, None] & asked[None, :])
+        answers: dict[tuple[int, int], tuple[list[int], list[int]]] = {}
+        for a, b in zip(targets.tolist(), references.tolist(), strict=True):
+            question = int(kind[a]), int(kind[b])
+            if question not in answers:
+                answers[question] = number[same[a] & sure[:, b]].tolist(), number[same[a] & likely[:, b]].tolist()
+            strict, acceptable = answers[question]
+            found["id"].append(f"{row_hash(config.seed, frame, names[a], relation, names[b]):016x}")
+            found["target"].append(labels[a])
+            found["reference"].append(labels[b])
+            found["targets"].append(strict)
+            found["acceptable"].append(acceptable)
+            found["ambiguous"].append(len(acceptable) > 1)
+        found["relation"] += [relation] * len(targets)
+        found["target_object"] += number[targets].tolist()
+        found["reference_object"] += number[references].tolist()
+        found["margin"] += judged.margins[targets, references, k].tolist()
+    n = len(found["id"])
+    if not n:
+        return {}
+    shared = {
+        "frame": frame, "frame_index": frame_index, "judged_in": "viewer", "up_source": up_source,
+        "profile": config.profile,
+    }  # fmt: skip
+    return {**{name: [value] * n for name, value in shared.items()}, **found}
 
 
-EXPRESSION_COLUMNS = (
-    "frame", "frame_index", "id", "text", "target", "relation", "reference", "target_object", "reference_object",
-    "targets", "acceptable", "ambiguous", "margin", "judged_in", "up_source", "profile",
+_OWN_COLUMNS = (
+    "id", "target", "relation", "reference", "target_object", "reference_object", "targets", "acceptable",
+    "ambiguous", "margin",
 )  # fmt: skip

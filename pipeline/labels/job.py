@@ -125,7 +125,7 @@ def label_dataset(
         sum(r.broken for r in reports),
         sum(r.objects for r in reports),
         sum(r.pairs for r in reports),
-        sum(r.expressions for r in reports),
+        sum(r.candidates for r in reports),
         perf_counter() - start,
         manifest,
     )

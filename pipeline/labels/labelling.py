@@ -15,25 +15,27 @@ from pipeline.labels.config import LabelConfig
 from pipeline.labels.expressions import candidate_expressions
 from pipeline.labels.occlusion import occluded_share
 from pipeline.labels.profiles import CONTACT, Judged
-from pipeline.labels.tables import Columns
+from pipeline.labels.second_opinion import doubted
+from pipeline.labels.tables import PART_TABLES, Columns
 from pipeline.lifting import LiftedObject
 from pipeline.objects import FrameContext, SceneObject
 from pipeline.relations import PAIRWISE
+from pipeline.srm.model import OnnxScorer
 from pipeline.viewer import ViewerAxes
 
 
 @dataclass(frozen=True)
 class FrameLabels:
-    """The rows of one frame, as columns of the four tables, and what was judged."""
+    """The rows of one frame, as columns of the tables of a shard, and what was judged."""
 
     frames: Columns
     objects: Columns
     relations: Columns
-    expressions: Columns
+    candidates: Columns
     judged: Judged | None = None
 
     def tables(self) -> dict[str, Columns]:
-        return {n: getattr(self, n) for n in ("frames", "objects", "relations", "expressions")}
+        return {name: getattr(self, name) for name in PART_TABLES}
 
 
 def broken_frame(frame_id: str, frame_index: int, scene: str, problem: str) -> FrameLabels:
@@ -50,6 +52,7 @@ def label_objects(
     frame_index: int,
     scene: str,
     exact: bool,
+    network: OnnxScorer | None = None,
 ) -> FrameLabels:
     """The rows of a frame whose objects are lifted.
 
@@ -64,6 +67,8 @@ def label_objects(
     scene : str
     exact : bool
         The objects are the dataset's own: their numbers are its annotations'.
+    network : OnnxScorer, optional
+        The second opinion.
     """
     frame = context.frame
     numbers = [o.id if exact else k for k, o in enumerate(objects)]
@@ -73,7 +78,10 @@ def label_objects(
         for o, number in zip(objects, numbers, strict=True)
     ]
     related = [k for k, o in enumerate(objects) if not config.is_background(o.label)]
-    judged = judge_objects([objects[k] for k in related], context.viewer, config)
+    lifted = [objects[k].lifted for k in related]
+    judged = judge_objects(lifted, context.viewer, config)
+    if network is not None:
+        judged = doubted(judged, network, lifted, context.viewer)
     ids = [numbers[k] for k in related]
     up_source = str(context.viewer.up_source)
     return FrameLabels(
@@ -94,9 +102,8 @@ def label_objects(
     )
 
 
-def judge_objects(objects: Sequence[SceneObject], viewer: ViewerAxes, config: LabelConfig) -> Judged:
+def judge_objects(lifted: Sequence[LiftedObject], viewer: ViewerAxes, config: LabelConfig) -> Judged:
     """Every ordered pair of the objects under the profile's rules."""
-    lifted = [o.lifted for o in objects]
     lo = np.array([item.lo for item in lifted], np.float64).reshape(-1, 3)
     hi = np.array([item.hi for item in lifted], np.float64).reshape(-1, 3)
     centres = (lo + hi) / 2
@@ -203,7 +210,8 @@ def run_length(mask: np.ndarray) -> str:
     from pycocotools import mask as coco
 
     # The code runs down columns; OpenCV transposes several times faster than a strided copy.
-    return coco.encode(cv2.transpose(mask.view(np.uint8)).T)["counts"].decode("ascii")
+    code: Any = coco.encode(cv2.transpose(mask.view(np.uint8)).T)
+    return code["counts"].decode("ascii")
 
 
 def _relation_columns(

@@ -10,9 +10,9 @@ from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 
 from pipeline.errors import InputError
-from pipeline.jobs import Source
-from pipeline.labels.plan import Plan, Shard
-from pipeline.labels.shard import ShardReport, label_shard
+from pipeline.labels.config import LabelConfig
+from pipeline.labels.plan import Plan, Shard, SourceSpec
+from pipeline.labels.shard import Labeller, ShardReport, label_shard, open_labeller
 from pipeline.labels.store import Store
 
 Done = Callable[[ShardReport], None]
@@ -46,14 +46,13 @@ def run_local(plan: Plan, shards: Sequence[Shard], store: Store, workers: int, d
     """
     if workers <= 1 or len(shards) <= 1:
         with one_thread():
-            source = plan.spec.open(plan.config)
+            labeller = open_labeller(plan.spec, plan.config)
             for shard in shards:
-                done(label_shard(shard, plan, source, store))
+                done(label_shard(shard, labeller, store))
         return
     with _threads_in_children():
-        pool = ProcessPoolExecutor(
-            min(workers, len(shards)), multiprocessing.get_context("spawn"), _start, (plan, store.where)
-        )
+        models = plan.spec, plan.config, store.where
+        pool = ProcessPoolExecutor(min(workers, len(shards)), multiprocessing.get_context("spawn"), _start, models)
         try:
             for future in as_completed([pool.submit(_label, shard) for shard in shards]):
                 done(future.result())
@@ -84,11 +83,11 @@ def _threads_in_children() -> Iterator[None]:
                 os.environ[name] = value
 
 
-_worker: tuple[Plan, Source, Store] | None = None
+_worker: tuple[Labeller, Store] | None = None
 """What a worker process opened when it started."""
 
 
-def _start(plan: Plan, where: str) -> None:
+def _start(spec: SourceSpec, config: LabelConfig, where: str) -> None:
     global _worker
     import signal
 
@@ -97,10 +96,10 @@ def _start(plan: Plan, where: str) -> None:
     # Ctrl-C reaches the whole group; the parent alone decides what to do.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     cv2.setNumThreads(1)
-    _worker = plan, plan.spec.open(plan.config), Store(where)
+    _worker = open_labeller(spec, config), Store(where)
 
 
 def _label(shard: Shard) -> ShardReport:
     assert _worker is not None
-    plan, source, store = _worker
-    return label_shard(shard, plan, source, store)
+    labeller, store = _worker
+    return label_shard(shard, labeller, store)

@@ -15,13 +15,14 @@ import numpy as np
 
 from pipeline import __version__
 from pipeline.errors import InputError
-from pipeline.labels.config import SelectConfig
+from pipeline.labels.config import SelectConfig, TextStyle
 from pipeline.labels.plan import Plan, Shard, load_plan
 from pipeline.labels.reading import MANIFEST_FILE
 from pipeline.labels.schema import SCHEMA_VERSION, Manifest, TableFile
 from pipeline.labels.selection import select
 from pipeline.labels.store import Store, write_whole
-from pipeline.labels.tables import ROW_GROUP, RowHash, arrow_schema
+from pipeline.labels.tables import CANDIDATES, ROW_GROUP, RowHash, arrow_schema
+from pipeline.labels.wording import expression_text
 from pipeline.relations import PAIRWISE
 
 if TYPE_CHECKING:
@@ -76,7 +77,7 @@ def merge_labels(where: str | Path, selection: SelectConfig | None = None, out: 
     for name in ("frames", "objects", "relations"):
         tables[name] = write_merged(out, name, (store.read_part(s.name, name) for s in shards))
     candidates, chosen = choose(shards, store, selection)
-    tables["expressions"] = write_merged(out, "expressions", _selected(shards, store, chosen))
+    tables["expressions"] = write_merged(out, "expressions", _worded(shards, store, chosen, plan.config.style))
     frames_ok = 0
     for shard in shards:
         rows = store.read_part(shard.name, "frames", ["frame", "ok", "problem"]).to_pylist()
@@ -124,7 +125,7 @@ def choose(shards: Sequence[Shard], store: Store, selection: SelectConfig) -> tu
     codes: dict[str, int] = {}
     columns: list[list[np.ndarray]] = []
     for shard in shards:
-        part = store.read_part(shard.name, "expressions", ["id", "frame_index", "relation", "target", "reference"])
+        part = store.read_part(shard.name, CANDIDATES, ["id", "frame_index", "relation", "target", "reference"])
         ids = np.array([int(i, 16) for i in part.column("id").to_pylist()], np.uint64)
         named = [
             np.array([codes.setdefault(v, len(codes)) for v in part.column(n).to_pylist()], np.int32)
@@ -140,11 +141,18 @@ def choose(shards: Sequence[Shard], store: Store, selection: SelectConfig) -> tu
     return len(ids), {shard.name: kept[at[k] : at[k + 1]] for k, shard in enumerate(shards)}
 
 
-def _selected(shards: Sequence[Shard], store: Store, chosen: dict[str, np.ndarray]) -> Iterator[pa.Table]:
+def _worded(
+    shards: Sequence[Shard], store: Store, chosen: dict[str, np.ndarray], style: TextStyle
+) -> Iterator[pa.Table]:
+    """The chosen candidates, put into words: a row's own hash chooses its sentence."""
     import pyarrow as pa
 
     for shard in shards:
-        yield store.read_part(shard.name, "expressions").filter(pa.array(chosen[shard.name]))
+        rows = store.read_part(shard.name, CANDIDATES).filter(pa.array(chosen[shard.name]))
+        said = zip(*(rows.column(n).to_pylist() for n in ("target", "relation", "reference", "id")), strict=True)
+        texts = pa.array([expression_text(t, r, o, int(key, 16), style=style) for t, r, o, key in said], pa.string())
+        schema = arrow_schema("expressions")
+        yield pa.Table.from_arrays([texts if n == "text" else rows.column(n) for n in schema.names], schema=schema)
 
 
 def write_merged(out: Path, name: str, parts: Iterator[pa.Table]) -> TableFile:
@@ -163,15 +171,15 @@ def write_merged(out: Path, name: str, parts: Iterator[pa.Table]) -> TableFile:
                 if sum(t.num_rows for t in waiting) >= ROW_GROUP:
                     _write_group(writer, waiting)
             _write_group(writer, waiting)
+        sha256 = hashlib.sha256()
         with open(temporary, "rb") as written:
             os.fsync(written.fileno())
-            sha256 = hashlib.file_digest(written, "sha256").hexdigest() if hasattr(hashlib, "file_digest") else ""
-        if not sha256:
-            sha256 = hashlib.sha256(temporary.read_bytes()).hexdigest()
+            while block := written.read(1 << 20):
+                sha256.update(block)
         os.replace(temporary, path)
     finally:
         temporary.unlink(missing_ok=True)
-    return TableFile(file=path.name, rows=digest.rows, content_hash=digest.hexdigest(), sha256=sha256)
+    return TableFile(file=path.name, rows=digest.rows, content_hash=digest.hexdigest(), sha256=sha256.hexdigest())
 
 
 def _write_group(writer: Any, waiting: list[pa.Table]) -> None:

@@ -13,6 +13,7 @@ from pipeline.errors import InputError
 from pipeline.jobs import Source, open_source
 from pipeline.labels.config import LabelConfig
 from pipeline.labels.profiles import canonical_hash
+from pipeline.labels.second_opinion import fingerprint
 from pipeline.labels.store import Store
 
 PLAN_FILE = "plan.json"
@@ -146,7 +147,10 @@ def make_plan(
         spec,
         config,
         tuple(frames),
-        {"detector": f"{detector.name}: {detector.fingerprint()}"},
+        {
+            "detector": f"{detector.name}: {detector.fingerprint()}",
+            "second_opinion": fingerprint(config.second_opinion),
+        },
         files_hash(source.dataset.root),
         source.dataset.format,
         detector.exact,

@@ -3,47 +3,43 @@
 from __future__ import annotations
 
 import logging
-import os
 import pickle
 from collections.abc import Sequence
 from dataclasses import asdict
-from typing import Any
+from functools import lru_cache
+from typing import Any, cast
 
 from pipeline.errors import MissingExtra
 from pipeline.labels.local import Done, one_thread
 from pipeline.labels.plan import Plan, Shard
-from pipeline.labels.shard import ShardReport, detect_shard, finished, label_shard
+from pipeline.labels.shard import Labeller, ShardReport, detect_shard, finished, label_shard, open_labeller
 from pipeline.labels.store import Store
 
 LEAST_FRAMES_A_BLOCK = 64
 """Ray Data costs milliseconds a block: smaller ones would be felt."""
 
 
+@lru_cache(maxsize=1)
+def _labeller(models: bytes) -> Labeller:
+    """What this process has opened; the next shard that comes to it finds it open."""
+    return open_labeller(*pickle.loads(models))
+
+
 class DetectShards:
-    """Runs the detector on the frames of a shard: one actor holds the model for as long as the run lasts."""
-
-    def __init__(self, plan: Plan, where: str) -> None:
-        self.source = plan.spec.open(plan.config)
-        self.store = Store(where)
+    """Runs the detector on the frames of a shard, in an actor that holds the model for as long as the run lasts."""
 
     def __call__(self, row: dict[str, Any]) -> dict[str, Any]:
-        shard: Shard = pickle.loads(row["shard"])
-        if self.store.has_part(shard.name):
+        shard = pickle.loads(row["shard"])
+        if Store(row["where"]).has_part(shard.name):
             return {**row, "found": b""}
-        return {**row, "found": pickle.dumps(detect_shard(shard, self.source))}
+        return {**row, "found": pickle.dumps(detect_shard(shard, _labeller(row["models"]).source))}
 
 
-class LabelShards:
+def label_row(row: dict[str, Any]) -> dict[str, Any]:
     """Labels a shard, from what was detected where a detector ran before."""
-
-    def __init__(self, plan: Plan, where: str) -> None:
-        self.plan, self.source, self.store = plan, plan.spec.open(plan.config), Store(where)
-
-    def __call__(self, row: dict[str, Any]) -> dict[str, Any]:
-        shard: Shard = pickle.loads(row["shard"])
-        found = pickle.loads(row["found"]) if row.get("found") else None
-        with one_thread():
-            return asdict(label_shard(shard, self.plan, self.source, self.store, found))
+    found = pickle.loads(row["found"]) if row.get("found") else None
+    with one_thread():
+        return asdict(label_shard(pickle.loads(row["shard"]), _labeller(row["models"]), Store(row["where"]), found))
 
 
 def run_ray(
@@ -57,7 +53,7 @@ def run_ray(
     Parameters
     ----------
     workers : int
-        Actors of the labelling stage at most.
+        Processors of the cluster on this machine, and detector actors at most.
     gpus_a_detector : float
         Share of a GPU that each detector actor is given.
 
@@ -81,7 +77,6 @@ def run_ray(
     mine = not ray.is_initialized()
     if mine:
         # Ray tells of its own workings on the terminal; what goes wrong comes back as an exception.
-        os.environ.setdefault("RAY_BACKEND_LOG_LEVEL", "fatal")
         for name in ("ray", "ray.data"):
             logging.getLogger(name).setLevel(logging.ERROR)
         ray.init(num_cpus=workers + 1, include_dashboard=False, log_to_driver=False, configure_logging=False)
@@ -89,13 +84,13 @@ def run_ray(
         context = ray.data.DataContext.get_current()
         context.enable_progress_bars = False
         a_block = max(1, -(-LEAST_FRAMES_A_BLOCK // plan.frames_a_shard))
-        rows = [{"shard": pickle.dumps(shard)} for shard in waiting]
+        models = pickle.dumps((plan.spec, plan.config))
+        rows = [{"shard": pickle.dumps(s), "models": models, "where": store.where} for s in waiting]
         stream = ray.data.from_items(rows, override_num_blocks=max(1, -(-len(rows) // a_block)))
-        pool = ray.data.ActorPoolStrategy(min_size=1, max_size=max(1, workers))
-        arguments: dict[str, Any] = {"fn_constructor_args": (plan, store.where), "compute": pool}
         if not plan.exact:
-            stream = stream.map(DetectShards, num_gpus=gpus_a_detector or None, **arguments)
-        for row in stream.map(LabelShards, **arguments).iter_rows():
+            pool = ray.data.ActorPoolStrategy(min_size=1, max_size=max(1, workers))
+            stream = stream.map(cast(Any, DetectShards), compute=pool, num_gpus=gpus_a_detector or None)
+        for row in stream.map(label_row).iter_rows():
             done(ShardReport(**row))
     finally:
         if mine:

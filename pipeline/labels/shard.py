@@ -15,12 +15,13 @@ from pipeline.errors import InputError
 from pipeline.jobs import Source
 from pipeline.labels.config import LabelConfig
 from pipeline.labels.labelling import FrameLabels, broken_frame, label_objects
-from pipeline.labels.plan import Plan, Shard
-from pipeline.labels.schema import TABLES
+from pipeline.labels.plan import Shard, SourceSpec
+from pipeline.labels.second_opinion import open_second_opinion
 from pipeline.labels.store import Store
-from pipeline.labels.tables import arrow_schema, build_table
+from pipeline.labels.tables import CANDIDATES, PART_TABLES, arrow_schema, build_table
 from pipeline.objects import FrameContext
 from pipeline.proposals.base import Proposals
+from pipeline.srm.model import OnnxScorer
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -35,7 +36,7 @@ class ShardReport:
     name : str
         Of its part.
     frames : int
-    objects, pairs, expressions : int
+    objects, pairs, candidates : int
         Rows written.
     broken : int
         Frames that could not be used.
@@ -48,19 +49,41 @@ class ShardReport:
     frames: int
     objects: int = 0
     pairs: int = 0
-    expressions: int = 0
+    candidates: int = 0
     broken: int = 0
     seconds: float = 0.0
     reused: bool = False
 
 
-def label_frame(
-    source: Source, frame_id: str, frame_index: int, config: LabelConfig, found: Proposals | None = None
-) -> FrameLabels:
+@dataclass(frozen=True)
+class Labeller:
+    """What a process opens once and labels many frames with.
+
+    Attributes
+    ----------
+    config : LabelConfig
+    source : Source
+        The dataset and what finds objects in it.
+    network : OnnxScorer or None
+        The second opinion.
+    """
+
+    config: LabelConfig
+    source: Source
+    network: OnnxScorer | None
+
+
+def open_labeller(spec: SourceSpec, config: LabelConfig) -> Labeller:
+    """Open the dataset and the models of a plan; raises as `open_source`."""
+    return Labeller(config, spec.open(config), open_second_opinion(config.second_opinion))
+
+
+def label_frame(labeller: Labeller, frame_id: str, frame_index: int, found: Proposals | None = None) -> FrameLabels:
     """The rows of one frame; one that cannot be used is a row with the reason.
 
     `found` is what the detector said of the frame, where another process ran it.
     """
+    source, config = labeller.source, labeller.config
     scene = scene_of(source.dataset, frame_id)
     detector = source.needed_detector()
     try:
@@ -71,7 +94,15 @@ def label_frame(
         objects = context.lift(found, detector)
     except InputError as error:
         return broken_frame(frame_id, frame_index, scene, str(error))
-    return label_objects(context, objects, config, frame_index=frame_index, scene=scene, exact=detector.exact)
+    return label_objects(
+        context,
+        objects,
+        config,
+        frame_index=frame_index,
+        scene=scene,
+        exact=detector.exact,
+        network=labeller.network,
+    )
 
 
 def detect_shard(shard: Shard, source: Source) -> dict[str, Proposals]:
@@ -96,7 +127,7 @@ def shard_tables(labels: Iterable[FrameLabels]) -> dict[str, pa.Table]:
     """The rows of many frames as Arrow tables."""
     import pyarrow as pa
 
-    found: dict[str, list[pa.Table]] = {name: [] for name in TABLES}
+    found: dict[str, list[pa.Table]] = {name: [] for name in PART_TABLES}
     for frame in labels:
         for name, columns in frame.tables().items():
             if columns:
@@ -112,12 +143,12 @@ def finished(shard: Shard, store: Store) -> ShardReport | None:
     if not store.has_part(shard.name):
         return None
     files = store.part_record(shard.name).get("files", {})
-    rows = {name: int(files.get(name, {}).get("rows", 0)) for name in TABLES}
-    return ShardReport(shard.name, rows["frames"], rows["objects"], rows["relations"], rows["expressions"], reused=True)
+    rows = {name: int(files.get(name, {}).get("rows", 0)) for name in PART_TABLES}
+    return ShardReport(shard.name, rows["frames"], rows["objects"], rows["relations"], rows[CANDIDATES], reused=True)
 
 
 def label_shard(
-    shard: Shard, plan: Plan, source: Source, store: Store, found: Mapping[str, Proposals] | None = None
+    shard: Shard, labeller: Labeller, store: Store, found: Mapping[str, Proposals] | None = None
 ) -> ShardReport:
     """Label the frames of a shard and write its part; one that is there already is left alone.
 
@@ -130,7 +161,7 @@ def label_shard(
     start = perf_counter()
     found = found or {}
     tables = shard_tables(
-        label_frame(source, frame, shard.first + k, plan.config, found.get(frame))
+        label_frame(labeller, frame, shard.first + k, found.get(frame))
         for k, frame in enumerate(shard.frames)
     )
     seconds = perf_counter() - start
@@ -141,7 +172,7 @@ def label_shard(
         len(shard.frames),
         tables["objects"].num_rows,
         tables["relations"].num_rows,
-        tables["expressions"].num_rows,
+        tables[CANDIDATES].num_rows,
         broken,
         seconds,
     )

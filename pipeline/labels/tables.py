@@ -28,11 +28,20 @@ Columns = dict[str, Any]
 """A table as columns by name, each a sequence or an array of one length."""
 
 
+CANDIDATES = "candidates"
+"""The table of a shard: expressions before some of them are chosen and put into words."""
+PART_TABLES = ("frames", "objects", "relations", CANDIDATES)
+
+
 @lru_cache
 def arrow_schema(table: str) -> pa.Schema:
     """The Arrow schema of a table, with the schema's version in its metadata."""
     import pyarrow as pa
 
+    if table == CANDIDATES:
+        worded = arrow_schema("expressions")
+        metadata = {**worded.metadata, TABLE_KEY: CANDIDATES.encode()}
+        return worded.remove(worded.get_field_index("text")).with_metadata(metadata)
     fields = []
     for name, info in TABLES[table].model_fields.items():
         kinds = [k for k in (typing.get_args(info.annotation) or (info.annotation,)) if k is not types.NoneType]

@@ -1,7 +1,324 @@
-"""Placeholder until the wording branch lands."""
+"""The sentences of auto-labelled expressions and questions: varied, correct English that `parse` reads back."""
+
+from __future__ import annotations
+
+import operator
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import product
+
+from pipeline import lexicon
+from pipeline.errors import InputError
+from pipeline.expression import parse
+from pipeline.labels.noun_phrase import NounPhrase, noun_phrase, readable
+from pipeline.naming import DETERMINERS, is_named, match, normal_form, same_class
+from pipeline.relations import PAIRWISE, PHRASE
+from pipeline.tokens import MAX_LENGTH, words_of
+
+__all__ = ["STYLES", "can_be_said", "expression_text", "question_text"]
+
+STYLES = ("varied", "plain", "semantic-abstraction")
+
+VARIED_PHRASES: dict[str, tuple[str, ...]] = {
+    "left": ("left of", "to the left of", "on the left of", "on the left side of"),
+    "right": ("right of", "to the right of", "on the right of", "on the right side of"),
+    "above": ("above", "higher than"),
+    "below": ("below", "lower than"),
+    "front": ("in front of",),
+    "behind": ("behind",),
+    "on": ("on", "on top of", "resting on", "sitting on"),
+    "in": ("in", "inside", "inside of", "within"),
+    "near": ("near", "next to", "close to", "beside"),
+}
+"""Phrases that claim no more than the relation: `under` and `over` would; `at the back of` may mean a part of it."""
+
+VARIED_FRAMES = (
+    "{t} {p} {bare_r}",
+    "{t} {p} {the_r}",
+    "{the_t} {p} {the_r}",
+    "{the_t} {p} {a_r}",
+    "{a_t} {p} {the_r}",
+    "{the_t} that {is_} {p} {the_r}",
+    "{a_t} that {is_} {p} {the_r}",
+    "{the_t} which {is_} {p} {a_r}",
+    "find {the_t} {p} {the_r}",
+    "find {a_t} that {is_} {p} {the_r}",
+    "show me {the_t} {p} {the_r}",
+    "point to {the_t} {p} {a_r}",
+    "locate {the_t} that {is_} {p} {the_r}",
+    "look for {a_t} {p} {the_r}",
+    "I am looking for {the_t} {p} {the_r}",
+    "where {is_} {the_t} {p} {the_r}?",
+    "which {t} {is_} {p} {the_r}?",
+    "which {t} {is_} {p} {a_r}?",
+)
+SEEN_FRAMES = (*VARIED_FRAMES, "{the_t} {p} {the_r}, as seen from the camera", "from the camera, {the_t} {p} {the_r}")
+QUESTION_FRAMES = (
+    "{Is} {the_t} {p} {the_r}?",
+    "{Is} {the_t} {p} {the_r} in this image?",
+    "In the image, {is_} {the_t} {p} {the_r}?",
+    "Is it true that {the_t} {is_} {p} {the_r}?",
+)
+SEEN_QUESTION_FRAMES = (
+    *QUESTION_FRAMES,
+    "{Is} {the_t} {p} {the_r}, as seen from the camera?",
+    "From the camera, {is_} {the_t} {p} {the_r}?",
+)
+SEEN = frozenset({"left", "right", "front", "behind"})
+"""Relations that depend on where the camera stands."""
+
+PLAIN_FRAME = "{t} {p} the {r}"
+PLAIN_QUESTION = "{Is} {the_t} {p} {the_r}?"
+SEMANTIC_ABSTRACTION_FRAME = "{t} {p} a {r}"
+SEMANTIC_ABSTRACTION_PHRASES = {**PHRASE, "left": "on the left of", "right": "on the right of"}
+"""The relation words of Semantic Abstraction (Ha and Song, CoRL 2022); ours where it has none."""
 
 
-def expression_text(target: str, relation: str, reference: str, key: int, *, style: str = "varied") -> str:
-    from pipeline.relations import PHRASE
+@dataclass(frozen=True)
+class _Template:
+    """A sentence with places for the two names, its relation phrase already in it."""
 
-    return f"{target} {PHRASE[relation]} {reference}"
+    frame: str
+    phrase: str
+
+    def filled(self, target: NounPhrase, reference: NounPhrase) -> str:
+        other = target.words == reference.words
+        return self.frame.format(
+            t=target.words,
+            the_t=target.definite(),
+            a_t=target.indefinite(),
+            p=self.phrase,
+            r=reference.words,
+            # "in front door" would be misleading, and "left of left shoe" is hard to read.
+            bare_r=reference.definite() if words_of(reference.words)[0] in _PHRASE_WORDS else reference.words,
+            the_r=reference.definite(other=other),
+            a_r=reference.indefinite(other=other),
+            is_=target.verb,
+            Is=target.verb.capitalize(),
+        )
+
+
+_TEMPLATE_WORDS = frozenset(
+    word
+    for text in (
+        *SEEN_FRAMES, *SEEN_QUESTION_FRAMES, "the a an some other another is are",
+        *(p for phrases in VARIED_PHRASES.values() for p in phrases), *SEMANTIC_ABSTRACTION_PHRASES.values(),
+    )
+    for word in words_of(text)
+)  # fmt: skip
+_PHRASE_WORDS = frozenset(w for p in lexicon.phrase_table() for w in p.split())
+_GRAMMAR_WORDS = (
+    _PHRASE_WORDS | lexicon.LINKING | lexicon.RELATIVE | lexicon.POSTURES | lexicon.CLOSING | lexicon.AND
+    | lexicon.WITH | lexicon.NEGATIONS | lexicon.ARTICLES | lexicon.PRONOUNS | lexicon.UNKNOWN_RELATIONS
+    | lexicon.VERBS | lexicon.VIEW_WORDS | lexicon.OBJECT_VIEW_WORDS | lexicon.OTHER | DETERMINERS
+    | frozenset(w for p in (*lexicon.LEADING, "left right front back rear top bottom middle center side hand") for w in
+                p.split())
+)  # fmt: skip
+
+
+def expression_text(
+    target: str,
+    relation: str,
+    reference: str,
+    key: int,
+    *,
+    style: str = "varied",
+    class_names: Sequence[str] = (),
+) -> str:
+    """The sentence of one expression: `the mug to the left of a laptop`.
+
+    `pipeline.expression.parse`, given the class names, reads it back as the same target, relation and reference.
+    A name that the grammar would misread stands in double quotes, or the sentence falls back to the plain form.
+
+    Parameters
+    ----------
+    target, reference : str
+        Class names as the dataset spells them.
+    relation : str
+        One of `relations.PAIRWISE`.
+    key : int
+        0 .. 2**64 - 1, such as a seeded hash; it chooses the sentence. Equal input gives equal text.
+    style : {"varied", "plain", "semantic-abstraction"}
+        Many forms; `mug left of the laptop`; or the published form of Semantic Abstraction, `mug on the left of a
+        laptop`, whose `a` stands before any name.
+    class_names : sequence of str
+        All names of the dataset, where the sentence must also not be mistaken for any other of them.
+
+    Raises
+    ------
+    InputError
+        Where an argument is out of range, or no sentence can carry the names: see `can_be_said`.
+    """
+    if style not in STYLES:
+        raise InputError("unknown style of expressions", got=repr(style), expected="one of " + ", ".join(STYLES))
+    number = _checked(relation, key)
+    if style == "varied":
+        frames, phrases, plain = SEEN_FRAMES if relation in SEEN else VARIED_FRAMES, VARIED_PHRASES, PLAIN_FRAME
+    elif style == "plain":
+        frames, phrases, plain = (PLAIN_FRAME,), {relation: (PHRASE[relation],)}, PLAIN_FRAME
+    else:
+        said = SEMANTIC_ABSTRACTION_PHRASES[relation]
+        frames, phrases, plain = (SEMANTIC_ABSTRACTION_FRAME,), {relation: (said,)}, PLAIN_FRAME
+    chosen = _chosen(frames, phrases[relation], number)
+    return _said(chosen, _Template(plain, PHRASE[relation]), target, relation, reference, class_names)
+
+
+def question_text(relation: str, target: str, reference: str, key: int, *, class_names: Sequence[str] = ()) -> str:
+    """A question to be answered with yes or no: `Is the mug left of the laptop?`.
+
+    Parameters and errors are those of `expression_text`, and `parse` reads it as well.
+    """
+    number = _checked(relation, key)
+    frames = SEEN_QUESTION_FRAMES if relation in SEEN else QUESTION_FRAMES
+    chosen = _chosen(frames, VARIED_PHRASES[relation], number)
+    return _said(chosen, _Template(PLAIN_QUESTION, PHRASE[relation]), target, relation, reference, class_names)
+
+
+@lru_cache(maxsize=65536)
+def can_be_said(name: str) -> bool:
+    """Whether a class name can stand in an expression that is read back as this name."""
+    return isinstance(name, str) and bool(_forms(name, _known(())))
+
+
+def _checked(relation: str, key: int) -> int:
+    if relation not in PAIRWISE:
+        raise InputError("no such relation of two things", got=repr(relation), expected="one of " + ", ".join(PAIRWISE))
+    try:
+        number = operator.index(key)
+    except TypeError:
+        raise InputError("the key of an expression must be an integer", got=repr(key)[:60]) from None
+    if not 0 <= number < 2**64:
+        raise InputError("the key of an expression is out of range", got=number, expected="0 .. 2**64 - 1")
+    return number
+
+
+def _chosen(frames: Sequence[str], phrases: Sequence[str], key: int) -> _Template:
+    rest, place = divmod(key, len(frames))
+    return _Template(frames[place], phrases[rest % len(phrases)])
+
+
+def _said(
+    chosen: _Template, plain: _Template, target: str, relation: str, reference: str, class_names: Sequence[str]
+) -> str:
+    """The chosen sentence, or the nearest to it that is read back as meant."""
+    known = _known(class_names)
+    for name in (target, reference):
+        if not (isinstance(name, str) and _forms(name, known)):
+            raise InputError("the class name cannot be said in an expression", got=repr(name)[:80])
+    settled = _is_settled(target, known) and _is_settled(reference, known)
+    settled = settled and (target == reference or words_of(target) != words_of(reference))
+    rivals = known.rivals or _rivals((target, reference))
+    targets, references = _forms(target, known), _forms(reference, known)
+    for template in (chosen, plain):
+        for i, j in _by_preference(len(targets), len(references)):
+            text = template.filled(noun_phrase(targets[i]), noun_phrase(references[j]))
+            if len(text) > MAX_LENGTH:
+                continue
+            if settled and not (rivals and _holds_a_rival(text, rivals, (targets[i], references[j]))):
+                return text
+            if _reads_back(text, target, relation, reference, known):
+                return text
+    raise InputError(
+        "no sentence can carry these class names",
+        got=f"{target[:60]!r} {relation} {reference[:60]!r}",
+        cause="they are too long together, or made of words of the grammar",
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class _Known:
+    """The names of a dataset, hashed once, and its rivals: those that could reach from a name into a sentence."""
+
+    names: tuple[str, ...]
+    rivals: dict[str, tuple[str, ...]]
+
+
+@lru_cache(maxsize=64)
+def _known(class_names: tuple[str, ...]) -> _Known:
+    return _Known(class_names, _rivals(class_names))
+
+
+@lru_cache(maxsize=65536)
+def _rivals(names: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
+    """Names with a word of some sentence in them, by their first word, each as a run of words."""
+    found: dict[str, tuple[str, ...]] = {}
+    for words in {words_of(name) for name in names}:
+        if not _TEMPLATE_WORDS.isdisjoint(words):
+            found[words[0]] = (*found.get(words[0], ()), _run(words))
+    return found
+
+
+def _run(words: Sequence[str]) -> str:
+    """Words as one string in which the run of other words is found only as whole words."""
+    return f" {'  '.join(words)} "
+
+
+def _holds_a_rival(text: str, rivals: dict[str, tuple[str, ...]], forms: tuple[str, str]) -> bool:
+    """Whether the words of a rival stand in the text other than within its target and its reference."""
+    words = words_of(text)
+    started = rivals.keys() & set(words)
+    if not started:
+        return False
+    run, ends = _run(words), [_run(words_of(n)) for n in forms]
+    return any(run.count(r) > sum(e.count(r) for e in ends) for first in started for r in rivals[first])
+
+
+@lru_cache(maxsize=256)
+def _by_preference(first: int, second: int) -> tuple[tuple[int, int], ...]:
+    """Which form of the target goes with which of the reference, the most natural first."""
+    return tuple(sorted(product(range(first), range(second)), key=lambda p: (p[0] + p[1], p)))
+
+
+@lru_cache(maxsize=65536)
+def _forms(name: str, known: _Known) -> tuple[str, ...]:
+    """At most two ways to say a name that are read back as it beside an ordinary name: as words, and in quotes."""
+    ways = (readable(name), readable(name, brief=False), " ".join(name.split()))
+    spoken = [w for w in dict.fromkeys(ways) if w]
+    quoted = [f'"{w}"' for w in dict.fromkeys(w.replace('"', " ").strip() for w in spoken) if w]
+    partner = "mug" if not same_class(name, "mug") else "lamp"
+
+    def survives(form: str) -> bool:
+        ahead = PLAIN_FRAME.format(t=form, p="left of", r=partner)
+        after = PLAIN_FRAME.format(t=partner, p="near", r=form)
+        return (
+            _names_no_other(form, name, known.names)
+            and _reads_back(ahead, name, "left", partner, known)
+            and _reads_back(after, partner, "near", name, known)
+        )
+
+    found = (next((form for form in forms if survives(form)), None) for forms in (spoken, quoted))
+    return tuple(form for form in found if form is not None)
+
+
+def _names_no_other(form: str, name: str, names: tuple[str, ...]) -> bool:
+    """Whether a shortened name (`bat` for `bat (animal)`) brings in no class that the whole name does not mean."""
+    if not names or normal_form(form) == normal_form(name):
+        return True
+    return set(match(form, names)) <= {name, *match(name, names)}
+
+
+@lru_cache(maxsize=65536)
+def _is_settled(name: str, known: _Known) -> bool:
+    """Whether the first form of a name cannot be misread in any sentence, so that it need not be tried.
+
+    The parser holds a form together that has just the words of the name; then only what begins before the name and
+    swallows its first word can break it. Any other form must be free of the grammar's words.
+    """
+    words = words_of(_forms(name, known)[0])
+    if words == words_of(name) and (not known.names or name in known.names):
+        return words[0] not in _PHRASE_WORDS and words[0] not in _TEMPLATE_WORDS
+    return _GRAMMAR_WORDS.isdisjoint(words) and "'" not in name
+
+
+@lru_cache(maxsize=65536)
+def _reads_back(text: str, target: str, relation: str, reference: str, known: _Known) -> bool:
+    """Whether the parser reads a sentence as this one relation between these two names."""
+    try:
+        query = parse(text, class_names=known.names or (target, reference))
+    except InputError:
+        return False
+    found = query.expression
+    single = sum(len(n.attachments) for n in query.default.root.walk()) == 1
+    right = single and found.relation == relation and not found.inverse
+    return right and is_named(found.target, target) and is_named(found.reference, reference)

@@ -4,6 +4,20 @@ from pipeline.proposals.annotations import AnnotationDetector
 from pipeline.proposals.base import Detector, Proposals
 from pipeline.proposals.cache import CachedDetector
 from pipeline.proposals.registry import DETECTORS, make_detector
+from pipeline.proposals.segmenter import Segmented, Segmenter
+from pipeline.proposals.segmenters import SEGMENTERS, make_segmenter
 from pipeline.proposals.selection import top_k
 
-__all__ = ["DETECTORS", "AnnotationDetector", "CachedDetector", "Detector", "Proposals", "make_detector", "top_k"]
+__all__ = [
+    "DETECTORS",
+    "SEGMENTERS",
+    "AnnotationDetector",
+    "CachedDetector",
+    "Detector",
+    "Proposals",
+    "Segmented",
+    "Segmenter",
+    "make_detector",
+    "make_segmenter",
+    "top_k",
+]

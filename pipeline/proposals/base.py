@@ -34,6 +34,8 @@ class Proposals:
         runs means the same detection. For `annotations` it is the annotation's index.
     has_mask : (N,) bool or None
         False where the mask is only the filled 2D box; None means all as `masks` says.
+    segmented : (N,) bool or None
+        True where the mask was made from the box by a segmenter; None means nowhere.
     """
 
     boxes: np.ndarray
@@ -43,6 +45,7 @@ class Proposals:
     masks: np.ndarray | None
     ids: np.ndarray
     has_mask: np.ndarray | None = None
+    segmented: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         n = len(self.scores)
@@ -86,6 +89,7 @@ class Proposals:
             None if self.masks is None else self.masks[index],
             self.ids[index],
             None if self.has_mask is None else self.has_mask[index],
+            None if self.segmented is None else self.segmented[index],
         )
 
 

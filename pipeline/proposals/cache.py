@@ -91,6 +91,7 @@ def _store(path: Path, proposals: Proposals) -> None:
                 has_masks=np.array(proposals.masks is not None),
                 masks=packed,
                 has_mask=np.ones(len(proposals), bool) if proposals.has_mask is None else proposals.has_mask,
+                segmented=np.zeros(len(proposals), bool) if proposals.segmented is None else proposals.segmented,
             )
         os.replace(temporary, path)
     except OSError:
@@ -115,6 +116,7 @@ def _load(path: Path) -> Proposals | None:
                 masks,
                 data["ids"],
                 data["has_mask"],
+                data["segmented"],
             )
     except Exception:  # Damaged bytes fail in zipfile, zlib, tokenize or NumPy, each with its own class.
         return None

@@ -225,7 +225,7 @@ class OnnxScorer:
         rule = RuleScorer().score(objects, viewer)
         probabilities = rule.probabilities.copy()
         scored_by = dict(rule.scored_by)
-        found = self.probabilities(self._features.describe(objects, viewer))
+        found = self.of_pairs(objects, viewer)
         for k, relation in enumerate(self.contract.vocabulary):
             probabilities[..., rule.relations.index(relation)] = found[..., k]
             scored_by[relation] = self.name
@@ -233,6 +233,10 @@ class OnnxScorer:
         same = np.eye(len(objects), dtype=np.bool_)
         probabilities[same] = rule.probabilities[same]
         return RelationScores(rule.relations, rule.states, probabilities, scored_by)
+
+    def of_pairs(self, objects: Sequence[LiftedObject], viewer: ViewerAxes) -> np.ndarray:
+        """(N, N, R) float64: the network's probabilities of its vocabulary, for all ordered pairs."""
+        return self.probabilities(self._features.describe(objects, viewer))
 
     def logits(self, rows: np.ndarray) -> np.ndarray:
         """(N, N, R) float64 logits, antisymmetric, of all ordered pairs of objects described by (N, K) rows."""

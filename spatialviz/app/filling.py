@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 
+from pipeline.datasets import Dataset, has_moves, moves
 from spatialviz.app import bottom, left, right
 from spatialviz.app.layout import Page
 from spatialviz.app.state import State
@@ -14,7 +15,7 @@ def fill_page(
     page: Page,
     state: State,
     *,
-    frame_ids: Sequence[str],
+    dataset: Dataset,
     can_ask: bool,
     suggestions: Sequence[str],
     thumbs: dict[int, str],
@@ -22,13 +23,15 @@ def fill_page(
     atomic: Callable[[], AbstractContextManager[None]],
 ) -> None:
     """Fill all panels at once. Handles whose content would not change send nothing."""
+    leads = moves(dataset, state.frame_id) if has_moves(dataset) else None
     with atomic():
         page.ask.disabled = not can_ask
-        page.steps.content = left.frame_html(frame_ids.index(state.frame_id), len(frame_ids))
+        place, count = dataset.frame_ids.index(state.frame_id), len(dataset.frame_ids)
+        page.steps.content = left.frame_html(place, count, leads)
         page.parse.content = left.parse_html(state, suggestions)
         page.modules.content = left.modules_html(state)
         page.controls.content = left.controls_html(state)
-        page.objects.content = left.objects_html(state, thumbs)
+        page.objects.content = left.objects_html(state, thumbs, moving=leads is not None)
         page.answer.content = right.answer_html(state)
         page.pairs.content = right.pairs_html(state)
         page.relations.content = right.relations_html(state)

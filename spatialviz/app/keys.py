@@ -32,16 +32,34 @@ KEYS: tuple[tuple[str, str, str], ...] = (
     ("H", "List the keys (or ?)", "help"),
 )
 
-_ROWS = "".join(f"<span><kbd>{safe(key)}</kbd></span><span>{safe(label)}</span>" for key, label, _ in KEYS)
-HELP = (
-    f'<div class="sv"><div class="keys"><span><kbd>/</kbd></span><span>Type a question</span>{_ROWS}'
-    "<span><kbd>Ctrl</kbd> <kbd>K</kbd></span><span>Find any command</span></div></div>"
+MOVE_KEYS: tuple[tuple[str, str, str], ...] = (
+    ("7", "Turn left", "move:rotate_ccw"),
+    ("8", "Step forward", "move:forward"),
+    ("9", "Turn right", "move:rotate_cw"),
+    ("4", "Step to the left", "move:left"),
+    ("5", "Step back", "move:backward"),
+    ("6", "Step to the right", "move:right"),
 )
+"""The keys of datasets with moves: two rows of a number pad, and the rows of the buttons."""
 
 
-def add_keys(client: viser.ClientHandle, post: Callable[[str], None]) -> None:
+def keys_of(moving: bool) -> tuple[tuple[str, str, str], ...]:
+    """(key, what it does, message) of every key; those of moves only where a dataset has them."""
+    return (*KEYS, *MOVE_KEYS) if moving else KEYS
+
+
+def help_html(moving: bool) -> str:
+    """The keys as a list."""
+    rows = "".join(f"<span><kbd>{safe(k)}</kbd></span><span>{safe(label)}</span>" for k, label, _ in keys_of(moving))
+    return (
+        f'<div class="sv"><div class="keys"><span><kbd>/</kbd></span><span>Type a question</span>{rows}'
+        "<span><kbd>Ctrl</kbd> <kbd>K</kbd></span><span>Find any command</span></div></div>"
+    )
+
+
+def add_keys(client: viser.ClientHandle, post: Callable[[str], None], moving: bool) -> None:
     """Register every key as a command of this client."""
-    for key, label, message in KEYS:
+    for key, label, message in keys_of(moving):
         hotkey: Any = key.lower() if key.isdigit() else key
         command = client.gui.add_command(label, hotkey=hotkey)
 
@@ -54,8 +72,9 @@ def add_keys(client: viser.ClientHandle, post: Callable[[str], None]) -> None:
 class HelpDialog:
     """The list of keys as a dialog; the key that opens it closes it, as Escape does."""
 
-    def __init__(self, client: viser.ClientHandle, post: Callable[[str], None]) -> None:
+    def __init__(self, client: viser.ClientHandle, post: Callable[[str], None], moving: bool) -> None:
         self._client = client
+        self._html = help_html(moving)
         self._post = post
         self._modal: Any = None
 
@@ -66,7 +85,7 @@ class HelpDialog:
             return
         self._modal = self._client.gui.add_modal("Keys")
         with self._modal:
-            self._client.gui.add_html(HELP)
+            self._client.gui.add_html(self._html)
             button = self._client.gui.add_button("Close")
 
         @button.on_click

@@ -2,18 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 
 from pipeline.ask import Trace
 from pipeline.palette import DROPPED, hex_color, palette
 from pipeline.records import why_no_answer
 from spatialviz.app.frames import object_thumb
+from spatialviz.app.keys import MOVE_KEYS
 from spatialviz.app.state import State
 from spatialviz.app.text import BAD, DOUBT, GOOD, IDLE, dot, heading, note, panel, safe, segments, words
 
 COLORS = {"rgb": "Colour", "objects": "Objects", "depth": "Depth", "evidence": "Cleaning"}
 CAMERAS = {"sensor": "Sensor", "orbit": "Orbit", "top": "Top"}
+MOVE_MARKS = {
+    "rotate_ccw": ("↶", "turn left"),
+    "forward": ("↑", "forward"),
+    "rotate_cw": ("↷", "turn right"),
+    "left": ("←", "left"),
+    "backward": ("↓", "back"),
+    "right": ("→", "right"),
+}
 SHOW_SELECTED = (
     "const s=this.parentElement.querySelector('.scroll'),r=s&&s.querySelector('tr.sel');"
     "if(r&&(r.offsetTop<s.scrollTop||r.offsetTop+r.offsetHeight>s.scrollTop+s.clientHeight))"
@@ -33,14 +42,27 @@ FLAGS = {
 }
 
 
-def frame_html(place: int, count: int) -> str:
-    """Which frame of how many, with steps to its neighbours."""
+def frame_html(place: int, count: int, leads: Mapping[str, str] | None = None) -> str:
+    """Which frame of how many, with steps to its neighbours; below it the moves of a dataset that has moves."""
     return panel(
         '<div class="nav">'
         '<span class="try" onclick="sv(\'next-frame:-1\')" title="previous frame (P)">‹ previous</span>'
         f'<span class="dim">{place + 1} of {count}</span>'
-        '<span class="try" onclick="sv(\'next-frame:1\')" title="next frame (N)">next ›</span></div>'
+        '<span class="try" onclick="sv(\'next-frame:1\')" title="next frame (N)">next ›</span></div>',
+        "" if leads is None else _moves_html(leads),
     )
+
+
+def _moves_html(leads: Mapping[str, str]) -> str:
+    """Six buttons in two rows as the keys lie; a move that is not possible cannot be pressed."""
+    cells = []
+    for key, label, message in MOVE_KEYS:
+        move = message.partition(":")[2]
+        mark, word = MOVE_MARKS[move]
+        hint = f"{label} ({key}): {leads.get(move, 'there is no picture')}"
+        way = f'class="on" role="button" onclick="sv(\'{message}\')"' if move in leads else 'aria-disabled="true"'
+        cells.append(f'<span {way} title="{safe(hint)}"><i>{mark}</i>{word}</span>')
+    return f'<div class="moves">{"".join(cells)}</div>'
 
 
 def parse_html(state: State, suggestions: Sequence[str]) -> str:
@@ -164,8 +186,11 @@ def controls_html(state: State) -> str:
     )
 
 
-def objects_html(state: State, thumbs: dict[int, str]) -> str:
-    """The list of objects with their pictures, sizes and scores; `thumbs` is filled on the way."""
+def objects_html(state: State, thumbs: dict[int, str], moving: bool = False) -> str:
+    """The list of objects with their pictures, sizes and scores; `thumbs` is filled on the way.
+
+    With `moving` it leaves room for the buttons of the moves.
+    """
     if state.loaded is None:
         return ""
     if not state.shown.objects:
@@ -191,9 +216,10 @@ def objects_html(state: State, thumbs: dict[int, str]) -> str:
             f'<td class="w">{name}<div class="dim" style="font-size:11px">{size}</div></td>'
             f'<td class="n dim">{away}</td><td class="n">{score} {mark}</td></tr>'
         )
+    height = 626 if moving else 566
     return panel(
         heading(f"Objects ({len(rows)})"),
-        f'<div class="scroll" style="--mh:max(150px, calc(100vh - 566px))"><table>{"".join(rows)}</table></div>',
+        f'<div class="scroll" style="--mh:max(150px, calc(100vh - {height}px))"><table>{"".join(rows)}</table></div>',
         f'<img src="" style="display:none" onerror="{safe(SHOW_SELECTED)}">',
         '<div class="dim" style="font-size:11px;padding-top:5px"><kbd>/</kbd> ask &nbsp;<kbd>J</kbd> <kbd>K</kbd> pair'
         " &nbsp;<kbd>N</kbd> <kbd>P</kbd> frame &nbsp;<kbd>?</kbd> all keys</div>",

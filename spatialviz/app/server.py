@@ -17,7 +17,8 @@ from pipeline.jobs import Source
 from spatialviz.app.frames import FrameStore
 from spatialviz.app.memory import return_freed_memory
 from spatialviz.app.origin import LOCAL_NAMES, checked_origins
-from spatialviz.app.session import Session, apply_theme
+from spatialviz.app.session import Session
+from spatialviz.app.theme import apply_theme
 
 
 def start(

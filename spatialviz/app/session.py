@@ -12,6 +12,7 @@ import viser
 
 from pipeline.boxes import Box3D
 from pipeline.context import fuse_context
+from pipeline.datasets import has_moves, moves
 from pipeline.demo import DEMO_EXPRESSION
 from pipeline.errors import FrameUnusable, InputError, MissingExtra
 from pipeline.jobs import Source
@@ -29,6 +30,7 @@ from spatialviz.app.paint import frame_colors
 from spatialviz.app.scene import SceneView
 from spatialviz.app.state import NOTHING, CameraMode, ColorMode, State, shown_objects
 from spatialviz.app.text import safe
+from spatialviz.app.theme import apply_theme
 
 LOG_LENGTH = 200
 MODES: tuple[ColorMode, ...] = ("rgb", "objects", "depth", "evidence")
@@ -57,7 +59,8 @@ class Session:
         self._painted: tuple[Any, ...] = ()
         self._closed = threading.Event()
         self.bridge = Bridge(client, self.handle)
-        self._help = HelpDialog(client, self.post)
+        moving = any(has_moves(opened.dataset) for opened in store.sources.values())
+        self._help = HelpDialog(client, self.post, moving)
         ids = store.sources[source].dataset.frame_ids
         self.state = State(source=source, frame_id=ids[0], dark=dark, text=first_expression)
         self.page = build(client, self.bridge, tuple(store.sources), source, ids)
@@ -67,7 +70,7 @@ class Session:
         )
         self.fallback = Fallback(client, self.post)
         self._wire()
-        add_keys(client, self.post)
+        add_keys(client, self.post, moving)
         self.bridge.post(lambda: self._open_frame(ids[0], first=True))
         threading.Timer(HELLO_SECONDS, self._check_bridge).start()
 
@@ -101,6 +104,7 @@ class Session:
             "flag": lambda: self._toggle(argument),
             "frame": lambda: self._open_number(number),
             "next-frame": lambda: self._step_frame(number),
+            "move": lambda: self._move(argument),
             "image": lambda: self._select_at(argument),
             "theme": lambda: self._set_theme(not self.state.dark),
             "clear": self._clear,
@@ -194,6 +198,7 @@ class Session:
             self.page.expression.value = ""
         elif first and not self._can_ask(loaded, text):
             text = self._suggestions[0] if self._suggestions else ""
+            self.state = replace(self.state, text=text)
         if text:
             self._ask(text, draw=False)
         self._draw()
@@ -220,6 +225,12 @@ class Session:
     def _step_frame(self, step: int) -> None:
         ids = self._source().dataset.frame_ids
         self._open_frame(ids[(ids.index(self.state.frame_id) + step) % len(ids)])
+
+    def _move(self, move: str) -> None:
+        """Go where a move of the dataset's robot leads; one that is not possible does nothing."""
+        to = moves(self._source().dataset, self.state.frame_id).get(move)
+        if to is not None:
+            self._open_frame(to)
 
     def _browse(self) -> None:
         """Fill the grid of small pictures bit by bit, behind whatever the user does."""
@@ -398,7 +409,7 @@ class Session:
         fill_page(
             self.page,
             state,
-            frame_ids=self._source().dataset.frame_ids,
+            dataset=self._source().dataset,
             can_ask=self._source().detector is not None,
             suggestions=self._suggestions,
             thumbs=self._thumbs,
@@ -435,14 +446,3 @@ class Session:
     def _check_bridge(self) -> None:
         if not self.bridge.alive.is_set() and not self._closed.is_set():
             self.bridge.post(lambda: self.fallback.show(self.state))
-
-
-def apply_theme(gui: viser.GuiApi, dark: bool) -> None:
-    """Dark or light, without viser's logo and without its share button, which would send data away."""
-    gui.configure_theme(
-        dark_mode=dark,
-        show_logo=False,
-        show_share_button=False,
-        control_width="medium",
-        brand_color=(66, 118, 232),
-    )

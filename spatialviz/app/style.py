@@ -14,6 +14,11 @@ CSS = """<style>
 .sv .ring{display:inline-block;width:8px;height:8px;border-radius:2px;box-shadow:inset 0 0 0 1.5px var(--c);margin-right:6px;flex:none}
 .sv .chips{display:flex;flex-wrap:wrap;gap:4px;align-items:center}
 .sv .nav{display:flex;justify-content:space-between;align-items:center;font-size:11.5px}
+.sv .moves{display:grid;grid-template-columns:repeat(3,1fr);gap:4px;margin-top:6px;font-size:11.5px}
+.sv .moves span{border:1px solid var(--mantine-color-default-border);border-radius:5px;padding:1px 4px;text-align:center;white-space:nowrap;color:var(--mantine-color-dimmed);opacity:.55;cursor:default;user-select:none}
+.sv .moves i{font-style:normal;margin-right:5px}
+.sv .moves .on{color:var(--mantine-color-text);opacity:1;cursor:pointer}
+.sv .moves .on:hover{background:var(--mantine-color-default-hover);border-color:var(--mantine-color-dimmed)}
 .sv .chip{max-width:100%;overflow:hidden;text-overflow:ellipsis;border-radius:4px;padding:1px 7px;border:1px solid var(--c);color:var(--c);font-weight:600;white-space:nowrap}
 .sv .chip.rel{border:1px dashed var(--mantine-color-dimmed);color:var(--mantine-color-text);font-weight:500}
 .sv .try{border-radius:10px;padding:1px 9px;border:1px solid var(--mantine-color-default-border);color:var(--mantine-color-dimmed);cursor:pointer;max-width:100%;overflow:hidden;text-overflow:ellipsis;white-space:nowrap}

@@ -1,0 +1,330 @@
+"""Active Vision Dataset: scans of rooms by a robot, with instance boxes and the moves between images.
+
+`<scan>/{jpg_rgb,high_res_depth}/`, `annotations.json`, `image_structs.mat`, `cameras.txt`; beside the
+scans `instance_id_map.txt` and, in another layout, `camera_params/<scan>/cameras.txt`.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pipeline.datasets.assembly import make_frame, one_file, read_pair
+from pipeline.datasets.avd_scan import (
+    DEFAULT_SIZE,
+    REGISTERED_DEPTH,
+    RGB,
+    AvdCamera,
+    AvdPoses,
+    image_stem,
+    instances_of,
+    label_of,
+    read_annotations,
+    read_boxes,
+    read_camera,
+    read_names,
+    read_poses,
+)
+from pipeline.datasets.base import DatasetFormat, unknown_frame
+from pipeline.datasets.cameras import make_camera
+from pipeline.datasets.capabilities import MOVES
+from pipeline.datasets.files import listing
+from pipeline.datasets.settings import Settings
+from pipeline.errors import InputError
+from pipeline.frame import Annotation, Frame
+
+UNITS_PER_METRE = 1000.0
+FARTHEST_M = 7.0
+"""Depth beyond this is left out: the sensor's far values are artefacts."""
+SAME_SHAPE = 0.01
+"""An image is a smaller copy of the camera's where their aspect ratios differ by less than this share."""
+SCANS_KEPT = 4
+"""How many scans' tables stay parsed in memory."""
+
+SPLITS: dict[str, tuple[str, ...]] = {
+    "test 1": ("Home_001_1", "Home_001_2", "Home_008_1"),
+    "test 2": ("Home_003_1", "Home_003_2", "Office_001_1"),
+    "test 3": ("Home_014_1", "Home_014_2", "Home_002_1"),
+}
+"""The scans that each of the three splits of the dataset's site tests on; it trains on the others."""
+
+
+@dataclass(frozen=True)
+class _Scan:
+    """A scan's folder, its images by name without their ending, and how its frames' ids begin."""
+
+    folder: Path
+    name: str
+    prefix: str
+    images: Mapping[str, str]
+    names: Mapping[int, str]
+    first: str
+
+    @property
+    def camera_files(self) -> tuple[Path, ...]:
+        return (
+            self.folder / "cameras.txt",
+            self.folder.parent / "camera_params" / self.name / "cameras.txt",
+        )
+
+
+@dataclass(frozen=True)
+class _Tables:
+    """A scan's annotations and poses, each with why there are none."""
+
+    annotations: Mapping[str, Mapping[str, Any]]
+    poses: AvdPoses | None
+    problems: tuple[str, ...]
+
+
+class AvdDataset:
+    """Frames of id the image's name without its ending; of several scans `Home_001_1/000110000010101`.
+
+    The opened folder is a scan or holds scans. The camera is plain pinhole:
+    what `cameras.txt` has beyond that are fisheye coefficients, whose effect is
+    within 1 %. Depth beyond `FARTHEST_M` is left out. Boxes are 2D; an
+    annotation's `instance` is the dataset's number. Poses and the up vector come
+    from `image_structs.mat`. Images that annotations.json lists and that are not
+    there are broken frames.
+    """
+
+    format = "avd"
+
+    def __init__(self, root: Path, settings: Settings) -> None:
+        self.root = root
+        self._settings = settings
+        self._tables: dict[str, _Tables] = {}
+        self._scans: dict[str, _Scan] = {}
+        self._place: dict[str, tuple[str, str]] = {}
+        labels: dict[int, str] = {}
+        for name, folder, prefix in _scan_folders(root):
+            listed, instances = _listed(folder)
+            images = _images(folder / "jpg_rgb")
+            stems = sorted(set(images) | listed | _depths(folder / "high_res_depth"))
+            names = _names(folder)
+            self._scans[name] = _Scan(folder, name, prefix, images, names, stems[0] if stems else "")
+            self._place.update({prefix + stem: (name, stem) for stem in stems})
+            labels.update({instance: label_of(instance, names) for instance in instances})
+        self.frame_ids = tuple(self._place)
+        self.class_names: tuple[str, ...] = tuple(dict.fromkeys(labels[i] for i in sorted(labels)))
+
+    def load(self, frame_id: str) -> Frame:
+        """Decode one frame; see `Dataset.load`."""
+        scan, stem = self._found(frame_id)
+        tables = self._read(scan)
+        first = stem == scan.first
+        notes: list[str] = list(tables.problems)
+        jpg = scan.folder / "jpg_rgb"
+        color = one_file(
+            [jpg / scan.images[stem]] if stem in scan.images else [], "colour", jpg / f"{stem}.jpg"
+        )
+        depth = scan.folder / "high_res_depth" / f"{stem.removesuffix(RGB)}{REGISTERED_DEPTH}.png"
+        rgb, metres = read_pair(color, depth, self._settings.depth_scale or UNITS_PER_METRE)
+        metres[metres > FARTHEST_M] = 0
+        height, width = metres.shape
+        own, path = self._camera(scan)
+        annotated = DEFAULT_SIZE if own is None else (own.width, own.height)
+        if abs(width * annotated[1] / (height * annotated[0]) - 1) > SAME_SHAPE:
+            raise InputError(
+                "the image has another shape than the camera's",
+                got=f"{width}x{height}",
+                expected=f"{annotated[0]}x{annotated[1]} or a smaller copy of all of it",
+                path=color,
+            )
+        if first:
+            notes += _remarks(scan, own, annotated, (width, height))
+        pose, up = None, None
+        if tables.poses is not None:
+            up = tables.poses.up
+            try:
+                pose = tables.poses.pose(stem)
+            except InputError as error:
+                notes.append(f"no camera pose: {error.what}")
+            if up is None:
+                notes.append("no up vector: the cameras of this scan do not agree on one")
+        K = None if own is None else own.resized(width, height)
+        camera = make_camera(K, (height, width), pose, self._settings, path)
+        if camera.up is None and pose is not None and up is not None:
+            camera = camera.with_up(pose[:3, :3].T @ up, "declared")
+        annotations = self._annotations(scan, stem, tables, annotated, (width, height), notes)
+        return make_frame(frame_id, (rgb, metres), camera, depth, annotations, tuple(notes))
+
+    def moves(self, frame_id: str) -> dict[str, str]:
+        """Where the robot's moves from a frame lead, for those that are possible; see `capabilities.moves`.
+
+        A pointer to an image that is not there is left out.
+        """
+        scan, stem = self._found(frame_id)
+        entry = self._read(scan).annotations.get(stem, {})
+        found = {move: image_stem(entry.get(move)) for move in MOVES}
+        return {move: scan.prefix + to for move, to in found.items() if to is not None and to in scan.images}
+
+    def splits(self) -> dict[str, tuple[str, ...]]:
+        """The frames that each split of the site tests on, as far as their scans are here; see `SPLITS`."""
+        places = self._place.items()
+        found = {
+            split: tuple(frame_id for frame_id, (scan, _) in places if scan in scans)
+            for split, scans in SPLITS.items()
+        }
+        return {split: ids for split, ids in found.items() if ids}
+
+    def _found(self, frame_id: str) -> tuple[_Scan, str]:
+        if frame_id not in self._place:
+            raise unknown_frame(self, frame_id)
+        name, stem = self._place[frame_id]
+        return self._scans[name], stem
+
+    def _read(self, scan: _Scan) -> _Tables:
+        tables = self._tables.get(scan.name)
+        if tables is None:
+            tables = _read_tables(scan)
+            while len(self._tables) >= SCANS_KEPT:
+                self._tables.pop(next(iter(self._tables)), None)
+            self._tables[scan.name] = tables
+        return tables
+
+    def _camera(self, scan: _Scan) -> tuple[AvdCamera | None, Path]:
+        """The scan's camera and the file to blame; none where it is missing or where a person told the intrinsics.
+
+        A broken file matters only where no person told them.
+        """
+        path = next((path for path in scan.camera_files if path.is_file()), None)
+        if path is None:
+            return None, scan.camera_files[0]
+        try:
+            return read_camera(path), path
+        except InputError:
+            if self._settings.intrinsics is None:
+                raise
+            return None, path
+
+    @staticmethod
+    def _annotations(
+        scan: _Scan,
+        stem: str,
+        tables: _Tables,
+        annotated: tuple[int, int],
+        size: tuple[int, int],
+        notes: list[str],
+    ) -> tuple[Annotation, ...]:
+        entry = tables.annotations.get(stem)
+        if entry is None:
+            if tables.annotations:
+                notes.append("no entry in annotations.json")
+            return ()
+        return read_boxes(entry, scan.names, annotated, size, notes)
+
+
+def _remarks(
+    scan: _Scan, own: AvdCamera | None, annotated: tuple[int, int], size: tuple[int, int]
+) -> list[str]:
+    """What is so in the whole scan, for its first frame."""
+    notes: list[str] = []
+    if not scan.names:
+        notes.append("instance_id_map.txt is missing: the instances are named by their numbers everywhere")
+    if own is not None and any(own.fisheye):
+        numbers = ", ".join(f"{v:.3g}" for v in own.fisheye)
+        notes.append(f"a plain pinhole camera is used everywhere: its fisheye distortion ({numbers}) is left out")
+    if own is not None and own.others:
+        notes.append(f"cameras.txt lists {own.others + 1} cameras: the first is used everywhere")
+    if size != annotated:
+        notes.append(
+            f"images of {size[0]}x{size[1]}: the camera and the boxes of {annotated[0]}x{annotated[1]} "
+            "are scaled to them everywhere"
+        )
+    return notes
+
+
+def _read_tables(scan: _Scan) -> _Tables:
+    problems: list[str] = []
+    annotations: Mapping[str, Mapping[str, Any]] = {}
+    poses: AvdPoses | None = None
+    try:
+        annotations = read_annotations(scan.folder / "annotations.json")
+    except InputError as error:
+        problems.append(f"no annotations, annotations.json: {error.what}")
+    try:
+        poses = read_poses(scan.folder / "image_structs.mat")
+    except InputError as error:
+        problems.append(f"no camera pose, image_structs.mat: {error.what}")
+    return _Tables(annotations, poses, tuple(problems))
+
+
+def _listed(folder: Path) -> tuple[set[str], set[int]]:
+    """The images that a scan's annotations list, and the instances; none where they cannot be read."""
+    try:
+        table = read_annotations(folder / "annotations.json")
+    except InputError:  # Told when a frame is loaded.
+        return set(), set()
+    instances: set[int] = set()
+    for entry in table.values():
+        instances |= instances_of(entry)
+    return set(table), instances
+
+
+def _names(folder: Path) -> dict[int, str]:
+    """The instances' names, from the folder of the scans or from the scan's own.
+
+    Raises
+    ------
+    InputError
+        The file is there and broken: with wrong names every answer would be wrong.
+    """
+    for path in (folder.parent / "instance_id_map.txt", folder / "instance_id_map.txt"):
+        if path.is_file():
+            return read_names(path)
+    return {}
+
+
+def _images(folder: Path) -> dict[str, str]:
+    found = {image_stem(name): name for name in listing(folder)[1]}
+    return {stem: name for stem, name in found.items() if stem is not None}
+
+
+def _depths(folder: Path) -> set[str]:
+    """The colour images that the registered depth images of a scan belong to."""
+    if not folder.is_dir():
+        return set()
+    ending = f"{REGISTERED_DEPTH}.png"
+    names = [name.removesuffix(ending) for name in listing(folder)[1] if name.endswith(ending)]
+    found = {image_stem(f"{name}{RGB}.jpg") for name in names}
+    return {stem for stem in found if stem is not None}
+
+
+def _is_scan(folder: Path) -> bool:
+    return os.path.isdir(folder / "jpg_rgb") and (
+        os.path.isdir(folder / "high_res_depth") or os.path.isfile(folder / "annotations.json")
+    )
+
+
+def _scan_folders(root: Path) -> list[tuple[str, Path, str]]:
+    """(name, folder, how the frames' ids begin) of each scan."""
+    if _is_scan(root):
+        folder = root.resolve()
+        return [(folder.name, folder, "")]
+    names = [name for name in listing(root)[0] if _is_scan(root / name)]
+    return [(name, root.resolve() / name, f"{name}/") for name in names]
+
+
+def _recognises(root: Path) -> bool:
+    """A scan; a folder with scans that has the dataset's own files beside them, or little else than scans."""
+    if _is_scan(root):
+        return True
+    try:
+        folders = listing(root)[0]
+    except InputError:
+        return False
+    scans = sum(_is_scan(root / name) for name in folders)
+    marked = os.path.isfile(root / "instance_id_map.txt") or os.path.isdir(root / "camera_params")
+    return scans > 0 and (marked or 2 * scans > len(folders))
+
+
+FORMAT = DatasetFormat(
+    "avd",
+    "avd: jpg_rgb/ with high_res_depth/ or annotations.json, here or in <scan>/",
+    _recognises,
+    AvdDataset,
+)

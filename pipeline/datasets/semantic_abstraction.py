@@ -1,0 +1,347 @@
+"""Semantic Abstraction: AI2-THOR views, one HDF5 file each, with masks, whole-object points and expressions.
+
+https://github.com/columbia-ai-robotics/semantic-abstraction
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.camera import Camera, lift_pixels
+from pipeline.datasets.assembly import make_frame
+from pipeline.datasets.base import DatasetFormat, unknown_frame
+from pipeline.datasets.cameras import make_camera
+from pipeline.datasets.capabilities import GivenExpression
+from pipeline.datasets.files import natural
+from pipeline.datasets.semantic_abstraction_file import (
+    has,
+    item_count,
+    open_view,
+    read_array,
+    read_classes,
+    read_integers,
+    read_item,
+    read_names,
+)
+from pipeline.datasets.semantic_abstraction_objects import (
+    ObjectPoints,
+    annotated_objects,
+    depth_samples,
+    object_ids,
+    points_of,
+)
+from pipeline.datasets.semantic_abstraction_pose import SCENE_BOUNDS, ScenePose, fit_pose
+from pipeline.datasets.semantic_abstraction_splits import RANDOMIZED_ROOMS, read_split, split_files, view_name
+from pipeline.datasets.settings import Settings
+from pipeline.errors import InputError
+from pipeline.frame import Frame
+
+SUFFIX = ".hdf5"
+LEVELS = 3
+"""How deep files lie at most below the opened folder."""
+RANDOMIZED = "@randomized"
+"""What is put behind a frame's id for the same view with randomised materials, which test rooms have."""
+NOT_AN_OBJECT = frozenset({"empty", "out of bounds", "unlabelled"})
+LARGEST_ID = 1_000_000
+MOST_OBJECTS = 2000
+"""Objects are numbered by their place in one list of names, and a view shows some dozens of them."""
+LARGEST_SCENE = 100.0
+
+RELATIONS: dict[str, str] = {
+    "in": "in",
+    "on": "on",
+    "on the left of": "left",
+    "behind": "behind",
+    "on the right of": "right",
+    "in front of": "front",
+}
+"""The dataset's six relations and what we call them."""
+
+
+NO_POSE = "no camera pose and no 3D boxes"
+
+
+@dataclass(frozen=True)
+class _Scene:
+    """What the file says of the scene: cam_pose (4, 4), points (M, 3) and their objects (M,), bounds (2, 3)."""
+
+    cam_pose: np.ndarray
+    xyz: np.ndarray
+    owner: np.ndarray
+    bounds: np.ndarray
+
+
+class SemanticAbstractionDataset:
+    """Frames of id the file's path without its ending; in a file of several items `/k` behind it.
+
+    Depth is in metres, the pose and the boxes too (the scene's 0.6 units are
+    one metre). Annotations are the objects of `seg` that have a pixel; their
+    `index` is the object's id. The box of an object is that of all its points
+    in the scene's bounds, seen or hidden, along the scene's axes: x is level
+    and away from the camera, z the height. The pose is `cam_pose` where it
+    takes the depth to the file's own points, else the reading of it that does;
+    where none does there is no pose, and there are no boxes. An id with
+    `@randomized` behind it is the view with randomised materials, where it has
+    one; such ids are in the splits and not in `frame_ids`.
+    """
+
+    format = "semantic-abstraction"
+
+    def __init__(self, root: Path, settings: Settings) -> None:
+        self.root = root
+        self._settings = settings
+        self._place: dict[str, tuple[str, int]] = {}
+        self._views: dict[str, tuple[str, ...]] = {}
+        names: set[str] = set()
+        for view in sorted(_views_below(root, LEVELS), key=natural):
+            count = 1
+            try:
+                with open_view(root / (view + SUFFIX)) as file:
+                    count = item_count(file)
+                    names.update(read_classes(file).values())
+            except InputError:  # Told when the frame is loaded.
+                pass
+            ids = (view,) if count == 1 else tuple(f"{view}/{k}" for k in range(count))
+            self._views[view] = ids
+            self._place.update({frame_id: (view, k) for k, frame_id in enumerate(ids)})
+        self.frame_ids = tuple(self._place)
+        self.class_names: tuple[str, ...] = tuple(sorted(names - NOT_AN_OBJECT))
+
+    def load(self, frame_id: str) -> Frame:
+        """Decode one frame; see `Dataset.load`."""
+        path, item = self._found(frame_id)
+        notes: list[str] = []
+        with open_view(path) as file:
+            rgb = _picture(file, item, frame_id.endswith(RANDOMIZED))
+            size = (rgb.shape[0], rgb.shape[1])
+            stored = read_item(file, "depth", item, "f", *size)
+            K = None if self._settings.intrinsics is not None else read_array(file, "data/cam_intr", 3, 3)
+            seg = _segments(file, item, size, notes)
+            labels = _labels(file, object_ids(seg), notes)
+            scene = _scene(file, item, notes)
+        depth = _depth(stored, self._settings)
+        camera = make_camera(K, size, None, self._settings, path)
+        pose, points = None, None
+        if scene is not None:
+            points = points_of(scene.xyz, scene.owner, list(labels))
+            pose = _pose(scene, points, camera, depth, seg, list(labels), notes)
+        if pose is not None:
+            if pose.convention and frame_id == self.frame_ids[0]:
+                notes.append(f"cam_pose fits the file's points only {pose.convention}; said of the first frame only")
+            camera = make_camera(camera.K, size, pose.T_world_camera, self._settings, path)
+            if camera.up is None:
+                camera = camera.with_up(pose.up, "declared")
+        annotations = annotated_objects(seg, labels, pose, points)
+        return make_frame(frame_id, (rgb, depth), camera, path, annotations, tuple(notes))
+
+    def given_expressions(self, frame_id: str) -> tuple[GivenExpression, ...]:
+        """The dataset's own expressions; see `capabilities.given_expressions`.
+
+        The target is one object by its id, the reference every object of its
+        class. Of both only the annotated ones are given: a target may be hidden.
+        Expressions of other relations than the six are left out.
+        """
+        path, item = self._found(frame_id)
+        with open_view(path) as file:
+            if not has(file, "data/descriptions"):
+                return ()
+            group = "data/descriptions"
+            targets, references, relations = (
+                read_names(file, f"{group}/{name}")
+                for name in ("target_obj_name", "reference_obj_name", "spatial_relation_name")
+            )
+            ids = read_integers(file, f"{group}/target_obj_id") if has(file, f"{group}/target_obj_id") else None
+            if len({len(targets), len(references), len(relations), len(relations if ids is None else ids)}) > 1:
+                raise InputError("the lists of data/descriptions differ in length")
+            classes = _labels(file, object_ids(_segments(file, item, (None, None), [])), [])
+        of_class: dict[str, tuple[int, ...]] = {}
+        for number, label in classes.items():
+            of_class[label] = (*of_class.get(label, ()), number)
+        found: list[GivenExpression] = []
+        for k, (target, relation, reference) in enumerate(zip(targets, relations, references, strict=True)):
+            if relation not in RELATIONS:
+                continue
+            number = -1 if ids is None else ids[k]
+            meant = of_class.get(target, ()) if number < 0 else (number,) if number in classes else ()
+            text = f"{target} {relation} a {reference}"
+            found.append(
+                GivenExpression(text, target, RELATIONS[relation], reference, meant, of_class.get(reference, ()))
+            )
+        return tuple(found)
+
+    def splits(self) -> dict[str, tuple[str, ...]]:
+        """The frames that the split files beside the views list, by "vool/train" and so on; see `capabilities.splits`.
+
+        Files that are not here, and paths that lead outside, are left out. The
+        frames of `unseen_instances_dr` are those with randomised materials.
+        """
+        found: dict[str, tuple[str, ...]] = {}
+        for kind, path in split_files(self.root).items():
+            for name, listed in read_split(path).items():
+                views = dict.fromkeys(view_name(file) for file in listed)
+                ids = [i for view in views if view is not None for i in self._views.get(view, ())]
+                found[f"{kind}/{name}"] = tuple(i + RANDOMIZED if name == RANDOMIZED_ROOMS else i for i in ids)
+        return found
+
+    def _found(self, frame_id: str) -> tuple[Path, int]:
+        place = self._place.get(frame_id.removesuffix(RANDOMIZED))
+        if place is None:
+            raise unknown_frame(self, frame_id)
+        return self.root / (place[0] + SUFFIX), place[1]
+
+
+def _picture(file: Any, item: int, randomized: bool) -> np.ndarray:
+    """(H, W, 3) uint8. The randomised one stands in `data` itself; outside test rooms it is an empty array."""
+    if not randomized:
+        return read_item(file, "rgb", item, "u", None, None, 3).astype(np.uint8, copy=False)
+    try:
+        return read_item(file, "data/domain_randomized_rgb", item, "u", None, None, 3).astype(np.uint8, copy=False)
+    except InputError as error:
+        raise InputError("this view has no picture with randomised materials", got=error.what) from error
+
+
+def _depth(stored: np.ndarray, settings: Settings) -> np.ndarray:
+    """Metres, (H, W) float32; NaN, inf and what is not positive becomes 0."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        depth = (stored / (settings.depth_scale or 1.0)).astype(np.float32)
+    depth[~(np.isfinite(depth) & (depth > 0))] = 0
+    return depth
+
+
+def _segments(file: Any, item: int, size: tuple[int | None, int | None], notes: list[str]) -> np.ndarray:
+    """(H, W) ids, below 0 for none. A view without `seg` has no objects, and that is noted."""
+    if not has(file, "seg"):
+        notes.append("no annotations, seg is missing")
+        return np.full((size[0] or 1, size[1] or 1), -1)
+    return read_item(file, "seg", item, "iu", *size)
+
+
+def _labels(file: Any, ids: np.ndarray, notes: list[str]) -> dict[int, str]:
+    """The class names of the objects among `ids` (ascending), by id; those that are no objects left out.
+
+    Raises
+    ------
+    InputError
+        More ids, or larger ones, than a view can have.
+    """
+    classes: dict[int, str] = {}
+    if len(ids) > MOST_OBJECTS or ids.max(initial=0) >= LARGEST_ID:
+        raise InputError("seg cannot be a segmentation", got=f"{len(ids)} ids up to {ids.max(initial=0)}")
+    wanted = [int(i) for i in ids]
+    try:
+        classes = read_classes(file)
+    except InputError as error:
+        if wanted:
+            notes.append(f"the objects are named by their ids: {error.what}")
+    else:
+        unknown = [i for i in wanted if i not in classes]
+        if unknown:
+            notes.append(f"{len(unknown)} objects have no class, the first is object {unknown[0]}")
+    named = {i: classes.get(i, f"object_{i}") for i in wanted}
+    return {i: label for i, label in named.items() if label not in NOT_AN_OBJECT}
+
+
+def _scene(file: Any, item: int, notes: list[str]) -> _Scene | None:
+    """What the file says of the scene; None, with a note, where any of it is missing or broken."""
+    try:
+        cam_pose = read_array(file, "data/cam_pose", 4, 4)
+        xyz = read_item(file, "full_xyz_pts", item, "f", None, 3)
+        owner = read_item(file, "full_objid_pts", item, "iu", len(xyz))
+    except InputError as error:
+        notes.append(f"{NO_POSE}: {error.what}")
+        return None
+    return _Scene(cam_pose, xyz, owner, _bounds(file))
+
+
+def _pose(
+    scene: _Scene,
+    points: ObjectPoints,
+    camera: Camera,
+    depth: np.ndarray,
+    seg: np.ndarray,
+    ids: list[int],
+    notes: list[str],
+) -> ScenePose | None:
+    """The pose that takes the depth to the file's points; None, with a note, where there is none."""
+    v, u, owner = depth_samples(seg, depth, ids)
+    samples = lift_pixels(depth[v, u], camera, v, u)
+    try:
+        return fit_pose(scene.cam_pose, samples, owner, points.xyz, points.owner, scene.bounds)
+    except InputError as error:
+        notes.append(f"{NO_POSE}: {error.what}")
+        return None
+
+
+def _bounds(file: Any) -> np.ndarray:
+    """The scene's bounds, (2, 3); the usual ones where the file has none that can be."""
+    try:
+        bounds = read_array(file, "data/scene_bounds", 2, 3)
+    except InputError:
+        return SCENE_BOUNDS
+    if not np.abs(bounds).max() < LARGEST_SCENE:  # Nor is NaN.
+        return SCENE_BOUNDS
+    size = bounds[1] - bounds[0]
+    return bounds if size.min() > 0.01 * size.max() > 0 else SCENE_BOUNDS
+
+
+def _views_below(root: Path, levels: int, prefix: str = "") -> list[str]:
+    """Paths of the HDF5 files below a folder, relative to it and without their ending; links are not followed."""
+    found: list[str] = []
+    try:
+        with os.scandir(root) as entries:
+            inside = sorted(entries, key=lambda entry: entry.name)
+    except OSError:
+        return []
+    for entry in inside:
+        if entry.name.startswith("."):
+            continue
+        if entry.name.endswith(SUFFIX) and entry.is_file():
+            found.append(prefix + entry.name.removesuffix(SUFFIX))
+        elif levels > 0 and entry.is_dir(follow_symlinks=False):
+            found += _views_below(root / entry.name, levels - 1, f"{prefix}{entry.name}/")
+    return found
+
+
+def _is_view(root: Path, view: str) -> bool:
+    """By its name, as the dataset names its files, or else by what stands in it."""
+    if re.fullmatch(r"[0-9]+.FloorPlan[0-9]+_physics", view.rpartition("/")[2], re.ASCII):
+        return True
+    try:
+        with open_view(root / (view + SUFFIX)) as file:
+            return all(has(file, name) for name in ("rgb", "depth", "data/cam_intr"))
+    except InputError:
+        return False
+
+
+def _recognises(root: Path) -> bool:
+    """Views in the folder itself, or split files with views below, or views in most of its folders.
+
+    Not any folder with a view somewhere below: that may hold other datasets too.
+    """
+    own = _views_below(root, 0)
+    if own:
+        return _is_view(root, own[0])
+    if split_files(root):
+        return bool(_views_below(root, LEVELS))
+    try:
+        with os.scandir(root) as entries:
+            folders = [e.name for e in entries if e.is_dir(follow_symlinks=False) and not e.name.startswith(".")]
+    except OSError:
+        return False
+    below = [next(iter(_views_below(root / name, LEVELS - 1)), None) for name in folders]
+    good = sum(view is not None and _is_view(root / name, view) for name, view in zip(folders, below, strict=True))
+    return 2 * good > len(folders)
+
+
+FORMAT = DatasetFormat(
+    "semantic-abstraction",
+    "semantic-abstraction: <seed>|FloorPlan<N>_physics.hdf5, here, below split files, or in most folders",
+    _recognises,
+    SemanticAbstractionDataset,
+)

@@ -1,0 +1,233 @@
+"""One HDF5 file of Semantic Abstraction: its datasets by name, checked before anything large is read.
+
+The root datasets have one entry an item along their first axis; the group
+`data` refers to them by region references, and holds the rest itself.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.errors import InputError
+
+MOST_VALUES = 100_000_000
+MOST_NAMES = 1_000_000
+"""Bounds on what a file may make us read of one item and of one list: far above what the dataset has."""
+
+_CUT_OFF = "was the copy or the download interrupted?"
+
+
+@contextmanager
+def open_view(path: Path) -> Iterator[Any]:
+    """The h5py file, read-only; whatever goes wrong in it becomes one InputError.
+
+    Raises
+    ------
+    InputError
+        Missing, cut off, or no HDF5 file.
+    """
+    import h5py
+
+    try:
+        with h5py.File(path, "r") as file:
+            yield file
+    except InputError as error:
+        raise error if error.path is not None else InputError(str(error), path=path) from error
+    except FileNotFoundError as error:
+        raise InputError("a file is missing", path=path) from error
+    except (OSError, KeyError, ValueError, TypeError, RuntimeError, MemoryError) as error:
+        # h5py raises all of these for damaged files.
+        raise InputError(
+            "an HDF5 file that cannot be read", got=str(error).strip("'\"")[:120], cause=_CUT_OFF, path=path
+        ) from error
+
+
+def has(file: Any, name: str) -> bool:
+    """Whether there is something of this name that may be read."""
+    try:
+        return _inside(file, name) is not None
+    except InputError:
+        return True
+
+
+def item_count(file: Any) -> int:
+    """How many items the file holds: the length of the first axis of `rgb`, else 1."""
+    found = _inside(file, "rgb")
+    return max(1, int(found.shape[0])) if found is not None and getattr(found, "ndim", 0) == 4 else 1
+
+
+def read_item(file: Any, name: str, item: int, kinds: str, *shape: int | None) -> np.ndarray:
+    """One item of a root dataset, by its region reference in `data` where it has one.
+
+    Parameters
+    ----------
+    name : str
+    item : int
+        From 0.
+    kinds : str
+        The numpy kinds of number that it may hold.
+    shape : int or None
+        What an item must have along each axis; None for any length within bounds.
+
+    Raises
+    ------
+    InputError
+        Missing, of another shape or type, or a reference to something else.
+    """
+    dataset = _dataset(file, name)
+    if dataset.dtype.kind not in kinds or dataset.ndim != len(shape) + 1:
+        raise InputError(f"{name} has another form", got=f"{dataset.dtype} {dataset.shape}")
+    inside = dataset.shape[1:]
+    if any(want is not None and want != have for want, have in zip(shape, inside, strict=True)):
+        raise InputError(f"{name} has another shape", got=inside, expected=tuple(n or "any" for n in shape))
+    if min(inside) < 1 or np.prod(inside, dtype=np.float64) > MOST_VALUES:
+        raise InputError(f"{name} cannot be of this size", got=inside)
+    reference = _reference(file, name, item)
+    if reference is None:
+        if not item < dataset.shape[0]:
+            raise InputError(f"{name} has no item {item}", got=f"{dataset.shape[0]} items")
+        return np.asarray(dataset[item])
+    if file[reference] != dataset:
+        raise InputError(f"the reference data/{name} leads to another dataset", got=file[reference].name)
+    values = np.asarray(dataset[reference])
+    if values.shape != (1, *inside):
+        raise InputError(f"the reference data/{name} is not one item", got=values.shape, expected=(1, *inside))
+    return values[0]
+
+
+def read_array(file: Any, name: str, *shape: int) -> np.ndarray:
+    """A small dataset of numbers of this shape, as float64.
+
+    Raises
+    ------
+    InputError
+        Missing, or of another shape or type.
+    """
+    dataset = _dataset(file, name)
+    if dataset.shape != shape or dataset.dtype.kind not in "fiu":
+        raise InputError(f"{name} has another form", got=f"{dataset.dtype} {dataset.shape}", expected=shape)
+    return np.asarray(dataset[()], dtype=np.float64)
+
+
+def read_names(file: Any, name: str) -> list[str]:
+    """A list of texts, stored as bytes or as strings, itself or by region references.
+
+    Raises
+    ------
+    InputError
+        Missing, or no list of texts.
+    """
+    values = _list(file, name)
+    if values.dtype.kind not in "SUO" or not all(isinstance(v, (bytes, str)) for v in values.tolist()):
+        raise InputError(f"{name} is no list of names", got=values.dtype)
+    texts = (v.decode("utf-8", "replace") if isinstance(v, bytes) else v for v in values.tolist())
+    return [" ".join("".join(c if c.isprintable() else " " for c in text).split()) for text in texts]
+
+
+def read_integers(file: Any, name: str) -> list[int]:
+    """A list of integers, itself or by region references.
+
+    Raises
+    ------
+    InputError
+        Missing, or no list of integers.
+    """
+    values = _list(file, name)
+    if values.dtype.kind not in "iu" and values.size:
+        raise InputError(f"{name} is no list of integers", got=values.dtype)
+    return [int(v) for v in values.tolist()]
+
+
+def read_classes(file: Any) -> dict[int, str]:
+    """`data/objid_to_class`: the objects' class names by id. An entry is `name[id]`; without an id its place counts.
+
+    Raises
+    ------
+    InputError
+        Missing, or no list of names.
+    """
+    found: dict[int, str] = {}
+    for place, text in enumerate(read_names(file, "data/objid_to_class")):
+        match = re.fullmatch(r"(.*?)\s*\[([0-9]{1,9})\]", text, re.ASCII | re.DOTALL)
+        name, number = (match[1], int(match[2])) if match else (text, place)
+        if name:
+            found.setdefault(number, name)
+    return found
+
+
+def _list(file: Any, name: str) -> np.ndarray:
+    import h5py
+
+    dataset = _dataset(file, name)
+    if dataset.ndim != 1 or dataset.shape[0] > MOST_NAMES:
+        raise InputError(f"{name} is no list", got=dataset.shape)
+    values = np.asarray(dataset[()])
+    if h5py.check_ref_dtype(dataset.dtype) is not h5py.RegionReference:
+        return values
+    if not all(values):
+        raise InputError(f"{name} holds an empty reference")
+    parts = [np.ravel(_checked(file, file[reference], name)[reference]) for reference in values]
+    return np.concatenate(parts) if parts else np.zeros(0, "S1")
+
+
+def _reference(file: Any, name: str, item: int) -> Any:
+    """The region reference to one item; None where `data` has none of this name."""
+    import h5py
+
+    references = _inside(file, f"data/{name}")
+    if not isinstance(references, h5py.Dataset):
+        return None
+    if h5py.check_ref_dtype(references.dtype) is not h5py.RegionReference or references.ndim != 1:
+        return None
+    if not item < references.shape[0]:
+        raise InputError(f"data/{name} has no item {item}", got=f"{references.shape[0]} references")
+    reference = references[item]
+    if not reference:
+        raise InputError(f"the reference data/{name} is empty")
+    return reference
+
+
+def _dataset(file: Any, name: str) -> Any:
+    import h5py
+
+    found = _inside(file, name)
+    if not isinstance(found, h5py.Dataset):
+        raise InputError(f"{name} is missing")
+    return found
+
+
+def _inside(file: Any, name: str) -> Any:
+    """What a name leads to, or None; it must lie in this very file.
+
+    Raises
+    ------
+    InputError
+        A link to another file, or data that are kept in one.
+    """
+    import h5py
+
+    node = file
+    for part in name.split("/"):
+        if not isinstance(node, h5py.Group) or part not in node:
+            # A link whose file is missing is "not in" the group, and must not pass for a missing part.
+            if isinstance(node, h5py.Group) and isinstance(node.get(part, getlink=True), h5py.ExternalLink):
+                raise InputError(f"{name} leads to another file")
+            return None
+        if not isinstance(node.get(part, getlink=True), h5py.HardLink):
+            raise InputError(f"{name} is a link", expected="data in the file itself")
+        node = node[part]
+    return _checked(file, node, name)
+
+
+def _checked(file: Any, node: Any, name: str) -> Any:
+    import h5py
+
+    if isinstance(node, h5py.Dataset) and (node.is_virtual or node.external):
+        raise InputError(f"{name} keeps its data in another file")
+    return node

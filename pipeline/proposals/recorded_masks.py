@@ -1,0 +1,275 @@
+"""Masks that another program made, fitted to boxes: COCO JSON, a recording of detections, or PNG files.
+
+COCO: `images` [{id, file_name}] and `annotations` [{image_id, segmentation, bbox?, category_id?}], run-length encoded
+(compressed or not) or polygons; an image is a frame's by its file name or its id. A recording: what
+`--detector recorded` reads. PNG: `<frame id>.png`, 8 or 16 bit, where each value above 0 is one segment, or
+`<frame id>/*.png`, one segment each, where pixels above 0 are its.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import cv2
+import numpy as np
+from pydantic import BaseModel, Field, FiniteFloat, ValidationError
+
+from pipeline.errors import FrameUnusable, InputError
+from pipeline.frame import Frame
+from pipeline.naming import Synonyms
+from pipeline.proposals.assignment import Segments, segment_from
+from pipeline.proposals.detector_masks import DetectorSegmenter
+from pipeline.proposals.recorded import RecordedDetector, RunLength, decode_run_length
+from pipeline.proposals.segmenter import Segmenter
+
+
+class CocoImage(BaseModel):
+    """A picture of a COCO file."""
+
+    id: int
+    file_name: str
+    height: int | None = None
+    width: int | None = None
+
+
+class CocoAnnotation(BaseModel):
+    """A segment of a COCO file; anything else that it says is not looked at."""
+
+    image_id: int
+    segmentation: RunLength | list[list[FiniteFloat]]
+    bbox: tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat] | None = None
+    category_id: int | None = None
+
+
+class CocoCategory(BaseModel):
+    """A class name of a COCO file."""
+
+    id: int
+    name: str = Field(min_length=1)
+
+
+class CocoFile(BaseModel):
+    """The parts of a COCO file that are used."""
+
+    images: list[CocoImage]
+    annotations: list[CocoAnnotation]
+    categories: list[CocoCategory] = []
+
+
+def open_recorded_masks(path: str | Path, synonyms: Synonyms | None = None) -> Segmenter:
+    """The segmenter that plays back a file or folder of masks.
+
+    Raises
+    ------
+    InputError
+        Where there is none, or it follows none of the formats; the message names the place.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise InputError("there are no recorded masks", path=path)
+    if path.is_dir():
+        if any(path.glob("*.npz")):
+            return DetectorSegmenter(RecordedDetector(path), synonyms)
+        if next(path.rglob("*.png"), None) is None:
+            raise InputError("the folder holds no masks", expected="PNG files named after the frames", path=path)
+        return PngMasks(path)
+    try:
+        content: Any = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
+        raise InputError("the recorded masks are not JSON", got=str(error), path=path) from error
+    if isinstance(content, dict) and "frames" in content:
+        return DetectorSegmenter(RecordedDetector(path), synonyms)
+    try:
+        return CocoMasks(path, CocoFile.model_validate(content), synonyms)
+    except ValidationError as error:
+        first = error.errors()[0]
+        place = ".".join(str(p) for p in first["loc"])
+        raise InputError(
+            f"the masks follow neither COCO nor the format of recordings at {place or 'the top'}",
+            got=first["msg"],
+            path=path,
+        ) from error
+
+
+class CocoMasks:
+    """The segments of a COCO file."""
+
+    name = "recorded"
+
+    def __init__(self, path: Path, content: CocoFile, synonyms: Synonyms | None = None) -> None:
+        self.path = path
+        self.synonyms = synonyms
+        self._images = content.images
+        self._names = {c.id: c.name for c in content.categories}
+        self._annotations: dict[int, list[CocoAnnotation]] = {}
+        for annotation in content.annotations:
+            self._annotations.setdefault(annotation.image_id, []).append(annotation)
+
+    def fingerprint(self) -> str:
+        return _fingerprint("coco", self.path)
+
+    def segment(self, frame: Frame, boxes: np.ndarray, labels: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+        """(N, H, W) bool masks by greatest overlap of the boxes (at least one half), names first; and which were found.
+
+        Raises
+        ------
+        FrameUnusable
+            The file has no such image, or several.
+        InputError
+            Masks of another size, or that cannot be decoded.
+        """
+        shape = (frame.height, frame.width)
+        image = self._image(frame)
+        size = (image.height or shape[0], image.width or shape[1])
+        if size != shape:
+            raise InputError(
+                f"frame {frame.id}: the masks of {image.file_name!r} have another size",
+                got=size,
+                expected=shape,
+                path=self.path,
+            )
+        found = self._annotations.get(image.id, [])
+        decoded: dict[int, np.ndarray] = {}
+
+        def mask(i: int) -> np.ndarray:
+            if i not in decoded:
+                decoded[i] = self._decode(found[i], shape, f"frame {frame.id}, segment {i}")
+            return decoded[i]
+
+        rectangles = np.zeros((len(found), 4))
+        for i, annotation in enumerate(found):
+            if annotation.bbox is None:
+                rectangles[i] = _bounding_box(mask(i))
+            else:
+                x, y, w, h = annotation.bbox
+                rectangles[i] = (x, y, x + w, y + h)
+        names = tuple(None if a.category_id is None else self._names.get(a.category_id) for a in found)
+        return segment_from(Segments(rectangles, names, mask), boxes, labels, shape, self.synonyms)
+
+    def _image(self, frame: Frame) -> CocoImage:
+        """By the whole id, then by the id's parts in the file's path, then by the last part or the image's id."""
+        parts = frame.id.split("/")
+        paths = [image.file_name.replace("\\", "/") for image in self._images]
+        stems = [path.rsplit("/", 1)[-1].rsplit(".", 1)[0] for path in paths]
+        folders = [path.split("/")[:-1] for path in paths]
+        last = parts[-1]
+        named = [stem == last for stem in stems]
+        tests = (
+            [path.rsplit(".", 1)[0] == frame.id for path in paths],
+            [n and set(parts[:-1]) <= set(folder) for n, folder in zip(named, folders, strict=True)],
+            named,
+            [last.isdecimal() and int(last) == image.id for image in self._images],
+        )
+        for fits in tests:
+            found = [image for image, fit in zip(self._images, fits, strict=True) if fit]
+            if len(found) > 1:
+                names = " and ".join(repr(image.file_name) for image in found[:2])
+                raise FrameUnusable(f"several images may be frame {frame.id}: {names}", path=self.path)
+            if found:
+                return found[0]
+        raise FrameUnusable(f"there are no recorded masks for frame {frame.id}", path=self.path)
+
+    def _decode(self, annotation: CocoAnnotation, shape: tuple[int, int], where: str) -> np.ndarray:
+        content = annotation.segmentation
+        if isinstance(content, RunLength):
+            # The size is checked before memory for it is asked for.
+            if content.size != shape:
+                raise InputError(
+                    f"{where}: the mask has another size", got=content.size, expected=shape, path=self.path
+                )
+            try:
+                return decode_run_length(content.size, content.counts, where)
+            except InputError as error:
+                raise InputError(str(error), path=self.path) from error
+        return _filled(content, shape, where, self.path)
+
+
+def _filled(polygons: list[list[float]], shape: tuple[int, int], where: str, path: Path) -> np.ndarray:
+    """(H, W) bool: the pixels inside COCO polygons (x, y, x, y, ...), their coordinates clipped to the picture."""
+    from pycocotools import mask as coco
+
+    height, width = shape
+    if any(len(p) < 6 or len(p) % 2 for p in polygons):
+        raise InputError(f"{where}: a polygon needs x, y of three corners or more", path=path)
+    if not polygons:
+        return np.zeros(shape, np.bool_)
+    limit = np.array([width, height], np.float64)
+    clipped = [np.clip(np.reshape(p, (-1, 2)), 0, limit).ravel().tolist() for p in polygons]
+    encoded: Any = coco.merge(coco.frPyObjects(clipped, height, width))
+    return coco.decode(encoded).astype(np.bool_)
+
+
+class PngMasks:
+    """The segments of a folder of PNG files."""
+
+    name = "recorded"
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def fingerprint(self) -> str:
+        return _fingerprint("png", self.path)
+
+    def segment(self, frame: Frame, boxes: np.ndarray, labels: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+        """(N, H, W) bool masks by greatest overlap of the boxes (at least one half), and which were found.
+
+        Raises
+        ------
+        FrameUnusable
+            The folder has no masks for the frame, or one of its files is broken or of another size.
+        """
+        segments = self._of_frame(frame)
+        return segment_from(segments, boxes, labels, (frame.height, frame.width), None)
+
+    def _of_frame(self, frame: Frame) -> Segments:
+        file, folder = self.path / f"{frame.id}.png", self.path / frame.id
+        if not file.resolve().is_relative_to(self.path.resolve()):
+            raise FrameUnusable(f"frame {frame.id}: its masks would lie outside the folder", path=self.path)
+        if file.is_file():
+            from scipy.ndimage import find_objects
+
+            values = _read_png(file, frame)
+            found = [(v, place) for v, place in enumerate(find_objects(values.astype(np.int32)), start=1) if place]
+            rectangles = [(x.start, y.start, x.stop, y.stop) for _, (y, x) in found]
+            numbers = [v for v, _ in found]
+            return Segments(
+                np.array(rectangles, np.float64).reshape(-1, 4), (None,) * len(found), lambda i: values == numbers[i]
+            )
+        files = sorted(folder.glob("*.png")) if folder.is_dir() else []
+        if not files:
+            raise FrameUnusable(f"there are no recorded masks for frame {frame.id}", path=file)
+        masks = [_read_png(f, frame) > 0 for f in files]
+        return Segments(np.stack([_bounding_box(m) for m in masks]), (None,) * len(masks), lambda i: masks[i])
+
+
+def _read_png(file: Path, frame: Frame) -> np.ndarray:
+    image = cv2.imread(str(file), cv2.IMREAD_UNCHANGED)
+    if image is None:
+        raise FrameUnusable(f"frame {frame.id}: the mask file cannot be read", path=file)
+    if image.ndim != 2 or image.dtype not in (np.uint8, np.uint16):
+        raise FrameUnusable(
+            f"frame {frame.id}: a mask file must have one channel of 8 or 16 bits",
+            got=f"{image.dtype} {image.shape}",
+            path=file,
+        )
+    if image.shape != (frame.height, frame.width):
+        raise FrameUnusable(
+            f"frame {frame.id}: the mask has another size",
+            got=image.shape,
+            expected=(frame.height, frame.width),
+            path=file,
+        )
+    return image
+
+
+def _bounding_box(mask: np.ndarray) -> tuple[float, float, float, float]:
+    """x0, y0, x1, y1 with exclusive right and bottom edges; zeros for an empty mask."""
+    x, y, w, h = cv2.boundingRect(mask.view(np.uint8))
+    return (x, y, x + w, y + h)
+
+
+def _fingerprint(kind: str, path: Path) -> str:
+    return f"recorded-masks:{kind}:{path.resolve()}:{path.stat().st_mtime_ns}"

@@ -1,0 +1,139 @@
+"""Masks for boxes that have none: what a segmenter is, and a detector with one behind it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Protocol, runtime_checkable
+
+import numpy as np
+
+from pipeline.errors import InputError
+from pipeline.frame import Frame
+from pipeline.proposals.annotations import box_mask
+from pipeline.proposals.base import Detector, Proposals
+
+BEST = 50
+"""Of a detector that is not exact, at most so many boxes of a run get a mask, the best first."""
+
+
+@runtime_checkable
+class Segmenter(Protocol):
+    """Makes masks from boxes.
+
+    Attributes
+    ----------
+    name : str
+        As on the command line.
+    """
+
+    @property
+    def name(self) -> str: ...
+
+    def fingerprint(self) -> str:
+        """What the masks depend on besides the frame and the boxes, for caches."""
+        ...
+
+    def segment(self, frame: Frame, boxes: np.ndarray, labels: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+        """Masks of the things in boxes.
+
+        Parameters
+        ----------
+        frame : Frame
+        boxes : (N, 4) float32
+            x0, y0, x1, y1 in pixels. They are things of their own, not guesses
+            at the same one: a segmenter may give each pixel to one of them.
+        labels : sequence of str
+            A class name for each box.
+
+        Returns
+        -------
+        masks : (N, H, W) bool
+        has_mask : (N,) bool
+            False where the segmenter has nothing to say; the mask there does not count.
+        """
+        ...
+
+
+class Segmented:
+    """A detector whose proposals without masks get them from a segmenter; masks it has are kept.
+
+    The boxes of an exact detector are segmented together, all of the frame, so that a mask does not depend on what
+    was asked for. Those of any other may be guesses at one and the same thing: each is segmented by itself.
+
+    Parameters
+    ----------
+    detector : Detector
+    segmenter : Segmenter
+    """
+
+    def __init__(self, detector: Detector, segmenter: Segmenter) -> None:
+        self.detector = detector
+        self.segmenter = segmenter
+        self._last: tuple[Frame, dict[int, np.ndarray]] | None = None
+
+    @property
+    def name(self) -> str:
+        return f"{self.detector.name}+{self.segmenter.name}"
+
+    @property
+    def vocabulary(self) -> tuple[str, ...] | None:
+        return self.detector.vocabulary
+
+    @property
+    def exact(self) -> bool:
+        return self.detector.exact
+
+    def fingerprint(self) -> str:
+        return f"{self.detector.fingerprint()}|{self.segmenter.fingerprint()}"
+
+    def detect(self, frame: Frame, labels: Sequence[str] | None) -> Proposals:
+        found = self.detector.detect(frame, labels)
+        bare = _without_mask(found)
+        if not bare.any():
+            return found
+        made = self._of_all(frame) if self.exact else self._one_by_one(frame, found, np.flatnonzero(bare))
+        shape = (frame.height, frame.width)
+        masks = np.zeros((len(found), *shape), np.bool_) if found.masks is None else found.masks.copy()
+        segmented = np.zeros(len(found), np.bool_)
+        for i in np.flatnonzero(bare):
+            mask = made.get(int(found.ids[i]) if self.exact else int(i))
+            segmented[i] = mask is not None
+            masks[i] = box_mask(found.boxes[i], *shape) if mask is None else mask
+        return replace(found, masks=masks, has_mask=~bare | segmented, segmented=segmented)
+
+    def _of_all(self, frame: Frame) -> dict[int, np.ndarray]:
+        """The masks of a frame's exact boxes by their identities, kept for the next question about it."""
+        if self._last is None or self._last[0].rgb is not frame.rgb or self._last[0].depth is not frame.depth:
+            everything = self.detector.detect(frame, None)
+            bare = np.flatnonzero(_without_mask(everything))
+            made = self._segment(frame, everything, bare)
+            self._last = frame, {int(everything.ids[i]): mask for i, mask in made.items()}
+        return self._last[1]
+
+    def _one_by_one(self, frame: Frame, found: Proposals, bare: np.ndarray) -> dict[int, np.ndarray]:
+        best = bare[np.argsort(-found.scores[bare], kind="stable")][:BEST]
+        made: dict[int, np.ndarray] = {}
+        for i in best:
+            made |= self._segment(frame, found, np.array([i]))
+        return made
+
+    def _segment(self, frame: Frame, found: Proposals, which: np.ndarray) -> dict[int, np.ndarray]:
+        """Masks by place in `found`; boxes without one are left out."""
+        labels = [found.label(int(i)) for i in which]
+        masks, has_mask = self.segmenter.segment(frame, found.boxes[which], labels)
+        expected = (len(which), frame.height, frame.width)
+        if masks.shape != expected or masks.dtype != np.bool_ or has_mask.shape != expected[:1]:
+            raise InputError(
+                f"the segmenter {self.segmenter.name!r} must give masks bool (N, H, W) and has_mask (N,)",
+                got=f"{masks.dtype} {masks.shape}, {has_mask.shape}",
+                expected=f"N, H, W = {expected}",
+            )
+        return {int(i): m for i, m, has in zip(which, masks, has_mask, strict=True) if has and m.any()}
+
+
+def _without_mask(found: Proposals) -> np.ndarray:
+    """(N,) bool: proposals that have only a box."""
+    if found.masks is None:
+        return np.ones(len(found), np.bool_)
+    return np.zeros(len(found), np.bool_) if found.has_mask is None else ~found.has_mask
