@@ -175,4 +175,4 @@ def _short(name: str) -> str:
 def _share(value: float | None) -> str:
     if value is None:
         return "–"
-    return f"{value:.1%}" if value < 0.0995 else f"{value:.0%}"
+    return f"{value:.1%}" if 0 < value < 0.0995 else f"{value:.0%}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections import Counter
 from collections.abc import Iterable, Iterator
 from typing import Any
@@ -93,4 +94,4 @@ def _sorted(counter: Counter[str]) -> dict[str, int]:
 def _reason(report: FrameReport) -> str:
     """A problem without what is only of this frame: its name, what was got, and the file."""
     text = (report.problem or "unknown").split("; ")[0].split(" [")[0].split(" (")[0]
-    return text.replace(report.id, "…").removeprefix("frame …: ")
+    return re.sub(rf"(?<!\w){re.escape(report.id)}(?!\w)", "…", text).removeprefix("frame …: ")

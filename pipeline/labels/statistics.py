@@ -115,9 +115,8 @@ def _relations(database: Database, relations: tuple[str, ...]) -> tuple[dict[str
     tallies = ", ".join(f"count(*) FILTER ({c} = {state})" for c in columns for state in (1, 0, -1))
     # Of several nulls the greatest is null.
     most = f"coalesce(greatest({', '.join(columns)}), -1)"
-    pairs, without, *cells = database.rows(
-        f"SELECT count(*), count(*) FILTER ({most} < 1), {tallies} FROM relations"
-    )[0]
+    totals = database.rows(f"SELECT count(*), count(*) FILTER ({most} < 1), {tallies} FROM relations")
+    pairs, without, *cells = totals[0]
     found = {}
     for name, (t, u, f) in zip(relations, np.reshape(cells, (-1, 3)).tolist(), strict=True):
         expressions, ambiguous = said.get(name, (0, 0))
@@ -244,8 +243,8 @@ def _ambiguity(database: Database) -> dict[str, Any]:
 def _occlusion(database: Database) -> dict[str, Any]:
     found = database.row(
         # Summed as whole millionths, so that the order of reading cannot change the mean.
-        "SELECT count(*) n, coalesce(sum(CAST(round(occluded * 1e6) AS BIGINT))"
-        " FILTER (isfinite(occluded)), 0) occluded_sum,"
+        "SELECT count(*) n, coalesce(sum(CASE WHEN isfinite(occluded)"
+        " THEN CAST(round(occluded * 1e6) AS BIGINT) END), 0) occluded_sum,"
         f" count(*) FILTER (occluded >= CAST({OCCLUDED_FROM} AS FLOAT)) occluded,"
         " count(*) FILTER (touches_border) cut FROM objects"
     )

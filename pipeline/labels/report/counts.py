@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 CLASSES_SHOWN = 25
+FEWEST_ROWS = 5
+"""Room for so many classes, so that a few do not stretch to slabs."""
 SHARE_AT = (1.13, 1.29)
 """Where the shares stand in writing, in widths of the bars."""
 LARGEST_SET = 8
@@ -163,8 +165,11 @@ def draw_classes(statistics: dict[str, Any]) -> Figure:
         if objects
         else "There are no objects",
         "Objects by class: those that can be asked for (dark), and those that are too small, too sparse or of "
-        "the background (light).",
+        "the background (light)."
+        + (f" {len(others)} rarer classes have {thousands(sum(e['objects'] for e in others))} more." if others else ""),
     )
+    from matplotlib.ticker import MaxNLocator
+
     axes = figure.subplots()
     if not shown:
         say_nothing_there(axes, "no objects")
@@ -172,10 +177,6 @@ def draw_classes(statistics: dict[str, Any]) -> Figure:
     names = [short(name) for name, _ in shown]
     good = [entry["usable"] for _, entry in shown]
     total = [entry["objects"] for _, entry in shown]
-    if others:
-        names.append(f"{len(others)} other classes" if len(others) > 1 else "1 other class")
-        good.append(sum(entry["usable"] for entry in others))
-        total.append(sum(entry["objects"] for entry in others))
     rows = np.arange(len(names))
     axes.barh(rows, total, height=0.68, color=LIGHT)
     axes.barh(rows, good, height=0.68, color=DARK)
@@ -183,10 +184,10 @@ def draw_classes(statistics: dict[str, Any]) -> Figure:
         axes.annotate(thousands(count), (count, row), (4, 0), textcoords="offset points", va="center", fontsize=8.5,
                       color=QUIET)  # fmt: skip
     axes.set_yticks(rows, names)
-    axes.set_ylim(len(names) - 0.5, -0.5)
+    axes.set_ylim(max(len(names), FEWEST_ROWS) - 0.5, -0.5)
     axes.set_xlabel("objects")
     axes.xaxis.set_major_formatter(thousands)
-    axes.xaxis.get_major_locator().set_params(integer=True, nbins=6)  # pyright: ignore[reportAttributeAccessIssue]
+    axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))
     axes.margins(x=0.1)
     _bare(axes)
     return figure
@@ -234,8 +235,7 @@ def draw_heat_map(statistics: dict[str, Any], found: Distributions) -> Figure:
         color="#1f2630",
     )
     axes.invert_yaxis()
-    # A few classes do not stretch to slabs.
-    axes.set_xlim(0, max(len(names), 12))
+    axes.set_xlim(0, max(len(names), 2 * FEWEST_ROWS))
     _bare(axes)
     axes.spines["bottom"].set_visible(False)
     return figure
@@ -254,7 +254,7 @@ def _heat_title(asked: list[tuple[str, int]]) -> str:
 def class_rows_height(statistics: dict[str, Any]) -> int:
     """Pixels of a picture whose rows are the classes."""
     classes = len(statistics["classes"])
-    return 60 + 21 * max(min(classes, CLASSES_SHOWN + 1), 5)
+    return 60 + 21 * max(min(classes, CLASSES_SHOWN), FEWEST_ROWS)
 
 
 def _bare(axes: Axes) -> None:

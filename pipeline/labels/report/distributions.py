@@ -120,7 +120,8 @@ def displacements(
     ]
     known = " AND ".join(f"isfinite({d})" for d in apart)
     # Knuth's multiplicative hash: multiples of the golden ratio lie evenly in the ring of 32 bits.
-    taken = f"(CAST(r.frame_index AS BIGINT) * 2654435761) % 4294967296 < {min(sampled / max(frames, 1), 1) * 2**32:.0f}"
+    part = min(sampled / max(frames, 1), 1) * 2**32
+    taken = f"(CAST(r.frame_index AS BIGINT) * 2654435761) % 4294967296 < {part:.0f}"
     counts = " UNION ALL ".join(
         f"SELECT {place} AS relation, x, {'y' if name in HIGHEST else 'z'} AS along, count(*) AS n"
         f" FROM pairs WHERE {quoted(name)} = 1 GROUP BY ALL"
@@ -159,20 +160,23 @@ def _distances(database: Database) -> np.ndarray:
 
 
 def _sizes(database: Database, classes: Sequence[str]) -> list[SizeRange]:
+    counted = [
+        database.columns(
+            "SELECT list_position($classes, label) - 1 AS place,"
+            f" CAST(round(least({edge}(size), 100) * 1000) AS INTEGER) AS mm, count(*) AS n FROM objects"
+            " WHERE usable AND isfinite(list_sum(size)) AND list_contains($classes, label) GROUP BY 1, 2 ORDER BY 1, 2",
+            classes=list(classes),
+        )
+        for edge in ("list_max", "list_min")
+        if classes
+    ]
     found = []
-    for label in classes:
-        edges = {}
-        for name, edge in (("longest", "list_max"), ("shortest", "list_min")):
-            edges[name] = database.columns(
-                f"SELECT CAST(round(least({edge}(size), 100) * 1000) AS INTEGER) AS mm, count(*) AS n FROM objects"
-                " WHERE usable AND isfinite(list_sum(size)) AND label = $label GROUP BY 1 ORDER BY 1",
-                label=label,
-            )
-        if len(edges["longest"]["n"]):
-            low, half, high = quantiles(edges["longest"]["mm"], edges["longest"]["n"], (0.1, 0.5, 0.9))
-            (shortest,) = quantiles(edges["shortest"]["mm"], edges["shortest"]["n"], (0.5,))
-            number = int(edges["longest"]["n"].sum())
-            found.append(SizeRange(label, number, (low / 1000, half / 1000, high / 1000), shortest / 1000))
+    for place, label in enumerate(classes):
+        longest, shortest = ({k: v[c["place"] == place] for k, v in c.items()} for c in counted)
+        if len(longest["n"]):
+            low, half, high = (mm / 1000 for mm in quantiles(longest["mm"], longest["n"], (0.1, 0.5, 0.9)))
+            (short,) = quantiles(shortest["mm"], shortest["n"], (0.5,))
+            found.append(SizeRange(label, int(longest["n"].sum()), (low, half, high), short / 1000))
     return found
 
 

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.labels.report.counts import class_rows_height
-from pipeline.labels.report.distributions import CELL_M, Distributions, Displacements, has_cone, in_plan
+from pipeline.labels.report.counts import FEWEST_ROWS, class_rows_height
+from pipeline.labels.report.distributions import CELL_M, Displacements, Distributions, has_cone, in_plan
 from pipeline.labels.report.style import (
     DARK,
     FULL,
@@ -51,8 +51,10 @@ def draw_targets(found: Distributions) -> Figure:
     figure = new_figure(
         FULL,
         round((side + 68) * len(rows)),
-        "Each relation is a place around its reference",
-        "Middles of the targets of pairs for which the relation holds; the reference is at the cross. "
+        "Each relation is a place around its reference"
+        if any(len(d.count) for d in found.displacements.values())
+        else "No relation holds of objects whose place is known",
+        "Middles of the targets of pairs for which the relation holds; the reference is at the cross, dashes are 45°. "
         "Darker: more pairs, each plot on its own scale."
         + (" A sample of the frames, spread evenly." if found.frames_sampled else ""),
     )
@@ -97,10 +99,9 @@ def _draw_place(axes: Axes, name: str, places: Displacements, limit: float) -> N
     counts, _, _ = np.histogram2d(places.along, places.across, bins=(edges, edges), weights=places.count)
     if counts.any():
         shade = LinearSegmentedColormap.from_list(name, [color * 0.3 + 0.7, color, color * 0.45])
-        shade.set_bad("white")
-        axes.pcolormesh(
-            edges, edges, np.ma.masked_equal(counts, 0), cmap=shade, norm=PowerNorm(0.5, 0, counts.max()), linewidth=0
-        )
+        # A single pair is not the darkest there is.
+        scale = PowerNorm(0.5, 0, max(counts.max(), 4))
+        axes.pcolormesh(edges, edges, np.ma.masked_equal(counts, 0), cmap=shade, norm=scale, linewidth=0)
     if has_cone(name) and in_plan(name):
         for slope in (1, -1):
             axes.plot([-limit, limit], [-slope * limit, slope * limit], color=LINE, lw=0.8, ls=(0, (3, 3)), zorder=0.5)
@@ -198,7 +199,7 @@ def draw_sizes(found: Distributions, statistics: dict[str, Any]) -> Figure:
     axes.set_xticks(ticks, [f"{t:g}" for t in ticks])
     axes.minorticks_off()
     axes.set_yticks(y, [short(s.label) for s in sizes])
-    axes.set_ylim(len(sizes) - 0.5, -0.5)
+    axes.set_ylim(max(len(sizes), FEWEST_ROWS) - 0.5, -0.5)
     axes.set_xlabel("edge (m)")
     axes.grid(axis="x")
     axes.tick_params(length=0)
@@ -212,4 +213,5 @@ def _size_title(sizes: list[Any]) -> str:
     large, small = sizes[0], sizes[-1]
     if len(sizes) == 1:
         return f"A box of “{short(large.label)}” is {large.longest[1]:.2f} m long"
-    return f"Boxes are {small.longest[1]:.2f} m ({short(small.label)}) to {large.longest[1]:.2f} m ({short(large.label)}) long"
+    least, most = (f"{s.longest[1]:.2f} m ({short(s.label, 16)})" for s in (small, large))
+    return f"Boxes are {least} to {most} long"

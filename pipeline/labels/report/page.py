@@ -14,7 +14,8 @@ GENERATOR = "spatialviz report of labels"
 """Stands in the page, so that a report is known as one."""
 
 STYLE = f"""
-:root {{ color-scheme: light dark; --page: #f4f5f7; --card: #ffffff; --ink: #1f2630; --quiet: #5b6470; --line: #dde1e6; }}
+:root {{ color-scheme: light dark;
+  --page: #f4f5f7; --card: #ffffff; --ink: #1f2630; --quiet: #5b6470; --line: #dde1e6; }}
 @media (prefers-color-scheme: dark) {{
   :root {{ --page: #14171c; --card: #1d2128; --ink: #e8ebef; --quiet: #9aa3af; --line: #313741; }}
   figure {{ filter: brightness(.92); }}

@@ -46,7 +46,7 @@ def house_style() -> Iterator[None]:
     from matplotlib.font_manager import get_font_names
 
     installed = set(get_font_names())
-    settings = {
+    settings: dict[Any, Any] = {
         "font.family": [name for name in (*LATIN, *OTHER_SCRIPTS) if name in installed],
         "font.size": 9.5,
         "text.color": INK,
