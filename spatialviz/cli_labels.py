@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import os
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional
 
+from pipeline.errors import InputError
 from spatialviz.exits import FINE, NO
 from spatialviz.options import four_numbers, print_json, task_of
 
@@ -237,7 +239,7 @@ class Export:
     labels: Positional[Path]
     """Labels folder."""
     out: Path
-    """What to write: a folder, or a file."""
+    """Folder to write; it must not exist, or be empty."""
     format: Literal["jsonl", "coco", "kitti", "vqa", "parquet"]
     """kitti: boxes only. vqa: conversations for tuning a vision-language model. parquet: Hugging Face's layout."""
     images: Literal["none", "copy"] = "none"
@@ -245,15 +247,22 @@ class Export:
     dataset: str | None = None
     """Where the dataset is now, for its images. Default: where it was labelled."""
     overwrite: bool = False
-    """Replace what is there."""
+    """Replace an earlier export."""
+    licence: str | None = None
+    """The labels' licence, for the card of parquet. Default: said to be unknown."""
 
     def run(self) -> int:
         from pipeline.labels.exports import export_labels
-
+        from pipeline.labels.exports.hub import HubConfig
         from pipeline.labels.reading import open_labels
         from spatialviz.printing import rate_bar
 
         labels = open_labels(self.labels)
+        options = None
+        if self.licence is not None:
+            if self.format != "parquet":
+                raise InputError("--licence is for the card of --format parquet")
+            options = HubConfig(licence=self.licence)
         dataset = None
         if self.images == "copy":
             from pipeline.labels.plan import load_plan
@@ -270,9 +279,13 @@ class Export:
                 images=self.images,
                 dataset=dataset,
                 overwrite=self.overwrite,
+                options=options,
                 progress=advance,
             )
-        print(f"{len(report.files)} files -> {self.out}")
+        for note in report.notes:
+            print(f"spatialviz: {note}", file=sys.stderr)
+        rows = ", ".join(f"{count} {name}" for name, count in report.rows.items())
+        print(f"{rows} -> {self.out}")
         return FINE
 
 

@@ -4,8 +4,12 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import pytest
+
+if TYPE_CHECKING:
+    from pipeline.labels.reading import Labels
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -17,3 +21,16 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip(f"real test data are not at {folder}; set SPATIALVIZ_SHARED to the folder that holds data/")
     return folder
+
+
+@pytest.fixture(scope="session")
+def label_sets(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Labels]:
+    """Labels of the demo, ones with everything odd, and empty ones; not to be changed."""
+    from label_sets import hostile_labels, label_demo, write_labels
+
+    folder = tmp_path_factory.mktemp("labels")
+    return {
+        "demo": label_demo(folder / "demo"),
+        "hostile": hostile_labels(folder / "hostile"),
+        "empty": write_labels(folder / "empty", {}),
+    }

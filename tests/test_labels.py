@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -109,7 +110,7 @@ def write_recording(path: Path, frames: int) -> None:
         entries = []
         for a in frame.annotations:
             assert a.mask is not None
-            code = coco.encode(np.asfortranarray(a.mask.astype(np.uint8)))
+            code: Any = coco.encode(np.asfortranarray(a.mask.astype(np.uint8)))
             entries.append(
                 {
                     "label": a.label,

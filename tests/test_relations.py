@@ -11,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes import filled_cloud, frame_of, up_of, upright
 
+from pipeline.arrangement import between_states, distances, superlative_states
 from pipeline.lifting import extents
 from pipeline.relations import (
     DIRECTIONAL,
@@ -21,12 +22,9 @@ from pipeline.relations import (
     F,
     T,
     U,
-    between_states,
     directional_states,
-    distances,
     letter,
     pairwise_states,
-    superlative_states,
 )
 from pipeline.srm import RuleScorer, make_scorer
 from pipeline.viewer import viewer_axes

@@ -74,7 +74,7 @@ def test_every_library_that_the_core_imports_is_declared() -> None:
     text = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
     table = text.split("[project.scripts]")[0]
     declared = {n.lower().replace("_", "-") for n in re.findall(r'^\s*"([A-Za-z0-9_-]+)(?=[<>=;"\[])', table, re.M)}
-    declared |= {n.lower() for n in re.findall(r'"([A-Za-z0-9_-]+)[<>=][^"]*"', table)}
+    declared |= {n.lower() for n in re.findall(r'"([A-Za-z0-9_-]+)(?:\[[^\]]*\])?[<>=][^"]*"', table)}
     owners = packages_distributions()
     missing = {}
     for path in SOURCES:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import os
 import platform
 from collections.abc import Iterator, Sequence
@@ -15,10 +16,12 @@ import numpy as np
 
 from pipeline import __version__
 from pipeline.errors import InputError
+from pipeline.labels.card import croissant, dataset_card
 from pipeline.labels.config import SelectConfig, TextStyle
 from pipeline.labels.plan import Plan, Shard, load_plan
-from pipeline.labels.reading import MANIFEST_FILE
+from pipeline.labels.reading import MANIFEST_FILE, Labels
 from pipeline.labels.schema import SCHEMA_VERSION, Manifest, TableFile
+from pipeline.labels.schema_files import write_schemas
 from pipeline.labels.selection import select
 from pipeline.labels.store import Store, write_whole
 from pipeline.labels.tables import CANDIDATES, ROW_GROUP, RowHash, arrow_schema
@@ -29,6 +32,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 LISTED_WARNINGS = 100
+CARD_FILE, CROISSANT_FILE = "README.md", "croissant.json"
 
 
 def missing_shards(plan: Plan, store: Store) -> tuple[Shard, ...]:
@@ -117,6 +121,10 @@ def merge_labels(where: str | Path, selection: SelectConfig | None = None, out: 
         created=datetime.now(timezone.utc).isoformat(timespec="seconds"),
     )
     write_whole(out / MANIFEST_FILE, manifest.model_dump_json(indent=1).encode())
+    labels = Labels(out, manifest)
+    write_whole(out / CARD_FILE, dataset_card(labels).encode())
+    write_whole(out / CROISSANT_FILE, json.dumps(croissant(labels), indent=1, ensure_ascii=False).encode())
+    write_schemas(out / "schemas")
     return manifest
 
 
@@ -144,15 +152,30 @@ def choose(shards: Sequence[Shard], store: Store, selection: SelectConfig) -> tu
 def _worded(
     shards: Sequence[Shard], store: Store, chosen: dict[str, np.ndarray], style: TextStyle
 ) -> Iterator[pa.Table]:
-    """The chosen candidates, put into words: a row's own hash chooses its sentence."""
+    """The chosen candidates, put into words: a row's own hash chooses its sentence.
+
+    A row whose names no sentence can carry beside the dataset's other names is left out.
+    """
     import pyarrow as pa
+
+    labels = (store.read_part(s.name, "objects", ["label"]).column("label").unique().to_pylist() for s in shards)
+    class_names = tuple(sorted({name for found in labels for name in found}))
+
+    def said(target: str, relation: str, reference: str, key: str) -> str | None:
+        try:
+            return expression_text(
+                target, relation, reference, int(key, 16), style=style, class_names=class_names
+            )
+        except InputError:
+            return None
 
     for shard in shards:
         rows = store.read_part(shard.name, CANDIDATES).filter(pa.array(chosen[shard.name]))
-        said = zip(*(rows.column(n).to_pylist() for n in ("target", "relation", "reference", "id")), strict=True)
-        texts = pa.array([expression_text(t, r, o, int(key, 16), style=style) for t, r, o, key in said], pa.string())
+        named = zip(*(rows.column(n).to_pylist() for n in ("target", "relation", "reference", "id")), strict=True)
+        texts = pa.array([said(*row) for row in named], pa.string())
         schema = arrow_schema("expressions")
-        yield pa.Table.from_arrays([texts if n == "text" else rows.column(n) for n in schema.names], schema=schema)
+        columns = [texts if n == "text" else rows.column(n).combine_chunks() for n in schema.names]
+        yield pa.table(columns, schema.names).filter(texts.is_valid()).cast(schema)
 
 
 def write_merged(out: Path, name: str, parts: Iterator[pa.Table]) -> TableFile:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -46,9 +46,30 @@ class Judged:
     distance: np.ndarray
 
 
-Judge = Callable[[np.ndarray, np.ndarray, np.ndarray, "Sequence[np.ndarray] | None", "Collection[str]"], Judged]
-"""Given lo and hi ((N, 3)), centroids ((N, 3)) and clouds along (right, up, forward), metres, and the relations
-that are wanted: the others may be left at U with margin 0."""
+class Judge(Protocol):
+    """Rules: they judge every ordered pair of the objects of a frame."""
+
+    def __call__(
+        self,
+        lo: np.ndarray,
+        hi: np.ndarray,
+        centroids: np.ndarray,
+        clouds: Sequence[np.ndarray] | None,
+        relations: Collection[str] = PAIRWISE,
+    ) -> Judged:
+        """Judge.
+
+        Parameters
+        ----------
+        lo, hi, centroids : (N, 3) float64
+            Extents and mean points along (right, up, forward), metres.
+        clouds : sequence of (M, 3) float, optional
+            The objects' points along the same axes.
+        relations : collection of str
+            Those that are wanted: the others may be left at U with margin 0.
+        """
+        ...
+
 
 CONTACT = ("on", "in", "near")
 """The relations that look at points, and so cost the most."""

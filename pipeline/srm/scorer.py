@@ -8,8 +8,9 @@ from typing import Protocol
 
 import numpy as np
 
+from pipeline.arrangement import between_states, superlative_states
 from pipeline.lifting import LiftedObject
-from pipeline.relations import PAIRWISE, PROFILE, Indices, between_states, pairwise_states, superlative_states
+from pipeline.relations import PAIRWISE, PROFILE, Indices, pairwise_states
 from pipeline.viewer import ViewerAxes
 
 RULE_PROBABILITY = {1: 0.95, 0: 0.50, -1: 0.05}

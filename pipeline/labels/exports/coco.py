@@ -1,0 +1,208 @@
+"""COCO: instances, referring expressions as in RefCOCO, and the relations between annotations. Lossless.
+
+`instances.json` is COCO's: `images`, `annotations`, `categories`. An image's id
+is its `frame_index`; frames that cannot be used stand in `unusable_frames`
+instead, so that no loader looks for them. Annotation ids count from 1 in the
+order of the table `objects`. Masks are compressed run-length codes; an object
+without a mask has its 2D box as a polygon. Beyond COCO's keys every image has
+`spatialviz` (pose, up, hashes), and every annotation has `box3d` ({center, size,
+R, frame: "camera"}, metres, R row by row), `extent` (lo, hi, centroid along the
+viewer's right, up, forward) and `quality`.
+
+`refs.json` is a list with the keys of RefCOCO's `refs(...).p`, and
+`acceptable_ann_ids`, `target_ann_ids`, `reference_ann_id`, `relation`.
+
+`relations.json` has, for each image, columns of equal length: annotations `a`
+and `b`, `distance`, and state (1, 0, -1) and margin of each relation.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from typing import Any, TextIO
+
+from pipeline.errors import InputError
+from pipeline.labels.exports.base import ExportFormat, Job, Written
+from pipeline.labels.exports.coco_reading import (
+    BOXES,
+    EXPRESSION_KEYS,
+    EXTENT,
+    FRAME_KEYS,
+    QUALITY,
+    read_coco,
+)
+from pipeline.labels.exports.frame_rows import FrameRows, iterate_frames, table_batches
+from pipeline.labels.exports.images import image_name
+from pipeline.labels.exports.json_text import JsonList, json_line
+from pipeline.labels.exports.staging import text_file
+
+_WORD = re.compile(r"[^\W_]+(?:['’-][^\W_]+)*")
+
+
+def write_coco(job: Job) -> Written:
+    """Write the three files, as streams."""
+    manifest = job.labels.manifest
+    categories = _categories(job)
+    info = {
+        "description": f"Auto-labels of {manifest.dataset.get('format')} by {manifest.tool} {manifest.version}",
+        "version": manifest.schema_version,
+        "date_created": manifest.created,
+        "contributor": "",
+        "url": "",
+        "year": int(manifest.created[:4]) if manifest.created[:4].isdigit() else 0,
+        "config_hash": manifest.config_hash,
+        "profile_hash": manifest.profile_hash,
+    }
+    with (
+        text_file(job.folder / "instances.json") as instances,
+        text_file(job.folder / "refs.json") as refs_file,
+        text_file(job.folder / "relations.json") as relations_file,
+    ):
+        listed = [{"id": i, "name": name, "supercategory": "object"} for name, i in categories.items()]
+        instances.write(
+            f'{{"info": {json_line(info)},\n"licenses": {json_line([{"id": 0, "name": "unknown", "url": ""}])},\n'
+            f'"categories": {json_line(listed)},\n'
+        )
+        images = _write_frames(job, instances)
+        instances.write('"annotations": ')
+        annotations, refs = JsonList(instances), JsonList(refs_file)
+        relations_file.write(f'{{"relations": {json_line(list(job.labels.relation_names))},\n"images": ')
+        related = JsonList(relations_file)
+        pairs = 0
+        for rows in iterate_frames(job.labels, job.tell):
+            ids = {row["object"]: annotations.length + 1 + k for k, row in enumerate(rows.objects)}
+            if len(ids) != len(rows.objects):
+                raise InputError(f"frame {rows.frame['frame']}: two objects of one number", path=job.labels.root)
+            for row in rows.objects:
+                annotations.add(_annotation(row, ids[row["object"]], categories, rows.frame))
+            for row in rows.expressions:
+                refs.add(_ref(row, refs.length, ids, categories))
+            if rows.relations.num_rows:
+                related.add(_relations(rows, ids))
+                pairs += rows.relations.num_rows
+            if job.images is not None and rows.frame["ok"]:
+                job.images.write(rows.frame, job.folder / image_name(rows.index))
+        for items, file, end in (
+            (annotations, instances, "}\n"),
+            (refs, refs_file, "\n"),
+            (related, relations_file, "}\n"),
+        ):
+            items.close()
+            file.write(end)
+    files = ("instances.json", "refs.json", "relations.json", *(("images/",) if job.images is not None else ()))
+    rows = {"images": images, "annotations": annotations.length, "refs": refs.length, "pairs": pairs}
+    return Written(files, {**rows, "categories": len(categories)})
+
+
+def _categories(job: Job) -> dict[str, int]:
+    """Category ids from 1, by name in alphabetical order."""
+    names: set[str] = set()
+    for batch in table_batches(job.labels, "objects", ["label"]):
+        names.update(batch.column("label").unique().to_pylist())
+    return {name: k for k, name in enumerate(sorted(names), start=1)}
+
+
+def _write_frames(job: Job, file: TextIO) -> int:
+    """The lists `images` and `unusable_frames`; the length of the first."""
+    lengths = []
+    for key, usable in (("images", True), ("unusable_frames", False)):
+        file.write(f"{json.dumps(key)}: ")
+        items = JsonList(file)
+        for batch in table_batches(job.labels, "frames"):
+            for row in batch.to_pylist():
+                if row["ok"] == usable:
+                    items.add(_image(row))
+        items.close()
+        file.write(",\n")
+        lengths.append(items.length)
+    return lengths[0]
+
+
+def _image(row: Mapping[str, Any]) -> dict[str, Any]:
+    return {
+        "id": row["frame_index"],
+        "file_name": image_name(row["frame_index"]),
+        "width": row["width"],
+        "height": row["height"],
+        "frame": row["frame"],
+        "license": 0,
+        "spatialviz": {key: row[key] for key in FRAME_KEYS},
+    }
+
+
+def _annotation(
+    row: Mapping[str, Any], ann_id: int, categories: Mapping[str, int], frame: Mapping[str, Any]
+) -> dict[str, Any]:
+    x0, y0, x1, y1 = row["bbox"]
+    if row["mask"] is None:
+        segmentation: Any = [[x0, y0, x1, y0, x1, y1, x0, y1]]
+    else:
+        segmentation = {"size": [frame["height"], frame["width"]], "counts": row["mask"]}
+    return {
+        "id": ann_id,
+        "image_id": row["frame_index"],
+        "category_id": categories[row["label"]],
+        "bbox": [x0, y0, x1 - x0, y1 - y0],
+        "area": row["mask_pixels"],
+        "segmentation": segmentation,
+        "iscrowd": 0,
+        "score": row["score"],
+        "object": row["object"],
+        "instance": row["instance"],
+        "bbox_xyxy": row["bbox"],
+        **{key: _box(row, prefix) for key, prefix in BOXES.items()},
+        "extent": {key: row[key] for key in EXTENT},
+        "quality": {key: row[key] for key in QUALITY},
+    }
+
+
+def _box(row: Mapping[str, Any], prefix: str) -> dict[str, Any] | None:
+    center, R, size = (row[f"{prefix}{key}"] for key in ("center", "R", "size"))
+    if center is None and R is None and size is None:
+        return None
+    nested = None if R is None else [R[0:3], R[3:6], R[6:9]]
+    return {"center": center, "size": size, "R": nested, "frame": "camera"}
+
+
+def _ref(row: Mapping[str, Any], number: int, ids: Mapping[int, int], categories: Mapping[str, int]) -> dict[str, Any]:
+    try:
+        ann_id, reference = ids[row["target_object"]], ids[row["reference_object"]]
+        targets, acceptable = ([ids[n] for n in row[key]] for key in ("targets", "acceptable"))
+    except KeyError as error:
+        raise InputError(f"expression {row['id']} is of object {error}, which frame {row['frame']} lacks") from error
+    sent = " ".join(row["text"].lower().split())
+    return {
+        "ref_id": number,
+        "ann_id": ann_id,
+        "image_id": row["frame_index"],
+        "category_id": categories.get(row["target"], 0),
+        "file_name": image_name(row["frame_index"]),
+        "split": "train",
+        "sent_ids": [number],
+        "sentences": [{"sent_id": number, "raw": row["text"], "sent": sent, "tokens": _WORD.findall(sent)}],
+        "reference_ann_id": reference,
+        "target_ann_ids": targets,
+        "acceptable_ann_ids": acceptable,
+        **{key: row[key] for key in EXPRESSION_KEYS},
+    }
+
+
+def _relations(rows: FrameRows, ids: Mapping[int, int]) -> dict[str, Any]:
+    """The pairs of a frame as columns; those that are null throughout are left out."""
+    found: dict[str, Any] = {"image_id": rows.index}
+    for name in rows.relations.column_names:
+        column = rows.relations.column(name)
+        if name in ("frame", "frame_index") or column.null_count == len(column):
+            continue
+        found[name] = column.to_pylist() if column.null_count else column.to_numpy().tolist()
+    for key in ("a", "b"):
+        try:
+            found[key] = [ids[n] for n in found[key]]
+        except KeyError as error:
+            raise InputError(f"a pair is of object {error}, which frame {rows.frame['frame']} lacks") from error
+    return found
+
+
+FORMAT = ExportFormat(write_coco, read_coco, "COCO instances, RefCOCO-like references, and relations; lossless")

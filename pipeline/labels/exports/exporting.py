@@ -1,0 +1,185 @@
+"""Exporting labels and reading them back, by the name of the format."""
+
+from __future__ import annotations
+
+import dataclasses
+import shutil
+import warnings
+from collections.abc import Mapping
+from importlib.metadata import entry_points
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from pipeline import __version__
+from pipeline.datasets import Dataset
+from pipeline.errors import InputError
+from pipeline.labels.exports import coco, hub, jsonl, kitti, vqa
+from pipeline.labels.exports.base import ExportFormat, ExportReport, Job, Progress
+from pipeline.labels.exports.images import ImageCopy, labelled_dataset
+from pipeline.labels.exports.json_text import load_json
+from pipeline.labels.exports.staging import MARK, read_mark, staged_folder, write_json
+from pipeline.labels.reading import MANIFEST_FILE, Labels
+from pipeline.labels.tables import content_hash
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+FORMATS: dict[str, ExportFormat] = {
+    "jsonl": jsonl.FORMAT,
+    "coco": coco.FORMAT,
+    "kitti": kitti.FORMAT,
+    "vqa": vqa.FORMAT,
+    "parquet": hub.FORMAT,
+}
+"""The formats by name. A new one is one file and one line here."""
+
+ENTRY_POINT_GROUP = "spatialviz.exports"
+"""Entry points of this group name an ExportFormat, and so add a format."""
+
+
+def export_labels(
+    labels: Labels,
+    format: str,
+    out: str | Path,
+    *,
+    images: Literal["none", "copy"] = "none",
+    dataset: Dataset | None = None,
+    overwrite: bool = False,
+    options: Any = None,
+    progress: Progress | None = None,
+) -> ExportReport:
+    """Write labels in another tool's format. Either the whole folder appears, or nothing does.
+
+    Parameters
+    ----------
+    labels : Labels
+    format : str
+        A name of FORMATS, or a plugin's.
+    out : str or Path
+        A folder that does not exist yet or is empty.
+    images : {"none", "copy"}
+        Whether the colour images of the frames come too.
+    dataset : Dataset, optional
+        Where they come from; the dataset that the manifest names by default.
+    overwrite : bool
+        Replace an earlier export in `out`; a folder of anything else is never replaced.
+    options : dataclass, optional
+        The format's own options, such as `vqa.VqaConfig`.
+    progress : callable, optional
+        Called with (frames done, frames in all).
+
+    Raises
+    ------
+    InputError
+        An unknown format, a target that is not empty, damaged labels, or pictures that are not those of the labels.
+    """
+    chosen = _format(format)
+    if chosen.options is None and options is not None:
+        raise InputError(f"the format {format} has no options")
+    if chosen.options is not None and options is not None and not isinstance(options, chosen.options):
+        raise InputError(
+            f"options of the format {format}", got=type(options).__name__, expected=chosen.options.__name__
+        )
+    if chosen.options is not None and options is None:
+        options = chosen.options()
+    if images not in ("none", "copy"):
+        raise InputError("images", got=repr(images), expected="none | copy")
+    out = Path(out).expanduser()
+    _keep_the_labels(labels, out)
+    with staged_folder(out, overwrite=overwrite) as folder:
+        copy = ImageCopy(dataset or labelled_dataset(labels)) if images == "copy" else None
+        written = chosen.write(Job(labels, folder, copy, progress or (lambda done, of: None), options))
+        shutil.copyfile(labels.root / MANIFEST_FILE, folder / MANIFEST_FILE)
+        record = {
+            "tool": "spatialviz",
+            "version": __version__,
+            "format": format,
+            "files": written.files,
+            "rows": written.rows,
+            "notes": written.notes,
+            "options": None if options is None else dataclasses.asdict(options),
+        }
+        write_json(folder / MARK, record)
+    return ExportReport((*written.files, MANIFEST_FILE, MARK), written.rows, written.notes, out)
+
+
+def import_labels(path: str | Path, format: str, *, verify: bool = True) -> dict[str, pa.Table]:
+    """Read the tables of an export back.
+
+    Parameters
+    ----------
+    path : str or Path
+        The folder that `export_labels` wrote.
+    format : str
+    verify : bool
+        Of a lossless format, check that the rows are those that were exported, by
+        the hashes in the manifest.
+
+    Returns
+    -------
+    dict of str to pa.Table
+        Of a lossless format all four tables, equal in every row and value to the
+        originals. Of another, the columns that survive; see its module.
+
+    Raises
+    ------
+    InputError
+        An unknown format or one without labels, files that are missing, damaged or changed.
+    """
+    root = Path(path).expanduser()
+    chosen = _format(format)
+    if chosen.read is None:
+        raise InputError(f"the format {format} holds no labels to read back", path=root)
+    if not root.is_dir():
+        raise InputError("there is no such export", expected="a folder", path=root)
+    mark = read_mark(root)
+    if mark is not None and mark.get("format") != format:
+        raise InputError("an export in another format", got=mark.get("format"), expected=format, path=root)
+    tables = dict(chosen.read(root))
+    if chosen.lossless and verify:
+        _check_hashes(root, tables)
+    return tables
+
+
+def _check_hashes(root: Path, tables: Mapping[str, pa.Table]) -> None:
+    manifest = load_json(root / MANIFEST_FILE)
+    for name, table in tables.items():
+        try:
+            known = manifest["tables"][name]
+            rows, known_hash = known["rows"], known["content_hash"]
+        except (KeyError, TypeError) as error:
+            raise InputError("the manifest is damaged", got=repr(error), path=root / MANIFEST_FILE) from error
+        if rows != table.num_rows:
+            raise InputError(f"the table {name} is not whole", got=f"{table.num_rows} rows", expected=rows, path=root)
+        if content_hash(table, name) != known_hash:
+            raise InputError(f"the table {name} was changed after it was exported", path=root)
+
+
+def _keep_the_labels(labels: Labels, out: Path) -> None:
+    """An export must not take the place of the labels, nor of a folder that they are in."""
+    target, root = out.resolve(), labels.root.resolve()
+    if target == root or target in root.parents:
+        raise InputError("an export cannot replace the labels", expected="another folder", path=out)
+
+
+def _format(name: str) -> ExportFormat:
+    formats = {**plugins(), **FORMATS} if name not in FORMATS else FORMATS
+    if name not in formats:
+        raise InputError("no such export format", got=repr(name), expected=" | ".join(formats))
+    return formats[name]
+
+
+def plugins() -> dict[str, ExportFormat]:
+    """The formats that installed packages add, by name. One that fails to load is warned of and left out."""
+    found: dict[str, ExportFormat] = {}
+    for point in entry_points(group=ENTRY_POINT_GROUP):
+        try:
+            loaded = point.load()
+        except Exception as error:  # A plugin may raise anything; the other formats must still work.
+            warnings.warn(f"export plugin {point.value} cannot be loaded: {error}", stacklevel=2)
+            continue
+        if isinstance(loaded, ExportFormat):
+            found[point.name] = loaded
+        else:
+            warnings.warn(f"export plugin {point.value} is no ExportFormat", stacklevel=2)
+    return found

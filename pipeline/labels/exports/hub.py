@@ -1,0 +1,136 @@
+"""The layout of the Hugging Face hub: Parquet files, a dataset card and Croissant metadata. Lossless.
+
+`data/TABLE/train-00000-of-0000N.parquet`, `README.md` (the card, whose YAML
+names the four tables as configs), `croissant.json`, `schemas/`. Pictures, if
+copied, are in `images/` by frame_index.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from pipeline.errors import InputError
+from pipeline.labels.card import UNKNOWN_LICENCE, DataFile, croissant, dataset_card
+from pipeline.labels.exports.base import ExportFormat, Job, Written
+from pipeline.labels.exports.frame_rows import table_batches
+from pipeline.labels.exports.jsonl import copy_images
+from pipeline.labels.exports.staging import text_file, write_json
+from pipeline.labels.schema import TABLES
+from pipeline.labels.schema_files import write_schemas
+from pipeline.labels.tables import ROW_GROUP, arrow_schema, read_table
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+ROWS_A_FILE = 1_000_000
+GROUP_BYTES = 1 << 25
+"""What is held of a row group before it is written: masks make some rows long."""
+
+
+@dataclass(frozen=True)
+class HubConfig:
+    """Options of the export.
+
+    Attributes
+    ----------
+    rows_a_file : int
+    licence : str
+        Of the source dataset, as the card states it.
+    """
+
+    rows_a_file: int = ROWS_A_FILE
+    licence: str = UNKNOWN_LICENCE
+
+    def __post_init__(self) -> None:
+        if self.rows_a_file < 1:
+            raise InputError("a file needs at least one row", got=self.rows_a_file)
+
+
+def write_hub(job: Job) -> Written:
+    """Write data, card, metadata and schemas."""
+    options: HubConfig = job.options
+    files: dict[str, list[DataFile]] = {}
+    rows: dict[str, int] = {}
+    for name in TABLES:
+        files[name] = _write_table(job, name, options.rows_a_file)
+        rows[name] = sum(f.rows for f in files[name])
+    write_schemas(job.folder / "schemas")
+    with text_file(job.folder / "README.md") as card:
+        card.write(dataset_card(job.labels, licence=options.licence, files={n: f"data/{n}/*.parquet" for n in TABLES}))
+    write_json(job.folder / "croissant.json", croissant(job.labels, licence=options.licence, files=files))
+    written = ("README.md", "croissant.json", *(f.path for found in files.values() for f in found), "schemas/")
+    return Written((*written, *copy_images(job)), rows)
+
+
+def _write_table(job: Job, name: str, rows_a_file: int) -> list[DataFile]:
+    """One table, cut into files of `rows_a_file` rows; of an empty one an empty file."""
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    total = job.labels.manifest.tables[name].rows
+    count = max(1, -(-total // rows_a_file))
+    (job.folder / "data" / name).mkdir(parents=True)
+    batches = table_batches(job.labels, name)
+    waiting = arrow_schema(name).empty_table()
+    found = []
+    for number in range(count):
+        path = job.folder / "data" / name / f"train-{number:05d}-of-{count:05d}.parquet"
+        left = min(rows_a_file, total - number * rows_a_file)
+        group: list[pa.Table] = []
+        with pq.ParquetWriter(path, arrow_schema(name), compression="zstd") as writer:
+            while left:
+                if not waiting.num_rows:
+                    waiting = next(batches, None)
+                    if waiting is None:
+                        raise InputError(
+                            f"the table {name} has fewer rows than its manifest says", path=job.labels.root
+                        )
+                taken = waiting.slice(0, left)
+                waiting = waiting.slice(taken.num_rows)
+                left -= taken.num_rows
+                group.append(taken)
+                rows, size = sum(t.num_rows for t in group), sum(t.nbytes for t in group)
+                if not left or rows >= ROW_GROUP or size >= GROUP_BYTES:
+                    writer.write_table(pa.concat_tables(group).combine_chunks(), row_group_size=ROW_GROUP)
+                    group.clear()
+        relative = path.relative_to(job.folder).as_posix()
+        found.append(DataFile(relative, min(rows_a_file, total - number * rows_a_file), _sha256(path)))
+    if waiting.num_rows or next(batches, None) is not None:
+        raise InputError(f"the table {name} has more rows than its manifest says", path=job.labels.root)
+    return found
+
+
+def _sha256(path: Path) -> str:
+    digest = hashlib.sha256()
+    with open(path, "rb") as file:
+        while block := file.read(1 << 20):
+            digest.update(block)
+    return digest.hexdigest()
+
+
+def read_hub(root: Path) -> dict[str, pa.Table]:
+    """The four tables, their files joined in order.
+
+    Raises
+    ------
+    InputError
+        Files are missing or damaged.
+    """
+    import pyarrow as pa
+
+    tables = {}
+    for name in TABLES:
+        paths = sorted((root / "data" / name).glob("train-*-of-*.parquet"))
+        if not paths or not paths[0].name.endswith(f"-of-{len(paths):05d}.parquet"):
+            raise InputError(f"files of the table {name} are missing", path=root / "data" / name)
+        tables[name] = pa.concat_tables([read_table(path, name) for path in paths])
+    return tables
+
+
+FORMAT = ExportFormat(
+    write_hub, read_hub, "Parquet with a dataset card and Croissant, as the Hugging Face hub wants it; lossless",
+    options=HubConfig,
+)  # fmt: skip

@@ -1,0 +1,251 @@
+"""KITTI-like object labels: a text file a frame. Not lossless; see below.
+
+`label_2/000000.txt` has a line an object: type, truncated, occluded, alpha,
+left, top, right, bottom, h, w, l, x, y, z, rotation_y, score. `calib/000000.txt`
+has P0..P3 (all equal), R0_rect, Tr_velo_to_cam, Tr_imu_to_velo. The frames in
+which boxes and calibration are given: `pipeline.labels.exports.kitti_geometry`.
+
+* type: the class name with white space as "_"; `classes.json` has the names.
+* truncated: 1 where the object touches the picture's border, else 0; how much
+  of it lies outside is not known.
+* occluded: from the visible share where the dataset gives it, else from what
+  stands nearer along the mask's border: 0 below 10 % hidden, 1 below 50 %, 2
+  above; 3 where the object has no points.
+* right and bottom are exclusive edges in continuous pixels.
+* Without an upright box: h w l -1, x y z -1000, alpha and rotation_y -10.
+
+`index.txt` has a line a frame: index, width, height, id. `ImageSets/train.txt`
+lists the usable ones, which alone have label and calib files. `object_ids/`
+has, line by line as in `label_2/`, the objects' numbers. Pictures, if copied,
+are PNG in `image_2/`.
+
+What comes back: of `frames` frame, frame_index, ok, width, height, K and up
+(image-up where it is unknown; K and up null where the frame is not usable); of
+`objects` frame, frame_index, object, label, score, bbox, touches_border and,
+with nine decimals, center, R, size. Relations and expressions do not.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.errors import InputError
+from pipeline.labels.exports.base import ExportFormat, Job, Written
+from pipeline.labels.exports.frame_rows import FrameRows, iterate_frames, table_batches
+from pipeline.labels.exports.images import image_name
+from pipeline.labels.exports.json_text import load_json
+from pipeline.labels.exports.kitti_geometry import (
+    from_kitti,
+    level_rotation,
+    observation_angle,
+    projection,
+    to_kitti,
+)
+from pipeline.labels.exports.staging import text_file, write_json
+from pipeline.labels.tables import arrow_schema
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+SURVIVING = {
+    "frames": ("frame", "frame_index", "ok", "width", "height", "K", "up"),
+    "objects": ("frame", "frame_index", "object", "label", "score", "bbox", "touches_border", "center", "R", "size"),
+}
+"""The columns that reading gives back."""
+
+NO_BOX = "-1 -1 -1 -1000 -1000 -1000 -10"
+FIELDS = 16
+HIDDEN_PARTLY, HIDDEN_LARGELY = 0.1, 0.5
+
+
+def write_kitti(job: Job) -> Written:
+    """Write the label and calibration files of every usable frame, and the lists."""
+    tokens = class_tokens(job)
+    folders = ("label_2", "calib", "object_ids", "ImageSets")
+    for name in folders:
+        (job.folder / name).mkdir()
+    counts = {"frames": 0, "objects": 0, "boxes": 0}
+    left_out = 0
+    with text_file(job.folder / "index.txt") as index, text_file(job.folder / "ImageSets" / "train.txt") as usable:
+        for rows in iterate_frames(job.labels, job.tell):
+            frame = rows.frame
+            index.write(f"{rows.index:06d} {frame['width']} {frame['height']} {_written_id(frame['frame'])}\n")
+            if not frame["ok"]:
+                continue
+            usable.write(f"{rows.index:06d}\n")
+            level = level_rotation(frame["up"])
+            _write(job.folder / "calib" / f"{rows.index:06d}.txt", _calibration(frame["K"], level))
+            lines = [_line(row, tokens, level) for row in rows.objects]
+            _write(job.folder / "label_2" / f"{rows.index:06d}.txt", lines)
+            _write(job.folder / "object_ids" / f"{rows.index:06d}.txt", [str(row["object"]) for row in rows.objects])
+            _count(counts, rows, lines)
+            left_out += sum(row["center"] is not None for row in rows.objects) - sum(NO_BOX not in x for x in lines)
+            if job.images is not None:
+                job.images.write(frame, job.folder / image_name(rows.index, "image_2", "png"))
+    write_json(job.folder / "classes.json", {token: name for name, token in tokens.items()})
+    files = ("index.txt", "classes.json", *(f"{name}/" for name in folders))
+    notes = ["relations and expressions have no place in this format"]
+    if left_out:
+        notes.append(f"{left_out} boxes are not upright, and are written as unknown")
+    return Written((*files, *(("image_2/",) if job.images is not None else ())), counts, tuple(notes))
+
+
+def _count(counts: dict[str, int], rows: FrameRows, lines: list[str]) -> None:
+    counts["frames"] += 1
+    counts["objects"] += len(rows.objects)
+    counts["boxes"] += sum(NO_BOX not in line for line in lines)
+
+
+def class_tokens(job: Job) -> dict[str, str]:
+    """Each class name as one word of its own; `DontCare` means something else in KITTI and is avoided."""
+    names: set[str] = set()
+    for batch in table_batches(job.labels, "objects", ["label"]):
+        names.update(batch.column("label").unique().to_pylist())
+    tokens: dict[str, str] = {}
+    taken = {"DontCare", ""}
+    for name in sorted(names):
+        # A NUL or another control character would end the line for some readers.
+        plain = "_".join("".join(c if c.isprintable() or c.isspace() else " " for c in name).split()) or "_"
+        token, number = plain, 2
+        while token in taken:
+            token, number = f"{plain}~{number}", number + 1
+        taken.add(token)
+        tokens[name] = token
+    return tokens
+
+
+def _line(row: Mapping[str, Any], tokens: Mapping[str, str], level: np.ndarray) -> str:
+    box = None
+    if row["center"] is not None and row["R"] is not None and row["size"] is not None:
+        R = np.asarray(row["R"], np.float64).reshape(3, 3)
+        box = to_kitti(np.asarray(row["center"]), R, np.asarray(row["size"]), level)
+    if box is None:
+        alpha, geometry = "-10", NO_BOX
+    else:
+        dimensions, location, rotation_y = box
+        alpha = f"{observation_angle(location, rotation_y):.9f}"
+        geometry = " ".join(f"{x:.9f}" for x in (*dimensions, *location, rotation_y))
+    bbox = " ".join(repr(float(x)) for x in row["bbox"])
+    truncated = 1 if row["touches_border"] else 0
+    return f"{tokens[row['label']]} {truncated} {_occluded(row)} {alpha} {bbox} {geometry} {float(row['score'])!r}"
+
+
+def _occluded(row: Mapping[str, Any]) -> int:
+    if not row["points"]:
+        return 3
+    hidden = row["occluded"] if row["visible"] is None else 1 - row["visible"]
+    return 0 if hidden < HIDDEN_PARTLY else 1 if hidden < HIDDEN_LARGELY else 2
+
+
+def _calibration(K: list[float] | None, level: np.ndarray) -> list[str]:
+    P, identity = projection(K, level), np.hstack([np.eye(3), np.zeros((3, 1))])
+    entries = {
+        **{f"P{k}": P for k in range(4)},
+        "R0_rect": level,
+        "Tr_velo_to_cam": identity,
+        "Tr_imu_to_velo": identity,
+    }
+    return [f"{name}: " + " ".join(f"{x:.12e}" for x in matrix.ravel()) for name, matrix in entries.items()]
+
+
+def _write(path: Path, lines: list[str]) -> None:
+    path.write_text("".join(f"{line}\n" for line in lines), encoding="utf-8", newline="\n")
+
+
+def _written_id(frame: str) -> str:
+    """A frame id as it is, or as a JSON string where it would not stand on a line by itself."""
+    plain = frame and frame.split() == [frame] and frame.isprintable() and not frame.startswith('"')
+    return frame if plain else json.dumps(frame)
+
+
+def read_kitti(root: Path) -> dict[str, pa.Table]:
+    """Frames and objects, with the columns of SURVIVING.
+
+    Raises
+    ------
+    InputError
+        A file is missing, or a line of it is no KITTI label.
+    """
+    names = {str(token): str(name) for token, name in load_json(root / "classes.json").items()}
+    usable = set(_lines(root / "ImageSets" / "train.txt"))
+    frames: list[dict[str, Any]] = []
+    objects: list[dict[str, Any]] = []
+    for line in _lines(root / "index.txt"):
+        try:
+            number, width, height, written = line.split(" ", 3)
+            frame = {
+                "frame": json.loads(written) if written.startswith('"') else written,
+                "frame_index": int(number), "ok": number in usable, "width": int(width), "height": int(height),
+                "K": None, "up": None,
+            }  # fmt: skip
+        except ValueError as error:
+            raise InputError("not a line of index.txt", got=repr(line)[:80], path=root / "index.txt") from error
+        if frame["ok"]:
+            P, level = _read_calibration(root / "calib" / f"{number}.txt")
+            frame |= {"K": (P[:, :3] @ level).ravel().tolist(), "up": (-level[1]).tolist()}
+            objects += _read_objects(root, number, frame, level, names)
+        frames.append(frame)
+    return {name: _surviving(name, rows) for name, rows in (("frames", frames), ("objects", objects))}
+
+
+def _lines(path: Path) -> list[str]:
+    try:
+        return [line for line in path.read_text(encoding="utf-8").split("\n") if line]
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError("a file of the export is missing or damaged", got=str(error)[:120], path=path) from error
+
+
+def _read_calibration(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    try:
+        found = dict(line.split(": ", 1) for line in _lines(path))
+        P, level = (np.array(found[key].split(), np.float64) for key in ("P2", "R0_rect"))
+        return P.reshape(3, 4), level.reshape(3, 3)
+    except (KeyError, ValueError) as error:
+        raise InputError("not a KITTI calibration", got=str(error)[:80], path=path) from error
+
+
+def _read_objects(
+    root: Path, number: str, frame: Mapping[str, Any], level: np.ndarray, names: Mapping[str, str]
+) -> Iterator[dict[str, Any]]:
+    path, ids_path = root / "label_2" / f"{number}.txt", root / "object_ids" / f"{number}.txt"
+    lines, ids = _lines(path), _lines(ids_path)
+    if len(lines) != len(ids):
+        raise InputError("another number of objects than of labels", got=len(ids), expected=len(lines), path=ids_path)
+    for place, (line, own) in enumerate(zip(lines, ids, strict=True)):
+        try:
+            token, *rest = line.split(" ")
+            values = [float(x) for x in rest]
+            if len(values) != FIELDS - 1:
+                raise ValueError(f"{len(values) + 1} fields")
+            row = {
+                "frame": frame["frame"], "frame_index": frame["frame_index"], "object": int(own),
+                "label": names[token], "score": values[14], "bbox": values[3:7], "touches_border": values[0] > 0,
+                "center": None, "R": None, "size": None,
+            }  # fmt: skip
+        except (ValueError, KeyError) as error:
+            raise InputError(f"line {place + 1} is no label", got=str(error)[:80], path=path) from error
+        if values[7] >= 0:
+            box = from_kitti(np.array(values[7:10]), np.array(values[10:13]), values[13], level)
+            row |= {key: part.ravel().tolist() for key, part in zip(("center", "R", "size"), box, strict=True)}
+        yield row
+
+
+def _surviving(name: str, rows: list[dict[str, Any]]) -> pa.Table:
+    import pyarrow as pa
+
+    schema = arrow_schema(name)
+    fields = [schema.field(column) for column in SURVIVING[name]]
+    return pa.Table.from_arrays(
+        [pa.array([row[f.name] for row in rows], f.type) for f in fields],
+        schema=pa.schema(fields, metadata=schema.metadata),
+    )
+
+
+FORMAT = ExportFormat(
+    write_kitti, read_kitti, "KITTI-like object labels, a text file a frame; boxes only", lossless=False
+)

@@ -1,0 +1,55 @@
+"""Questions and answers for fine-tuning a vision-language model, as LLaVA's conversations.
+
+`conversations.json` is a list of {"id", "image", "conversations": [human, gpt],
+"metadata"}, one record a line. Kinds of questions:
+
+* relation: answered Yes or No, from states T and F that stand `min_margin` from
+  every threshold, never from U; as many Yes as No of each relation.
+* which: answered by a class name, where one object has the relation and every
+  other judged object has it not.
+* grounding: answered by [x0, y0, x1, y1] as shares of the whole picture's width
+  and height, for expressions that only one object satisfies.
+* distance: between the centres of two boxes, or the gap between their extents.
+* size: extent along the viewer's up ("height") and right ("width").
+
+An object is named only where its name means no other object of the frame;
+distances and sizes are asked of objects that are seen whole. Which questions are
+asked, and how, depends on the rows and the seed alone. `pipeline.labels.exports.
+vqa_check` recomputes every answer.
+"""
+
+from __future__ import annotations
+
+from pipeline.labels.exports.base import ExportFormat, Job, Written
+from pipeline.labels.exports.frame_rows import iterate_frames
+from pipeline.labels.exports.images import image_name
+from pipeline.labels.exports.json_text import JsonList
+from pipeline.labels.exports.staging import text_file
+from pipeline.labels.exports.vqa_questions import frame_questions
+from pipeline.labels.exports.vqa_records import CONVERSATIONS_FILE, VqaConfig
+
+__all__ = ["FORMAT", "VqaConfig", "write_vqa"]
+
+
+def write_vqa(job: Job) -> Written:
+    """Write the conversations of all frames, as a stream."""
+    counts = {"questions": 0, **dict.fromkeys(job.options.kinds, 0)}
+    relations = job.labels.relation_names
+    with text_file(job.folder / CONVERSATIONS_FILE) as file:
+        records = JsonList(file)
+        for rows in iterate_frames(job.labels, job.tell):
+            asked = frame_questions(rows, relations, job.options)
+            for question in asked:
+                records.add(question.record())
+                counts[question.kind] += 1
+            if job.images is not None and asked:
+                job.images.write(rows.frame, job.folder / image_name(rows.index))
+        records.close()
+        file.write("\n")
+    counts["questions"] = records.length
+    return Written((CONVERSATIONS_FILE, *(("images/",) if job.images is not None else ())), counts)
+
+
+FORMAT = ExportFormat(
+    write_vqa, None, "questions and answers as LLaVA conversations, for fine-tuning", lossless=False, options=VqaConfig
+)

@@ -1,0 +1,162 @@
+"""A question with its answer, as a record of a LLaVA-style conversation file."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
+
+from pipeline.errors import InputError
+from pipeline.labels.exports.json_text import load_json
+
+Kind = Literal["relation", "which", "grounding", "distance", "size"]
+KINDS: tuple[Kind, ...] = ("relation", "which", "grounding", "distance", "size")
+IMAGE_TOKEN = "<image>"
+CONVERSATIONS_FILE = "conversations.json"
+
+
+@dataclass(frozen=True)
+class VqaConfig:
+    """What is asked.
+
+    Attributes
+    ----------
+    per_frame : int
+        At most so many questions of a frame.
+    kinds : tuple of str
+        Out of KINDS; they take turns.
+    min_margin : float
+        Metres that a relation must stand from its thresholds to be asked for.
+    max_occluded : float
+        Distances and sizes are asked only of objects with at most this share of
+        their border covered, that do not touch the picture's border.
+    max_depth_missing : float
+        And with at most this share of their pixels without depth.
+    min_distance : float
+        Distances below it, metres, are not asked for.
+    box_decimals : int
+        2 or 3: digits of the normalised box in an answer.
+    seed : int
+        Of the row hashes that choose questions and wordings.
+    """
+
+    per_frame: int = 24
+    kinds: tuple[Kind, ...] = KINDS
+    min_margin: float = 0.05
+    max_occluded: float = 0.1
+    max_depth_missing: float = 0.5
+    min_distance: float = 0.1
+    box_decimals: int = 3
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if self.per_frame < 1:
+            raise InputError("per_frame must be at least 1", got=self.per_frame)
+        if not self.kinds or set(self.kinds) - set(KINDS):
+            raise InputError("kinds of questions", got=", ".join(self.kinds) or "none", expected=" | ".join(KINDS))
+        if self.box_decimals not in (2, 3):
+            raise InputError("box_decimals", got=self.box_decimals, expected="2 or 3")
+        if self.min_margin < 0 or self.min_distance < 0:
+            raise InputError("a least margin or distance cannot be negative")
+
+
+@dataclass(frozen=True)
+class Question:
+    """One question about one frame.
+
+    Attributes
+    ----------
+    id : str
+    image : str
+        File name of the picture, relative to the export.
+    kind : str
+    frame : str
+    frame_index : int
+    objects : tuple of int
+        relation: (target, reference). which: (answer, reference). grounding:
+        (target, reference). distance: the two. size: the one.
+    about : str
+        The relation; or what is measured: "center", "gap", "height", "width".
+    question, answer : str
+        What the human says without the image token, and what the model is to say.
+    source : str or None
+        Of a grounding question the id of its expression.
+    """
+
+    id: str
+    image: str
+    kind: Kind
+    frame: str
+    frame_index: int
+    objects: tuple[int, ...]
+    about: str
+    question: str
+    answer: str
+    source: str | None = field(default=None)
+
+    def record(self) -> dict[str, Any]:
+        """As LLaVA's training data has it, with `metadata` beside."""
+        return {
+            "id": self.id,
+            "image": self.image,
+            "conversations": [
+                {"from": "human", "value": f"{IMAGE_TOKEN}\n{self.question}"},
+                {"from": "gpt", "value": self.answer},
+            ],
+            "metadata": {
+                "kind": self.kind,
+                "frame": self.frame,
+                "frame_index": self.frame_index,
+                "objects": list(self.objects),
+                "about": self.about,
+                "source": self.source,
+            },
+        }
+
+
+def question_of(record: Mapping[str, Any]) -> Question:
+    """The question of a record.
+
+    Raises
+    ------
+    InputError
+        The record is not one of ours.
+    """
+    try:
+        human, model = record["conversations"]
+        start = f"{IMAGE_TOKEN}\n"
+        if (human["from"], model["from"]) != ("human", "gpt") or not human["value"].startswith(start):
+            raise ValueError("another conversation")
+        meta = record["metadata"]
+        if meta["kind"] not in KINDS:
+            raise ValueError(f"kind {meta['kind']!r}")
+        return Question(
+            record["id"],
+            record["image"],
+            meta["kind"],
+            meta["frame"],
+            int(meta["frame_index"]),
+            tuple(int(n) for n in meta["objects"]),
+            meta["about"],
+            human["value"][len(start) :],
+            model["value"],
+            meta["source"],
+        )
+    except (KeyError, TypeError, ValueError, AttributeError) as error:
+        raise InputError("not a question of an export", got=f"{type(error).__name__}: {error}"[:120]) from error
+
+
+def read_questions(root: Path) -> Iterator[Question]:
+    """The questions of an exported folder, in the order in which they were written.
+
+    Raises
+    ------
+    InputError
+        The file is missing or damaged.
+    """
+    path = root / CONVERSATIONS_FILE
+    records = load_json(path)
+    if not isinstance(records, list):
+        raise InputError("a file of conversations is a list", got=type(records).__name__, path=path)
+    return map(question_of, records)

@@ -1,0 +1,60 @@
+"""The benchmark of labelling measures what it says, on truth that it makes itself."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+import pytest
+
+from pipeline.labels.bench import (
+    FIRST_ROOM,
+    BenchView,
+    bench_job,
+    bench_views,
+    face_errors,
+    open3d_recipe,
+    our_lifting,
+    pairs_per_second,
+)
+from pipeline.labels.plan import SourceSpec
+
+REQUIRED = os.environ.get("SPATIALVIZ_REQUIRE_EXTRAS") == "1"
+
+
+@pytest.fixture(scope="module")
+def views() -> list[BenchView]:
+    return bench_views(FIRST_ROOM)
+
+
+def test_faces_of_exact_extents_have_no_error(views: list[BenchView]) -> None:
+    for view in views:
+        assert len(view.masks) >= 5
+        assert (view.hi > view.lo).all()
+        assert not face_errors((view.lo, view.hi), view).any()
+
+
+def test_our_lifting_finds_the_visible_surface(views: list[BenchView]) -> None:
+    errors = np.concatenate([face_errors(our_lifting(view), view) for view in views])
+    assert np.isfinite(errors).all()
+    assert np.median(errors) < 0.02
+    assert errors.mean() < 0.06
+
+
+def test_the_recipe_of_others_is_no_better(views: list[BenchView]) -> None:
+    if not REQUIRED:
+        pytest.importorskip("open3d", reason="the extra open3d is not installed")
+    view = views[0]
+    ours, theirs = face_errors(our_lifting(view), view), face_errors(open3d_recipe(view), view)
+    assert theirs.shape == ours.shape
+    assert np.isfinite(theirs).all()
+    assert ours.mean() <= theirs.mean()
+
+
+def test_figures_of_relations_and_of_the_whole_job() -> None:
+    rates = pairs_per_second(1)
+    assert {name.split(", ")[1] for name in rates} == {"states", "states and margins"}
+    assert all(rate > 1000 for rate in rates.values())
+    job = bench_job(SourceSpec("demo"), 1)
+    assert job["frames"] == 12
+    assert job["seconds_for_1500_frames"] == pytest.approx(1500 / job["frames_per_s"], rel=0.02)

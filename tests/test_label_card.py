@@ -1,0 +1,76 @@
+"""The dataset card and the Croissant metadata of labels."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections import Counter
+from pathlib import Path
+
+import pytest
+
+from pipeline.labels.card import croissant, dataset_card
+from pipeline.labels.exports import export_labels
+from pipeline.labels.exports.hub import HubConfig
+from pipeline.labels.reading import Labels
+from pipeline.labels.schema import TABLES
+
+
+def front_matter(card: str) -> dict[str, object]:
+    yaml = pytest.importorskip("yaml")
+    _, head, _ = card.split("---\n", 2)
+    return yaml.safe_load(head)
+
+
+def test_the_card_says_what_the_tables_hold(label_sets: dict[str, Labels]) -> None:
+    labels = label_sets["demo"]
+    card = dataset_card(labels)
+    head = front_matter(card)
+    assert head["license"] == "unknown"
+    assert head["size_categories"] == ["1K<n<10K"]
+    configs = head["configs"]
+    assert isinstance(configs, list)
+    assert [c["config_name"] for c in configs] == list(TABLES)
+    assert all((labels.root / c["data_files"][0]["path"]).is_file() for c in configs)
+    left = Counter(labels.relations.column("left").to_pylist())
+    expressions = Counter(labels.expressions.column("relation").to_pylist())
+    assert f"| left | {left[1]} | {left[0]} | {left[-1]} | {expressions['left']} |" in card
+    states = [s for r in labels.relation_names for s in labels.relations.column(r).to_pylist()]
+    assert f"(U): {states.count(0) / len(states):.1%} of" in card
+    ambiguous = sum(labels.expressions.column("ambiguous").to_pylist())
+    assert f"acceptable answer: {ambiguous} ({ambiguous / labels.expressions.num_rows:.1%})" in card
+    assert labels.manifest.profile_hash in card
+    assert "unknown: ask the dataset's owner" in card
+
+
+def test_the_card_bears_odd_names(label_sets: dict[str, Labels]) -> None:
+    for kind in ("hostile", "empty"):
+        card = dataset_card(label_sets[kind], licence='Ask "us": yes')
+        assert front_matter(card)["license_name"] == 'Ask "us": yes'
+        assert front_matter(card)["pretty_name"] == "Spatial relations of odd `name`"
+        # Where somebody keeps the dataset is nobody's business.
+        assert "/data/" not in card
+        assert json.dumps(croissant(label_sets[kind])).count("cr:RecordSet") == 4
+
+
+def test_croissant_names_the_files_and_their_hashes(label_sets: dict[str, Labels], tmp_path: Path) -> None:
+    export_labels(label_sets["demo"], "parquet", tmp_path / "out", options=HubConfig(5000))
+    found = json.loads((tmp_path / "out/croissant.json").read_bytes())
+    objects = [d for d in found["distribution"] if d["@type"] == "cr:FileObject"]
+    assert len(objects) == 5
+    for entry in objects:
+        assert hashlib.sha256((tmp_path / "out" / entry["contentUrl"]).read_bytes()).hexdigest() == entry["sha256"]
+    for record in found["recordSet"]:
+        assert [f["name"] for f in record["field"]] == label_sets["demo"].table(record["name"]).column_names
+
+
+def test_croissant_is_valid(label_sets: dict[str, Labels], tmp_path: Path) -> None:
+    mlcroissant = pytest.importorskip("mlcroissant")
+    export_labels(label_sets["demo"], "parquet", tmp_path / "one")
+    export_labels(label_sets["demo"], "parquet", tmp_path / "many", options=HubConfig(5000))
+    for name in ("one", "many"):
+        issues = mlcroissant.Dataset(jsonld=tmp_path / name / "croissant.json").metadata.ctx.issues
+        assert not issues.errors
+    records = mlcroissant.Dataset(jsonld=tmp_path / "one/croissant.json").records("frames-rows")
+    frames = [row["frames/frame"].decode() for row in records]
+    assert frames == label_sets["demo"].frames.column("frame").to_pylist()
