@@ -189,22 +189,32 @@ class Frames:
     """Depth units in one metre (1000 for millimetres)."""
     json: bool = False
     """Print one JSON object for each frame."""
+    summary: bool = False
+    """Print only counts over all frames; with --json, as one JSON object."""
     remember: bool = False
     """Keep --intrinsics and --depth-scale in spatialviz.toml beside the data."""
 
     def run(self) -> int:
-        from pipeline.datasets import survey, write_settings
+        from pipeline.datasets import SurveyCounts, summarise, survey, write_settings
         from pipeline.jobs import open_source
         from pipeline.records import frame_record
         from spatialviz.printing import print_frames
+        from spatialviz.printing_statistics import print_summary
 
         camera = four_numbers(self.intrinsics)
         dataset = open_source(self.dataset, intrinsics=camera, depth_scale=self.depth_scale).dataset
         if self.remember:
             write_settings(dataset.root, camera, self.depth_scale)
+        counts = SurveyCounts()
         reports = survey(dataset)
+        if self.summary:
+            record = summarise(reports)
+            print_json(record) if self.json else print_summary(record)
+            return FINE if record["frames_usable"] else NO
         if not self.json:
-            return FINE if print_frames(dataset, reports) else NO
+            usable = print_frames(dataset, counts.watch(reports))
+            print_summary(counts.record())
+            return FINE if usable else NO
         usable = 0
         for report in reports:
             usable += report.ok

@@ -193,29 +193,42 @@ class Check:
 
     def run(self) -> int:
         from pipeline.labels.check import check_labels, finding_record
-        from pipeline.labels.report import write_report
-        from pipeline.labels.statistics import label_statistics
 
+        from pipeline.errors import InputError
         from pipeline.labels.reading import open_labels
-        from spatialviz.printing_labels import print_findings, print_statistics
+        from pipeline.labels.report import check_report_folder, write_report
+        from pipeline.labels.statistics import label_statistics
+        from spatialviz.printing_findings import print_findings
+        from spatialviz.printing_statistics import print_statistics
 
         labels = open_labels(self.labels)
-        errors = 0
-        findings = []
-        for finding in check_labels(labels, rules=self.rules or None):
-            errors += finding.severity == "error"
-            if self.json:
-                print_json(finding_record(finding))
-            else:
-                findings.append(finding)
-        statistics = label_statistics(labels)
-        if self.json:
-            print_json({"statistics": statistics})
-        else:
-            print_statistics(statistics, labels)
-            print_findings(findings, self.show)
         if self.report is not None:
-            write_report(labels, statistics, self.report)
+            check_report_folder(self.report)
+        statistics = problem = None
+        try:
+            statistics = label_statistics(labels)
+        except InputError as error:
+            # A damaged table is first of all a finding.
+            problem = error
+        found = check_labels(labels, rules=self.rules or None)
+        errors = 0
+        if self.json:
+            for finding in found:
+                errors += finding.severity == "error"
+                print_json(finding_record(finding))
+        if statistics is not None:
+            if self.json:
+                print_json({"statistics": statistics})
+            else:
+                print_statistics(statistics, labels)
+        if not self.json:
+            errors = print_findings(found, self.show)
+        if problem is not None and not errors:
+            raise problem
+        if self.report is not None and statistics is not None:
+            page = write_report(labels, statistics, self.report)[0]
+            if not self.json:
+                print(f"-> {page}")
         return NO if errors else FINE
 
 

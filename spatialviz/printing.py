@@ -124,12 +124,11 @@ def print_relations(found: FrameRelations, relations: Sequence[str]) -> None:
 
 
 def print_frames(dataset: Dataset, reports: Iterable[FrameReport]) -> int:
-    """A table of frames; returns how many can be used."""
+    """A line or two for each frame; returns how many can be used."""
     console = make_console()
     console.print(Text.assemble((str(dataset.root), "bold"), f"  {dataset.format}, {len(dataset.frame_ids)} frames"))
-    usable = total = 0
+    usable = 0
     for report in reports:
-        total += 1
         usable += report.ok
         if report.ok:
             depth = f"{report.depth_valid or 0:.0%} depth, median {report.median_depth or 0:.2f} m"
@@ -145,7 +144,6 @@ def print_frames(dataset: Dataset, reports: Iterable[FrameReport]) -> int:
             console.print(Text(f"{report.index:>5}  {report.id}  broken: {report.problem}", "red"))
         for note in report.notes:
             console.print(Text(f"       note: {note}", "yellow"))
-    console.print(Text(f"{usable} of {total} frames can be used", "dim"))
     return usable
 
 

@@ -6,6 +6,7 @@ from pipeline.datasets.base import Dataset, DatasetFormat, resolve_frame
 from pipeline.datasets.capabilities import MOVES, GivenExpression, given_expressions, has_moves, moves, splits
 from pipeline.datasets.opening import open_dataset
 from pipeline.datasets.settings import Settings, read_settings, write_settings
+from pipeline.datasets.summary import SurveyCounts, summarise
 from pipeline.datasets.survey import FrameReport, survey
 
 __all__ = [
@@ -15,6 +16,7 @@ __all__ = [
     "FrameReport",
     "GivenExpression",
     "Settings",
+    "SurveyCounts",
     "given_expressions",
     "has_moves",
     "moves",
@@ -22,6 +24,7 @@ __all__ = [
     "read_settings",
     "resolve_frame",
     "splits",
+    "summarise",
     "survey",
     "write_settings",
 ]

@@ -1,0 +1,190 @@
+"""What the pictures show and the statistics do not list: counted in SQL, never held row by row."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.labels.database import Database, quantiles, quoted
+from pipeline.labels.statistics import margin_counts
+from pipeline.relations import DIRECTIONAL
+
+SAMPLED_FRAMES = 5_000
+"""Displacements are counted over about so many frames; of fewer, over all."""
+CELL_M = 0.02
+FARTHEST_M = 10.0
+DISTANCE_STEP_M = 0.25
+HIGHEST = ("above", "below", "on", "in")
+"""Relations that show along (right, up); the others along (right, forward)."""
+
+
+@dataclass(frozen=True)
+class Displacements:
+    """Where targets lie from their references: the middle of their extents, less that of the reference's.
+
+    Attributes
+    ----------
+    across, along : (N,) float64
+        Metres to the right, and up (for HIGHEST) or forward (the others): middles of cells of CELL_M.
+    count : (N,) int64
+        Pairs in the cell.
+    """
+
+    across: np.ndarray
+    along: np.ndarray
+    count: np.ndarray
+
+
+@dataclass(frozen=True)
+class SizeRange:
+    """Boxes of one class: metres of the longest edge (tenth, half, nine tenths of them), and of the shortest (half)."""
+
+    label: str
+    objects: int
+    longest: tuple[float, float, float]
+    shortest: float
+
+
+@dataclass(frozen=True)
+class Distributions:
+    """All of it.
+
+    Attributes
+    ----------
+    margins : dict of str to dict
+        See `pipeline.labels.statistics.margin_counts`.
+    displacements : dict of str to Displacements
+        Of the pairs of which the relation holds.
+    frames_sampled : bool
+        Displacements are of a sample of the frames.
+    distances : (N,) int64
+        Objects by distance, in steps of DISTANCE_STEP_M.
+    by_class : dict of (str, str) to int
+        Expressions by (relation, class of the target).
+    sizes : list of SizeRange
+        Of the usable objects of the classes that were asked for.
+    """
+
+    margins: dict[str, dict[str, np.ndarray]]
+    displacements: dict[str, Displacements]
+    frames_sampled: bool
+    distances: np.ndarray
+    by_class: dict[tuple[str, str], int]
+    sizes: list[SizeRange]
+
+
+def distributions(
+    database: Database, relations: Sequence[str], frames: int, classes: Sequence[str], sampled: int = SAMPLED_FRAMES
+) -> Distributions:
+    """Count everything the pictures need.
+
+    Parameters
+    ----------
+    frames : int
+        How many there are.
+    classes : sequence of str
+        Those whose sizes are shown.
+    sampled : int
+        See SAMPLED_FRAMES.
+    """
+    return Distributions(
+        {name: margin_counts(database, name) for name in relations},
+        displacements(database, relations, frames, sampled),
+        frames > sampled,
+        _distances(database),
+        {
+            (str(relation), str(target)): int(count)
+            for relation, target, count in database.rows(
+                "SELECT relation, target, count(*) FROM expressions GROUP BY ALL"
+            )
+        },
+        _sizes(database, classes),
+    )
+
+
+def displacements(
+    database: Database, relations: Sequence[str], frames: int, sampled: int = SAMPLED_FRAMES
+) -> dict[str, Displacements]:
+    """Where targets lie from their references, by relation.
+
+    Of many frames some are taken, spread evenly by a hash of their index, the
+    same ones at every run.
+    """
+    apart = [f"(a.lo[{k}] + a.hi[{k}] - b.lo[{k}] - b.hi[{k}])" for k in (1, 2, 3)]
+    edge = round(FARTHEST_M / CELL_M)
+    clipped = [
+        f"CAST(greatest(-{edge}, least({edge - 1}, floor({d} / {2 * CELL_M}))) AS INTEGER) AS {axis}"
+        for d, axis in zip(apart, "xyz", strict=True)
+    ]
+    known = " AND ".join(f"isfinite({d})" for d in apart)
+    # Knuth's multiplicative hash: multiples of the golden ratio lie evenly in the ring of 32 bits.
+    part = min(sampled / max(frames, 1), 1) * 2**32
+    taken = f"(CAST(r.frame_index AS BIGINT) * 2654435761) % 4294967296 < {part:.0f}"
+    counts = " UNION ALL ".join(
+        f"SELECT {place} AS relation, x, {'y' if name in HIGHEST else 'z'} AS along, count(*) AS n"
+        f" FROM pairs WHERE {quoted(name)} = 1 GROUP BY ALL"
+        for place, name in enumerate(relations)
+    )
+    parts = []
+    for first, last in database.frame_ranges():
+        ranges = " AND ".join(f"{t}.frame_index BETWEEN {first} AND {last}" for t in "rab")
+        parts.append(
+            database.columns(
+                f"WITH pairs AS MATERIALIZED (SELECT {', '.join('r.' + quoted(n) for n in relations)},"
+                f" {', '.join(clipped)} FROM relations r"
+                " JOIN objects a ON a.frame_index = r.frame_index AND a.object = r.a"
+                " JOIN objects b ON b.frame_index = r.frame_index AND b.object = r.b"
+                f" WHERE {ranges} AND {taken} AND {known})"
+                f" SELECT relation, x, along, sum(n)::BIGINT AS n FROM ({counts}) GROUP BY 1, 2, 3 ORDER BY 1, 2, 3"
+            )
+        )
+    found = {}
+    for place, name in enumerate(relations):
+        rows = [{k: v[part["relation"] == place] for k, v in part.items()} for part in parts]
+        x, along, n = (np.concatenate([np.zeros(0, np.int64), *(r[k] for r in rows)]) for k in ("x", "along", "n"))
+        found[name] = Displacements((x + 0.5) * CELL_M, (along + 0.5) * CELL_M, n.astype(np.int64))
+    return found
+
+
+def _distances(database: Database) -> np.ndarray:
+    last = round(FARTHEST_M / DISTANCE_STEP_M)
+    counts = np.zeros(last + 1, np.int64)
+    for place, n in database.rows(
+        f"SELECT CAST(floor(least(distance / {DISTANCE_STEP_M}, {last})) AS INTEGER) AS place, count(*)"
+        " FROM objects WHERE distance >= 0 AND isfinite(distance) GROUP BY 1"
+    ):
+        counts[place] = n
+    return counts
+
+
+def _sizes(database: Database, classes: Sequence[str]) -> list[SizeRange]:
+    counted = [
+        database.columns(
+            "SELECT list_position($classes, label) - 1 AS place,"
+            f" CAST(round(least({edge}(size), 100) * 1000) AS INTEGER) AS mm, count(*) AS n FROM objects"
+            " WHERE usable AND isfinite(list_sum(size)) AND list_contains($classes, label) GROUP BY 1, 2 ORDER BY 1, 2",
+            classes=list(classes),
+        )
+        for edge in ("list_max", "list_min")
+        if classes
+    ]
+    found = []
+    for place, label in enumerate(classes):
+        longest, shortest = ({k: v[c["place"] == place] for k, v in c.items()} for c in counted)
+        if len(longest["n"]):
+            low, half, high = (mm / 1000 for mm in quantiles(longest["mm"], longest["n"], (0.1, 0.5, 0.9)))
+            (short,) = quantiles(shortest["mm"], shortest["n"], (0.5,))
+            found.append(SizeRange(label, int(longest["n"].sum()), (low, half, high), short / 1000))
+    return found
+
+
+def in_plan(relation: str) -> bool:
+    """Whether a relation shows from above rather than from the viewer's place."""
+    return relation not in HIGHEST
+
+
+def has_cone(relation: str) -> bool:
+    """Whether the relation is a cone around an axis."""
+    return relation in DIRECTIONAL

@@ -1,0 +1,136 @@
+"""How the pictures look: one width grid, quiet axes, a sentence on top, and a colour for each relation."""
+
+from __future__ import annotations
+
+import textwrap
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pipeline.errors import MissingExtra
+from pipeline.palette import RELATIONS, hex_color
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+HALF, FULL = 590, 1200
+"""Widths in pixels of the page; the files have twice as many, for sharp screens."""
+DPI = 100
+INK, QUIET, LINE, PALE = "#1f2630", "#5b6470", "#c8ccd2", "#e6e9ed"
+DARK, LIGHT = "#46536a", "#b4bdca"
+"""The two tones of everything that is not a relation."""
+
+# Of one width, so that texts fit alike; then fonts that know other scripts.
+LATIN = ("Liberation Sans", "Arial", "Helvetica", "DejaVu Sans")
+OTHER_SCRIPTS = (
+    "Noto Sans CJK SC", "Noto Sans CJK JP", "Noto Sans CJK KR", "WenQuanYi Zen Hei", "Microsoft YaHei", "PingFang SC",
+    "Hiragino Sans", "Noto Sans Arabic", "Noto Sans Devanagari", "Arial Unicode MS",
+)  # fmt: skip
+
+
+def need_matplotlib() -> None:
+    """Raise MissingExtra where the pictures cannot be drawn."""
+    try:
+        import matplotlib  # noqa: F401
+    except ImportError as error:
+        raise MissingExtra("a report with pictures", "report") from error
+
+
+@contextmanager
+def house_style() -> Iterator[None]:
+    """Figures that are made and saved within look like those of one report."""
+    import matplotlib as mpl
+    from matplotlib.font_manager import get_font_names
+
+    installed = set(get_font_names())
+    settings: dict[Any, Any] = {
+        "font.family": [name for name in (*LATIN, *OTHER_SCRIPTS) if name in installed],
+        "font.size": 9.5,
+        "text.color": INK,
+        # A class may be called "$x$".
+        "text.parse_math": False,
+        "axes.edgecolor": LINE,
+        "axes.labelcolor": QUIET,
+        "axes.linewidth": 0.8,
+        "axes.spines.top": False,
+        "axes.spines.right": False,
+        "axes.titlelocation": "left",
+        "axes.titlesize": 10,
+        "axes.titleweight": "bold",
+        "axes.titlecolor": INK,
+        "axes.axisbelow": True,
+        "grid.color": PALE,
+        "grid.linewidth": 0.8,
+        "xtick.color": LINE,
+        "ytick.color": LINE,
+        "xtick.labelcolor": QUIET,
+        "ytick.labelcolor": INK,
+        "xtick.labelsize": 9,
+        "ytick.labelsize": 9,
+        "legend.frameon": False,
+        "legend.fontsize": 9,
+        "hatch.linewidth": 0.6,
+        "figure.dpi": DPI,
+        "figure.facecolor": "white",
+        "savefig.dpi": 2 * DPI,
+    }
+    with mpl.rc_context(settings), warnings.catch_warnings():
+        # A script that no font here knows shows as boxes, in the picture alone.
+        warnings.filterwarnings("ignore", message="Glyph .* missing from", category=UserWarning)
+        yield
+
+
+def new_figure(width: int, height: int, title: str, subtitle: str) -> Figure:
+    """A figure of pixels with a sentence on top, and a quieter one that says how to read it."""
+    from matplotlib.figure import Figure
+
+    title = textwrap.fill(title, width // 9)
+    subtitle = textwrap.fill(subtitle, round((width - 28) / 5.6))
+    lines, more = title.count("\n") + 1, subtitle.count("\n") + 1
+    top = 12 + 20 * lines + 4
+    head = top + 15 * more + 10
+    height += head
+    figure = Figure(figsize=(width / DPI, height / DPI), dpi=DPI, layout="constrained")
+    figure.get_layout_engine().set(rect=(0.012, 0.01, 0.976, 1 - head / height), w_pad=0.06, h_pad=0.06)  # pyright: ignore
+    left = 14 / width
+    figure.text(left, 1 - 12 / height, title, fontsize=12.5, fontweight="bold", va="top", linespacing=1.2)
+    figure.text(left, 1 - top / height, subtitle, fontsize=9, color=QUIET, va="top", linespacing=1.25)
+    return figure
+
+
+def save_figure(figure: Figure, path: Path) -> None:
+    """Write PNG; equal figures give equal bytes."""
+    figure.savefig(path, metadata={"Software": None})
+
+
+def relation_color(relation: str) -> str:
+    """The colour of a relation, "#rrggbb"."""
+    return hex_color(RELATIONS[relation])
+
+
+def short(label: str, length: int = 24) -> str:
+    """A class name on one line, cut where it is long."""
+    label = " ".join(label.split()) or "(blank)"
+    return label if len(label) <= length else label[: length - 1] + "…"
+
+
+def percent(value: float | None) -> str:
+    """A share as text."""
+    if value is None:
+        return "–"
+    digits = 0 if value >= 0.1 or value == 0 else 1 if value >= 0.001 else 2
+    return f"{value:.{digits}%}".replace("%", " %")
+
+
+def thousands(value: float, _place: Any = None) -> str:
+    """A count as text, also for ticks."""
+    return f"{value:,.0f}"
+
+
+def say_nothing_there(axes: Axes, text: str) -> None:
+    """An empty plot says why."""
+    axes.set_axis_off()
+    axes.text(0.5, 0.5, text, transform=axes.transAxes, ha="center", va="center", color=QUIET)
