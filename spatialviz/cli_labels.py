@@ -192,9 +192,8 @@ class Check:
     """Print one JSON object for each finding, and one with the statistics."""
 
     def run(self) -> int:
-        from pipeline.labels.check import check_labels, finding_record
-
         from pipeline.errors import InputError
+        from pipeline.labels.check import check_labels, finding_record
         from pipeline.labels.reading import open_labels
         from pipeline.labels.report import check_report_folder, write_report
         from pipeline.labels.statistics import label_statistics

@@ -166,7 +166,7 @@ def test_a_damaged_export_is_refused(
 def test_a_number_and_a_text_survive_json_lines(numbers: list[float | None], text: str) -> None:
     rows = len(numbers)
     columns = {"frame": [text] * rows, "frame_index": [0] * rows, "a": range(rows), "b": [0] * rows}
-    table = build_table("relations", {**columns, "distance": numbers, "left": [1] * rows})
+    table = build_table("relations", {**columns, "distance": numbers, "doubted": [0] * rows, "left": [1] * rows})
     lines = list(json_lines(table))
     assert [len(line.splitlines()) for line in lines] == [1] * rows
     assert [json.loads(line) for line in lines] == table.to_pylist()

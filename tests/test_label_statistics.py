@@ -70,7 +70,7 @@ def make_labels(
             for b in range(n):
                 if a == b:
                     continue
-                row = {**key, "a": a, "b": b, "distance": None}
+                row = {**key, "a": a, "b": b, "distance": None, "doubted": 0}
                 for name in relations:
                     state = int(rng.choice([-1, -1, -1, 0, 1]))
                     row[name] = state
