@@ -66,10 +66,8 @@ def gravity_box(points: np.ndarray, viewer: ViewerAxes) -> tuple[Box3D, float]:
     plan = level[:, [0, 2]]
     centred = plan - plan.mean(axis=0)
     variance, axes = np.linalg.eigh(centred.T @ centred / max(len(plan), 1))
-    major = axes[:, 1]
-    x = np.array([major[0], 0.0, major[1]])
-    y = np.array([0.0, 1.0, 0.0])
-    box = _box_in(level, np.stack([x, y, np.cross(x, y)], axis=1))
+    cos, sin = axes[:, 1]
+    box = _box_in(level, np.array([[cos, 0.0, -sin], [0.0, 1.0, 0.0], [sin, 0.0, cos]]))
     confidence = 1.0 - float(max(variance[0], 0.0) / variance[1]) if variance[1] > 1e-12 else 0.0
     box = canonicalised(box)
     return Box3D(R_level_camera.T @ box.center, R_level_camera.T @ box.R, box.size), confidence

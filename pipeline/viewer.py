@@ -8,6 +8,7 @@ level. The up vector therefore decides everything; `resolve_up` says how it is k
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -41,12 +42,12 @@ class ViewerAxes:
     forward: np.ndarray
     up_source: UpSource
 
-    @property
+    @cached_property
     def matrix(self) -> np.ndarray:
         """(3, 3): `points @ matrix.T` gives (right, up, forward) coordinates, metres."""
         return np.stack([self.right, self.up, self.forward])
 
-    @property
+    @cached_property
     def R_level_camera(self) -> np.ndarray:
         """(3, 3) rotation into the right-handed level frame: x right, y down, z forward."""
         return np.stack([self.right, -self.up, self.forward])

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 
 from pipeline.boxes import Box3D
@@ -194,10 +195,10 @@ def _extent(
         raise InputError(
             f"the mask {mask_path.name} is {mask.shape[1]}x{mask.shape[0]}, not {size[1]}x{size[0]}"
         )
-    rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
-    if rows.size == 0:
+    x, y, w, h = cv2.boundingRect(mask.view(np.uint8))
+    if w == 0:
         raise InputError("empty mask")
-    return np.array([columns[0], rows[0], columns[-1] + 1, rows[-1] + 1]), mask
+    return np.array([x, y, x + w, y + h]), mask
 
 
 def _visible(info: Mapping[str, Any]) -> float | None:

@@ -202,6 +202,9 @@ def _unusable(entry: SceneObject, config: LabelConfig) -> str | None:
         return f"fewer than {config.min_pixels} pixels"
     if quality.points < config.min_points:
         return f"fewer than {config.min_points} points"
+    if quality.fallback:
+        # Its raw mask was lifted, with pixels of what is behind it.
+        return "too small to clean"
     return None
 
 

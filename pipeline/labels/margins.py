@@ -94,7 +94,8 @@ def _above(pairs: PairMeasures, profile: Profile) -> tuple[np.ndarray, np.ndarra
         (profile.plan_overlap, profile.elevation, profile.dead_zone),
         (profile.plan_overlap_doubtful, profile.elevation_doubtful, 0.0),
     ):
-        resting = np.minimum((plan - overlap) * side, clearance + tolerance)
+        # Where the footprints are apart, they first have to meet.
+        resting = np.minimum((plan - overlap) * side - sideways, clearance + tolerance)
         raised = np.minimum(clearance - profile.clear_height, reach * np.sin(elevation - np.deg2rad(degrees)))
         slacks.append(np.minimum(np.maximum(resting, raised), pairs.delta[..., 1] - dead))
     return slacks[0], slacks[1]
@@ -105,8 +106,9 @@ def contact_margins(pairs: PairMeasures, clouds: Sequence[np.ndarray] | None, pr
     area = pairs.extent[:, 0] * pairs.extent[:, 2]
     side = np.sqrt(area)
     covered, ratio, gap = on_measures(pairs, clouds, profile)
+    sideways = np.hypot(pairs.gap[..., 0], pairs.gap[..., 2])
     supported = np.minimum(
-        (covered - profile.on_overlap) * side[:, None], (profile.on_area_ratio - ratio) * side[None, :]
+        (covered - profile.on_overlap) * side[:, None] - sideways, (profile.on_area_ratio - ratio) * side[None, :]
     )
     touching = np.maximum(profile.on_gap, profile.on_gap_relative * pairs.extent[:, 1])[:, None]
     on = margin_of(
@@ -116,10 +118,11 @@ def contact_margins(pairs: PairMeasures, clouds: Sequence[np.ndarray] | None, pr
     share, below_rim = in_measures(pairs, clouds, profile)
     length = np.cbrt(pairs.extent.prod(axis=1))[:, None]
     sunk = (below_rim - profile.in_below_rim) * pairs.extent[:, None, 1]
-    inside = margin_of(
-        np.minimum((share - profile.in_share) * length, sunk),
-        np.minimum((share - profile.in_share_doubtful) * length, sunk),
-    )
     apart, mean = near_measures(pairs)
+    outside = np.maximum(apart - profile.in_inflation, 0)
+    inside = margin_of(
+        np.minimum((share - profile.in_share) * length - outside, sunk),
+        np.minimum((share - profile.in_share_doubtful) * length - outside, sunk),
+    )
     near = margin_of(profile.near_diagonals * mean - apart, profile.near_diagonals_doubtful * mean - apart)
     return np.stack([on, inside, near], axis=2)

@@ -31,7 +31,8 @@ def occluded_share(evidence: Evidence, depth: np.ndarray) -> float:
     h, w = evidence.codes.shape
     top, left = min(REACH, evidence.y0), min(REACH, evidence.x0)
     bottom, right = min(REACH, height - evidence.y0 - h), min(REACH, width - evidence.x0 - w)
-    mask = np.pad((evidence.codes != Pixel.OUTSIDE).view(np.uint8), ((top, bottom), (left, right)))
+    inside = (evidence.codes != Pixel.OUTSIDE).view(np.uint8)
+    mask = cv2.copyMakeBorder(inside, top, bottom, left, right, cv2.BORDER_CONSTANT, value=0)
     z = depth[evidence.y0 - top : evidence.y0 + h + bottom, evidence.x0 - left : evidence.x0 + w + right]
     kernel = np.ones((2 * REACH + 1, 2 * REACH + 1), np.uint8)
     ring = (cv2.dilate(mask, kernel) > 0) & (mask == 0) & (z > 0)
