@@ -93,7 +93,7 @@ GOOD_ROWS = {
         "centroid": None, "exact_center": None, "exact_R": None, "exact_size": None, "visible": None,
         "occluded": 0.0, "usable": True, "reason": None,
     },
-    "relations": ROW | {"a": 0, "b": 1, "distance": 0.5} | dict.fromkeys(PAIRWISE, 0)
+    "relations": ROW | {"a": 0, "b": 1, "distance": 0.5, "doubted": 0} | dict.fromkeys(PAIRWISE, 0)
     | {f"{r}_margin": 0.0 for r in PAIRWISE},
     "expressions": ROW | {
         "id": "0", "text": "t", "target": "a", "relation": "left", "reference": "b", "target_object": 0,
