@@ -10,6 +10,7 @@ import cv2
 import numpy as np
 import xxhash
 
+from pipeline.fitting import pca_box
 from pipeline.frame import Annotation, Frame
 from pipeline.labels.config import LabelConfig
 from pipeline.labels.expressions import candidate_expressions
@@ -157,6 +158,7 @@ def _object_row(
     box, known = lifted.box, bool(np.isfinite(lifted.lo).all())
     exact = annotation.box if annotation is not None else None
     centre = centroid(lifted, viewer) if len(lifted.points) else None
+    pca = pca_box(lifted.points)[0] if len(lifted.points) else None
     reason = _unusable(entry, config)
     return {
         "frame": frame.id,
@@ -180,6 +182,9 @@ def _object_row(
         "size": None if box is None else box.size.tolist(),
         "yaw_confidence": float(np.clip(lifted.yaw_confidence, 0, 1)),
         "estimator": config.lift.box,
+        "pca_center": None if pca is None else pca.center.tolist(),
+        "pca_R": None if pca is None else pca.R.ravel().tolist(),
+        "pca_size": None if pca is None else pca.size.tolist(),
         "lo": lifted.lo.tolist() if known else None,
         "hi": lifted.hi.tolist() if known else None,
         "centroid": None if centre is None else centre.tolist(),

@@ -64,8 +64,10 @@ class ObjectRow(Row):
 
     `mask` is COCO's compressed run-length code of the (height, width) mask.
     `exact_center`, `exact_R` and `exact_size` are the dataset's own box where it
-    has one. `occluded` is the share of the mask's border beside which something
-    is at least 5 cm nearer. Only `usable` objects are asked for in expressions.
+    has one. `pca_center`, `pca_R` and `pca_size` are the paper's PCA box, its axes
+    as PCA gives them: what the feature contracts paper30 and canon30 are made
+    from. `occluded` is the share of the mask's border beside which something is at
+    least 5 cm nearer. Only `usable` objects are asked for in expressions.
     """
 
     object: Annotated[int, Field(json_schema_extra={"arrow": "int32"})]
@@ -87,6 +89,9 @@ class ObjectRow(Row):
     size: Vector | None
     yaw_confidence: Share
     estimator: Literal["gravity", "pca", "pca-raw"]
+    pca_center: Vector | None
+    pca_R: Matrix | None
+    pca_size: Vector | None
     lo: Vector | None
     hi: Vector | None
     centroid: Vector | None

@@ -18,7 +18,7 @@ FRAME_KEYS = (
 )  # fmt: skip
 """Columns of `frames` that an image keeps under `spatialviz`."""
 
-BOXES = {"box3d": "", "exact_box3d": "exact_"}
+BOXES = {"box3d": "", "exact_box3d": "exact_", "pca_box3d": "pca_"}
 """Boxes of an annotation, and the prefix of their columns."""
 
 EXTENT = ("lo", "hi", "centroid")
