@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -79,8 +80,7 @@ def test_tasks_of_an_array_in_any_order_give_the_same_rows(demo: Path, tmp_path:
 def test_ray_gives_the_same_rows(demo: Path, tmp_path: Path) -> None:
     if not REQUIRED:
         pytest.importorskip("ray", reason="the extra cluster is not installed")
-    import ray
-
+    ray: Any = import_module("ray")
     ray.init(num_cpus=2, include_dashboard=False, log_to_driver=False)
     try:
         report = label_dataset(DEMO, tmp_path / "out", limit=FRAMES, frames_a_shard=3, engine="ray", workers=2)

@@ -9,6 +9,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib import import_module
 from time import perf_counter, process_time
 from typing import Any
 
@@ -147,7 +148,7 @@ def open3d_recipe(view: BenchView) -> Extents:
         Open3D is not installed.
     """
     try:
-        import open3d as o3d
+        o3d: Any = import_module("open3d")
     except (ImportError, OSError) as error:
         raise MissingExtra("the comparison with Open3D", "open3d") from error
     lo, hi, centers = [], [], []

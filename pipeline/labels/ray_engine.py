@@ -7,6 +7,7 @@ import pickle
 from collections.abc import Sequence
 from dataclasses import asdict
 from functools import lru_cache
+from importlib import import_module
 from typing import Any, cast
 
 from pipeline.errors import MissingExtra
@@ -63,8 +64,8 @@ def run_ray(
         Ray is not installed.
     """
     try:
-        import ray
-        import ray.data
+        ray: Any = import_module("ray")
+        import_module("ray.data")
     except ImportError as error:
         raise MissingExtra("the engine ray", "cluster") from error
     for shard in list(shards):
