@@ -50,7 +50,7 @@ def run_local(plan: Plan, shards: Sequence[Shard], store: Store, workers: int, d
             for shard in shards:
                 done(label_shard(shard, labeller, store))
         return
-    with _threads_in_children():
+    with threads_in_children():
         models = plan.spec, plan.config, store.where
         pool = ProcessPoolExecutor(min(workers, len(shards)), multiprocessing.get_context("spawn"), _start, models)
         try:
@@ -69,7 +69,7 @@ def run_local(plan: Plan, shards: Sequence[Shard], store: Store, workers: int, d
 
 
 @contextmanager
-def _threads_in_children() -> Iterator[None]:
+def threads_in_children() -> Iterator[None]:
     """Thread counts are read when numpy is loaded, so that they must be set before a child starts."""
     before = {name: os.environ.get(name) for name in _THREAD_VARIABLES}
     os.environ.update(dict.fromkeys(_THREAD_VARIABLES, "1"))
