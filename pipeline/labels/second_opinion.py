@@ -59,7 +59,7 @@ def doubted(
     """
     states, margins = judged.states.copy(), judged.margins.copy()
     found = network.of_pairs(objects, viewer)
-    bits = np.zeros(states.shape[:2], np.int32)
+    bits = np.zeros(states.shape[:2], np.int32) if judged.doubted is None else judged.doubted.copy()
     for k, relation in enumerate(network.contract.vocabulary):
         column = PAIRWISE.index(relation)
         state, p = states[..., column], found[..., k]

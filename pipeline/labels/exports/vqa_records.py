@@ -32,6 +32,8 @@ class VqaConfig:
         Distances and sizes are asked only of objects with at most this share of
         their border covered, that do not touch the picture's border.
     max_depth_missing : float
+    min_kept : float
+        Share of the mask that cleaning must have kept: else what is measured is too small.
         And with at most this share of their pixels without depth.
     min_distance : float
         Distances below it, metres, are not asked for.
@@ -46,6 +48,7 @@ class VqaConfig:
     min_margin: float = 0.05
     max_occluded: float = 0.1
     max_depth_missing: float = 0.5
+    min_kept: float = 0.6
     min_distance: float = 0.1
     box_decimals: int = 3
     seed: int = 0
