@@ -42,6 +42,14 @@ def label_row(row: dict[str, Any]) -> dict[str, Any]:
         return asdict(label_shard(pickle.loads(row["shard"]), _labeller(row["models"]), Store(row["where"]), found))
 
 
+def needed_ray() -> None:
+    """Raise MissingExtra where Ray is not installed."""
+    try:
+        import ray.data  # noqa: F401
+    except ImportError as error:
+        raise MissingExtra("the engine ray", "cluster") from error
+
+
 def run_ray(
     plan: Plan, shards: Sequence[Shard], store: Store, workers: int, done: Done, *, gpus_a_detector: float = 0.0
 ) -> None:
@@ -62,11 +70,10 @@ def run_ray(
     MissingExtra
         Ray is not installed.
     """
-    try:
-        import ray
-        import ray.data
-    except ImportError as error:
-        raise MissingExtra("the engine ray", "cluster") from error
+    needed_ray()
+    import ray
+    import ray.data
+
     for shard in list(shards):
         there = finished(shard, store)
         if there is not None:
