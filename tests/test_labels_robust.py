@@ -194,6 +194,17 @@ def test_the_plan_holds_absolute_paths(tmp_path: Path, monkeypatch: pytest.Monke
     assert SourceSpec("demo", {"model": "m.onnx"}).absolute() == SourceSpec("demo", {"model": str(tmp_path / "m.onnx")})
 
 
+def test_a_dataset_that_changes_under_the_run_is_noticed(tmp_path: Path) -> None:
+    copy = Path(shutil.copytree(demo_path(), tmp_path / "data"))
+    image = next((copy / "000001" / "rgb").iterdir())
+    with pytest.raises(InputError, match="changed while it was labelled"):
+        label_dataset(
+            SourceSpec(str(copy)), tmp_path / "out", QUICK, limit=1, progress=lambda *_: os.utime(image, ns=(1, 1))
+        )
+    with pytest.raises(InputError, match="not merged yet"):
+        open_labels(tmp_path / "out")
+
+
 # Damage.
 
 

@@ -12,7 +12,7 @@ from pipeline.errors import InputError
 from pipeline.labels.config import LabelConfig, SelectConfig
 from pipeline.labels.local import run_local
 from pipeline.labels.merge import merge_labels
-from pipeline.labels.plan import SourceSpec, make_plan, part_of, save_plan
+from pipeline.labels.plan import SourceSpec, input_changed, make_plan, part_of, save_plan
 from pipeline.labels.schema import Manifest
 from pipeline.labels.second_opinion import NONE, TRAINED, open_second_opinion
 from pipeline.labels.shard import ShardReport
@@ -88,7 +88,7 @@ def label_dataset(
     Raises
     ------
     InputError
-        For a dataset that cannot be opened, a folder that holds something else.
+        For a dataset that cannot be opened or changes meanwhile, a folder that holds something else.
     """
     config = config or LabelConfig()
     if config.second_opinion not in (NONE, TRAINED):
@@ -135,6 +135,10 @@ def label_dataset(
             run_local(plan, shards, store, workers, done)
     finally:
         store.clear_unfinished()
+    if input_changed(plan, out):
+        raise InputError(
+            "the dataset changed while it was labelled", cause="remove the labels, and label it again", path=out
+        )
     manifest = merge_labels(out, selection) if part is None and not store.remote else None
     return LabelReport(
         total,

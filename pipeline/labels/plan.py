@@ -175,11 +175,22 @@ def make_plan(
             "second_opinion": fingerprint(config.second_opinion),
             **_declared(spec.options),
         },
-        files_hash(source.dataset.root, None if out is None or "://" in str(out) else Path(out).expanduser()),
+        _input_hash(source, out),
         source.dataset.format,
         detector.exact,
         frames_a_shard,
     )
+
+
+def input_changed(plan: Plan, out: str | Path) -> bool:
+    """Whether the dataset's files are other ones now than when the plan was made; no model is loaded."""
+    camera = {n: plan.spec.options.get(n) for n in ("intrinsics", "depth_scale")}
+    return _input_hash(SourceSpec(plan.spec.path, camera).open(plan.config), out) != plan.input_hash
+
+
+def _input_hash(source: Source, out: str | Path | None) -> str:
+    local = None if out is None or "://" in str(out) else Path(out).expanduser()
+    return files_hash(source.dataset.root, local)
 
 
 def _declared(options: dict[str, Any]) -> dict[str, str]:
