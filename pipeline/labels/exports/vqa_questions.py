@@ -136,7 +136,7 @@ def alone(labels: Sequence[str]) -> np.ndarray:
 
 
 def is_measurable(row: dict[str, Any], config: VqaConfig) -> bool:
-    """Whether an object's size is known: by its exact box, or because it is seen so fully that its extents are its own."""
+    """Whether an object's size is known: by its exact box, or because it is seen so fully that it shows."""
     if row["exact_size"] is not None:
         return not row["touches_border"]
     return (

@@ -32,9 +32,9 @@ class VqaConfig:
         Distances and sizes are asked only of objects with at most this share of
         their border covered, that do not touch the picture's border.
     max_depth_missing : float
-    min_kept : float
-        Share of the mask that cleaning must have kept: else what is measured is too small.
         And with at most this share of their pixels without depth.
+    min_kept : float
+        And of whose mask cleaning kept at least this share: else what is measured is too small.
     min_distance : float
         Distances below it, metres, are not asked for.
     box_decimals : int
