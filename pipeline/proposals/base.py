@@ -8,7 +8,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from pipeline.errors import InputError
+from pipeline.errors import InputError, UnknownClass
 from pipeline.frame import Frame
 
 
@@ -138,13 +138,13 @@ class Detector(Protocol):
         ...
 
 
-def unknown_class(label: str, names: Sequence[str], where: str) -> InputError:
+def unknown_class(label: str, names: Sequence[str], where: str) -> UnknownClass:
     """The error for a class name that a detector of limited vocabulary does not know."""
     from pipeline.naming import suggest
 
     close = suggest(label, names)
     hint = f"did you mean {' or '.join(repr(c) for c in close)}?" if close else "known: " + listed(names)
-    return InputError(f"{where} does not know the class {label!r}", cause=hint)
+    return UnknownClass(f"{where} does not know the class {label!r}", cause=hint)
 
 
 def listed(names: Sequence[str], limit: int = 12) -> str:
