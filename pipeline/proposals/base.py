@@ -80,7 +80,10 @@ class Proposals:
         return self.labels[int(self.label_index[i])]
 
     def take(self, index: np.ndarray) -> Proposals:
-        """The proposals at `index` ((M,) int or (N,) bool), in that order."""
+        """The proposals at `index` ((M,) int or (N,) bool), in that order; themselves where that is all of them."""
+        if index.all() if index.dtype == np.bool_ else np.array_equal(index, np.arange(len(self))):
+            # The masks of one answer are megabytes, and most answers are taken whole.
+            return self
         return Proposals(
             self.boxes[index],
             self.scores[index],

@@ -6,7 +6,7 @@ JSON: `{"frames": {"<frame id>": [{"label": "mug", "score": 0.9, "bbox": [x0, y0
 may be left out. NPZ: one file a frame, named after the frame id with "/"
 replaced by "__", with arrays boxes (N, 4), scores (N,), labels (N,) str and,
 optionally, masks (N, H, W), or mask_counts (N,) of compressed run-length codes
-(empty for none) with mask_size (2,), and ids (N,) int.
+(empty for none) with mask_size (2,), and ids (N,) int, below 0 for none.
 
 An id says which thing a detection is of: one and the same thing, found under
 several names, has one id. Where any detection of a frame has none, each is a
@@ -189,7 +189,9 @@ class RecordedDetector:
         index = np.flatnonzero(keep)
         if not len(index):
             return no_proposals(frame.height, frame.width)
-        return playback.proposals(_each_thing_once(index, playback.found))
+        index = _each_thing_once(index, playback.found)
+        # Best first, as `top_k` wants them.
+        return playback.proposals(index[np.argsort(-playback.found.scores[index], kind="stable")])
 
     def _meant(self, label: str) -> tuple[str, ...]:
         """The recorded names that a name means."""
@@ -328,8 +330,8 @@ def _read_npz(file: Path) -> FrameDetections:
             labels = np.asarray(data["labels"]).astype(np.str_)
             ids = np.asarray(data["ids"], np.int64) if "ids" in data else np.arange(len(scores))
             masks = np.asarray(data["masks"]).astype(np.bool_) if "masks" in data else None
-            counts = np.asarray(data["mask_counts"]).astype(np.str_).tolist() if "mask_counts" in data else None
-            size = np.asarray(data["mask_size"], np.int64).tolist() if counts is not None else [0, 0]
+            counts = np.asarray(data["mask_counts"]).astype(np.str_) if "mask_counts" in data else None
+            size = np.zeros(2, np.int64) if counts is None else np.asarray(data["mask_size"], np.int64)
     except Exception as error:  # Damaged bytes fail in zipfile, zlib or NumPy, each with its own class.
         raise InputError(
             "not a recording of detections",
@@ -339,19 +341,22 @@ def _read_npz(file: Path) -> FrameDetections:
         ) from error
     if boxes.size == 0:
         boxes = boxes.reshape(0, 4)
-    shapes = (boxes.shape[1:], scores.ndim, labels.ndim, ids.ndim)
-    if shapes != ((4,), 1, 1, 1) or not isinstance(size, list) or len(size) != 2:
+    flat = all(a.ndim == 1 for a in (scores, labels, ids, *([] if counts is None else [counts])))
+    if boxes.shape[1:] != (4,) or not flat or size.shape != (2,):
         raise InputError(
             "the arrays of a recording have the wrong shape",
             got=f"boxes {boxes.shape}, scores {scores.shape}, labels {labels.shape}, ids {ids.shape}",
-            expected="(N, 4), (N,), (N,), (N,); mask_size (2,)",
+            expected="(N, 4), (N,), (N,), (N,), and mask_counts (N,) with mask_size (2,)",
             path=file,
         )
     codes: Sequence[MaskCode | None] | np.ndarray = [None] * len(scores)
     if masks is not None:
         codes = masks
-    elif isinstance(counts, list):
-        codes = [((size[0], size[1]), code) if code else None for code in counts]
+    elif counts is not None:
+        shape = (int(size[0]), int(size[1]))
+        codes = [(shape, code) if code else None for code in counts.tolist()]
     if not (len(boxes) == len(scores) == len(labels) == len(ids) == len(codes)):
         raise InputError("the arrays of a recording differ in length", path=file)
+    if (ids < 0).any():
+        ids = np.arange(len(ids))
     return FrameDetections(boxes, scores, tuple(labels.tolist()), ids, codes)
