@@ -16,6 +16,7 @@ from pipeline.lifting import LiftConfig
 from pipeline.naming import Synonyms
 from pipeline.objects import FrameContext, SceneObject, same_object
 from pipeline.proposals.base import Detector, Proposals
+from pipeline.proposals.score_calibration import ScoreCalibration
 from pipeline.proposals.selection import top_k
 from pipeline.ranking import Candidates, RankConfig, Ranking, RelationLookup, rank
 from pipeline.srm.scorer import (
@@ -40,12 +41,15 @@ class AskConfig:
     rank : RankConfig
     relations : tuple of str or None
         What the expression may use; None for everything the scorer knows.
+    score_calibration : ScoreCalibration or None
+        Makes P(x | name) of the scores of a detector that is not exact; the objects keep their raw scores.
     """
 
     k: int = 10
     lift: LiftConfig = field(default_factory=LiftConfig)
     rank: RankConfig = field(default_factory=RankConfig)
     relations: tuple[str, ...] | None = None
+    score_calibration: ScoreCalibration | None = None
 
     def __post_init__(self) -> None:
         if self.k < 1:
@@ -77,6 +81,8 @@ class Trace:
     detector, scorer : str
     exact : bool
         The objects are the dataset's own.
+    score_calibration : ScoreCalibration or None
+        What made the candidates' scores of the detector's; None where they are its own.
     """
 
     frame: Frame
@@ -91,6 +97,7 @@ class Trace:
     detector: str
     scorer: str
     exact: bool
+    score_calibration: ScoreCalibration | None = None
 
     @property
     def asked(self) -> Attachment:
@@ -138,12 +145,13 @@ def ask(
             synonyms=synonyms,
         )
         names = query.labels
+    calibration = None if detector.exact else config.score_calibration
     context = frame if isinstance(frame, FrameContext) else FrameContext(frame, config.lift)
     timings["frame"] = context.seconds
     with _timed(timings, "opm"):
         found = {name: propose(context, detector, name, config.k) for name in names}
     with _timed(timings, "lift"):
-        objects, candidates = _merged(context, detector, found)
+        objects, candidates = _merged(context, detector, found, calibration)
     with _timed(timings, "srm"):
         scores = scorer.score([o.lifted for o in objects], context.viewer)
     missing = tuple(name for name in names if not len(candidates[name].index))
@@ -172,6 +180,7 @@ def ask(
         detector=detector.name,
         scorer=scorer.name,
         exact=detector.exact,
+        score_calibration=calibration,
     )
 
 
@@ -189,7 +198,7 @@ def propose(context: FrameContext, detector: Detector, name: str, k: int) -> Pro
 
 
 def _merged(
-    context: FrameContext, detector: Detector, found: dict[str, Proposals]
+    context: FrameContext, detector: Detector, found: dict[str, Proposals], calibration: ScoreCalibration | None
 ) -> tuple[tuple[SceneObject, ...], dict[str, Candidates]]:
     """All proposals as one list in which a detection that several names found stands once."""
     objects: list[SceneObject] = []
@@ -206,7 +215,9 @@ def _merged(
                     place[entry.id] = at
             index.append(at)
         labels = tuple(proposals.label(i) for i in range(len(proposals)))
-        candidates[name] = Candidates(np.array(index, np.int64), proposals.scores.astype(np.float64), labels)
+        raw = proposals.scores.astype(np.float64)
+        scores = raw if calibration is None else calibration.apply(raw)
+        candidates[name] = Candidates(np.array(index, np.int64), scores, labels, raw)
     return tuple(objects), candidates
 
 

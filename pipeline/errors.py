@@ -55,6 +55,10 @@ class FrameUnusable(InputError):
     """One frame cannot be used, and that says nothing about the others."""
 
 
+class UnknownClass(InputError):
+    """A class name that a detector or dataset of limited vocabulary does not know."""
+
+
 class MissingExtra(ImportError):
     """A feature needs an optional dependency that is not installed."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -94,7 +95,8 @@ def open_source(
     Raises
     ------
     InputError
-        For a folder that cannot be read, an unknown model name, a model file of another contract.
+        For a folder that cannot be read, an unknown model name, a model file of another contract, a score
+        calibration of another detector.
     """
     if str(path) == DEMO_NAME and not Path(path).exists():
         path = demo_path()
@@ -116,7 +118,10 @@ def open_source(
     if segmenter is not None:
         masks = make_segmenter(segmenter, model=segmenter_model, synonyms=table)
         found = None if found is None else Segmented(found, masks)
-    return Source(dataset, found, make_scorer(srm), config or AskConfig(), table)
+    config = config or AskConfig()
+    if config.score_calibration is not None and found is not None:
+        config.score_calibration.check(found)
+    return Source(dataset, found, make_scorer(srm), config, table)
 
 
 def open_sources(path: str | Path, **options: Any) -> tuple[dict[str, Source], dict[str, str]]:
@@ -162,6 +167,23 @@ def frame_ids(dataset: Dataset, key: str | int | None) -> tuple[str, ...]:
     if key is None or key == ALL_FRAMES:
         return dataset.frame_ids
     return (resolve_frame(dataset, key),)
+
+
+def frame_range(dataset: Dataset, text: str) -> tuple[str, ...]:
+    """The frames that a --frames option means: "all", FROM:TO by index with FROM in and TO out, an id, an index.
+
+    Raises
+    ------
+    InputError
+        No such frame, or an empty range.
+    """
+    bounds = re.fullmatch(r"([0-9]{0,9}):([0-9]{0,9})", text.strip())
+    if bounds is None or text in dataset.frame_ids:
+        return frame_ids(dataset, text)
+    found = dataset.frame_ids[int(bounds[1] or 0) : int(bounds[2]) if bounds[2] else None]
+    if not found:
+        raise InputError("the range holds no frame", got=text, expected=f"within 0:{len(dataset.frame_ids)}")
+    return found
 
 
 def contexts(source: Source, key: str | int | None, skipped: Skipped | None = None) -> Iterator[FrameContext]:

@@ -49,11 +49,14 @@ class Candidates:
         P(x | name), 0..1.
     labels : tuple of str
         What the detector calls each under this name; empty where it is of no matter.
+    raw_scores : (K,) float64 or None
+        What the detector itself said, before any calibration; None for the same as `scores`.
     """
 
     index: np.ndarray
     scores: np.ndarray
     labels: tuple[str, ...] = ()
+    raw_scores: np.ndarray | None = None
 
 
 @dataclass(frozen=True)

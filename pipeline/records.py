@@ -130,6 +130,8 @@ def trace_record(trace: Trace) -> Record:
         "scorer": trace.scorer,
         "viewer": viewer_record(trace.viewer),
     }
+    if trace.score_calibration is not None:
+        record["score_calibration"] = {"a": trace.score_calibration.a, "b": trace.score_calibration.b}
     reason = why_no_answer(trace)
     if reason is not None:
         record["reason"] = reason
@@ -151,9 +153,8 @@ def _role_record(trace: Trace, name: str, place: int) -> Record:
     """
     candidates = trace.candidates[name]
     at = int(np.flatnonzero(candidates.index == place)[0])
-    return object_record(
-        replace(trace.objects[place], label=candidates.labels[at], score=float(candidates.scores[at]))
-    )
+    raw = candidates.scores if candidates.raw_scores is None else candidates.raw_scores
+    return object_record(replace(trace.objects[place], label=candidates.labels[at], score=float(raw[at])))
 
 
 def why_no_answer(trace: Trace) -> str | None:

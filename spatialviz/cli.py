@@ -16,6 +16,7 @@ from tyro.conf import OmitArgPrefixes, Positional, subcommand
 
 from pipeline import __version__
 from pipeline.errors import InputError, MissingExtra
+from spatialviz.cli_detect import Calibrate, Detect, read_calibration
 from spatialviz.cli_labels import BenchLabel, Check, Export, Label, Merge
 from spatialviz.exits import BAD, FINE, INTERRUPTED, NO
 from spatialviz.options import four_numbers, print_json, warn_skipped
@@ -28,9 +29,9 @@ class SourceOptions:
     """What is opened, and with which models."""
 
     detector: str | None = None
-    """annotations | recorded | yolo-seg. Default: annotations, where the dataset has them."""
+    """annotations | recorded | yolo-seg | simulated. Default: annotations, where the dataset has them."""
     model: Path | None = None
-    """Model file or recording for the detector."""
+    """Model file or recording for the detector, or options (TOML or JSON) of the simulated one."""
     min_score: float | None = None
     """Drop detections below this score. Default: the detector's own."""
     segmenter: str | None = None
@@ -43,6 +44,10 @@ class SourceOptions:
     """How 3D boxes are fitted: upright, or the paper's PCA box."""
     k: int = 10
     """Proposals that go on for each name."""
+    score_calibration: Path | None = None
+    """What `spatialviz calibrate` wrote for this detector: its scores become probabilities before pairs are ranked."""
+    force_calibration: bool = False
+    """Use it although it was fitted for another detector or setting."""
     synonyms: Path | None = None
     """A JSON file with more synonyms."""
     intrinsics: str | None = None
@@ -65,7 +70,11 @@ class SourceOptions:
             "segmenter_model": self.segmenter_model,
             "srm": self.srm,
             "synonyms": self.synonyms,
-            "config": AskConfig(k=self.k, lift=LiftConfig(box=self.box)),
+            "config": AskConfig(
+                k=self.k,
+                lift=LiftConfig(box=self.box),
+                score_calibration=read_calibration(self.score_calibration, self.force_calibration),
+            ),
         }
 
     def open(self, dataset: str) -> Source:
@@ -374,6 +383,8 @@ Command = Union[
     Annotated[Check, subcommand("check")],
     Annotated[Export, subcommand("export")],
     Annotated[Train, subcommand("train")],
+    Annotated[Detect, subcommand("detect")],
+    Annotated[Calibrate, subcommand("calibrate")],
     Annotated[Bench, subcommand("bench")],
     Annotated[BenchLabel, subcommand("bench-label")],
 ]

@@ -11,12 +11,12 @@ import numpy as np
 from pipeline.boxes import Box3D
 from pipeline.labels.config import LabelConfig
 from pipeline.labels.job import label_dataset
-from pipeline.labels.labelling import run_length
 from pipeline.labels.plan import SourceSpec
 from pipeline.labels.reading import MANIFEST_FILE, Labels, open_labels
 from pipeline.labels.schema import SCHEMA_VERSION, TABLES, Manifest, TableFile
 from pipeline.labels.tables import arrow_schema, build_table, content_hash, validate_rows, write_table
 from pipeline.relations import PAIRWISE
+from pipeline.run_length import encode_run_length
 from pipeline.viewer import viewer_axes
 
 Vector = Sequence[float] | np.ndarray
@@ -87,7 +87,7 @@ def object_row(frame: Mapping[str, Any], number: int, label: str, box: Box3D | N
     mask[y + 2, x + 3] = False
     row: dict[str, Any] = {
         "frame": frame["frame"], "frame_index": frame["frame_index"], "object": number, "label": label, "score": 0.7,
-        "bbox": [float(x), float(y), x + 12.0, y + 9.0], "mask": run_length(mask), "mask_source": "annotation",
+        "bbox": [float(x), float(y), x + 12.0, y + 9.0], "mask": encode_run_length(mask), "mask_source": "annotation",
         "mask_pixels": int(mask.sum()), "points": 0, "kept": 0.0, "depth_missing": 1.0, "touches_border": False,
         "fallback": False, "yaw_confidence": 0.0, "estimator": "gravity", "occluded": 0.0, "usable": False,
         "reason": "fewer than 16 points",

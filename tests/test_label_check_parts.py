@@ -16,18 +16,18 @@ from pipeline.labels.check.relations import shortest_cycle
 from pipeline.labels.check.runs import MaskRuns, read_runs, runs_object
 from pipeline.labels.check.sizes import SizeSurvey, size_range, size_table
 from pipeline.labels.check.stream import Rows
-from pipeline.labels.labelling import run_length
 from pipeline.labels.profiles import PROFILES
 from pipeline.labels.schema import TABLES
 from pipeline.labels.tables import arrow_schema
 from pipeline.relations import DIRECTIONAL, PAIRWISE, T
+from pipeline.run_length import encode_run_length
 
 
 @settings(max_examples=150, deadline=None)
 @given(st.integers(0, 10**6), st.integers(1, 40), st.integers(1, 40), st.floats(0, 1))
 def test_runs_of_any_mask(seed: int, height: int, width: int, share: float) -> None:
     mask = np.random.default_rng(seed).random((height, width)) < share
-    runs = read_runs(run_length(mask), height, width)
+    runs = read_runs(encode_run_length(mask), height, width)
     assert isinstance(runs, MaskRuns)
     assert runs.area == mask.sum()
     v, u = np.nonzero(mask)
@@ -38,10 +38,10 @@ def test_runs_of_any_mask(seed: int, height: int, width: int, share: float) -> N
 def test_runs_of_large_blocks() -> None:
     mask = np.zeros((480, 640), np.bool_)
     mask[100:300, 50:600] = True
-    runs = read_runs(run_length(mask), 480, 640)
+    runs = read_runs(encode_run_length(mask), 480, 640)
     assert isinstance(runs, MaskRuns)
     assert (runs.area, runs.bbox.tolist()) == (200 * 550, [50, 100, 600, 300])
-    assert isinstance(read_runs(run_length(mask), 480, 641), str)
+    assert isinstance(read_runs(encode_run_length(mask), 480, 641), str)
 
 
 @settings(max_examples=300, deadline=None)

@@ -26,8 +26,9 @@ from pipeline.proposals import AnnotationDetector, CachedDetector, Detector, Pro
 from pipeline.proposals.annotations import box_mask
 from pipeline.proposals.base import no_proposals
 from pipeline.proposals.letterbox import letterbox
-from pipeline.proposals.recorded import RecordedDetector, decode_run_length
+from pipeline.proposals.recorded import RecordedDetector
 from pipeline.proposals.selection import suppress
+from pipeline.run_length import decode_run_length
 
 SEEDS = st.integers(0, 2**32 - 1)
 

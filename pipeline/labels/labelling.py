@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import cv2
 import numpy as np
 import xxhash
 
@@ -21,6 +20,7 @@ from pipeline.labels.tables import PART_TABLES, Columns
 from pipeline.lifting import LiftedObject
 from pipeline.objects import FrameContext, SceneObject
 from pipeline.relations import PAIRWISE, U
+from pipeline.run_length import encode_run_length
 from pipeline.srm.model import OnnxScorer
 from pipeline.viewer import ViewerAxes
 
@@ -186,7 +186,7 @@ def _object_row(
         "score": entry.score,
         "instance": getattr(annotation, "instance", None),
         "bbox": [float(x) for x in entry.bbox],
-        "mask": run_length(entry.mask),
+        "mask": encode_run_length(entry.mask),
         "mask_source": quality.mask_source,
         "mask_pixels": quality.mask_pixels,
         "points": quality.points,
@@ -229,15 +229,6 @@ def _unusable(entry: SceneObject, config: LabelConfig) -> str | None:
         # Its raw mask was lifted, with pixels of what is behind it.
         return "too small to clean"
     return None
-
-
-def run_length(mask: np.ndarray) -> str:
-    """COCO's compressed run-length code of a mask ((H, W) bool)."""
-    from pycocotools import mask as coco
-
-    # The code runs down columns; OpenCV transposes several times faster than a strided copy.
-    code: Any = coco.encode(cv2.transpose(mask.view(np.uint8)).T)
-    return code["counts"].decode("ascii")
 
 
 def _relation_columns(

@@ -8,7 +8,7 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from pipeline.errors import InputError
+from pipeline.errors import InputError, UnknownClass
 from pipeline.frame import Frame
 
 
@@ -80,7 +80,10 @@ class Proposals:
         return self.labels[int(self.label_index[i])]
 
     def take(self, index: np.ndarray) -> Proposals:
-        """The proposals at `index` ((M,) int or (N,) bool), in that order."""
+        """The proposals at `index` ((M,) int or (N,) bool), in that order; themselves where that is all of them."""
+        if index.all() if index.dtype == np.bool_ else np.array_equal(index, np.arange(len(self))):
+            # The masks of one answer are megabytes, and most answers are taken whole.
+            return self
         return Proposals(
             self.boxes[index],
             self.scores[index],
@@ -138,13 +141,13 @@ class Detector(Protocol):
         ...
 
 
-def unknown_class(label: str, names: Sequence[str], where: str) -> InputError:
+def unknown_class(label: str, names: Sequence[str], where: str) -> UnknownClass:
     """The error for a class name that a detector of limited vocabulary does not know."""
     from pipeline.naming import suggest
 
     close = suggest(label, names)
     hint = f"did you mean {' or '.join(repr(c) for c in close)}?" if close else "known: " + listed(names)
-    return InputError(f"{where} does not know the class {label!r}", cause=hint)
+    return UnknownClass(f"{where} does not know the class {label!r}", cause=hint)
 
 
 def listed(names: Sequence[str], limit: int = 12) -> str:

@@ -1,37 +1,43 @@
 """The recorded output of any detector, from a JSON file or a folder of NPZ files.
 
 JSON: `{"frames": {"<frame id>": [{"label": "mug", "score": 0.9, "bbox": [x0, y0, x1, y1],
-"mask": {"size": [H, W], "counts": ...}}]}}`. A mask is COCO run-length encoding
+"mask": {"size": [H, W], "counts": ...}, "id": 3}]}}`. A mask is COCO run-length encoding
 (compressed string or list of counts) or the path of a PNG beside the file; it
 may be left out. NPZ: one file a frame, named after the frame id with "/"
 replaced by "__", with arrays boxes (N, 4), scores (N,), labels (N,) str and,
-optionally, masks (N, H, W).
+optionally, masks (N, H, W), or mask_counts (N,) of compressed run-length codes
+(empty for none) with mask_size (2,), and ids (N,) int, below 0 for none.
+
+An id says which thing a detection is of: one and the same thing, found under
+several names, has one id. Where any detection of a frame has none, each is a
+thing of its own.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+from pydantic import BaseModel, Field, FiniteFloat, TypeAdapter, ValidationError
 
 from pipeline.errors import FrameUnusable, InputError
 from pipeline.frame import Frame
+from pipeline.mask_crop import MaskCrop
 from pipeline.naming import Synonyms, match
 from pipeline.proposals.annotations import box_mask
 from pipeline.proposals.base import Proposals, no_proposals, unknown_class
+from pipeline.run_length import RunLength, decode_crop
 
+KEPT_ANSWERS = 32
+"""Answers about the frame that was asked last, kept for when the same names are asked again."""
 
-class RunLength(BaseModel):
-    """A COCO run-length encoded mask."""
-
-    model_config = ConfigDict(extra="forbid")
-    size: tuple[int, int]
-    counts: str | list[int]
+MaskCode = tuple[tuple[int, int], "str | list[int]"] | str
+"""(size, run lengths), or the name of a file."""
 
 
 class RecordedDetection(BaseModel):
@@ -41,12 +47,83 @@ class RecordedDetection(BaseModel):
     score: float = Field(ge=0, le=1)
     bbox: tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
     mask: RunLength | str | None = None
+    id: int | None = Field(default=None, ge=0, lt=2**63)
 
 
-class Recording(BaseModel):
-    """A recorded run: detections by frame id."""
+@dataclass(frozen=True)
+class FrameDetections:
+    """What is recorded of one frame, its masks as they are written.
 
-    frames: dict[str, list[RecordedDetection]]
+    Attributes
+    ----------
+    boxes : (N, 4) float32
+    scores : (N,) float32
+    names : tuple of str
+    ids : (N,) int64
+    masks : sequence of MaskCode or None, or (N, H, W) bool
+    """
+
+    boxes: np.ndarray
+    scores: np.ndarray
+    names: tuple[str, ...]
+    ids: np.ndarray
+    masks: Sequence[MaskCode | None] | np.ndarray
+
+
+class _Playback:
+    """One frame of a recording: masks are decoded when they are asked for, and only to their boxes."""
+
+    def __init__(self, frame: Frame, found: FrameDetections, read: Callable[[MaskCode, str], np.ndarray | MaskCrop]):
+        self.frame_id, self.shape = frame.id, (frame.height, frame.width)
+        self.found = found
+        self.names = np.array(found.names, dtype=np.str_)
+        self.answers: dict[tuple[str, ...] | None, Proposals] = {}
+        self._read = read
+        self._crops: dict[str, MaskCrop] = {}
+
+    def shows(self, frame: Frame) -> bool:
+        return self.frame_id == frame.id and self.shape == (frame.height, frame.width)
+
+    def proposals(self, index: np.ndarray) -> Proposals:
+        """The detections at `index` ((M,) int) with their masks."""
+        names = self.names[index].tolist()
+        vocabulary = tuple(dict.fromkeys(names))
+        has_mask = np.ones(len(index), np.bool_)
+        if isinstance(self.found.masks, np.ndarray):
+            masks = self.found.masks[index]
+        else:
+            masks = np.zeros((len(index), *self.shape), np.bool_)
+            for n, i in enumerate(index):
+                has_mask[n] = self._paint(int(i), masks[n])
+        return Proposals(
+            self.found.boxes[index],
+            self.found.scores[index],
+            np.array([vocabulary.index(n) for n in names], np.int64),
+            vocabulary,
+            masks,
+            self.found.ids[index],
+            has_mask,
+        )
+
+    def _paint(self, i: int, picture: np.ndarray) -> bool:
+        """Set the mask of a detection in an empty picture; False where it is only its box."""
+        code = self.found.masks[i]
+        if code is None:
+            picture |= box_mask(self.found.boxes[i], *self.shape)
+            return False
+        where = f"frame {self.frame_id}, detection {i}"
+        # One thing that was found under several names is decoded once.
+        known = code[1] if isinstance(code, tuple) and isinstance(code[1], str) else None
+        mask = self._crops.get(known) if known is not None else None
+        if mask is None:
+            mask = self._read(code, where)
+            if known is not None and isinstance(mask, MaskCrop):
+                self._crops[known] = mask
+        if isinstance(mask, MaskCrop):
+            mask.paint(picture)
+        else:
+            picture |= mask
+        return True
 
 
 class RecordedDetector:
@@ -72,7 +149,10 @@ class RecordedDetector:
         self.min_score = min_score
         if not self.path.exists():
             raise InputError("there is no recording of detections", path=self.path)
+        self._fingerprint = f"recorded:{self.path.resolve()}:{self.path.stat().st_mtime_ns}:{min_score}"
         self._recording = None if self.path.is_dir() else _read_json(self.path)
+        self._meanings: dict[str, tuple[str, ...]] = {}
+        self._last: _Playback | None = None
 
     @property
     def vocabulary(self) -> tuple[str, ...] | None:
@@ -81,78 +161,79 @@ class RecordedDetector:
     @cached_property
     def _names(self) -> tuple[str, ...]:
         if self._recording is not None:
-            return tuple(sorted({d.label for found in self._recording.frames.values() for d in found}))
+            return tuple(sorted({name for found in self._recording.values() for name in found.names}))
         names: set[str] = set()
         for file in sorted(self.path.glob("*.npz")):
             names.update(_read_labels(file))
         return tuple(sorted(names))
 
     def fingerprint(self) -> str:
-        return f"recorded:{self.path.resolve()}:{self.path.stat().st_mtime_ns}:{self.min_score}"
+        return self._fingerprint
 
     def detect(self, frame: Frame, labels: Sequence[str] | None) -> Proposals:
-        boxes, scores, names, masks, has_mask = self._of_frame(frame)
-        keep = scores >= self.min_score
+        playback = self._of_frame(frame)
+        key = None if labels is None else tuple(labels)
+        answer = playback.answers.pop(key, None)
+        if answer is None:
+            answer = self._answer(frame, playback, key)
+        playback.answers[key] = answer
+        if len(playback.answers) > KEPT_ANSWERS:
+            del playback.answers[next(iter(playback.answers))]
+        return answer
+
+    def _answer(self, frame: Frame, playback: _Playback, labels: tuple[str, ...] | None) -> Proposals:
+        keep = playback.found.scores >= self.min_score
         if labels is not None:
-            known = self.vocabulary or ()
-            wanted: set[str] = set()
-            for label in labels:
-                matched = match(label, known, self.synonyms)
-                if not matched:
-                    raise unknown_class(label, known, f"the recording {self.path.name}")
-                wanted.update(matched)
-            keep &= np.isin(names, list(wanted))
-        if not keep.any():
+            wanted = [name for label in labels for name in self._meant(label)]
+            keep &= np.isin(playback.names, wanted)
+        index = np.flatnonzero(keep)
+        if not len(index):
             return no_proposals(frame.height, frame.width)
-        vocabulary = tuple(dict.fromkeys(names[keep].tolist()))
-        return Proposals(
-            boxes[keep],
-            scores[keep],
-            np.array([vocabulary.index(n) for n in names[keep]], np.int64),
-            vocabulary,
-            masks[keep],
-            np.flatnonzero(keep).astype(np.int64),
-            has_mask[keep],
-        )
+        index = _each_thing_once(index, playback.found)
+        # Best first, as `top_k` wants them.
+        return playback.proposals(index[np.argsort(-playback.found.scores[index], kind="stable")])
 
-    def _of_frame(self, frame: Frame) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """boxes (N, 4), scores (N,), names (N,), masks (N, H, W), and which of the masks are more than the box."""
-        shape = (frame.height, frame.width)
-        if self._recording is None:
-            file = self.path / (frame.id.replace("/", "__") + ".npz")
-            if not file.is_file():
-                raise FrameUnusable(f"the recording has no detections for frame {frame.id}", path=file)
-            boxes, scores, names, masks = _read_npz(file)
-            has_mask = np.full(len(boxes), masks is not None)
-            if masks is None:
-                masks = np.stack([box_mask(b, *shape) for b in boxes]) if len(boxes) else np.zeros((0, *shape), bool)
-            elif masks.shape[1:] != shape:
-                raise InputError("recorded masks have another size", got=masks.shape[1:], expected=shape, path=file)
-            return boxes, scores, names, masks, has_mask
-        if frame.id not in self._recording.frames:
-            raise FrameUnusable(f"the recording has no detections for frame {frame.id}", path=self.path)
-        found = self._recording.frames[frame.id]
-        masks = [self._mask(d, shape, f"frame {frame.id}, detection {i}") for i, d in enumerate(found)]
-        return (
-            np.array([d.bbox for d in found], np.float32).reshape(-1, 4),
-            np.array([d.score for d in found], np.float32),
-            np.array([d.label for d in found], dtype=np.str_),
-            np.stack(masks) if masks else np.zeros((0, *shape), np.bool_),
-            np.array([d.mask is not None for d in found], np.bool_),
-        )
+    def _meant(self, label: str) -> tuple[str, ...]:
+        """The recorded names that a name means."""
+        meant = self._meanings.get(label)
+        if meant is None:
+            known = self.vocabulary or ()
+            meant = match(label, known, self.synonyms)
+            if not meant:
+                raise unknown_class(label, known, f"the recording {self.path.name}")
+            self._meanings[label] = meant
+        return meant
 
-    def _mask(self, detection: RecordedDetection, shape: tuple[int, int], where: str) -> np.ndarray:
-        if detection.mask is None:
-            return box_mask(np.array(detection.bbox), *shape)
-        if isinstance(detection.mask, RunLength):
+    def _of_frame(self, frame: Frame) -> _Playback:
+        if self._last is None or not self._last.shows(frame):
+            found = self._read_arrays(frame) if self._recording is None else self._recording.get(frame.id)
+            if found is None:
+                raise FrameUnusable(f"the recording has no detections for frame {frame.id}", path=self.path)
+            shape = (frame.height, frame.width)
+            self._last = _Playback(frame, found, lambda code, where: self._mask(code, shape, where))
+        return self._last
+
+    def _read_arrays(self, frame: Frame) -> FrameDetections | None:
+        file = self.path / (frame.id.replace("/", "__") + ".npz")
+        if not file.is_file():
+            raise FrameUnusable(f"the recording has no detections for frame {frame.id}", path=file)
+        found = _read_npz(file)
+        if isinstance(found.masks, np.ndarray) and found.masks.shape[1:] != (frame.height, frame.width):
+            raise InputError(
+                "recorded masks have another size",
+                got=found.masks.shape[1:],
+                expected=(frame.height, frame.width),
+                path=file,
+            )
+        return found
+
+    def _mask(self, code: MaskCode, shape: tuple[int, int], where: str) -> np.ndarray | MaskCrop:
+        if isinstance(code, tuple):
             # The size is checked before memory for it is asked for.
-            if detection.mask.size != shape:
-                raise InputError(
-                    f"{where}: the mask has another size", got=detection.mask.size, expected=shape, path=self.path
-                )
-            mask = decode_run_length(detection.mask.size, detection.mask.counts, where)
-        else:
-            mask = self._mask_file(detection.mask, where)
+            if code[0] != shape:
+                raise InputError(f"{where}: the mask has another size", got=code[0], expected=shape, path=self.path)
+            return decode_crop(code[0], code[1], where)
+        mask = self._mask_file(code, where)
         if mask.shape != shape:
             raise InputError(f"{where}: the mask has another size", got=mask.shape, expected=shape, path=self.path)
         return mask
@@ -172,60 +253,64 @@ class RecordedDetector:
         return image > 0
 
 
-def decode_run_length(size: Sequence[int], counts: str | list[int], where: str = "mask") -> np.ndarray:
-    """(H, W) bool from COCO run-length encoding, compressed or not."""
-    from pycocotools import mask as coco
-
-    height, width = int(size[0]), int(size[1])
-    if isinstance(counts, list):
-        if sum(counts) != height * width or min(counts, default=0) < 0:
-            raise InputError(f"{where}: the run lengths do not fill the mask", got=sum(counts), expected=height * width)
-        uncompressed: Any = {"size": [height, width], "counts": counts}
-        encoded: Any = coco.frPyObjects(uncompressed, height, width)
-    else:
-        encoded = {"size": [height, width], "counts": counts.encode("ascii", "replace")}
-        # The decoder trusts its input; the run lengths are checked here first.
-        if not _fills(counts, height * width):
-            raise InputError(f"{where}: the run lengths do not fill the mask", expected=f"{height * width} pixels")
-    return coco.decode(encoded).astype(np.bool_)
+def _each_thing_once(index: np.ndarray, found: FrameDetections) -> np.ndarray:
+    """The places out of `index` ((M,) int, rising) without those of a thing that has a higher score elsewhere."""
+    ids = found.ids[index]
+    if len(np.unique(ids)) == len(ids):
+        return index
+    order = np.lexsort((index, -found.scores[index], ids))
+    first = np.diff(ids[order], prepend=-1) != 0
+    return np.sort(index[order[first]])
 
 
-def _fills(counts: str, pixels: int) -> bool:
-    """Whether a compressed COCO string decodes to run lengths that sum to `pixels`."""
-    runs: list[int] = []
-    i = 0
-    while i < len(counts):
-        value, shift, more = 0, 0, True
-        while more:
-            if i >= len(counts):
-                return False
-            c = ord(counts[i]) - 48
-            if not 0 <= c < 64:
-                return False
-            value |= (c & 0x1F) << shift
-            more = bool(c & 0x20)
-            i, shift = i + 1, shift + 5
-            if not more and c & 0x10:
-                value -= 1 << shift
-        if len(runs) > 2:
-            value += runs[-2]
-        if value < 0:
-            return False
-        runs.append(value)
-    return sum(runs) == pixels
-
-
-def _read_json(path: Path) -> Recording:
+def _read_json(path: Path) -> dict[str, FrameDetections]:
     try:
-        return Recording.model_validate(json.loads(path.read_text(encoding="utf-8")))
+        content: Any = json.loads(path.read_bytes())
     except (OSError, json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise InputError("the recording is not JSON", got=str(error), path=path) from error
-    except ValidationError as error:
-        first = error.errors()[0]
-        place = ".".join(str(p) for p in first["loc"])
+    frames = content.get("frames") if isinstance(content, dict) else None
+    if not isinstance(frames, dict):
         raise InputError(
-            f"the recording does not follow the format at {place or 'the top'}", got=first["msg"], path=path
-        ) from error
+            "the recording does not follow the format at the top",
+            expected='{"frames": {"<frame id>": [...]}}',
+            path=path,
+        )
+    reader = TypeAdapter(list[RecordedDetection])
+    shared: dict[str, str] = {}
+    found: dict[str, FrameDetections] = {}
+    for frame_id in list(frames):
+        try:
+            # What was read goes, frame by frame, so that both forms never stand side by side.
+            entries = reader.validate_python(frames.pop(frame_id))
+        except ValidationError as error:
+            first = error.errors()[0]
+            place = ".".join(str(p) for p in ("frames", frame_id, *first["loc"]))
+            raise InputError(
+                f"the recording does not follow the format at {place}", got=first["msg"], path=path
+            ) from error
+        found[frame_id] = _compact(entries, shared)
+    return found
+
+
+def _compact(entries: Sequence[RecordedDetection], shared: dict[str, str]) -> FrameDetections:
+    """Detections as arrays; equal names of all frames, and equal masks of this one, stand once in memory."""
+    codes: dict[str, str] = {}
+    masks: list[MaskCode | None] = []
+    for entry in entries:
+        code = entry.mask
+        if isinstance(code, RunLength):
+            counts = code.counts
+            masks.append((code.size, codes.setdefault(counts, counts) if isinstance(counts, str) else counts))
+        else:
+            masks.append(code)
+    numbered = all(entry.id is not None for entry in entries)
+    return FrameDetections(
+        np.array([e.bbox for e in entries], np.float32).reshape(-1, 4),
+        np.array([e.score for e in entries], np.float32),
+        tuple(shared.setdefault(e.label, e.label) for e in entries),
+        np.array([e.id if numbered else i for i, e in enumerate(entries)], np.int64),
+        masks,
+    )
 
 
 def _read_labels(file: Path) -> list[str]:
@@ -237,29 +322,41 @@ def _read_labels(file: Path) -> list[str]:
         return []
 
 
-def _read_npz(file: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray | None]:
+def _read_npz(file: Path) -> FrameDetections:
     try:
         with np.load(file, allow_pickle=False) as data:
             boxes = np.asarray(data["boxes"], np.float32)
             scores = np.asarray(data["scores"], np.float32)
             labels = np.asarray(data["labels"]).astype(np.str_)
+            ids = np.asarray(data["ids"], np.int64) if "ids" in data else np.arange(len(scores))
             masks = np.asarray(data["masks"]).astype(np.bool_) if "masks" in data else None
+            counts = np.asarray(data["mask_counts"]).astype(np.str_) if "mask_counts" in data else None
+            size = np.zeros(2, np.int64) if counts is None else np.asarray(data["mask_size"], np.int64)
     except Exception as error:  # Damaged bytes fail in zipfile, zlib or NumPy, each with its own class.
         raise InputError(
             "not a recording of detections",
             got=(str(error) or type(error).__name__).splitlines()[0],
-            expected="arrays boxes, scores, labels and, optionally, masks",
+            expected="arrays boxes, scores, labels and, optionally, masks or mask_counts with mask_size, and ids",
             path=file,
         ) from error
     if boxes.size == 0:
         boxes = boxes.reshape(0, 4)
-    if boxes.ndim != 2 or boxes.shape[1] != 4 or scores.ndim != 1 or labels.ndim != 1:
+    flat = all(a.ndim == 1 for a in (scores, labels, ids, *([] if counts is None else [counts])))
+    if boxes.shape[1:] != (4,) or not flat or size.shape != (2,):
         raise InputError(
             "the arrays of a recording have the wrong shape",
-            got=f"boxes {boxes.shape}, scores {scores.shape}, labels {labels.shape}",
-            expected="(N, 4), (N,), (N,)",
+            got=f"boxes {boxes.shape}, scores {scores.shape}, labels {labels.shape}, ids {ids.shape}",
+            expected="(N, 4), (N,), (N,), (N,), and mask_counts (N,) with mask_size (2,)",
             path=file,
         )
-    if not (len(boxes) == len(scores) == len(labels) == (len(boxes) if masks is None else len(masks))):
+    codes: Sequence[MaskCode | None] | np.ndarray = [None] * len(scores)
+    if masks is not None:
+        codes = masks
+    elif counts is not None:
+        shape = (int(size[0]), int(size[1]))
+        codes = [(shape, code) if code else None for code in counts.tolist()]
+    if not (len(boxes) == len(scores) == len(labels) == len(ids) == len(codes)):
         raise InputError("the arrays of a recording differ in length", path=file)
-    return boxes, scores, labels, masks
+    if (ids < 0).any():
+        ids = np.arange(len(ids))
+    return FrameDetections(boxes, scores, tuple(labels.tolist()), ids, codes)

@@ -22,8 +22,9 @@ from pipeline.frame import Frame
 from pipeline.naming import Synonyms
 from pipeline.proposals.assignment import Segments, segment_from
 from pipeline.proposals.detector_masks import DetectorSegmenter
-from pipeline.proposals.recorded import RecordedDetector, RunLength, decode_run_length
+from pipeline.proposals.recorded import RecordedDetector
 from pipeline.proposals.segmenter import Segmenter
+from pipeline.run_length import RunLength, decode_run_length
 
 
 class CocoImage(BaseModel):

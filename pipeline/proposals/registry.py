@@ -22,7 +22,7 @@ class DetectorRequest:
     Attributes
     ----------
     model : Path or None
-        Model file, or recording.
+        Model file, recording, or options.
     class_names : tuple of str
         The dataset's class names.
     synonyms : Synonyms or None
@@ -54,6 +54,17 @@ def _yolo_seg(request: DetectorRequest) -> Detector:
     return CachedDetector(YoloSegDetector(path, synonyms=request.synonyms, min_score=request.min_score))
 
 
+def _simulated(request: DetectorRequest) -> Detector:
+    from pipeline.proposals.simulated import SimulatedDetector, read_options
+
+    if not request.class_names:
+        raise InputError("--detector simulated needs a dataset with annotations", cause="it is made of them")
+    options = None if request.model is None else read_options(request.model)
+    return SimulatedDetector(
+        options, request.class_names, synonyms=request.synonyms, min_score=request.min_score or 0.0
+    )
+
+
 def _needed(request: DetectorRequest, name: str, what: str) -> Path:
     if request.model is None:
         raise InputError(f"--detector {name} needs --model", expected=what)
@@ -64,6 +75,7 @@ DETECTORS: dict[str, Callable[[DetectorRequest], Detector]] = {
     "annotations": _annotations,
     "recorded": _recorded,
     "yolo-seg": _yolo_seg,
+    "simulated": _simulated,
 }
 
 

@@ -11,6 +11,8 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.run_length import run_lengths
+
 
 @dataclass(frozen=True)
 class MaskRuns:
@@ -29,33 +31,10 @@ class MaskRuns:
 
 
 def read_runs(code: str, height: int, width: int) -> MaskRuns | str:
-    """Area and extents of a mask, or in words why its code is none of that size.
-
-    The code is a list of run lengths, column by column, from zeros to ones and
-    back. Each number takes 5 bits a character from the lowest; from the fourth
-    on it is the difference to the one two places before (`rleToString` of the
-    COCO API).
-    """
-    raw = np.frombuffer(code.encode("utf-8"), np.uint8).astype(np.int64) - 48
-    if not len(raw):
-        return "it is empty"
-    if raw.min() < 0 or raw.max() > 63:
-        return "it has characters that no run-length code has"
-    last = (raw & 32) == 0
-    if not last[-1]:
-        return "it breaks off within a number"
-    ends = np.flatnonzero(last)
-    starts = np.concatenate([[0], ends[:-1] + 1])
-    if (ends - starts).max() > 11:
-        return "it has a number that is too long"
-    place = np.arange(len(raw)) - np.repeat(starts, ends - starts + 1)
-    value = np.add.reduceat((raw & 31) << (5 * place), starts)
-    negative = (raw[ends] & 16) != 0
-    value -= np.where(negative, np.int64(1) << (5 * (ends - starts + 1)), 0)
-    counts = value.copy()
-    counts[1::2], counts[2::2] = np.cumsum(value[1::2]), np.cumsum(value[2::2])
-    if counts.min() < 0:
-        return "it has a run of negative length"
+    """Area and extents of a mask, or in words why its code is none of that size."""
+    counts = run_lengths(code)
+    if isinstance(counts, str):
+        return counts
     if counts.sum() != height * width:
         return f"it is of {int(counts.sum())} pixels, and the frame has {height * width}"
     edges = np.cumsum(counts)

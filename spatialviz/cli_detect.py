@@ -1,0 +1,153 @@
+"""The commands that record what a detector finds, and that calibrate its scores."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from tyro.conf import OmitArgPrefixes, Positional
+
+from pipeline.errors import InputError
+from spatialviz.exits import FINE, NO
+from spatialviz.options import four_numbers, print_json, warn_skipped
+
+if TYPE_CHECKING:
+    from pipeline.jobs import Source
+    from pipeline.proposals.score_calibration import ScoreCalibration
+
+
+def read_calibration(path: Path | None, forced: bool = False) -> ScoreCalibration | None:
+    """The score calibration of a file, for any detector where it is forced; None without a file."""
+    from pipeline.proposals.score_calibration import load_calibration
+
+    if path is None:
+        if forced:
+            raise InputError("--force-calibration needs --score-calibration", expected="a file to be used")
+        return None
+    calibration = load_calibration(path)
+    return calibration.for_any() if forced else calibration
+
+
+@dataclass(frozen=True)
+class DetectorOptions:
+    """Which detector is run, and how."""
+
+    detector: str | None = None
+    """annotations | recorded | yolo-seg | simulated. Default: annotations, where the dataset has them."""
+    model: Path | None = None
+    """Model file or recording for the detector, or options (TOML or JSON) of the simulated one."""
+    min_score: float | None = None
+    """Drop detections below this score. Default: the detector's own."""
+    segmenter: str | None = None
+    """depth | recorded | yolo-seg: makes masks for boxes that have none. Default: none."""
+    segmenter_model: Path | None = None
+    """Model file or recording for the segmenter; depth needs none."""
+    k: int = 10
+    """Proposals of each name."""
+    frames: str = "all"
+    """all, FROM:TO by index (FROM is in, TO is not), or a frame's id or index."""
+    synonyms: Path | None = None
+    """A JSON file with more synonyms."""
+    intrinsics: str | None = None
+    """fx,fy,cx,cy in pixels, for recordings without a camera file."""
+    depth_scale: float | None = None
+    """Depth units in one metre (1000 for millimetres), for recordings without a camera file."""
+
+    def open(self, dataset: str) -> tuple[Source, tuple[str, ...]]:
+        """The dataset with the detector, and the frames that are meant."""
+        from pipeline.ask import AskConfig
+        from pipeline.jobs import frame_range, open_source
+
+        source = open_source(
+            dataset,
+            intrinsics=four_numbers(self.intrinsics),
+            depth_scale=self.depth_scale,
+            detector=self.detector,
+            model=self.model,
+            min_score=self.min_score,
+            segmenter=self.segmenter,
+            segmenter_model=self.segmenter_model,
+            srm="rule",
+            synonyms=self.synonyms,
+            config=AskConfig(k=self.k),
+        )
+        return source, frame_range(source.dataset, self.frames)
+
+
+@dataclass(frozen=True)
+class Detect:
+    """Run a detector over a dataset and record what it finds, for --detector recorded."""
+
+    dataset: Positional[str]
+    """Dataset folder, or "demo"."""
+    out: Path
+    """A JSON file (NAME.json), or a folder, new or empty, for one NPZ file a frame: better for many frames."""
+    source: OmitArgPrefixes[DetectorOptions] = DetectorOptions()
+    classes: tuple[str, ...] = ()
+    """Names to ask for, each by itself. Default: the dataset's classes; without any, all that the detector knows."""
+    json: bool = False
+    """Print one JSON object."""
+
+    def run(self) -> int:
+        from pipeline.proposals.recording import record_detections
+        from spatialviz.printing import rate_bar
+
+        source, frame_ids = self.source.open(self.dataset)
+        names = self.classes or source.dataset.class_names or None
+        with rate_bar("detecting", "frames") as advance:
+            report = record_detections(source, self.out, names, advance, frame_ids=frame_ids)
+        for frame_id, reason in report.skipped.items():
+            warn_skipped(frame_id, reason)
+        if self.json:
+            print_json(
+                {
+                    "frames": report.frames,
+                    "detections": report.detections,
+                    "skipped": report.skipped,
+                    "unknown": list(report.unknown),
+                    "seconds": round(report.seconds, 3),
+                }
+            )
+        else:
+            print(f"{report.detections} detections in {report.frames} frames, {report.seconds:.1f} s -> {self.out}")
+            if report.unknown:
+                print("not known to the detector: " + ", ".join(report.unknown))
+        return FINE
+
+
+@dataclass(frozen=True)
+class Calibrate:
+    """Fit what a detector's scores mean on annotated frames that it was not trained on, and show the effect."""
+
+    dataset: Positional[str]
+    """Dataset folder with annotations, or "demo"."""
+    out: Path
+    """JSON file to write, for --score-calibration."""
+    source: OmitArgPrefixes[DetectorOptions] = DetectorOptions()
+    names: Literal["frame", "dataset"] = "frame"
+    """Ask each frame for the classes that are in it, as expressions about it do, or for all of the dataset's."""
+    json: bool = False
+    """Print one JSON object."""
+
+    def run(self) -> int:
+        from pipeline.proposals.score_calibration import annotated_names, calibrate_scores, save_calibration
+        from spatialviz.printing import rate_bar
+        from spatialviz.printing_calibration import print_calibration
+
+        source, frame_ids = self.source.open(self.dataset)
+        everything = source.dataset.class_names
+        with rate_bar("detecting", "frames") as advance:
+            calibration, report = calibrate_scores(
+                source,
+                frame_ids,
+                annotated_names if self.names == "frame" else lambda frame: everything,
+                progress=advance,
+                skipped=warn_skipped,
+            )
+        save_calibration(calibration, self.out, report)
+        if self.json:
+            print_json({"a": calibration.a, "b": calibration.b, "detector": calibration.detector, **report})
+        else:
+            print_calibration(calibration, report, self.out)
+        return FINE if report["fitted"] else NO
