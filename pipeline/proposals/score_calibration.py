@@ -20,12 +20,12 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from pipeline.boxes import iou_2d
 from pipeline.errors import InputError, UnknownClass
+from pipeline.evaluation.calibration_metrics import expected_calibration_error
 from pipeline.frame import Frame
 from pipeline.proposals.annotations import AnnotationDetector
 from pipeline.proposals.base import Detector
 from pipeline.proposals.selection import top_k
 from pipeline.srm.calibration import FEWEST_POSITIVES, IDENTITY, Platt, fit_platt, sigmoid
-from pipeline.srm.evaluation import expected_calibration_error
 
 if TYPE_CHECKING:
     from pipeline.jobs import Source
