@@ -293,6 +293,8 @@ class Export:
             )
         for note in report.notes:
             print(f"spatialviz: {note}", file=sys.stderr)
+        if self.format in ("coco", "vqa") and self.images == "none":
+            print("spatialviz: the files name images/ that are not there; --images copy writes them", file=sys.stderr)
         rows = ", ".join(f"{count} {name}" for name, count in report.rows.items())
         print(f"{rows} -> {self.out}")
         return FINE
