@@ -16,6 +16,7 @@ from pipeline.naming import Synonyms
 from pipeline.objects import FrameContext, SceneObject, all_objects
 from pipeline.proposals import Detector, Segmented, make_detector, make_segmenter
 from pipeline.srm import RelationScorer, RelationScores, make_scorer
+from pipeline.srm.appearance import appearance_of
 
 ALL_FRAMES = "all"
 Skipped = Callable[[str, str], None]
@@ -57,6 +58,10 @@ class Source:
                 path=self.dataset.root,
             )
         return self.detector
+
+    def score(self, context: FrameContext, objects: Sequence[SceneObject]) -> RelationScores:
+        """Every relation of every ordered pair of the frame's objects; InputError where the scorer lacks a class."""
+        return self.scorer.score([o.lifted for o in objects], context.viewer, appearance_of(objects, context.frame))
 
     def ask(self, frame: Frame | FrameContext, text: str) -> Trace:
         """Answer an expression on a frame with these models; raises as `pipeline.ask.ask`."""
@@ -217,5 +222,5 @@ def relate_frames(source: Source, key: str | int | None, skipped: Skipped | None
         except FrameUnusable as error:
             _skip_or_raise(error, key, context.frame.id, skipped)
             continue
-        scores = source.scorer.score([o.lifted for o in objects], context.viewer)
+        scores = source.score(context, objects)
         yield FrameRelations(context.frame.id, objects, scores, detector.exact)

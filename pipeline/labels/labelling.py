@@ -21,6 +21,7 @@ from pipeline.labels.tables import PART_TABLES, Columns
 from pipeline.lifting import LiftedObject
 from pipeline.objects import FrameContext, SceneObject
 from pipeline.relations import PAIRWISE
+from pipeline.srm.appearance import appearance_of
 from pipeline.srm.model import OnnxScorer
 from pipeline.viewer import ViewerAxes
 
@@ -82,7 +83,8 @@ def label_objects(
     lifted = [objects[k].lifted for k in related]
     judged = judge_objects(lifted, context.viewer, config)
     if network is not None:
-        judged = doubted(judged, network, lifted, context.viewer)
+        seen = appearance_of([objects[k] for k in related], frame)
+        judged = doubted(judged, network, lifted, context.viewer, seen)
     ids = [numbers[k] for k in related]
     up_source = str(context.viewer.up_source)
     return FrameLabels(
