@@ -13,7 +13,8 @@ from pipeline.errors import InputError, MissingExtra
 from pipeline.relations import DIRECTIONAL
 from pipeline.srm.features import FEATURES
 from pipeline.srm.model import OnnxScorer
-from pipeline.srm.train import TrainConfig, require_training, save_onnx, train_srm, write_onnx
+from pipeline.srm.onnx_file import save_onnx, write_onnx
+from pipeline.srm.train import TrainConfig, require_training, train_srm
 from pipeline.srm.training_data import (
     FrameSamples,
     degraded,

@@ -20,7 +20,8 @@ from pipeline.srm.calibration import fit_calibration
 from pipeline.srm.evaluation import clear_cut_report, evaluate
 from pipeline.srm.model import OnnxScorer
 from pipeline.srm.scorer import rule_probabilities
-from pipeline.srm.train import TrainConfig, require_training, save_onnx, train_srm
+from pipeline.srm.onnx_file import save_onnx
+from pipeline.srm.train import TrainConfig, require_training, train_srm
 from pipeline.srm.training_data import SCALES, FrameSamples, make_split, room_seeds, with_other_sizes
 
 Progress = Callable[[str, int, int], None]
