@@ -71,6 +71,57 @@ def evaluate(
     return report
 
 
+def evaluate_classes(
+    probabilities: Sequence[np.ndarray], truth: Sequence[np.ndarray], prior: Sequence[float], vocabulary: Sequence[str]
+) -> dict[str, Any]:
+    """Every figure of a network that says which one relation fits a pair.
+
+    Parameters
+    ----------
+    probabilities : sequence of (N, N, R) float
+        Of each view, softmax over the vocabulary, the prior not divided out.
+    truth : sequence of (N, N) int
+        Place of the one true relation; -1 for pairs that take no part.
+    prior : sequence of float
+        Share of each class in training.
+    vocabulary : sequence of str
+
+    Returns
+    -------
+    dict
+        `pairs`, `top1`, `top2`, `top1_prior_divided` (argmax of p / prior),
+        `mean_recall` over classes that occur, `most_frequent` (what always
+        saying the most frequent class gets), `log_loss`, `ece` of the
+        probability of the answer, and `relations` (name -> precision, recall, f1, positives).
+    """
+    rows = [(p[t >= 0], t[t >= 0]) for p, t in zip(probabilities, truth, strict=True)]
+    p = np.concatenate([np.zeros((0, len(vocabulary))), *(p for p, _ in rows)])
+    t = np.concatenate([np.zeros(0, np.int64), *(t for _, t in rows)]).astype(np.int64)
+    said = p.argmax(axis=1)
+    second = np.argsort(-p, axis=1, kind="stable")[:, :2]
+    relations = {}
+    for k, name in enumerate(vocabulary):
+        hit, answered, asked = ((said == k) & (t == k)).sum(), (said == k).sum(), (t == k).sum()
+        relations[name] = {
+            "precision": _share(hit, answered),
+            "recall": _share(hit, asked),
+            "f1": _share(2 * hit, answered + asked),
+            "positives": int(asked),
+        }
+    own = p[np.arange(len(t)), t]
+    return {
+        "pairs": len(t),
+        "relations": relations,
+        "top1": _share((said == t).sum(), len(t)),
+        "top2": _share((second == t[:, None]).any(axis=1).sum(), len(t)),
+        "top1_prior_divided": _share(((p / np.asarray(prior)).argmax(axis=1) == t).sum(), len(t)),
+        "mean_recall": float(np.mean([r["recall"] for r in relations.values() if r["positives"]] or [0.0])),
+        "most_frequent": _share(np.bincount(t, minlength=1).max(), len(t)),
+        "log_loss": _share(-np.log(np.maximum(own, 1e-12)).sum(), len(t)),
+        "ece": expected_calibration_error(p.max(axis=1), said == t) if len(t) else 0.0,
+    }
+
+
 def _cells(views: Sequence[np.ndarray]) -> np.ndarray:
     """(pairs, 6) of all views, the diagonals left out."""
     rows = [view[~np.eye(len(view), dtype=np.bool_)] for view in views]

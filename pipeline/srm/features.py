@@ -23,6 +23,17 @@ from pipeline.viewer import ViewerAxes
 LANGUAGE = "+lang"
 """What the name of a contract with class names ends with."""
 
+CLI_FEATURES = {
+    "2d": "geom2d8",
+    "2d+lang": "geom2d8+lang",
+    "3d": "paper30",
+    "3d+lang": "paper30+lang",
+    "canon": "canon30",
+    "rel14": "rel14",
+    "rel14+lang": "rel14+lang",
+}
+"""Contracts by the names that the command line gives them: the paper's 2D-Geom, 3D-Geom and so on."""
+
 _AXES = ("right", "up", "forward")
 
 
@@ -82,6 +93,11 @@ def feature_set(name: str, language: int = 0) -> FeatureSet:
     if language < 1:
         raise InputError(f"the feature contract {name} needs vectors of class names", expected="a file of text vectors")
     return _with_language(FEATURES[base], language)
+
+
+def cli_features(name: str) -> str:
+    """What the command line calls a contract."""
+    return next((short for short, full in CLI_FEATURES.items() if full == name), name)
 
 
 def geometry_of(name: str) -> str:
