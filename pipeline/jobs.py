@@ -88,13 +88,15 @@ def open_source(
     segmenter: str | None = None,
     segmenter_model: Path | None = None,
     srm: str | Path = "trained",
+    vectors: Path | None = None,
     synonyms: Path | None = None,
     config: AskConfig | None = None,
 ) -> Source:
     """Open a dataset and the models for it; the path "demo" is the built-in one.
 
     `segmenter` makes masks for boxes that have none ("depth", "recorded", "yolo-seg"); by default there is none.
-    `srm` is "trained" (the shipped network), "rule", or the path of a network that `spatialviz train` wrote.
+    `srm` is "trained" (the shipped network), "rule", or the path of a network that `spatialviz train` wrote;
+    `vectors` the file of text vectors it was trained with, for classes it was not trained on.
 
     Raises
     ------
@@ -121,7 +123,7 @@ def open_source(
     if segmenter is not None:
         masks = make_segmenter(segmenter, model=segmenter_model, synonyms=table)
         found = None if found is None else Segmented(found, masks)
-    return Source(dataset, found, make_scorer(srm), config or AskConfig(), table)
+    return Source(dataset, found, make_scorer(srm, vectors), config or AskConfig(), table)
 
 
 def open_sources(path: str | Path, **options: Any) -> tuple[dict[str, Source], dict[str, str]]:

@@ -17,6 +17,7 @@ from tyro.conf import OmitArgPrefixes, Positional, subcommand
 from pipeline import __version__
 from pipeline.errors import InputError, MissingExtra
 from spatialviz.cli_labels import BenchLabel, Check, Export, Label, Merge
+from spatialviz.cli_training import Train
 from spatialviz.exits import BAD, FINE, INTERRUPTED, NO
 from spatialviz.options import four_numbers, print_json, warn_skipped
 
@@ -39,6 +40,8 @@ class SourceOptions:
     """Model file or recording for the segmenter; depth needs none."""
     srm: str = "trained"
     """What scores relations: trained (the network that comes with the program) | rule | an ONNX file."""
+    vectors: Path | None = None
+    """The text vectors that the relation network was trained with, for class names it was not trained on."""
     box: Literal["gravity", "pca"] = "gravity"
     """How 3D boxes are fitted: upright, or the paper's PCA box."""
     k: int = 10
@@ -64,6 +67,7 @@ class SourceOptions:
             "segmenter": self.segmenter,
             "segmenter_model": self.segmenter_model,
             "srm": self.srm,
+            "vectors": self.vectors,
             "synonyms": self.synonyms,
             "config": AskConfig(k=self.k, lift=LiftConfig(box=self.box)),
         }
@@ -293,48 +297,6 @@ class Context:
             print_json(record)
         else:
             print(f"{mesh.frames} frames around {frame.id}: {len(mesh.faces)} faces -> {self.out}")
-        return FINE
-
-
-@dataclass(frozen=True)
-class Train:
-    """Train a relation network on rendered rooms, calibrate it, and measure it on rooms it has not seen."""
-
-    out: Positional[Path]
-    """ONNX file to write; its card goes beside it as JSON."""
-    rooms: int = 300
-    """Rooms in all: 7 in 10 to learn from, 1 to calibrate, 2 to measure."""
-    views: int = 3
-    """Views of each room."""
-    seed: int = 0
-    """The same seed gives the same network."""
-    features: Literal["rel14", "paper30", "canon30"] = "rel14"
-    """What the network is given of a pair."""
-    epochs: int = 10
-    width: int = 480
-    height: int = 360
-    workers: int = os.cpu_count() or 1
-    """Rooms made at once, each by a process of its own. The network does not depend on it."""
-    json: bool = False
-    """Print the card."""
-
-    def run(self) -> int:
-        from pipeline.srm.card import RoomConfig, train_on_rooms
-        from pipeline.srm.train import TrainConfig
-        from spatialviz.printing import print_training, progress_bars
-
-        with progress_bars() as advance:
-            card = train_on_rooms(
-                self.out,
-                RoomConfig(self.rooms, self.views, self.width, self.height, self.seed),
-                TrainConfig(features=self.features, epochs=self.epochs, seed=self.seed),
-                workers=self.workers,
-                progress=advance,
-            )
-        if self.json:
-            print_json(card)
-        else:
-            print_training(card, self.out)
         return FINE
 
 

@@ -1,4 +1,4 @@
-"""From a network's logits to probabilities that mean what they say: antisymmetry, then Platt's sigmoid or a temperature."""
+"""From logits to probabilities that mean what they say: antisymmetry, then Platt's sigmoid or a temperature."""
 
 from __future__ import annotations
 
@@ -150,7 +150,9 @@ def fit_calibration(
     return found
 
 
-def fit_temperature(logits: Sequence[np.ndarray], truth: Sequence[np.ndarray], vocabulary: Sequence[str]) -> dict[str, Platt]:
+def fit_temperature(
+    logits: Sequence[np.ndarray], truth: Sequence[np.ndarray], vocabulary: Sequence[str]
+) -> dict[str, Platt]:
     """One temperature for all classes, by the likelihood of held-out pairs (Guo et al. 2017, section 4.2).
 
     Parameters

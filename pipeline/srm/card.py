@@ -20,9 +20,9 @@ from pipeline.srm.calibration import fit_calibration
 from pipeline.srm.evaluation import clear_cut_report, evaluate
 from pipeline.srm.features import cli_features
 from pipeline.srm.model import OnnxScorer
-from pipeline.srm.scorer import rule_probabilities
 from pipeline.srm.onnx_file import save_onnx
-from pipeline.srm.train import TrainConfig, require_training, train_srm
+from pipeline.srm.scorer import rule_probabilities
+from pipeline.srm.train import TrainConfig, check_room_config, require_training, train_srm
 from pipeline.srm.training_data import SCALES, FrameSamples, make_split, room_seeds, with_other_sizes
 
 Progress = Callable[[str, int, int], None]
@@ -76,6 +76,7 @@ def train_on_rooms(
         torch, onnx or embreex is not installed.
     """
     rooms, config = rooms or RoomConfig(), config or TrainConfig()
+    check_room_config(config)
     out = network_path(out)
     require_training()
     tell = progress or (lambda what, done, of: None)
@@ -159,7 +160,8 @@ def _room_ranges(rooms: RoomConfig) -> dict[str, list[int]]:
 def _command(out: Path, rooms: RoomConfig, config: TrainConfig) -> str:
     return (
         f"spatialviz train rooms --out {out.name} --rooms {rooms.rooms} --views {rooms.views} --seed {rooms.seed} "
-        f"--features {cli_features(config.features)} --width {rooms.width} --height {rooms.height} --epochs {config.epochs}"
+        f"--features {cli_features(config.features)} --width {rooms.width} --height {rooms.height} "
+        f"--epochs {config.epochs}"
     )
 
 

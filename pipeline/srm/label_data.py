@@ -129,7 +129,7 @@ def read_label_data(labels: Labels, features: str, vocabulary: Sequence[str]) ->
         if not frames["ok"][place] or mine.stop - mine.start < 2:
             continue
         pose = frames["T_world_camera"][place]
-        position = None if pose is None else tuple(float(x) for x in np.asarray(pose)[[3, 7, 11]])
+        position = None if pose is None else (float(pose[3]), float(pose[7]), float(pose[11]))
         key = FrameKey(str(frames["frame"][place]), str(frames["scene"][place]), index, position)
         rows = _rows(features, objects, mine, {name: frames[name][place] for name in ("width", "height", "up")})
         known = np.isfinite(rows).all(axis=1)
@@ -264,7 +264,7 @@ def _rows(features: str, objects: dict[str, np.ndarray], mine: slice, frame: dic
     if frame["up"] is None:
         return np.full_like(rows, np.nan)
     level = viewer_axes(np.asarray(frame["up"], np.float64)).R_level_camera
-    pca = np.isfinite(parts[0]).all(axis=1)
+    pca = np.logical_and.reduce(np.isfinite(parts[0]), axis=1)
     for k in np.flatnonzero(np.isfinite(rows).all(axis=1)):
         R = level @ rows[k, 3:12].reshape(3, 3)
         box = Box3D(level @ rows[k, :3], R, rows[k, 12:])

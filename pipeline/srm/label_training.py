@@ -10,6 +10,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from pipeline.errors import InputError
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.proposals.onnx_session import file_hash
@@ -162,8 +164,8 @@ def _of_vocabulary(frames: Sequence[LabelledFrame], model: TrainedModel, data: L
     return [frame.limited_to(kept) for frame in frames]
 
 
-def _worded(scorer: OnnxScorer, frame: LabelledFrame, names: Sequence[str]) -> Any:
-    return scorer.with_words(frame.rows, [names[k] for k in frame.classes])
+def _worded(scorer: OnnxScorer, frame: LabelledFrame, names: Sequence[str]) -> np.ndarray:
+    return scorer.with_words(frame.rows, [names[int(k)] for k in frame.classes])
 
 
 def _calibrate(scorer: OnnxScorer, frames: Sequence[LabelledFrame], data: LabelData) -> dict[str, Platt]:

@@ -138,10 +138,8 @@ class OnnxScorer:
         """
         known = np.logical_and.reduce(np.isfinite(rows), axis=1)
         scaled = self._calibrated(np.where(known[:, None], rows, 0.0))
-        if self.contract.output == "softmax":
-            result = softmax(scaled - np.log(self.contract.prior))
-        else:
-            result = sigmoid(scaled)
+        softened = self.contract.output == "softmax"
+        result = softmax(scaled - np.log(self.contract.prior)) if softened else sigmoid(scaled)
         result[~(known[:, None] & known[None, :])] = 0.5
         return result
 

@@ -172,14 +172,24 @@ def train_srm(
         torch is not installed.
     """
     config = config or TrainConfig()
-    if config.vocabulary != "avd" or config.features.endswith(LANGUAGE):
-        raise InputError("rendered rooms teach the directional relations, without class names", got=config.features)
+    check_room_config(config)
     dimension = feature_set(config.features).dimension
     views = list(iterate_pairs(samples, config.features))
     features = np.concatenate([f for f, _ in views]) if views else np.zeros((0, dimension))
     states = np.concatenate([s for _, s in views]) if views else np.zeros((0, len(DIRECTIONAL)), np.int8)
     tell = None if progress is None else lambda epoch: progress(epoch.number, epoch.loss)
     return train_pairs(PairSet(features, states), config, progress=tell)
+
+
+def check_room_config(config: TrainConfig) -> None:
+    """Raise InputError unless rendered rooms can teach this."""
+    config.check()
+    if config.vocabulary != "avd" or config.features.endswith(LANGUAGE):
+        raise InputError(
+            "rendered rooms teach the six directional relations, without class names",
+            got=f"{config.features}, {config.vocabulary}",
+            expected="labels for anything else",
+        )
 
 
 def train_pairs(
@@ -220,8 +230,7 @@ def train_pairs(
     if config.output == "softmax":
         kept = _classes_with_examples(pairs.states, vocabulary)
         # A pair whose only T is a class without output has no class any more.
-        pairs, validation = (None if p is None else _only(p, kept) for p in (pairs, validation))
-        assert pairs is not None
+        pairs, validation = _only(pairs, kept), None if validation is None else _only(validation, kept)
         vocabulary = tuple(vocabulary[k] for k in kept)
         prior = _prior(pairs.states, vocabulary)
     if len(pairs) < 2:
