@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Protocol
 
 import numpy as np
 
@@ -37,6 +38,14 @@ CLI_FEATURES = {
 _AXES = ("right", "up", "forward")
 
 
+class Describe(Protocol):
+    """A row of numbers for each object."""
+
+    def __call__(
+        self, objects: Sequence[LiftedObject], viewer: ViewerAxes, appearance: Appearance | None = None
+    ) -> np.ndarray: ...
+
+
 @dataclass(frozen=True)
 class FeatureSet:
     """A feature contract.
@@ -61,7 +70,7 @@ class FeatureSet:
 
     name: str
     columns: tuple[str, ...]
-    describe: Callable[[Sequence[LiftedObject], ViewerAxes, Appearance | None], np.ndarray]
+    describe: Describe
     pair: Callable[[np.ndarray], np.ndarray]
     lengths: tuple[int, ...]
     boxes: bool = False
