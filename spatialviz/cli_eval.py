@@ -5,9 +5,11 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 from tyro.conf import OmitArgPrefixes, Positional
 
+from pipeline.errors import InputError
 from spatialviz.exits import FINE
 from spatialviz.options import print_json
 from spatialviz.source_options import SourceOptions
@@ -24,6 +26,16 @@ class Eval:
     out: Path
     """Run folder to write."""
     source: OmitArgPrefixes[SourceOptions] = SourceOptions()
+    system: Literal["pipeline", "referring", "vlm"] = "pipeline"
+    """pipeline | referring: the detector fed the whole expression | vlm: a vision-language model."""
+    vlm_url: str | None = None
+    """OpenAI-compatible server, such as http://localhost:8000/v1 (vLLM, Ollama, llama.cpp). Key: SPATIALVIZ_VLM_KEY."""
+    vlm_model: str | None = None
+    """The model's name on that server."""
+    vlm_rate: float | None = None
+    """Requests a minute at most."""
+    limit: int | None = None
+    """Only so many expressions, spread evenly."""
     name: str | None = None
     """Of the system in the tables. Default: detector and relation scorer."""
     others: tuple[Path, ...] = ()
@@ -44,10 +56,16 @@ class Eval:
     def run(self) -> int:
         from pipeline.evaluation.job import evaluate_dataset
         from pipeline.evaluation.run import EvalSpec
+        from pipeline.evaluation.whole_expression import VlmOptions
         from spatialviz.printing import rate_bar
         from spatialviz.printing_eval import print_run, run_record
 
-        spec = EvalSpec(self.dataset, str(self.labels), self.source.options())
+        vlm = None
+        if self.system == "vlm":
+            if self.vlm_url is None or self.vlm_model is None:
+                raise InputError("--system vlm needs a server and a model", expected="--vlm-url URL --vlm-model NAME")
+            vlm = VlmOptions(self.vlm_url, self.vlm_model, self.vlm_rate)
+        spec = EvalSpec(self.dataset, str(self.labels), self.source.options(), self.system, vlm, self.limit)
         with rate_bar("evaluating", "expressions") as advance:
             report = evaluate_dataset(
                 spec,

@@ -71,25 +71,25 @@ def print_label_training(card: dict[str, Any], out: Path) -> None:
         table.add_column(column, justify="right")
     for epoch in training["curve"]:
         held = epoch[metric]
-        table.add_row(str(epoch["epoch"]), f"{epoch['loss']:.4f}", "" if held is None else f"{held:.4f}")
+        table.add_row(str(epoch["epoch"]), f"{epoch['loss']:.4f}", _figure(held))
     console.print(table)
     table = Table(box=None, pad_edge=False)
     for column in ("relation", "precision", "recall", "F1", "positives"):
         table.add_column(column, justify="left" if column == "relation" else "right")
     for name, r in report["relations"].items():
-        table.add_row(name, *(f"{r[k]:.4f}" for k in ("precision", "recall", "f1")), str(r["positives"]))
+        table.add_row(name, *(_figure(r[k]) for k in ("precision", "recall", "f1")), str(r["positives"]))
     console.print(table)
     if training["output"] == "softmax":
         console.print(
-            f"top-1 {report['top1']:.4f}, top-2 {report['top2']:.4f}, top-1 with the prior divided out "
-            f"{report['top1_prior_divided']:.4f}, mean recall {report['mean_recall']:.4f}; "
-            f"always the most frequent: {report['most_frequent']:.4f}"
+            f"top-1 {_figure(report['top1'])}, top-2 {_figure(report['top2'])}, top-1 with the prior divided out "
+            f"{_figure(report['top1_prior_divided'])}, mean recall {_figure(report['mean_recall'])}; "
+            f"always the most frequent: {_figure(report['most_frequent'])}"
         )
     else:
         console.print(
-            f"micro-F1 {report['micro_f1']:.4f}, macro-F1 {report['macro_f1']:.4f}, element accuracy "
-            f"{report['element_accuracy']:.4f} (always no: {report['all_negative_accuracy']:.4f}), "
-            f"Brier {report['brier']:.4f}, ECE {report['ece']:.4f}"
+            f"micro-F1 {_figure(report['micro_f1'])}, macro-F1 {_figure(report['macro_f1'])}, element accuracy "
+            f"{_figure(report['element_accuracy'])} (always no: {_figure(report['all_negative_accuracy'])}), "
+            f"Brier {_figure(report['brier'])}, ECE {_figure(report['ece'])}"
         )
     console.print(f"weights {card['weights_xxh3_128']}")
     for warning in card["warnings"]:
@@ -111,8 +111,8 @@ def print_training(card: dict[str, Any], out: Path) -> None:
         table.add_column(column, justify="left" if column == "relation" else "right")
     for name, r in network["relations"].items():
         other = rule["relations"][name]["f1"]
-        figures = (f"{r[k]:.4f}" for k in ("precision", "recall", "f1"))
-        table.add_row(name, *figures, f"{other:.4f}", str(r["positives"]))
+        figures = (_figure(r[k]) for k in ("precision", "recall", "f1"))
+        table.add_row(name, *figures, _figure(other), str(r["positives"]))
     console.print(table)
     table = Table(box=None, pad_edge=False)
     for column in ("", "micro-F1", "macro-F1", "element accuracy", "Brier", "ECE", "clear-cut", "opposite"):
@@ -121,13 +121,13 @@ def print_training(card: dict[str, Any], out: Path) -> None:
         clear = r["clear_cut"]
         table.add_row(
             name,
-            *(f"{r[k]:.4f}" for k in ("micro_f1", "macro_f1", "element_accuracy", "brier", "ece")),
-            f"{clear['holds']:.2%}",
-            f"{clear['opposite']:.2%}",
+            *(_figure(r[k]) for k in ("micro_f1", "macro_f1", "element_accuracy", "brier", "ece")),
+            _figure(clear["holds"], ".2%"),
+            _figure(clear["opposite"], ".2%"),
         )
     bare = network["uncalibrated"]
-    table.add_row("uncalibrated", f"{bare['micro_f1']:.4f}", "", "", f"{bare['brier']:.4f}", f"{bare['ece']:.4f}")
-    table.add_row("always no", "0", "0", f"{network['all_negative_accuracy']:.4f}")
+    table.add_row("uncalibrated", _figure(bare["micro_f1"]), "", "", _figure(bare["brier"]), _figure(bare["ece"]))
+    table.add_row("always no", "0", "0", _figure(network["all_negative_accuracy"]))
     console.print(table)
     d = network["differing"]
     console.print(
@@ -135,3 +135,7 @@ def print_training(card: dict[str, Any], out: Path) -> None:
         f"network wrong {d['errors']}, rule wrong {d['rule_errors']}"
     )
     console.print(f"-> {out}, card {out.with_suffix('.json')}")
+
+
+def _figure(value: float | None, form: str = ".4f") -> str:
+    return "-" if value is None else format(value, form)

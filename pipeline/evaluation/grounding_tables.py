@@ -39,7 +39,11 @@ def full_row(name: str, records: pa.Table, config: BootstrapConfig | None = None
     """The pipeline's line of the table of systems."""
     clusters, _ = clusters_of(records)
     names = ("correct", "strict_correct", "set_correct", "iou", "set_iou", "reference_correct", "pair_correct")
-    cells = (mean_estimate(column(records, n), clusters, config=config) for n in names)
+    cells = []
+    for measure in names:
+        values = column(records, measure)
+        # A system that gives one box has no reference to be measured by.
+        cells.append(None if np.isnan(values).all() else mean_estimate(values, clusters, config=config))
     return Row(name, (*cells, records.num_rows))
 
 
@@ -78,6 +82,8 @@ def relation_table(systems: Mapping[str, pa.Table], config: BootstrapConfig | No
             (f"{name}, OPM only", (column(records, "opm_set_iou") >= HIT).astype(np.float64)),
             (name, column(records, "set_correct")),
         ):
+            if label != name and records.column("opm_iou").null_count == records.num_rows:
+                continue
             cells: list[Estimate] = []
             for r in relations:
                 own = relation == r
@@ -97,6 +103,8 @@ def stages_table(systems: Mapping[str, pa.Table]) -> Table:
     """How many expressions get how far: what the next stage still could get right."""
     rows = []
     for name, records in systems.items():
+        if records.column("opm_iou").null_count == records.num_rows:
+            continue
         found = column(records, "target_rank")
         reference = column(records, "reference_rank")
         cells = (

@@ -101,7 +101,12 @@ def evaluate_dataset(
         need_plots()
     source, labels = spec.open()
     detector = source.needed_detector()
-    name = name or f"{detector.name} + {source.scorer.name}"
+    if name is None:
+        name = {
+            "pipeline": f"{detector.name} + {source.scorer.name}",
+            "referring": f"{detector.name}, whole expression",
+            "vlm": f"VLM {spec.vlm.model}" if spec.vlm else "VLM",
+        }[spec.system]
     with staged_folder(out, overwrite=overwrite, mark=RUN_FILE) as folder:
         count = write_records(
             evaluate_labels(spec, workers=workers, progress=progress), folder / "records.parquet"
@@ -135,6 +140,9 @@ def evaluate_dataset(
                            "content_hash": labels.manifest.tables["expressions"].content_hash},
                 "detector": f"{detector.name}: {detector.fingerprint()}",
                 "scorer": source.scorer.name,
+                "system": spec.system,
+                "vlm": None if spec.vlm is None else {"url": spec.vlm.url, "model": spec.vlm.model},
+                "limit": spec.limit,
                 "config": plain,
                 "config_hash": canonical_hash(plain),
                 "expressions": count,
@@ -152,7 +160,9 @@ def make_tables(systems: dict[str, pa.Table], bootstrap: BootstrapConfig | None 
     first = next(iter(systems.values()))
     rows = []
     for name, records in systems.items():
-        rows += [opm_row(f"{name}: OPM only", records, bootstrap), full_row(name, records, bootstrap)]
+        if records.column("opm_iou").null_count < records.num_rows:
+            rows.append(opm_row(f"{name}: OPM only", records, bootstrap))
+        rows.append(full_row(name, records, bootstrap))
     unit = clusters_of(first)[1]
     grounding = systems_table([*rows, *reported_rows()], unit)
     return [grounding, relation_table(systems, bootstrap), stages_table(systems)]

@@ -6,9 +6,9 @@ import multiprocessing
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
@@ -16,6 +16,7 @@ from pipeline.errors import InputError
 from pipeline.evaluation.answering import FrameAnswers
 from pipeline.evaluation.cases import FrameCases, read_cases
 from pipeline.evaluation.records import COLUMNS, read_query, record, records_schema
+from pipeline.evaluation.whole_expression import Referring, Vlm, VlmOptions, WholeExpression, record_whole
 from pipeline.expression import Query
 from pipeline.jobs import Source, open_source
 from pipeline.labels.local import one_thread, threads_in_children
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 FRAMES_A_BLOCK = 24
+System = Literal["pipeline", "referring", "vlm"]
 Progress = Callable[[int, int], None]
 """Called with (expressions done, expressions in all)."""
 
@@ -40,11 +42,20 @@ class EvalSpec:
     labels : str
     options : dict
         Arguments of `jobs.open_source`: detector, model, srm, config, ...
+    system : str
+        "pipeline"; "referring", the detector fed the whole expression; or "vlm".
+    vlm : VlmOptions or None
+        The model behind the system "vlm".
+    limit : int or None
+        Only so many expressions, spread evenly over the frames.
     """
 
     dataset: str
     labels: str
     options: dict[str, Any] = field(default_factory=dict)
+    system: System = "pipeline"
+    vlm: VlmOptions | None = None
+    limit: int | None = None
 
     def open(self) -> tuple[Source, Labels]:
         """The dataset with its models, and the labels."""
@@ -62,6 +73,14 @@ class Evaluator:
     def __init__(self, spec: EvalSpec) -> None:
         self.source, self.labels = spec.open()
         self.class_names = class_names_of(self.labels)
+        self.whole: WholeExpression | None = None
+        if spec.system == "referring":
+            self.whole = Referring(self.source.needed_detector())
+        elif spec.system == "vlm":
+            if spec.vlm is None:
+                raise InputError("no model is named", expected="the address of a server and a model")
+            self.whole = Vlm(spec.vlm)
+        self._chosen = chosen_ids(self.labels, spec.limit)
         self._parsed: dict[str, tuple[Query | None, str | None]] = {}
 
     def frame(self, truth: FrameCases) -> list[dict[str, Any]]:
@@ -72,7 +91,16 @@ class Evaluator:
         InputError
             The dataset has no such frame, or it cannot be used any more.
         """
-        context = FrameContext(self.source.dataset.load(truth.frame), self.source.config.lift)
+        if self._chosen is not None:
+            kept = tuple(c for c in truth.cases if (truth.frame_index, c.id) in self._chosen)
+            truth = replace(truth, cases=kept)
+        if not truth.cases:
+            return []
+        frame = self.source.dataset.load(truth.frame)
+        if self.whole is not None:
+            pointed = self.whole.point(frame, [case.text for case in truth.cases])
+            return [record_whole(c, truth, p) for c, p in zip(truth.cases, pointed, strict=True)]
+        context = FrameContext(frame, self.source.config.lift)
         names = dict.fromkeys(name for case in truth.cases for name in (case.target, case.reference))
         answers = FrameAnswers(self.source, context, tuple(names))
         rows = []
@@ -93,6 +121,18 @@ def class_names_of(labels: Labels) -> tuple[str, ...]:
 
     column = pq.read_table(labels.root / "objects.parquet", columns=["label"]).column("label")
     return tuple(sorted(column.unique().to_pylist()))
+
+
+def chosen_ids(labels: Labels, limit: int | None) -> set[tuple[int, str]] | None:
+    """Which expressions are asked under a limit, evenly over all of them; None for all."""
+    import pyarrow.parquet as pq
+
+    if limit is None:
+        return None
+    rows = pq.read_table(labels.root / "expressions.parquet", columns=["frame_index", "id"])
+    at = np.unique(np.linspace(0, rows.num_rows - 1, min(max(limit, 1), rows.num_rows)).astype(int))
+    chosen = rows.take(at)
+    return set(zip(chosen.column("frame_index").to_pylist(), chosen.column("id").to_pylist(), strict=True))
 
 
 def table_of(rows: Sequence[dict[str, Any]]) -> pa.Table:
@@ -133,7 +173,9 @@ def evaluate_labels(spec: EvalSpec, *, workers: int = 1, progress: Progress | No
     blocks = blocks_of(labels)
     if not blocks:
         raise InputError("these labels have no expressions", path=labels.root)
-    total = labels.manifest.counts["expressions"]
+    total = min(labels.manifest.counts["expressions"], spec.limit or labels.manifest.counts["expressions"])
+    # A server is asked by threads of one process.
+    workers = 1 if spec.system == "vlm" else workers
     done = 0
     for table in _tables(spec, blocks, workers):
         done += table.num_rows

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
+from math import inf
 from typing import Any, Literal
 
 from pipeline.errors import InputError
@@ -100,6 +101,9 @@ class SelectConfig:
     balance : float or None
         No relation has more than so many times the expressions of the rarest
         one; None keeps the relations as they come.
+    telling : bool
+        Leave out what is true of every object of the target's class, where there
+        are several: such a sentence tells nothing apart.
     seed : int
     """
 
@@ -107,14 +111,15 @@ class SelectConfig:
     per_frame: int | None = 40
     balance: float | None = 3.0
     seed: int = 0
+    telling: bool = True
 
     def __post_init__(self) -> None:
         for name in ("total", "per_frame"):
             value = getattr(self, name)
             if value is not None and value < 1:
                 raise InputError(f"{name} must be at least 1", got=value)
-        if self.balance is not None and not self.balance >= 1:
-            raise InputError("balance must be at least 1", got=self.balance)
+        if self.balance is not None and not 1 <= self.balance < inf:
+            raise InputError("balance must be a number of at least 1", got=self.balance)
 
     def record(self) -> dict[str, Any]:
         return asdict(self)

@@ -55,7 +55,9 @@ def check_target(out: Path, *, overwrite: bool, mark: str = MARK) -> None:
         return
     if not (out / mark).is_file():
         raise InputError(
-            "the folder is not empty, and holds nothing that may be replaced", expected="a new or empty folder", path=out
+            "the folder is not empty, and holds nothing that may be replaced",
+            expected="a new or empty folder",
+            path=out,
         )
     if not overwrite:
         raise InputError("the folder is not empty", expected="another folder, or to overwrite it", path=out)
