@@ -19,6 +19,7 @@ from pipeline.proposals.base import Detector, Proposals
 from pipeline.proposals.score_calibration import ScoreCalibration
 from pipeline.proposals.selection import top_k
 from pipeline.ranking import Candidates, RankConfig, Ranking, RelationLookup, rank
+from pipeline.srm.appearance import appearance_of
 from pipeline.srm.scorer import (
     RelationScorer,
     RelationScores,
@@ -153,7 +154,7 @@ def ask(
     with _timed(timings, "lift"):
         objects, candidates = merged(context, detector, found, calibration)
     with _timed(timings, "srm"):
-        scores = scorer.score([o.lifted for o in objects], context.viewer)
+        scores = scorer.score([o.lifted for o in objects], context.viewer, appearance_of(objects, context.frame))
     missing = tuple(name for name in names if not len(candidates[name].index))
     ranking = None
     if not missing:

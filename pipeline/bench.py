@@ -12,6 +12,7 @@ from pipeline.errors import InputError
 from pipeline.jobs import Source, contexts
 from pipeline.lifting import depth_edges, lift
 from pipeline.objects import FrameContext, all_objects
+from pipeline.srm.appearance import Appearance, appearance_of
 from pipeline.viewer import level_plane
 
 MAX_FRAMES = 8
@@ -39,6 +40,7 @@ def bench_source(source: Source, repeat: int = 5) -> dict[str, Any]:
         frame, viewer = context.frame, context.viewer
         found = all_objects(context, detector)
         lifted = [o.lifted for o in found]
+        seen = appearance_of(found, frame)
         objects += len(found)
         width, height = frame.width, frame.height
         masks = [o.mask for o in found]
@@ -50,7 +52,7 @@ def bench_source(source: Source, repeat: int = 5) -> dict[str, Any]:
             "lift": lambda f=frame, m=masks, v=viewer, e=context.edges: lift(
                 f.depth, f.camera, m, v, config=source.config.lift, edges=e
             ),
-            "relations": lambda k=lifted, v=viewer: source.scorer.score(k, v),
+            "relations": lambda k=lifted, v=viewer, s=seen: source.scorer.score(k, v, s),
             "frame context": lambda f=frame: FrameContext(f, source.config.lift),
         }
         for name, job in stages.items():
@@ -58,8 +60,8 @@ def bench_source(source: Source, repeat: int = 5) -> dict[str, Any]:
         if len(lifted) > 1:
             loops.append(
                 (
-                    _fastest(lambda k=lifted, v=viewer: source.scorer.score(k, v), repeat),
-                    _fastest(lambda k=lifted, v=viewer: _pair_by_pair(source, k, v), 1),
+                    _fastest(lambda k=lifted, v=viewer, s=seen: source.scorer.score(k, v, s), repeat),
+                    _fastest(lambda k=lifted, v=viewer, s=seen: _pair_by_pair(source, k, v, s), 1),
                 )
             )
     if not frames:
@@ -97,7 +99,7 @@ def _whole_cloud(frame: Any) -> np.ndarray:
     return backproject(frame.depth, frame.camera, v, u)
 
 
-def _pair_by_pair(source: Source, lifted: list, viewer: Any) -> None:
+def _pair_by_pair(source: Source, lifted: list, viewer: Any, seen: Appearance) -> None:
     for i, a in enumerate(lifted):
-        for b in lifted[:i]:
-            source.scorer.score([a, b], viewer)
+        for j, b in enumerate(lifted[:i]):
+            source.scorer.score([a, b], viewer, seen.take([i, j]))

@@ -17,6 +17,7 @@ from pipeline.naming import Synonyms
 from pipeline.objects import FrameContext, SceneObject, all_objects
 from pipeline.proposals import Detector, Segmented, make_detector, make_segmenter
 from pipeline.srm import RelationScorer, RelationScores, make_scorer
+from pipeline.srm.appearance import appearance_of
 
 ALL_FRAMES = "all"
 Skipped = Callable[[str, str], None]
@@ -59,6 +60,10 @@ class Source:
             )
         return self.detector
 
+    def score(self, context: FrameContext, objects: Sequence[SceneObject]) -> RelationScores:
+        """Every relation of every ordered pair of the frame's objects; InputError where the scorer lacks a class."""
+        return self.scorer.score([o.lifted for o in objects], context.viewer, appearance_of(objects, context.frame))
+
     def ask(self, frame: Frame | FrameContext, text: str) -> Trace:
         """Answer an expression on a frame with these models; raises as `pipeline.ask.ask`."""
         detector = self.needed_detector()
@@ -84,13 +89,15 @@ def open_source(
     segmenter: str | None = None,
     segmenter_model: Path | None = None,
     srm: str | Path = "trained",
+    vectors: Path | None = None,
     synonyms: Path | None = None,
     config: AskConfig | None = None,
 ) -> Source:
     """Open a dataset and the models for it; the path "demo" is the built-in one.
 
     `segmenter` makes masks for boxes that have none ("depth", "recorded", "yolo-seg"); by default there is none.
-    `srm` is "trained" (the shipped network), "rule", or the path of a network that `spatialviz train` wrote.
+    `srm` is "trained" (the shipped network), "rule", or the path of a network that `spatialviz train` wrote;
+    `vectors` the file of text vectors it was trained with, for classes it was not trained on.
 
     Raises
     ------
@@ -121,7 +128,7 @@ def open_source(
     config = config or AskConfig()
     if config.score_calibration is not None and found is not None:
         config.score_calibration.check(found)
-    return Source(dataset, found, make_scorer(srm), config, table)
+    return Source(dataset, found, make_scorer(srm, vectors), config, table)
 
 
 def open_sources(path: str | Path, **options: Any) -> tuple[dict[str, Source], dict[str, str]]:
@@ -239,5 +246,5 @@ def relate_frames(source: Source, key: str | int | None, skipped: Skipped | None
         except FrameUnusable as error:
             _skip_or_raise(error, key, context.frame.id, skipped)
             continue
-        scores = source.scorer.score([o.lifted for o in objects], context.viewer)
+        scores = source.score(context, objects)
         yield FrameRelations(context.frame.id, objects, scores, detector.exact)

@@ -9,79 +9,23 @@ import traceback
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal, Union
+from typing import TYPE_CHECKING, Annotated, Literal, Union
 
 import tyro
 from tyro.conf import OmitArgPrefixes, Positional, subcommand
 
 from pipeline import __version__
 from pipeline.errors import InputError, MissingExtra
-from spatialviz.cli_detect import Calibrate, Detect, read_calibration
+from spatialviz.cli_detect import Calibrate, Detect
+from spatialviz.cli_eval import Eval
 from spatialviz.cli_labels import BenchLabel, Check, Export, Label, Merge
+from spatialviz.cli_training import Train
 from spatialviz.exits import BAD, FINE, INTERRUPTED, NO
 from spatialviz.options import four_numbers, print_json, warn_skipped
+from spatialviz.source_options import SourceOptions
 
 if TYPE_CHECKING:
-    from pipeline.jobs import Source
-
-@dataclass(frozen=True)
-class SourceOptions:
-    """What is opened, and with which models."""
-
-    detector: str | None = None
-    """annotations | recorded | yolo-seg | simulated. Default: annotations, where the dataset has them."""
-    model: Path | None = None
-    """Model file or recording for the detector, or options (TOML or JSON) of the simulated one."""
-    min_score: float | None = None
-    """Drop detections below this score. Default: the detector's own."""
-    segmenter: str | None = None
-    """Makes masks for boxes that have none: depth | recorded | yolo-seg. Default: none, the whole box is lifted."""
-    segmenter_model: Path | None = None
-    """Model file or recording for the segmenter; depth needs none."""
-    srm: str = "trained"
-    """What scores relations: trained (the network that comes with the program) | rule | an ONNX file."""
-    box: Literal["gravity", "pca"] = "gravity"
-    """How 3D boxes are fitted: upright, or the paper's PCA box."""
-    k: int = 10
-    """Proposals that go on for each name."""
-    score_calibration: Path | None = None
-    """What `spatialviz calibrate` wrote for this detector: its scores become probabilities before pairs are ranked."""
-    force_calibration: bool = False
-    """Use it although it was fitted for another detector or setting."""
-    synonyms: Path | None = None
-    """A JSON file with more synonyms."""
-    intrinsics: str | None = None
-    """fx,fy,cx,cy in pixels, for recordings without a camera file."""
-    depth_scale: float | None = None
-    """Depth units in one metre (1000 for millimetres), for recordings without a camera file."""
-
-    def options(self) -> dict[str, Any]:
-        """The same as arguments of `pipeline.jobs.open_source`."""
-        from pipeline.ask import AskConfig
-        from pipeline.lifting import LiftConfig
-
-        return {
-            "intrinsics": four_numbers(self.intrinsics),
-            "depth_scale": self.depth_scale,
-            "detector": self.detector,
-            "model": self.model,
-            "min_score": self.min_score,
-            "segmenter": self.segmenter,
-            "segmenter_model": self.segmenter_model,
-            "srm": self.srm,
-            "synonyms": self.synonyms,
-            "config": AskConfig(
-                k=self.k,
-                lift=LiftConfig(box=self.box),
-                score_calibration=read_calibration(self.score_calibration, self.force_calibration),
-            ),
-        }
-
-    def open(self, dataset: str) -> Source:
-        from pipeline.jobs import open_source
-
-        return open_source(dataset, **self.options())
-
+    pass
 
 @dataclass(frozen=True)
 class View:
@@ -306,48 +250,6 @@ class Context:
 
 
 @dataclass(frozen=True)
-class Train:
-    """Train a relation network on rendered rooms, calibrate it, and measure it on rooms it has not seen."""
-
-    out: Positional[Path]
-    """ONNX file to write; its card goes beside it as JSON."""
-    rooms: int = 300
-    """Rooms in all: 7 in 10 to learn from, 1 to calibrate, 2 to measure."""
-    views: int = 3
-    """Views of each room."""
-    seed: int = 0
-    """The same seed gives the same network."""
-    features: Literal["rel14", "paper30", "canon30"] = "rel14"
-    """What the network is given of a pair."""
-    epochs: int = 10
-    width: int = 480
-    height: int = 360
-    workers: int = os.cpu_count() or 1
-    """Rooms made at once, each by a process of its own. The network does not depend on it."""
-    json: bool = False
-    """Print the card."""
-
-    def run(self) -> int:
-        from pipeline.srm.card import RoomConfig, train_on_rooms
-        from pipeline.srm.train import TrainConfig
-        from spatialviz.printing import print_training, progress_bars
-
-        with progress_bars() as advance:
-            card = train_on_rooms(
-                self.out,
-                RoomConfig(self.rooms, self.views, self.width, self.height, self.seed),
-                TrainConfig(features=self.features, epochs=self.epochs, seed=self.seed),
-                workers=self.workers,
-                progress=advance,
-            )
-        if self.json:
-            print_json(card)
-        else:
-            print_training(card, self.out)
-        return FINE
-
-
-@dataclass(frozen=True)
 class Bench:
     """Time the stages on a dataset: milliseconds a frame, and ratios measured in one run."""
 
@@ -385,6 +287,7 @@ Command = Union[
     Annotated[Train, subcommand("train")],
     Annotated[Detect, subcommand("detect")],
     Annotated[Calibrate, subcommand("calibrate")],
+    Annotated[Eval, subcommand("eval")],
     Annotated[Bench, subcommand("bench")],
     Annotated[BenchLabel, subcommand("bench-label")],
 ]

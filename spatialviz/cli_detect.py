@@ -8,25 +8,11 @@ from typing import TYPE_CHECKING, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional
 
-from pipeline.errors import InputError
 from spatialviz.exits import FINE, NO
 from spatialviz.options import four_numbers, print_json, warn_skipped
 
 if TYPE_CHECKING:
     from pipeline.jobs import Source
-    from pipeline.proposals.score_calibration import ScoreCalibration
-
-
-def read_calibration(path: Path | None, forced: bool = False) -> ScoreCalibration | None:
-    """The score calibration of a file, for any detector where it is forced; None without a file."""
-    from pipeline.proposals.score_calibration import load_calibration
-
-    if path is None:
-        if forced:
-            raise InputError("--force-calibration needs --score-calibration", expected="a file to be used")
-        return None
-    calibration = load_calibration(path)
-    return calibration.for_any() if forced else calibration
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from pathlib import Path
 from typing import Any
 
 from rich.console import Console
@@ -155,50 +154,6 @@ def print_bench(record: dict[str, Any]) -> None:
         console.print(f"  {stage:<22} {ms:8.2f} ms")
     for name, ratio in record["ratios"].items():
         console.print(f"  {name:<22} {ratio:8.2f}x")
-
-
-def print_training(card: dict[str, Any], out: Path) -> None:
-    """The figures of a trained network on rooms it has not seen, beside those of the rule and of always saying no."""
-    console = make_console()
-    network, rule = card["held_out"]["network"], card["held_out"]["rule"]
-    rooms, training = card["rooms"], card["training"]
-    console.print(
-        f"{card['name']}: {training['pairs']} pairs of {rooms['rooms']} rooms, {training['epochs']} epochs; "
-        f"held out: {network['pairs']} pairs in {card['held_out']['views']} views of other rooms"
-    )
-    table = Table(box=None, pad_edge=False)
-    for column in ("relation", "precision", "recall", "F1", "rule's F1", "positives"):
-        table.add_column(column, justify="left" if column == "relation" else "right")
-    for name, r in network["relations"].items():
-        other = rule["relations"][name]["f1"]
-        figures = (_figure(r[k]) for k in ("precision", "recall", "f1"))
-        table.add_row(name, *figures, _figure(other), str(r["positives"]))
-    console.print(table)
-    table = Table(box=None, pad_edge=False)
-    for column in ("", "micro-F1", "macro-F1", "element accuracy", "Brier", "ECE", "clear-cut", "opposite"):
-        table.add_column(column, justify="right" if column else "left")
-    for name, r in (("network", network), ("rule", rule)):
-        clear = r["clear_cut"]
-        table.add_row(
-            name,
-            *(_figure(r[k]) for k in ("micro_f1", "macro_f1", "element_accuracy", "brier", "ece")),
-            _figure(clear["holds"], ".2%"),
-            _figure(clear["opposite"], ".2%"),
-        )
-    bare = network["uncalibrated"]
-    table.add_row("uncalibrated", _figure(bare["micro_f1"]), "", "", _figure(bare["brier"]), _figure(bare["ece"]))
-    table.add_row("always no", "0", "0", _figure(network["all_negative_accuracy"]))
-    console.print(table)
-    d = network["differing"]
-    console.print(
-        f"where the rule on the noisy view and exact geometry differ ({d['cells']} cells): "
-        f"network wrong {d['errors']}, rule wrong {d['rule_errors']}"
-    )
-    console.print(f"-> {out}, card {out.with_suffix('.json')}")
-
-
-def _figure(value: float | None, form: str = ".4f") -> str:
-    return "-" if value is None else format(value, form)
 
 
 @contextmanager

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from pipeline.evaluation.intervals import Estimate
 from rich.table import Table as RichTable
 from rich.text import Text
 
 from pipeline.evaluation.compare import Comparison
+from pipeline.evaluation.intervals import Estimate
 from pipeline.evaluation.job import RunReport
 from pipeline.evaluation.tables import Cell, Table, shown
 from spatialviz.printing import make_console

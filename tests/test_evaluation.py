@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pipeline.evaluation.intervals import BootstrapConfig, Estimate
 
 from pipeline.ask import AskConfig
 from pipeline.errors import InputError
 from pipeline.evaluation.answering import FrameAnswers, alone
 from pipeline.evaluation.cases import read_cases
 from pipeline.evaluation.compare import compare, read_records
+from pipeline.evaluation.intervals import BootstrapConfig, Estimate
 from pipeline.evaluation.job import evaluate_dataset, make_tables
 from pipeline.evaluation.records import COLUMNS, HIT, overlaps, records_schema
 from pipeline.evaluation.reported import read_reported, reported_rows

@@ -134,7 +134,7 @@ def test_features_do_not_depend_on_how_the_shown_box_is_fitted() -> None:
     viewer = viewer_axes(up_of(20))
     rng = np.random.default_rng(3)
     cloud = filled_cloud(upright((0.3, 0.2, 2), (0.5, 0.3, 0.2), 30), rng, 500) @ viewer.R_level_camera
-    for contract in FEATURES.values():
+    for contract in (c for c in FEATURES.values() if not c.boxes):
         one, other = (contract.describe([lifted(cloud, viewer, mode)], viewer) for mode in ("gravity", "pca-raw"))
         np.testing.assert_array_equal(one, other)
 
@@ -144,7 +144,7 @@ def test_an_object_of_which_only_a_box_is_known_has_features() -> None:
     seen = some_objects(viewer)[0]
     assert seen.box is not None
     drawn = replace(seen, points=np.empty((0, 3), np.float32))
-    for contract in FEATURES.values():
+    for contract in (c for c in FEATURES.values() if not c.boxes):
         row = contract.describe([drawn], viewer)
         assert np.isfinite(row).all()
     np.testing.assert_array_equal(FEATURES["paper30"].describe([drawn], viewer)[0, :3], seen.box.center)
@@ -327,7 +327,7 @@ def test_scorers_by_name(tmp_path: Path) -> None:
 def written(path: Path, metadata: dict[str, str], inputs: int = 14, outputs: int = 6) -> Path:
     """A network of the given shape that says the given things about itself."""
     pytest.importorskip("onnx")
-    from pipeline.srm.train import write_onnx
+    from pipeline.srm.onnx_file import write_onnx
 
     rng = np.random.default_rng(0)
     write_onnx(path, [(rng.normal(size=(inputs, outputs)), np.zeros(outputs))], metadata)

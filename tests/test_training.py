@@ -13,7 +13,8 @@ from pipeline.errors import InputError, MissingExtra
 from pipeline.relations import DIRECTIONAL
 from pipeline.srm.features import FEATURES
 from pipeline.srm.model import OnnxScorer
-from pipeline.srm.train import TrainConfig, require_training, save_onnx, train_srm, write_onnx
+from pipeline.srm.onnx_file import save_onnx, write_onnx
+from pipeline.srm.train import TrainConfig, require_training, train_srm
 from pipeline.srm.training_data import (
     FrameSamples,
     degraded,
@@ -230,17 +231,17 @@ def test_train_writes_a_network_that_answers_and_its_card(
 
     out = tmp_path / "new" / "mine.onnx"
     small = ["--rooms", "3", "--views", "1", "--width", "200", "--height", "150", "--epochs", "3", "--workers", "1"]
-    assert main(["train", str(out), *small, "--seed", "4", "--features", "canon30"]) == 0
+    assert main(["train", "rooms", "--out", str(out), *small, "--seed", "4", "--features", "canon"]) == 0
     text = capsys.readouterr().out
     assert "always no" in text
     assert "micro-F1" in text
     card = json.loads(out.with_suffix(".json").read_text())
     assert "--seed 4" in card["command"]
-    assert "--features canon30" in card["command"]
+    assert "--features canon " in card["command"]
     assert {"train_rooms", "calibration_rooms", "test_rooms"} <= set(card["rooms"])
     assert card["held_out"]["network"]["all_negative_accuracy"] > 0.7
     assert sorted(p.name for p in out.parent.iterdir()) == ["mine.json", "mine.onnx"]
     assert main(["ask", "demo", "0", "mug left of the laptop", "--srm", str(out), "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["scorer"] == "canon30"
-    assert main(["train", str(tmp_path / "mine.pt"), *small]) == 2
+    assert main(["train", "rooms", "--out", str(tmp_path / "mine.pt"), *small]) == 2
     assert ".onnx" in capsys.readouterr().err

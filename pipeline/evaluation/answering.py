@@ -105,7 +105,7 @@ class FrameAnswers:
         self.boxes = np.array([o.bbox for o in objects], np.float64).reshape(-1, 4)
         self.mask_sizes = np.array([o.lifted.quality.mask_pixels for o in objects], np.int64)
         self.same = same_object(objects, detector.exact)
-        self._scores = source.scorer.score([o.lifted for o in objects], context.viewer) if objects else None
+        self._scores = source.score(context, objects) if objects else None
 
     def score(self, target: str, relation: str, reference: str) -> Scored | None:
         """All candidate pairs of an expression; None where a class was not found."""

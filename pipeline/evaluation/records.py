@@ -143,8 +143,8 @@ def _coverage(row: dict[str, Any], case: Case, truth: FrameCases, answers: Frame
     row |= {
         "targets_found": len(targets.index),
         "references_found": len(references.index),
-        "target_rank": _rank(targets.scores, hits[:, case.acceptable].any(axis=1)),
-        "reference_rank": _rank(references.scores, other[:, pairs.any(axis=0)].any(axis=1)),
+        "target_rank": _rank(targets.scores, np.asarray(hits[:, case.acceptable].any(axis=1))),
+        "reference_rank": _rank(references.scores, np.asarray(other[:, pairs.any(axis=0)].any(axis=1))),
         "pair_covered": bool(covered.any()),
     }
     return covered

@@ -21,6 +21,7 @@ from pipeline.lifting import LiftedObject
 from pipeline.objects import FrameContext, SceneObject
 from pipeline.relations import PAIRWISE, U
 from pipeline.run_length import encode_run_length
+from pipeline.srm.appearance import appearance_of
 from pipeline.srm.model import OnnxScorer
 from pipeline.viewer import ViewerAxes
 
@@ -83,7 +84,8 @@ def label_objects(
     judged = judge_objects(lifted, context.viewer, config)
     judged = in_doubt(judged, np.array([item.quality.fallback for item in lifted], np.bool_))
     if network is not None:
-        judged = doubted(judged, network, lifted, context.viewer)
+        seen = appearance_of([objects[k] for k in related], frame)
+        judged = doubted(judged, network, lifted, context.viewer, seen)
     ids = [numbers[k] for k in related]
     up_source = str(context.viewer.up_source)
     return FrameLabels(

@@ -18,6 +18,7 @@ from pipeline.errors import InputError
 from pipeline.labels.profiles import Judged
 from pipeline.lifting import LiftedObject
 from pipeline.relations import PAIRWISE, F, T, U
+from pipeline.srm.appearance import Appearance
 from pipeline.srm.model import OnnxScorer
 from pipeline.viewer import ViewerAxes
 
@@ -30,7 +31,7 @@ def open_second_opinion(name: str) -> OnnxScorer | None:
     Raises
     ------
     InputError
-        There is no such network.
+        There is no such network, or it is a softmax network.
     """
     from pipeline.srm import make_scorer
 
@@ -39,6 +40,9 @@ def open_second_opinion(name: str) -> OnnxScorer | None:
     scorer = make_scorer(name)
     if not isinstance(scorer, OnnxScorer):
         raise InputError("a second opinion is a network", got=repr(name), expected="trained, none, or an ONNX file")
+    if scorer.contract.output != "sigmoid":
+        # Its probabilities say which relation fits best, not whether one holds.
+        raise InputError("a second opinion judges each relation alone", got="a softmax network", path=name)
     return scorer
 
 
@@ -62,14 +66,18 @@ def fingerprint(name: str) -> str:
 
 
 def doubted(
-    judged: Judged, network: OnnxScorer, objects: Sequence[LiftedObject], viewer: ViewerAxes
+    judged: Judged,
+    network: OnnxScorer,
+    objects: Sequence[LiftedObject],
+    viewer: ViewerAxes,
+    appearance: Appearance | None = None,
 ) -> Judged:
     """The judgements with U where the network finds T unlikely, or F likely (probability across 0.5).
 
     The network answers inverse questions alike, and so inverse labels stay inverse.
     """
     states, margins = judged.states.copy(), judged.margins.copy()
-    found = network.of_pairs(objects, viewer)
+    found = network.of_pairs(objects, viewer, appearance)
     bits = np.zeros(states.shape[:2], np.int32) if judged.doubted is None else judged.doubted.copy()
     for k, relation in enumerate(network.contract.vocabulary):
         column = PAIRWISE.index(relation)

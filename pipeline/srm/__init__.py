@@ -22,14 +22,19 @@ def shipped_network() -> Path:
     return asset_path("srm", "rel14.onnx")
 
 
-def make_scorer(name: str | Path = RULE) -> RelationScorer:
+def make_scorer(name: str | Path = RULE, vectors: Path | None = None) -> RelationScorer:
     """The relation scorer of that name: "rule", "trained" (the shipped network), or the path of an ONNX file.
+
+    `vectors` is the file of text vectors that a language network was trained with: it needs it for classes that were
+    not in its training.
 
     Raises
     ------
     InputError
         For an unknown name, or a file that is not a relation network this program can feed.
     """
+    if name == RULE and vectors is not None:
+        raise InputError("the rule uses no class names: leave out --vectors", path=vectors)
     if name == RULE:
         return RuleScorer()
     path = shipped_network() if name == TRAINED else Path(name)
@@ -37,4 +42,4 @@ def make_scorer(name: str | Path = RULE) -> RelationScorer:
         raise InputError(f"there is no relation scorer {str(name)!r}", expected="trained, rule, or an ONNX file")
     from pipeline.srm.model import OnnxScorer
 
-    return OnnxScorer(path)
+    return OnnxScorer(path, vectors)

@@ -1,4 +1,4 @@
-"""From a network's logits to probabilities that mean what they say: antisymmetry, then Platt's sigmoid."""
+"""From logits to probabilities that mean what they say: antisymmetry, then Platt's sigmoid or a temperature."""
 
 from __future__ import annotations
 
@@ -33,6 +33,49 @@ def antisymmetric(logits: np.ndarray, vocabulary: Sequence[str]) -> np.ndarray:
                 mean = (logits[..., k] + logits[..., other].T) / 2
                 result[..., k], result[..., other] = mean, mean.T
     return result
+
+
+def antisymmetric_log_softmax(logits: np.ndarray, vocabulary: Sequence[str]) -> np.ndarray:
+    """Logarithms of class probabilities in which "a left of b" and "b right of a" mirror each other.
+
+    The logits of two pairs have no common zero, and so only what does not depend
+    on it is averaged: among the relations with an inverse, the logarithm of each
+    one's share. How much falls to these together and to each of the others (on,
+    in) stays as the network said it of that pair.
+
+    Parameters
+    ----------
+    logits : (N, N, R) float
+        In the order of `vocabulary`.
+
+    Returns
+    -------
+    (N, N, R) float64
+    """
+    result = log_softmax(logits)
+    mirrored = [k for k, relation in enumerate(vocabulary) if INVERSE.get(relation) in vocabulary]
+    if mirrored:
+        names = [vocabulary[k] for k in mirrored]
+        inside = result[..., mirrored]
+        together = _log_sum(inside)
+        result[..., mirrored] = log_softmax(antisymmetric(inside - together, names)) + together
+    return result
+
+
+def log_softmax(logits: np.ndarray) -> np.ndarray:
+    """Logarithm of the softmax over the last axis, float64."""
+    wide = np.asarray(logits, np.float64)
+    return wide - _log_sum(wide)
+
+
+def softmax(logits: np.ndarray) -> np.ndarray:
+    """Over the last axis, float64."""
+    return np.exp(log_softmax(logits))
+
+
+def _log_sum(x: np.ndarray) -> np.ndarray:
+    top = x.max(axis=-1, keepdims=True)
+    return top + np.log(np.exp(x - top).sum(axis=-1, keepdims=True))
 
 
 def sigmoid(x: np.ndarray) -> np.ndarray:
@@ -105,3 +148,38 @@ def fit_calibration(
             holds.append(states[..., k][known] > 0)
         found[relation] = fit_platt(np.concatenate(values), np.concatenate(holds))
     return found
+
+
+def fit_temperature(
+    logits: Sequence[np.ndarray], truth: Sequence[np.ndarray], vocabulary: Sequence[str]
+) -> dict[str, Platt]:
+    """One temperature for all classes, by the likelihood of held-out pairs (Guo et al. 2017, section 4.2).
+
+    Parameters
+    ----------
+    logits : sequence of (N, N, R) float
+        Of each view, of a softmax network.
+    truth : sequence of (N, N) int
+        Place of the one true relation in `vocabulary`; -1 for pairs that take no part.
+
+    Returns
+    -------
+    dict of str to (1 / temperature, 0)
+        The identity with fewer than 50 pairs.
+    """
+    pairs = [(z[t >= 0], t[t >= 0]) for z, t in zip(logits, truth, strict=True)]
+    z = np.concatenate([np.zeros((0, len(vocabulary))), *(z for z, _ in pairs)])
+    t = np.concatenate([np.zeros(0, np.int64), *(t for _, t in pairs)]).astype(np.int64)
+    slope = 1.0
+    if len(t) >= FEWEST_POSITIVES:
+        # The likelihood is concave in the slope: golden sections of its logarithm, 1/16 to 16.
+        low, high, golden = np.log(1 / 16), np.log(16.0), (5**0.5 - 1) / 2
+
+        def loss(exponent: float) -> float:
+            return -float(log_softmax(z * np.exp(exponent))[np.arange(len(t)), t].sum())
+
+        for _ in range(40):
+            a, b = high - golden * (high - low), low + golden * (high - low)
+            low, high = (low, b) if loss(a) < loss(b) else (a, high)
+        slope = float(np.exp((low + high) / 2))
+    return dict.fromkeys(vocabulary, (slope, 0.0))

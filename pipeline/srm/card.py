@@ -18,9 +18,11 @@ from pipeline.proposals.onnx_session import file_hash
 from pipeline.relations import DIRECTIONAL
 from pipeline.srm.calibration import fit_calibration
 from pipeline.srm.evaluation import clear_cut_report, evaluate
+from pipeline.srm.features import cli_features
 from pipeline.srm.model import OnnxScorer
+from pipeline.srm.onnx_file import save_onnx
 from pipeline.srm.scorer import rule_probabilities
-from pipeline.srm.train import TrainConfig, require_training, save_onnx, train_srm
+from pipeline.srm.train import TrainConfig, check_room_config, require_training, train_srm
 from pipeline.srm.training_data import SCALES, FrameSamples, make_split, room_seeds, with_other_sizes
 
 Progress = Callable[[str, int, int], None]
@@ -74,9 +76,8 @@ def train_on_rooms(
         torch, onnx or embreex is not installed.
     """
     rooms, config = rooms or RoomConfig(), config or TrainConfig()
-    out = Path(out)
-    if out.suffix.lower() != ".onnx" or out.is_dir():
-        raise InputError("the network is written as an .onnx file", path=out)
+    check_room_config(config)
+    out = network_path(out)
     require_training()
     tell = progress or (lambda what, done, of: None)
     split = make_split(
@@ -105,10 +106,12 @@ def train_on_rooms(
     card = {
         "name": name,
         "command": _command(out, rooms, config),
-        "made_with": _versions(),
+        "made_with": versions(),
         "file": {"bytes": out.stat().st_size, "xxh3_128": file_hash(out)},
+        "weights_xxh3_128": model.weights_hash,
         "training": {
             **asdict(config),
+            "batch": config.batch_of(model.pairs),
             "pairs": model.pairs,
             "loss_by_epoch": [round(loss, 6) for loss in model.losses],
             "data_xxh3_128": model.data,
@@ -117,8 +120,16 @@ def train_on_rooms(
         "calibration": {relation: [round(v, 6) for v in ab] for relation, ab in calibration.items()},
         "held_out": held_out_figures(OnnxScorer(out), plain, split.test),
     }
-    out.with_suffix(".json").write_text(json.dumps(_rounded(card), indent=1) + "\n", encoding="utf-8")
+    out.with_suffix(".json").write_text(json.dumps(rounded(card), indent=1) + "\n", encoding="utf-8")
     return card
+
+
+def network_path(out: Path) -> Path:
+    """Where a network is written; InputError unless it is an .onnx file."""
+    out = Path(out)
+    if out.suffix.lower() != ".onnx" or out.is_dir():
+        raise InputError("the network is written as an .onnx file", path=out)
+    return out
 
 
 def held_out_figures(scorer: OnnxScorer, plain: OnnxScorer, frames: Sequence[FrameSamples]) -> dict[str, Any]:
@@ -148,12 +159,14 @@ def _room_ranges(rooms: RoomConfig) -> dict[str, list[int]]:
 
 def _command(out: Path, rooms: RoomConfig, config: TrainConfig) -> str:
     return (
-        f"spatialviz train {out.name} --rooms {rooms.rooms} --views {rooms.views} --seed {rooms.seed} "
-        f"--features {config.features} --width {rooms.width} --height {rooms.height} --epochs {config.epochs}"
+        f"spatialviz train rooms --out {out.name} --rooms {rooms.rooms} --views {rooms.views} --seed {rooms.seed} "
+        f"--features {cli_features(config.features)} --width {rooms.width} --height {rooms.height} "
+        f"--epochs {config.epochs}"
     )
 
 
-def _versions() -> dict[str, str]:
+def versions() -> dict[str, str]:
+    """Of this program, of Python and of what trains."""
     found = {"python": platform.python_version(), "machine": platform.machine()}
     for package in ("spatialviz", "numpy", "torch", "onnx", "onnxruntime", "embreex", "opencv-python-headless"):
         try:
@@ -163,9 +176,10 @@ def _versions() -> dict[str, str]:
     return found
 
 
-def _rounded(value: Any) -> Any:
+def rounded(value: Any) -> Any:
+    """A card with its floats cut to six decimals."""
     if isinstance(value, dict):
-        return {key: _rounded(inside) for key, inside in value.items()}
+        return {key: rounded(inside) for key, inside in value.items()}
     if isinstance(value, (float, np.floating)):
         return round(float(value), 6)
     return value

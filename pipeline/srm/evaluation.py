@@ -12,9 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.evaluation.calibration_metrics import calibration_metrics
-from pipeline.evaluation.counts import ratio
+from pipeline.evaluation.calibration_metrics import calibration_metrics, expected_calibration_error
+from pipeline.evaluation.counts import mean_of_defined, ratio
 from pipeline.evaluation.relation_metrics import multi_label_metrics
+from pipeline.evaluation.single_label_metrics import single_label_metrics
 from pipeline.relations import DIRECTIONAL, measure_pairs
 
 CLEAR_GAP_M = 0.10
@@ -70,6 +71,58 @@ def evaluate(
     if rule is not None:
         report["differing"] = differing_cells(p, t, _cells(rule))
     return report
+
+
+def evaluate_classes(
+    probabilities: Sequence[np.ndarray], truth: Sequence[np.ndarray], prior: Sequence[float], vocabulary: Sequence[str]
+) -> dict[str, Any]:
+    """Every figure of a network that says which one relation fits a pair.
+
+    Parameters
+    ----------
+    probabilities : sequence of (N, N, R) float
+        Of each view, softmax over the vocabulary, the prior not divided out.
+    truth : sequence of (N, N) int
+        Place of the one true relation; -1 for pairs that take no part.
+    prior : sequence of float
+        Share of each class in training.
+    vocabulary : sequence of str
+
+    Returns
+    -------
+    dict
+        `pairs`, `top1`, `top2`, `top1_prior_divided` (argmax of p / prior),
+        `mean_recall` over classes that occur, `most_frequent` (what always
+        saying the most frequent class gets), `log_loss`, `ece` of the
+        probability of the answer, and `relations` (name -> precision,
+        recall, f1, positives). None where a figure has no meaning.
+    """
+    rows = [(p[t >= 0], t[t >= 0]) for p, t in zip(probabilities, truth, strict=True)]
+    p = np.concatenate([np.zeros((0, len(vocabulary))), *(p for p, _ in rows)])
+    t = np.concatenate([np.zeros(0, np.int64), *(t for _, t in rows)]).astype(np.int64)
+    metrics = single_label_metrics(p, t, vocabulary)
+    weighted = p / np.asarray(prior, np.float64)
+    divided = single_label_metrics(weighted / weighted.sum(axis=1, keepdims=True), t, vocabulary)
+    holds = metrics.confusion.sum(axis=1)
+    return {
+        "pairs": metrics.pairs,
+        "relations": {
+            name: {
+                "precision": _defined(metrics.precision[k]),
+                "recall": _defined(metrics.recall[k]),
+                "f1": _defined(metrics.f1[k]),
+                "positives": int(holds[k]),
+            }
+            for k, name in enumerate(vocabulary)
+        },
+        "top1": _defined(metrics.top1),
+        "top2": _defined(metrics.top2),
+        "top1_prior_divided": _defined(divided.top1),
+        "mean_recall": _defined(mean_of_defined(metrics.recall)),
+        "most_frequent": _defined(ratio(holds.max(), metrics.pairs)),
+        "log_loss": _defined(ratio(-np.log(np.maximum(p[np.arange(len(t)), t], 1e-12)).sum(), len(t))),
+        "ece": _defined(expected_calibration_error(p.max(axis=1), p.argmax(axis=1) == t)),
+    }
 
 
 def _cells(views: Sequence[np.ndarray]) -> np.ndarray:

@@ -11,6 +11,7 @@ import numpy as np
 from pipeline.arrangement import between_states, superlative_states
 from pipeline.lifting import LiftedObject
 from pipeline.relations import PAIRWISE, PROFILE, Indices, pairwise_states
+from pipeline.srm.appearance import Appearance
 from pipeline.viewer import ViewerAxes
 
 RULE_PROBABILITY = {1: 0.95, 0: 0.50, -1: 0.05}
@@ -48,7 +49,11 @@ class RelationScorer(Protocol):
     @property
     def name(self) -> str: ...
 
-    def score(self, objects: Sequence[LiftedObject], viewer: ViewerAxes) -> RelationScores: ...
+    def score(
+        self, objects: Sequence[LiftedObject], viewer: ViewerAxes, appearance: Appearance | None = None
+    ) -> RelationScores:
+        """The scores of all ordered pairs; InputError where the scorer needs the appearance and has none."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -59,7 +64,9 @@ class RuleScorer:
 
     name = "rule"
 
-    def score(self, objects: Sequence[LiftedObject], viewer: ViewerAxes) -> RelationScores:
+    def score(
+        self, objects: Sequence[LiftedObject], viewer: ViewerAxes, appearance: Appearance | None = None
+    ) -> RelationScores:
         lo, hi = stacked_extents(objects)
         axes = viewer.matrix.T.astype(np.float32)
         states = pairwise_states(lo, hi, [o.points @ axes for o in objects])

@@ -18,6 +18,7 @@ from pipeline.camera import Camera
 from pipeline.errors import InputError
 from pipeline.lifting import LiftedObject, depth_edges, lift
 from pipeline.relations import directional_states
+from pipeline.srm.appearance import Appearance
 from pipeline.srm.features import FEATURES
 from pipeline.synthetic import Instance, Room, choose_views, make_room, sense_view
 from pipeline.viewer import ViewerAxes, viewer_axes
@@ -74,7 +75,7 @@ class FrameSamples:
         rows = {}
         for name, described in self.rows.items():
             rows[name] = described.copy()
-            rows[name][:, FEATURES[name].lengths] *= factor
+            rows[name][:, list(FEATURES[name].lengths)] *= factor
         extents = (e * factor for e in (self.seen_lo, self.seen_hi, self.exact_lo, self.exact_hi))
         return FrameSamples(self.room, rows, *extents)
 
@@ -229,24 +230,31 @@ def _view_samples(room: Room, camera: Camera, rng: np.random.Generator) -> Frame
     depth, instances = sense_view(room, camera, rng)
     viewer = viewer_axes(camera.up)
     edges = depth_edges(depth)
-    numbers, lifted = [], []
+    numbers, lifted, boxes = [], [], []
     for number in np.flatnonzero(np.bincount(instances[instances >= 0], minlength=1) >= MIN_PIXELS):
         mask = degraded(instances == number, rng)
         (item,) = lift(depth, camera, [mask], viewer, edges=edges)
         if item.quality.points >= MIN_POINTS:
             numbers.append(int(number))
             lifted.append(item)
-    return samples_of(room.seed, lifted, viewer, [_exact_extents(room.instances[n], camera, viewer) for n in numbers])
+            boxes.append(_tight_box(mask))
+    seen = Appearance(np.array(boxes, np.float64).reshape(-1, 4), ("",) * len(boxes), camera.width, camera.height)
+    exact = [_exact_extents(room.instances[n], camera, viewer) for n in numbers]
+    return samples_of(room.seed, lifted, viewer, exact, seen)
 
 
 def samples_of(
-    room: int, lifted: Sequence[LiftedObject], viewer: ViewerAxes, exact: Sequence[tuple[np.ndarray, np.ndarray]]
+    room: int,
+    lifted: Sequence[LiftedObject],
+    viewer: ViewerAxes,
+    exact: Sequence[tuple[np.ndarray, np.ndarray]],
+    seen: Appearance,
 ) -> FrameSamples:
     """The samples of one view: objects as seen, and (lo, hi) of each as it is, in the same order."""
-    rows = {name: features.describe(lifted, viewer) for name, features in FEATURES.items()}
-    seen = rows["rel14"]
+    rows = {name: features.describe(lifted, viewer, seen) for name, features in FEATURES.items()}
+    extents = rows["rel14"]
     whole = np.array(exact, np.float64).reshape(-1, 2, 3)
-    return FrameSamples(room, rows, seen[:, :3], seen[:, 3:], whole[:, 0], whole[:, 1])
+    return FrameSamples(room, rows, extents[:, :3], extents[:, 3:], whole[:, 0], whole[:, 1])
 
 
 def degraded(mask: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -258,6 +266,11 @@ def degraded(mask: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     changed = (cv2.dilate if pixels > 0 else cv2.erode)(mask.view(np.uint8), kernel).view(np.bool_)
     # A thin thing would vanish; a segmenter that finds it finds something.
     return changed if changed.sum() >= MIN_PIXELS // 2 else mask
+
+
+def _tight_box(mask: np.ndarray) -> tuple[int, int, int, int]:
+    x, y, w, h = cv2.boundingRect(mask.view(np.uint8))
+    return x, y, x + w, y + h
 
 
 def _exact_extents(instance: Instance, camera: Camera, viewer: ViewerAxes) -> tuple[np.ndarray, np.ndarray]:

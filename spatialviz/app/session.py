@@ -168,6 +168,7 @@ class Session:
         cleared = replace(self.state, frame_id=frame_id, trace=None, pair=None, selected=None, error="", problem="")
         try:
             loaded = self._store.load(self.state.source, frame_id)
+            scores = self._source().score(loaded.context, loaded.objects)
         except InputError as error:
             self.state = replace(cleared, loaded=None, problem=str(error), shown=NOTHING)
             self._note(str(error))
@@ -185,7 +186,6 @@ class Session:
         self._show_context()
         if first or self.scene.viewpoint.untouched:
             self.scene.viewpoint.place(self.state.camera)
-        scores = self._source().scorer.score([o.lifted for o in loaded.objects], loaded.context.viewer)
         self._suggestions = suggest_expressions(loaded.objects, scores)
         self._note(f"frame {frame_id}: {len(loaded.objects)} objects, up {loaded.context.viewer.up_source}")
         if loaded.problem:

@@ -1,0 +1,88 @@
+"""What is opened, and with which models: the options that most commands share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from pipeline.errors import InputError
+from spatialviz.options import four_numbers
+
+if TYPE_CHECKING:
+    from pipeline.jobs import Source
+    from pipeline.proposals.score_calibration import ScoreCalibration
+
+
+def read_calibration(path: Path | None, forced: bool = False) -> ScoreCalibration | None:
+    """The score calibration of a file, for any detector where it is forced; None without a file."""
+    from pipeline.proposals.score_calibration import load_calibration
+
+    if path is None:
+        if forced:
+            raise InputError("--force-calibration needs --score-calibration", expected="a file to be used")
+        return None
+    calibration = load_calibration(path)
+    return calibration.for_any() if forced else calibration
+
+
+@dataclass(frozen=True)
+class SourceOptions:
+    """What is opened, and with which models."""
+
+    detector: str | None = None
+    """annotations | recorded | yolo-seg | simulated. Default: annotations, where the dataset has them."""
+    model: Path | None = None
+    """Model file or recording for the detector, or options (TOML or JSON) of the simulated one."""
+    min_score: float | None = None
+    """Drop detections below this score. Default: the detector's own."""
+    segmenter: str | None = None
+    """Makes masks for boxes that have none: depth | recorded | yolo-seg. Default: none, the whole box is lifted."""
+    segmenter_model: Path | None = None
+    """Model file or recording for the segmenter; depth needs none."""
+    srm: str = "trained"
+    """What scores relations: trained (the network that comes with the program) | rule | an ONNX file."""
+    vectors: Path | None = None
+    """The text vectors that the relation network was trained with, for class names it was not trained on."""
+    box: Literal["gravity", "pca"] = "gravity"
+    """How 3D boxes are fitted: upright, or the paper's PCA box."""
+    k: int = 10
+    """Proposals that go on for each name."""
+    score_calibration: Path | None = None
+    """What `spatialviz calibrate` wrote for this detector: its scores become probabilities before pairs are ranked."""
+    force_calibration: bool = False
+    """Use it although it was fitted for another detector or setting."""
+    synonyms: Path | None = None
+    """A JSON file with more synonyms."""
+    intrinsics: str | None = None
+    """fx,fy,cx,cy in pixels, for recordings without a camera file."""
+    depth_scale: float | None = None
+    """Depth units in one metre (1000 for millimetres), for recordings without a camera file."""
+
+    def options(self) -> dict[str, Any]:
+        """The same as arguments of `pipeline.jobs.open_source`."""
+        from pipeline.ask import AskConfig
+        from pipeline.lifting import LiftConfig
+
+        return {
+            "intrinsics": four_numbers(self.intrinsics),
+            "depth_scale": self.depth_scale,
+            "detector": self.detector,
+            "model": self.model,
+            "min_score": self.min_score,
+            "segmenter": self.segmenter,
+            "segmenter_model": self.segmenter_model,
+            "srm": self.srm,
+            "vectors": self.vectors,
+            "synonyms": self.synonyms,
+            "config": AskConfig(
+                k=self.k,
+                lift=LiftConfig(box=self.box),
+                score_calibration=read_calibration(self.score_calibration, self.force_calibration),
+            ),
+        }
+
+    def open(self, dataset: str) -> Source:
+        from pipeline.jobs import open_source
+
+        return open_source(dataset, **self.options())
