@@ -149,7 +149,7 @@ def ask(
     context = frame if isinstance(frame, FrameContext) else FrameContext(frame, config.lift)
     timings["frame"] = context.seconds
     with _timed(timings, "opm"):
-        found = {name: _propose(context, detector, name, config.k) for name in names}
+        found = {name: propose(context, detector, name, config.k) for name in names}
     with _timed(timings, "lift"):
         objects, candidates = _merged(context, detector, found, calibration)
     with _timed(timings, "srm"):
@@ -191,7 +191,8 @@ def _timed(timings: dict[str, float], stage: str) -> Iterator[None]:
     timings[stage] = timings.get(stage, 0.0) + perf_counter() - start
 
 
-def _propose(context: FrameContext, detector: Detector, name: str, k: int) -> Proposals:
+def propose(context: FrameContext, detector: Detector, name: str, k: int) -> Proposals:
+    """What goes on of a detector's run for one class name: the best K, or all where they are the truth."""
     proposals = detector.detect(context.frame, [name])
     return proposals if detector.exact else top_k(proposals, k)
 

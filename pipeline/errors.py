@@ -64,4 +64,9 @@ class MissingExtra(ImportError):
 
     def __init__(self, feature: str, extra: str) -> None:
         super().__init__(f"{feature} needs an optional dependency: pip install 'spatialviz[{extra}]'")
+        self.feature = feature
         self.extra = extra
+
+    def __reduce__(self) -> tuple[type[MissingExtra], tuple[str, str]]:
+        # Worker processes send it to their parent.
+        return type(self), (self.feature, self.extra)

@@ -17,7 +17,7 @@ from pipeline.expression import Attachment, Node, Reading
 MIN_RELATION = 1e-6
 MIN_SCORE = 1e-6
 NON_DEFAULT_PENALTY = 0.1
-_TIE = 1e-9
+TIE = 1e-9
 
 RelationLookup = Callable[[Attachment, np.ndarray, Sequence[np.ndarray]], np.ndarray]
 """(attachment, candidates of the head, candidates of each other end) -> probabilities of every combination."""
@@ -283,11 +283,11 @@ def _ranked_pairs(root: _Solved, mask_sizes: np.ndarray, config: RankConfig) -> 
         -mask_sizes[target],
         -targets.scores[i],
         -p_relation,
-        -np.round(log_score / _TIE) * _TIE,
+        -np.round(log_score / TIE) * TIE,
     ]
     if config.aggregate == "marginal":
         marginal = np.bincount(i, weights=posterior, minlength=len(targets.index))
-        keys.append(-np.round(marginal[i] / _TIE) * _TIE)
+        keys.append(-np.round(marginal[i] / TIE) * TIE)
 
     found = []
     for k in np.lexsort(keys):

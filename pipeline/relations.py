@@ -287,6 +287,8 @@ def on_measures(
 def _on(pairs: PairMeasures, clouds: Sequence[np.ndarray] | None, profile: Profile) -> np.ndarray:
     covered, area_ratio, gap = on_measures(pairs, clouds, profile)
     supported = (covered >= profile.on_overlap) & (area_ratio < profile.on_area_ratio)
+    # What is on a thing has its middle above the thing's: no two things are on one another.
+    supported &= pairs.delta[..., 1] > 0
     touching = np.maximum(profile.on_gap, profile.on_gap_relative * pairs.extent[:, 1])[:, None]
     return np.where(
         supported & (gap <= touching), T, np.where(supported & (gap <= profile.on_gap_doubtful), U, F)

@@ -129,25 +129,32 @@ class Label:
             seed=self.seed,
             second_opinion=self.second_opinion,
         )
-        with rate_bar("labelling", "frames") as advance:
-            report = label_dataset(
-                self.source.spec(self.dataset),
-                self.out,
-                config,
-                self.selection.config(),
-                engine=self.engine,
-                workers=self.workers,
-                part=task_of(self.shard),
-                resume=self.resume,
-                limit=self.limit,
-                gpus_a_detector=self.gpus_a_detector,
-                progress=advance,
-            )
+        part, spec, selection = task_of(self.shard), self.source.spec(self.dataset), self.selection.config()
+        try:
+            with rate_bar("labelling", "frames") as advance:
+                report = label_dataset(
+                    spec,
+                    self.out,
+                    config,
+                    selection,
+                    engine=self.engine,
+                    workers=self.workers,
+                    part=part,
+                    resume=self.resume,
+                    limit=self.limit,
+                    gpus_a_detector=self.gpus_a_detector,
+                    progress=advance,
+                )
+        except KeyboardInterrupt:
+            more = "run the same command again" + ("" if part else " with --resume")
+            print(f"spatialviz: finished shards are kept in {self.out}; to go on, {more}", file=sys.stderr)
+            raise
         if self.json:
             print_json(label_record(report))
         else:
             print_labelled(report, self.out)
-        return FINE if report.frames > report.broken else NO
+        # A task of more than there are shards has nothing to do, and that is fine.
+        return FINE if report.frames > report.broken or not report.frames else NO
 
 
 @dataclass(frozen=True)

@@ -171,8 +171,8 @@ def print_training(card: dict[str, Any], out: Path) -> None:
         table.add_column(column, justify="left" if column == "relation" else "right")
     for name, r in network["relations"].items():
         other = rule["relations"][name]["f1"]
-        figures = (f"{r[k]:.4f}" for k in ("precision", "recall", "f1"))
-        table.add_row(name, *figures, f"{other:.4f}", str(r["positives"]))
+        figures = (_figure(r[k]) for k in ("precision", "recall", "f1"))
+        table.add_row(name, *figures, _figure(other), str(r["positives"]))
     console.print(table)
     table = Table(box=None, pad_edge=False)
     for column in ("", "micro-F1", "macro-F1", "element accuracy", "Brier", "ECE", "clear-cut", "opposite"):
@@ -181,13 +181,13 @@ def print_training(card: dict[str, Any], out: Path) -> None:
         clear = r["clear_cut"]
         table.add_row(
             name,
-            *(f"{r[k]:.4f}" for k in ("micro_f1", "macro_f1", "element_accuracy", "brier", "ece")),
-            f"{clear['holds']:.2%}",
-            f"{clear['opposite']:.2%}",
+            *(_figure(r[k]) for k in ("micro_f1", "macro_f1", "element_accuracy", "brier", "ece")),
+            _figure(clear["holds"], ".2%"),
+            _figure(clear["opposite"], ".2%"),
         )
     bare = network["uncalibrated"]
-    table.add_row("uncalibrated", f"{bare['micro_f1']:.4f}", "", "", f"{bare['brier']:.4f}", f"{bare['ece']:.4f}")
-    table.add_row("always no", "0", "0", f"{network['all_negative_accuracy']:.4f}")
+    table.add_row("uncalibrated", _figure(bare["micro_f1"]), "", "", _figure(bare["brier"]), _figure(bare["ece"]))
+    table.add_row("always no", "0", "0", _figure(network["all_negative_accuracy"]))
     console.print(table)
     d = network["differing"]
     console.print(
@@ -195,6 +195,10 @@ def print_training(card: dict[str, Any], out: Path) -> None:
         f"network wrong {d['errors']}, rule wrong {d['rule_errors']}"
     )
     console.print(f"-> {out}, card {out.with_suffix('.json')}")
+
+
+def _figure(value: float | None, form: str = ".4f") -> str:
+    return "-" if value is None else format(value, form)
 
 
 @contextmanager

@@ -41,7 +41,7 @@ def print_labelled(report: LabelReport, out: str) -> None:
     if report.broken:
         console.print(Text(f"{report.broken} frames could not be used; the manifest says why", "yellow"))
     if report.manifest is None:
-        console.print(f"-> {out}; when all shards are there: spatialviz merge {out}")
+        console.print(Text(f"-> {out}; when all shards are there: spatialviz merge {out}"))
     else:
         print_manifest(report.manifest, out)
 

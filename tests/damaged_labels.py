@@ -62,7 +62,7 @@ def write_labels(root: Path, config: LabelConfig) -> None:
         labelled.append(label_objects(context, objects, config, frame_index=index, scene="room", exact=True))
     for shard in plan.shards:
         part = labelled[shard.first : shard.first + len(shard.frames)]
-        store.write_part(shard.name, shard_tables(part), {"shard": shard.index})
+        store.write_part(shard.name, shard_tables(part), {"shard": shard.index, "key": shard.key})
     merge_labels(root)
 
 

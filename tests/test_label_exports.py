@@ -98,7 +98,7 @@ def test_only_an_earlier_export_is_replaced(label_sets: dict[str, Labels], tmp_p
     labels, out = label_sets["hostile"], tmp_path / "out"
     out.mkdir()
     export_labels(labels, "coco", out)
-    with pytest.raises(InputError, match="an export already"):
+    with pytest.raises(InputError, match="expected another folder"):
         export_labels(labels, "jsonl", out)
     export_labels(labels, "jsonl", out, overwrite=True)
     assert (out / "frames.jsonl").exists()
@@ -107,7 +107,7 @@ def test_only_an_earlier_export_is_replaced(label_sets: dict[str, Labels], tmp_p
     foreign.mkdir()
     (foreign / "cat.jpg").write_bytes(b"x")
     (tmp_path / "file").write_text("x")
-    for target, reason in ((foreign, "holds no earlier export"), (tmp_path / "file", "is a folder")):
+    for target, reason in ((foreign, "nothing that may be replaced"), (tmp_path / "file", "is a folder")):
         with pytest.raises(InputError, match=reason):
             export_labels(labels, "jsonl", target, overwrite=True)
     for target in (labels.root, labels.root.parent):

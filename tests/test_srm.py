@@ -20,6 +20,7 @@ from pipeline.ask import ask
 from pipeline.assets import asset_path
 from pipeline.datasets import open_dataset
 from pipeline.errors import InputError
+from pipeline.evaluation.calibration_metrics import expected_calibration_error
 from pipeline.fitting import pca_box
 from pipeline.frame import Frame
 from pipeline.jobs import open_source
@@ -29,7 +30,7 @@ from pipeline.proposals import AnnotationDetector
 from pipeline.relations import DIRECTIONAL, PAIRWISE, directional_states
 from pipeline.srm import RuleScorer, make_scorer, shipped_network
 from pipeline.srm.calibration import IDENTITY, antisymmetric, fit_calibration, fit_platt, sigmoid
-from pipeline.srm.evaluation import clear_cut, clear_cut_report, evaluate, expected_calibration_error
+from pipeline.srm.evaluation import clear_cut, clear_cut_report, evaluate
 from pipeline.srm.features import FEATURES, feature_set
 from pipeline.srm.model import Contract, OnnxScorer
 from pipeline.srm.scorer import rule_probabilities

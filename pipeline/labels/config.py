@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field
+from math import inf
 from typing import Any, Literal
 
 from pipeline.errors import InputError
@@ -113,8 +114,8 @@ class SelectConfig:
             value = getattr(self, name)
             if value is not None and value < 1:
                 raise InputError(f"{name} must be at least 1", got=value)
-        if self.balance is not None and not self.balance >= 1:
-            raise InputError("balance must be at least 1", got=self.balance)
+        if self.balance is not None and not 1 <= self.balance < inf:
+            raise InputError("balance must be a number of at least 1", got=self.balance)
 
     def record(self) -> dict[str, Any]:
         return asdict(self)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
 from typing import Literal
@@ -12,8 +12,9 @@ from pipeline.errors import InputError
 from pipeline.labels.config import LabelConfig, SelectConfig
 from pipeline.labels.local import run_local
 from pipeline.labels.merge import merge_labels
-from pipeline.labels.plan import SourceSpec, make_plan, part_of, save_plan
+from pipeline.labels.plan import SourceSpec, input_changed, make_plan, part_of, save_plan
 from pipeline.labels.schema import Manifest
+from pipeline.labels.second_opinion import NONE, TRAINED, open_second_opinion
 from pipeline.labels.shard import ShardReport
 from pipeline.labels.store import Store
 
@@ -33,7 +34,7 @@ class LabelReport:
     reused : int
         Of those, frames whose shard was there already.
     broken : int
-        Frames that could not be used, of the shards labelled now.
+        Frames that could not be used.
     objects, pairs, candidates : int
     seconds : float
     manifest : Manifest or None
@@ -71,7 +72,7 @@ def label_dataset(
     ----------
     spec : SourceSpec
     out : str or Path
-        Must be new or empty, but for `resume` and `part`.
+        Must be new or empty; with `resume` and `part` it may hold labels made with the same arguments.
     engine : str
         "local" or "ray"; the rows are the same.
     workers : int
@@ -87,10 +88,14 @@ def label_dataset(
     Raises
     ------
     InputError
-        For a dataset that cannot be opened, a folder that holds something else.
+        For a dataset that cannot be opened or changes meanwhile, a folder that holds something else.
     """
     config = config or LabelConfig()
+    if config.second_opinion not in (NONE, TRAINED):
+        config = replace(config, second_opinion=str(Path(config.second_opinion).absolute()))
     start = perf_counter()
+    if "://" not in str(out):
+        out = Path(out).expanduser().absolute()
     store = Store(out)
     if workers < 1:
         raise InputError("at least one worker is needed", got=workers)
@@ -98,26 +103,42 @@ def label_dataset(
         raise InputError(
             "the folder for the labels is not empty", cause="--resume goes on where a run was stopped", path=out
         )
-    plan = make_plan(spec, config, frames_a_shard=frames_a_shard, limit=limit)
+    if store.holds_something_else():
+        raise InputError("the folder holds something else than labels", cause="use another folder", path=out)
+    plan = make_plan(spec.absolute(), config, frames_a_shard=frames_a_shard, limit=limit, out=out)
+    open_second_opinion(config.second_opinion)
+    if engine == "ray":
+        from pipeline.labels.ray_engine import needed_ray
+
+        needed_ray()
     shards = plan.shards if part is None else part_of(plan.shards, *part)
     store.prepare()
     save_plan(plan, store)
-    if part is None:
-        store.clear_unfinished()
+    store.clear_unfinished()
     total = sum(len(s.frames) for s in shards)
     reports: list[ShardReport] = []
+    so_far = 0
 
     def done(report: ShardReport) -> None:
+        nonlocal so_far
         reports.append(report)
+        so_far += report.frames
         if progress is not None:
-            progress(sum(r.frames for r in reports), total)
+            progress(so_far, total)
 
-    if engine == "ray":
-        from pipeline.labels.ray_engine import run_ray
+    try:
+        if engine == "ray":
+            from pipeline.labels.ray_engine import run_ray
 
-        run_ray(plan, shards, store, workers, done, gpus_a_detector=gpus_a_detector)
-    else:
-        run_local(plan, shards, store, workers, done)
+            run_ray(plan, shards, store, workers, done, gpus_a_detector=gpus_a_detector)
+        else:
+            run_local(plan, shards, store, workers, done)
+    finally:
+        store.clear_unfinished()
+    if input_changed(plan, out):
+        raise InputError(
+            "the dataset changed while it was labelled", cause="remove the labels, and label it again", path=out
+        )
     manifest = merge_labels(out, selection) if part is None and not store.remote else None
     return LabelReport(
         total,

@@ -19,7 +19,7 @@ from pipeline.labels.second_opinion import doubted
 from pipeline.labels.tables import PART_TABLES, Columns
 from pipeline.lifting import LiftedObject
 from pipeline.objects import FrameContext, SceneObject
-from pipeline.relations import PAIRWISE
+from pipeline.relations import PAIRWISE, U
 from pipeline.run_length import encode_run_length
 from pipeline.srm.model import OnnxScorer
 from pipeline.viewer import ViewerAxes
@@ -81,6 +81,7 @@ def label_objects(
     related = [k for k, o in enumerate(objects) if not config.is_background(o.label)]
     lifted = [objects[k].lifted for k in related]
     judged = judge_objects(lifted, context.viewer, config)
+    judged = in_doubt(judged, np.array([item.quality.fallback for item in lifted], np.bool_))
     if network is not None:
         judged = doubted(judged, network, lifted, context.viewer)
     ids = [numbers[k] for k in related]
@@ -101,6 +102,23 @@ def label_objects(
         ),
         judged,
     )
+
+
+def in_doubt(judged: Judged, unsure: np.ndarray) -> Judged:
+    """The judgements with U for every pair of which an object's geometry is not to be relied on.
+
+    Parameters
+    ----------
+    unsure : (N,) bool
+        Objects too small to be cleaned: pixels of what is behind them may be in their extents.
+    """
+    if not unsure.any():
+        return judged
+    pairs = (unsure[:, None] | unsure[None, :]) & ~np.eye(len(unsure), dtype=np.bool_)
+    changed = pairs[..., None] & (judged.states != U)
+    bits = (changed << np.arange(changed.shape[2], dtype=np.int32)).sum(axis=2, dtype=np.int32)
+    states, margins = np.where(changed, U, judged.states).astype(np.int8), np.where(changed, 0.0, judged.margins)
+    return Judged(states, margins, judged.distance, bits)
 
 
 def judge_objects(lifted: Sequence[LiftedObject], viewer: ViewerAxes, config: LabelConfig) -> Judged:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 import os
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -19,6 +20,10 @@ Done = Callable[[ShardReport], None]
 """Called with each shard's report when it is finished."""
 
 _THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
+
+
+_PATIENCE_S = 5.0
+"""How long a worker that is told to end may take."""
 
 
 @contextmanager
@@ -50,7 +55,7 @@ def run_local(plan: Plan, shards: Sequence[Shard], store: Store, workers: int, d
             for shard in shards:
                 done(label_shard(shard, labeller, store))
         return
-    with _threads_in_children():
+    with threads_in_children():
         models = plan.spec, plan.config, store.where
         pool = ProcessPoolExecutor(min(workers, len(shards)), multiprocessing.get_context("spawn"), _start, models)
         try:
@@ -61,15 +66,18 @@ def run_local(plan: Plan, shards: Sequence[Shard], store: Store, workers: int, d
                 "a worker process died", cause="out of memory? finished shards are kept: run again with --resume"
             ) from error
         except BaseException:
+            ours = list((pool._processes or {}).values())
             pool.shutdown(wait=False, cancel_futures=True)
-            for process in multiprocessing.active_children():
+            for process in ours:
                 process.terminate()
+            for process in ours:
+                process.join(_PATIENCE_S)
             raise
         pool.shutdown()
 
 
 @contextmanager
-def _threads_in_children() -> Iterator[None]:
+def threads_in_children() -> Iterator[None]:
     """Thread counts are read when numpy is loaded, so that they must be set before a child starts."""
     before = {name: os.environ.get(name) for name in _THREAD_VARIABLES}
     os.environ.update(dict.fromkeys(_THREAD_VARIABLES, "1"))
@@ -83,8 +91,8 @@ def _threads_in_children() -> Iterator[None]:
                 os.environ[name] = value
 
 
-_worker: tuple[Labeller, Store] | None = None
-"""What a worker process opened when it started."""
+_worker: tuple[Labeller, Store] | Exception | None = None
+"""What a worker process opened when it started, or why it could not."""
 
 
 def _start(spec: SourceSpec, config: LabelConfig, where: str) -> None:
@@ -95,11 +103,26 @@ def _start(spec: SourceSpec, config: LabelConfig, where: str) -> None:
 
     # Ctrl-C reaches the whole group; the parent alone decides what to do.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
     cv2.setNumThreads(1)
-    _worker = open_labeller(spec, config), Store(where)
+    try:
+        _worker = open_labeller(spec, config), Store(where)
+    except Exception as error:
+        # Raised here it would only be told as a broken pool.
+        _worker = error
+
+
+def _end_with_parent() -> None:
+    """A worker whose parent was killed would wait for shards for ever."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
 
 
 def _label(shard: Shard) -> ShardReport:
+    if isinstance(_worker, Exception):
+        raise _worker
     assert _worker is not None
     labeller, store = _worker
     return label_shard(shard, labeller, store)

@@ -6,6 +6,7 @@ import hashlib
 import json
 import os
 import platform
+import shutil
 from collections.abc import Iterator, Sequence
 from datetime import datetime, timezone
 from importlib.metadata import PackageNotFoundError, version
@@ -23,8 +24,9 @@ from pipeline.labels.reading import MANIFEST_FILE, Labels
 from pipeline.labels.schema import SCHEMA_VERSION, Manifest, TableFile
 from pipeline.labels.schema_files import write_schemas
 from pipeline.labels.selection import select
-from pipeline.labels.store import Store, write_whole
+from pipeline.labels.store import Store
 from pipeline.labels.tables import CANDIDATES, ROW_GROUP, RowHash, arrow_schema
+from pipeline.labels.whole_files import clear_abandoned, temporary_beside, write_synced
 from pipeline.labels.wording import expression_text
 from pipeline.relations import PAIRWISE
 
@@ -44,7 +46,9 @@ def merge_labels(where: str | Path, selection: SelectConfig | None = None, out: 
     """Merge the finished shards of a labels folder.
 
     Tables are written part by part, so that memory does not grow with their
-    length; of the candidate expressions five numbers a row are held.
+    length; of the candidate expressions five numbers a row are held. All is
+    written aside and then put into place at once: what fails before leaves
+    earlier tables as they were.
 
     Parameters
     ----------
@@ -57,7 +61,7 @@ def merge_labels(where: str | Path, selection: SelectConfig | None = None, out: 
     Raises
     ------
     InputError
-        Shards are missing, or the folder holds no labels.
+        Shards are missing or damaged, or the folder holds no labels.
     """
     selection = selection or SelectConfig()
     store = Store(where)
@@ -67,14 +71,33 @@ def merge_labels(where: str | Path, selection: SelectConfig | None = None, out: 
         raise InputError(
             f"{len(missing)} of {len(plan.shards)} shards are missing",
             got=", ".join(str(s.index) for s in missing[:8]) + (" ..." if len(missing) > 8 else ""),
-            cause=f"finish them with: spatialviz label {plan.spec.path} --out {store.where} --resume",
+            cause=f"finish them with: spatialviz label {plan.spec.path} --out {store.where} --resume "
+            "and the options it was begun with",
             path=store.where,
         )
     if out is None:
         if store.remote:
             raise InputError("labels at a URL are merged into a local folder", expected="--to FOLDER", path=store.where)
         out = store.folder
-    out.mkdir(parents=True, exist_ok=True)
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except (FileExistsError, NotADirectoryError) as error:
+        raise InputError("merged tables go into a folder", got="a file", path=out) from error
+    for shard in plan.shards:
+        store.check_part(shard.name, shard.key)
+    clear_abandoned(out)
+    staging = temporary_beside(out / "merged")
+    staging.mkdir()
+    try:
+        manifest = _write_all(staging, plan, store, selection)
+        _move_all(staging, out)
+    finally:
+        shutil.rmtree(staging, ignore_errors=True)
+    return manifest
+
+
+def _write_all(out: Path, plan: Plan, store: Store, selection: SelectConfig) -> Manifest:
+    """Write the merged tables, and everything that tells of them, into a new folder."""
     shards = plan.shards
     tables: dict[str, TableFile] = {}
     warnings: list[str] = []
@@ -120,12 +143,22 @@ def merge_labels(where: str | Path, selection: SelectConfig | None = None, out: 
         environment=environment(),
         created=datetime.now(timezone.utc).isoformat(timespec="seconds"),
     )
-    write_whole(out / MANIFEST_FILE, manifest.model_dump_json(indent=1).encode())
     labels = Labels(out, manifest)
-    write_whole(out / CARD_FILE, dataset_card(labels).encode())
-    write_whole(out / CROISSANT_FILE, json.dumps(croissant(labels), indent=1, ensure_ascii=False).encode())
+    write_synced(out / CARD_FILE, dataset_card(labels).encode())
+    write_synced(out / CROISSANT_FILE, json.dumps(croissant(labels), indent=1, ensure_ascii=False).encode())
     write_schemas(out / "schemas")
+    write_synced(out / MANIFEST_FILE, manifest.model_dump_json(indent=1).encode())
     return manifest
+
+
+def _move_all(staging: Path, out: Path) -> None:
+    """Put written files in the place of older ones. Meanwhile there is no manifest, and so nothing that can be read."""
+    (out / MANIFEST_FILE).unlink(missing_ok=True)
+    files = sorted(p for p in staging.rglob("*") if p.is_file())
+    for file in sorted(files, key=lambda p: p.name == MANIFEST_FILE):
+        final = out / file.relative_to(staging)
+        final.parent.mkdir(exist_ok=True)
+        os.replace(file, final)
 
 
 def choose(shards: Sequence[Shard], store: Store, selection: SelectConfig) -> tuple[int, dict[str, np.ndarray]]:
@@ -179,36 +212,35 @@ def _worded(
 
 
 def write_merged(out: Path, name: str, parts: Iterator[pa.Table]) -> TableFile:
-    """Write a table from its parts, whole or not at all; its rows and hashes."""
+    """Write a table from its parts; its rows and hashes."""
     import pyarrow.parquet as pq
 
     path = out / f"{name}.parquet"
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     digest = RowHash(name)
     waiting: list[pa.Table] = []
-    try:
-        with pq.ParquetWriter(temporary, arrow_schema(name), compression="zstd") as writer:
-            for part in parts:
-                digest.update(part)
+    rows = 0
+    with pq.ParquetWriter(path, arrow_schema(name), compression="zstd") as writer:
+        for part in parts:
+            digest.update(part)
+            if part.num_rows:
                 waiting.append(part)
-                if sum(t.num_rows for t in waiting) >= ROW_GROUP:
-                    _write_group(writer, waiting)
-            _write_group(writer, waiting)
-        sha256 = hashlib.sha256()
-        with open(temporary, "rb") as written:
-            os.fsync(written.fileno())
-            while block := written.read(1 << 20):
-                sha256.update(block)
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
+                rows += part.num_rows
+            if rows >= ROW_GROUP:
+                _write_group(writer, waiting)
+                rows = 0
+        _write_group(writer, waiting)
+    sha256 = hashlib.sha256()
+    with open(path, "rb") as written:
+        os.fsync(written.fileno())
+        while block := written.read(1 << 20):
+            sha256.update(block)
     return TableFile(file=path.name, rows=digest.rows, content_hash=digest.hexdigest(), sha256=sha256.hexdigest())
 
 
 def _write_group(writer: Any, waiting: list[pa.Table]) -> None:
     import pyarrow as pa
 
-    if waiting and sum(t.num_rows for t in waiting):
+    if waiting:
         writer.write_table(pa.concat_tables(waiting).combine_chunks(), row_group_size=ROW_GROUP)
     waiting.clear()
 

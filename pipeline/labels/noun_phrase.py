@@ -81,8 +81,8 @@ class NounPhrase:
         return "are" if self.plural else "is"
 
     def definite(self, *, other: bool = False) -> str:
-        """`the mug`, `the other mug`."""
-        return f"the other {self.words}" if other else f"the {self.words}"
+        """`the mug`; beside another of its kind `another mug`: there may be more than two."""
+        return self.indefinite(other=True) if other else f"the {self.words}"
 
     def indefinite(self, *, other: bool = False) -> str:
         """`a mug`, `an umbrella`, `some scissors`, `some rice`; `another mug`, `some other scissors`."""

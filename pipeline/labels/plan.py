@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 from collections.abc import Iterator, Sequence
@@ -9,18 +10,20 @@ from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
+from pipeline import __version__
 from pipeline.errors import InputError
 from pipeline.jobs import Source, open_source
 from pipeline.labels.config import LabelConfig
 from pipeline.labels.profiles import canonical_hash
 from pipeline.labels.second_opinion import fingerprint
-from pipeline.labels.store import Store
+from pipeline.labels.store import PLAN_FILE, Store
 
-PLAN_FILE = "plan.json"
 MOST_FRAMES_A_SHARD = 64
 FEWEST_FRAMES_A_SHARD = 4
 SHARDS_WANTED = 32
 """Small datasets get small shards, so that workers share them and progress shows."""
+_PATHS = ("model", "segmenter_model", "synonyms")
+"""The options that name files."""
 
 
 @dataclass(frozen=True)
@@ -35,6 +38,12 @@ class SourceSpec:
         from pipeline.ask import AskConfig
 
         return open_source(self.path, srm="rule", config=AskConfig(lift=config.lift), **self.options)
+
+    def absolute(self) -> SourceSpec:
+        """The same with absolute paths: workers, and later readers of the plan, may stand in another folder."""
+        named = {n: str(Path(self.options[n]).absolute()) for n in _PATHS if self.options.get(n) is not None}
+        path = Path(self.path)
+        return SourceSpec(str(path.absolute()) if path.exists() else self.path, {**self.options, **named})
 
 
 @dataclass(frozen=True)
@@ -74,7 +83,8 @@ class Plan:
     frames : tuple of str
         All frames of the dataset, in order.
     models : dict of str to str
-        Fingerprints of detector and segmenter.
+        Fingerprints of detector and segmenter, of the second opinion, and of
+        what was said about camera and names.
     input_hash : str
         Hash of the dataset's files by name, size and time of change.
     format : str
@@ -82,6 +92,8 @@ class Plan:
     exact : bool
         The objects are the dataset's own annotations.
     frames_a_shard : int
+    version : str
+        Of this program: shards of two releases do not mix.
     """
 
     spec: SourceSpec
@@ -92,11 +104,14 @@ class Plan:
     format: str
     exact: bool
     frames_a_shard: int
+    version: str = __version__
 
     @property
     def key(self) -> str:
         """Hash of what every row depends on."""
-        return canonical_hash({"config": self.config.hash, "models": self.models, "input": self.input_hash})
+        return canonical_hash(
+            {"config": self.config.hash, "models": self.models, "input": self.input_hash, "version": self.version}
+        )
 
     @property
     def shards(self) -> tuple[Shard, ...]:
@@ -120,6 +135,7 @@ def make_plan(
     *,
     frames_a_shard: int | None = None,
     limit: int | None = None,
+    out: str | Path | None = None,
 ) -> Plan:
     """Look at the dataset and lay out the shards; no image is decoded.
 
@@ -127,12 +143,16 @@ def make_plan(
     ----------
     limit : int, optional
         Only the first so many frames.
+    out : str or Path, optional
+        Where the labels go: within the dataset's folder, that place is not part of the input.
 
     Raises
     ------
     InputError
         The dataset cannot be opened, has no frames, or nothing finds objects in it.
     """
+    if limit is not None and limit < 1:
+        raise InputError("the limit must be at least one frame", got=limit)
     if frames_a_shard is not None and frames_a_shard < 1:
         raise InputError("a shard needs at least one frame", got=frames_a_shard)
     source = spec.open(config)
@@ -140,6 +160,9 @@ def make_plan(
     frames = source.dataset.frame_ids[:limit]
     if not frames:
         raise InputError("the dataset has no frames", path=source.dataset.root)
+    odd = next((f for f in frames if any("\ud800" <= c <= "\udfff" for c in f)), None)
+    if odd is not None:
+        raise InputError("the name of a frame is not UTF-8", got=ascii(odd), path=ascii(str(source.dataset.root)))
     if frames_a_shard is None:
         even = -(-len(frames) // SHARDS_WANTED)
         frames_a_shard = min(max(even, FEWEST_FRAMES_A_SHARD), MOST_FRAMES_A_SHARD)
@@ -150,32 +173,55 @@ def make_plan(
         {
             "detector": f"{detector.name}: {detector.fingerprint()}",
             "second_opinion": fingerprint(config.second_opinion),
+            **_declared(spec.options),
         },
-        files_hash(source.dataset.root),
+        _input_hash(source, out),
         source.dataset.format,
         detector.exact,
         frames_a_shard,
     )
 
 
-def files_hash(root: Path) -> str:
+def input_changed(plan: Plan, out: str | Path) -> bool:
+    """Whether the dataset's files are other ones now than when the plan was made; no model is loaded."""
+    camera = {n: plan.spec.options.get(n) for n in ("intrinsics", "depth_scale")}
+    return _input_hash(SourceSpec(plan.spec.path, camera).open(plan.config), out) != plan.input_hash
+
+
+def _input_hash(source: Source, out: str | Path | None) -> str:
+    local = None if out is None or "://" in str(out) else Path(out).expanduser()
+    return files_hash(source.dataset.root, local)
+
+
+def _declared(options: dict[str, Any]) -> dict[str, str]:
+    """What a person said of the camera and of names, by content: the rows depend on it."""
+    found = {n: json.dumps(options[n]) for n in ("intrinsics", "depth_scale") if options.get(n) is not None}
+    if options.get("synonyms") is not None:
+        found["synonyms"] = hashlib.sha256(Path(options["synonyms"]).read_bytes()).hexdigest()
+    return found
+
+
+def files_hash(root: Path, leave_out: Path | None = None) -> str:
     """Hash of all files below a folder by relative path, size and time of change; nothing is read.
 
-    Links are not followed, and hidden files are left out.
+    Links are not followed; hidden files are left out, and so is the folder `leave_out`.
     """
-    return canonical_hash(sorted(_files(root, "")))
+    return canonical_hash(sorted(_files(root, "", None if leave_out is None else leave_out.resolve())))
 
 
-def _files(folder: Path, prefix: str) -> Iterator[tuple[str, int, int]]:
+def _files(folder: Path, prefix: str, leave_out: Path | None) -> Iterator[tuple[str, int, int]]:
     with os.scandir(folder) as entries:
         for entry in entries:
             if entry.name.startswith("."):
                 continue
             if entry.is_dir(follow_symlinks=False):
-                yield from _files(Path(entry.path), f"{prefix}{entry.name}/")
+                if leave_out is None or entry.name != leave_out.name or Path(entry.path).resolve() != leave_out:
+                    yield from _files(Path(entry.path), f"{prefix}{entry.name}/", leave_out)
             else:
                 stat = entry.stat(follow_symlinks=False)
-                yield f"{prefix}{entry.name}", stat.st_size, stat.st_mtime_ns
+                # A name that is not UTF-8 still counts.
+                name = os.fsencode(prefix + entry.name).decode(errors="backslashreplace")
+                yield name, stat.st_size, stat.st_mtime_ns
 
 
 def save_plan(plan: Plan, store: Store) -> None:
@@ -186,10 +232,9 @@ def save_plan(plan: Plan, store: Store) -> None:
     InputError
         The folder holds labels made otherwise: which setting differs.
     """
-    found = store.read_text(PLAN_FILE)
-    if found is None:
+    if store.read_text(PLAN_FILE) is None:
         store.write_text(PLAN_FILE, json.dumps(plan.record(), indent=1, ensure_ascii=False))
-        return
+    # Read back also then: another task may have written its own first.
     there = load_plan(store)
     differing = [f.name for f in fields(Plan) if f.name != "spec" and getattr(there, f.name) != getattr(plan, f.name)]
     if differing:
@@ -205,9 +250,11 @@ def _difference(a: Plan, b: Plan, name: str) -> str:
     if name == "config":
         changed = [f.name for f in fields(LabelConfig) if getattr(a.config, f.name) != getattr(b.config, f.name)]
         return " and ".join(f"another {c}" for c in changed)
-    return {"input_hash": "other input files", "frames": "other frames", "models": "another detector"}.get(
-        name, f"another {name}"
-    )
+    if name == "models":
+        changed = [key for key in sorted({*a.models, *b.models}) if a.models.get(key) != b.models.get(key)]
+        return " and ".join(f"another {key.replace('_', ' ')}" for key in changed)
+    named = {"input_hash": "other input files", "frames": "other frames", "version": f"release {a.version}"}
+    return named.get(name, f"another {name}")
 
 
 def load_plan(store: Store) -> Plan:
@@ -237,6 +284,7 @@ def load_plan(store: Store) -> Plan:
             str(record["format"]),
             bool(record["exact"]),
             int(record["frames_a_shard"]),
+            str(record["version"]),
         )
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(f"{PLAN_FILE} is damaged", got=f"{type(error).__name__}: {error}", path=store.where) from error

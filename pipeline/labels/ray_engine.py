@@ -43,6 +43,14 @@ def label_row(row: dict[str, Any]) -> dict[str, Any]:
         return asdict(label_shard(pickle.loads(row["shard"]), _labeller(row["models"]), Store(row["where"]), found))
 
 
+def needed_ray() -> None:
+    """Raise MissingExtra where Ray is not installed."""
+    try:
+        import_module("ray.data")
+    except ImportError as error:
+        raise MissingExtra("the engine ray", "cluster") from error
+
+
 def run_ray(
     plan: Plan, shards: Sequence[Shard], store: Store, workers: int, done: Done, *, gpus_a_detector: float = 0.0
 ) -> None:
@@ -63,11 +71,9 @@ def run_ray(
     MissingExtra
         Ray is not installed.
     """
-    try:
-        ray: Any = import_module("ray")
-        import_module("ray.data")
-    except ImportError as error:
-        raise MissingExtra("the engine ray", "cluster") from error
+    needed_ray()
+    ray: Any = import_module("ray")
+    import_module("ray.data")
     for shard in list(shards):
         there = finished(shard, store)
         if there is not None:

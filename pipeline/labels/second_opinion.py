@@ -43,11 +43,22 @@ def open_second_opinion(name: str) -> OnnxScorer | None:
 
 
 def fingerprint(name: str) -> str:
-    """What the opinion depends on: the hash of the network's file."""
+    """What the opinion depends on: the hash of the network's file.
+
+    Raises
+    ------
+    InputError
+        There is no such file.
+    """
     from pipeline.proposals.onnx_session import file_hash
     from pipeline.srm import shipped_network
 
-    return NONE if name == NONE else file_hash(shipped_network() if name == TRAINED else Path(name))
+    if name == NONE:
+        return NONE
+    path = shipped_network() if name == TRAINED else Path(name)
+    if not path.is_file():
+        raise InputError("a second opinion is a network", got=repr(name), expected="trained, none, or an ONNX file")
+    return file_hash(path)
 
 
 def doubted(
@@ -59,7 +70,7 @@ def doubted(
     """
     states, margins = judged.states.copy(), judged.margins.copy()
     found = network.of_pairs(objects, viewer)
-    bits = np.zeros(states.shape[:2], np.int32)
+    bits = np.zeros(states.shape[:2], np.int32) if judged.doubted is None else judged.doubted.copy()
     for k, relation in enumerate(network.contract.vocabulary):
         column = PAIRWISE.index(relation)
         state, p = states[..., column], found[..., k]

@@ -142,9 +142,12 @@ def finished(shard: Shard, store: Store) -> ShardReport | None:
     """The report of a shard that is there already, else None."""
     if not store.has_part(shard.name):
         return None
-    files = store.part_record(shard.name).get("files", {})
-    rows = {name: int(files.get(name, {}).get("rows", 0)) for name in PART_TABLES}
-    return ShardReport(shard.name, rows["frames"], rows["objects"], rows["relations"], rows[CANDIDATES], reused=True)
+    record = store.part_record(shard.name)
+    rows = {name: int(record["files"].get(name, {}).get("rows", 0)) for name in PART_TABLES}
+    broken = int(record.get("broken", 0))
+    return ShardReport(
+        shard.name, rows["frames"], rows["objects"], rows["relations"], rows[CANDIDATES], broken, reused=True
+    )
 
 
 def label_shard(
@@ -165,8 +168,9 @@ def label_shard(
         for k, frame in enumerate(shard.frames)
     )
     seconds = perf_counter() - start
-    store.write_part(shard.name, tables, {"shard": shard.index, "key": shard.key, "seconds": round(seconds, 3)})
     broken = sum(not ok for ok in tables["frames"].column("ok").to_pylist())
+    record = {"shard": shard.index, "key": shard.key, "broken": broken, "seconds": round(seconds, 3)}
+    store.write_part(shard.name, tables, record)
     return ShardReport(
         shard.name,
         len(shard.frames),

@@ -11,11 +11,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pipeline.errors import InputError, MissingExtra
+from pipeline.labels.whole_files import clear_abandoned, temporary_beside, write_synced
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
 PARTS = "parts"
+PLAN_FILE = "plan.json"
 DONE_FILE = "part.json"
 """Written last: a part without it does not count."""
 
@@ -71,11 +73,19 @@ class Store:
             return not self._fs.exists(self._root) or not self._fs.ls(self._root)
         return not self.folder.exists() or (self.folder.is_dir() and not any(self.folder.iterdir()))
 
+    def holds_something_else(self) -> bool:
+        """Whether the folder has files of another kind, and no plan: then it is not one of labels."""
+        if self.remote or not self.folder.is_dir():
+            return False
+        names = {entry.name for entry in self.folder.iterdir()}
+        return PLAN_FILE not in names and any(n != PARTS and not n.startswith(".") for n in names)
+
     def clear_unfinished(self) -> None:
-        """Remove what killed runs left behind; must not run beside another writer."""
-        if not self.remote and (self.folder / PARTS).is_dir():
-            for left in (self.folder / PARTS).glob(".*.tmp"):
-                shutil.rmtree(left, ignore_errors=True)
+        """Remove what killed runs left behind; what another process is writing stays."""
+        if self.remote:
+            return
+        clear_abandoned(self.folder / PARTS)
+        clear_abandoned(self.folder)
 
     def read_text(self, name: str) -> str | None:
         """A small file, or None where it is missing."""
@@ -86,14 +96,31 @@ class Store:
             return (self.folder / name).read_text(encoding="utf-8")
         except FileNotFoundError:
             return None
+        except UnicodeDecodeError as error:
+            raise InputError("not a text file", path=self._place(name)) from error
+
+    def _place(self, name: str) -> str:
+        """For messages: where something of the folder is."""
+        return f"{self.where.rstrip('/')}/{name}"
 
     def write_text(self, name: str, text: str) -> None:
-        """Write a small file whole."""
+        """Write a small file whole; one that is there already stays, whoever wrote it first."""
         if self.remote:
             with self._fs.open(f"{self._root}/{name}", "wb") as file:
                 file.write(text.encode())
             return
-        write_whole(self.folder / name, text.encode())
+        temporary = temporary_beside(self.folder / name)
+        try:
+            write_synced(temporary, text.encode())
+            try:
+                os.link(temporary, self.folder / name)
+            except FileExistsError:
+                return
+            except OSError:
+                # A place without hard links: the last writer wins.
+                os.replace(temporary, self.folder / name)
+        finally:
+            temporary.unlink(missing_ok=True)
 
     def has_part(self, name: str) -> bool:
         """Whether a finished part is there."""
@@ -108,16 +135,15 @@ class Store:
             self._write_remote(name, tables, record)
             return
         final = self.folder / PARTS / name
-        temporary = self.folder / PARTS / f".{name}.{os.getpid()}.tmp"
-        shutil.rmtree(temporary, ignore_errors=True)
+        temporary = temporary_beside(final)
         temporary.mkdir(parents=True)
         try:
             files = {}
             for table, rows in tables.items():
                 data = parquet_bytes(rows)
-                _write_synced(temporary / f"{table}.parquet", data)
+                write_synced(temporary / f"{table}.parquet", data)
                 files[table] = {"rows": rows.num_rows, "sha256": hashlib.sha256(data).hexdigest()}
-            _write_synced(temporary / DONE_FILE, json.dumps({**record, "files": files}).encode())
+            write_synced(temporary / DONE_FILE, json.dumps({**record, "files": files}).encode())
             try:
                 os.rename(temporary, final)
             except OSError:
@@ -153,14 +179,55 @@ class Store:
         place = f"{PARTS}/{name}/{table}.parquet"
         if not self.remote:
             return read_table(self.folder / place, table, columns)
-        import pyarrow.parquet as pq
-
-        with self._fs.open(f"{self._root}/{place}", "rb") as file:
-            return pq.read_table(file, columns=columns)
+        with self._open_part(place) as file:
+            return read_table(file, table, columns, path=self._place(place))
 
     def part_record(self, name: str) -> dict[str, Any]:
-        """The record of a finished part."""
-        return json.loads(self.read_text(f"{PARTS}/{name}/{DONE_FILE}") or "{}")
+        """The record of a finished part.
+
+        Raises
+        ------
+        InputError
+            It is damaged.
+        """
+        try:
+            record = json.loads(self.read_text(f"{PARTS}/{name}/{DONE_FILE}") or "")
+            return {**record, "files": {table: dict(entry) for table, entry in record["files"].items()}}
+        except (ValueError, KeyError, TypeError, AttributeError) as error:
+            raise self._damaged(name, f"an unreadable {DONE_FILE}") from error
+
+    def check_part(self, name: str, key: str) -> None:
+        """Check that a part is the one of this key, and its files those that were written.
+
+        Raises
+        ------
+        InputError
+            Of another key, a file is missing, or its content has changed.
+        """
+        record = self.part_record(name)
+        if record.get("key") != key:
+            raise self._damaged(name, "the rows of another shard")
+        for table, entry in record["files"].items():
+            place, sha256 = f"{PARTS}/{name}/{table}.parquet", hashlib.sha256()
+            try:
+                with self._open_part(place) as file:
+                    while block := file.read(1 << 20):
+                        sha256.update(block)
+            except FileNotFoundError as error:
+                raise self._damaged(name, f"no {table}.parquet") from error
+            if sha256.hexdigest() != entry.get("sha256"):
+                raise self._damaged(name, f"another content of {table}.parquet")
+
+    def _open_part(self, place: str) -> Any:
+        return self._fs.open(f"{self._root}/{place}", "rb") if self.remote else open(self.folder / place, "rb")
+
+    def _damaged(self, name: str, got: str) -> InputError:
+        return InputError(
+            "a finished shard is damaged",
+            got=got,
+            cause="remove its folder, and run label again with --resume",
+            path=self._place(f"{PARTS}/{name}"),
+        )
 
 
 def parquet_bytes(table: pa.Table) -> bytes:
@@ -171,20 +238,3 @@ def parquet_bytes(table: pa.Table) -> bytes:
     sink = pa.BufferOutputStream()
     pq.write_table(table, sink, compression="zstd")
     return sink.getvalue().to_pybytes()
-
-
-def write_whole(path: Path, data: bytes) -> None:
-    """Write a file under a temporary name, sync it, and rename it into place."""
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    try:
-        _write_synced(temporary, data)
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
-
-
-def _write_synced(path: Path, data: bytes) -> None:
-    with open(path, "wb") as file:
-        file.write(data)
-        file.flush()
-        os.fsync(file.fileno())

@@ -9,13 +9,14 @@ import typing
 from collections.abc import Iterable, Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import IO, TYPE_CHECKING, Any
 
 import numpy as np
 from pydantic import ValidationError
 
 from pipeline.errors import InputError
 from pipeline.labels.schema import SCHEMA_VERSION, TABLES
+from pipeline.labels.whole_files import temporary_beside
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -93,7 +94,7 @@ def write_table(table: pa.Table, path: Path) -> None:
     """Write Parquet under a temporary name, sync it, and rename it into place."""
     import pyarrow.parquet as pq
 
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    temporary = temporary_beside(path)
     try:
         pq.write_table(table, temporary, compression="zstd", row_group_size=ROW_GROUP)
         with open(temporary, "rb") as written:
@@ -103,8 +104,10 @@ def write_table(table: pa.Table, path: Path) -> None:
         temporary.unlink(missing_ok=True)
 
 
-def read_table(path: Path, table: str, columns: Sequence[str] | None = None) -> pa.Table:
-    """A table of the labels.
+def read_table(
+    source: Path | IO[bytes], table: str, columns: Sequence[str] | None = None, *, path: str | Path | None = None
+) -> pa.Table:
+    """A table of the labels, from a path or an open file (then `path` names it in messages).
 
     Raises
     ------
@@ -114,20 +117,22 @@ def read_table(path: Path, table: str, columns: Sequence[str] | None = None) -> 
     import pyarrow as pa
     import pyarrow.parquet as pq
 
+    path = source if isinstance(source, Path) else path or "an open file"
     try:
-        schema = pq.read_schema(path)
-        check_version(schema.metadata or {}, table, path)
-        missing = [n for n in columns or arrow_schema(table).names if n not in schema.names]
-        if missing:
-            raise InputError(f"table {table} lacks the column {missing[0]!r}", path=path)
-        return pq.read_table(path, columns=None if columns is None else list(columns))
+        with pq.ParquetFile(source) as file:
+            schema = file.schema_arrow
+            check_version(schema.metadata or {}, table, path)
+            missing = [n for n in columns or arrow_schema(table).names if n not in schema.names]
+            if missing:
+                raise InputError(f"table {table} lacks the column {missing[0]!r}", path=path)
+            return file.read(columns=None if columns is None else list(columns))
     except FileNotFoundError as error:
         raise InputError(f"the table {table} is missing", cause="are these labels merged?", path=path) from error
     except (pa.ArrowInvalid, pa.ArrowTypeError, OSError) as error:
         raise InputError("not a readable Parquet file", got=str(error).split("\n")[0], path=path) from error
 
 
-def check_version(metadata: dict[bytes, bytes], table: str, path: Path) -> None:
+def check_version(metadata: dict[bytes, bytes], table: str, path: str | Path) -> None:
     """Refuse a file of another table or of a schema with another major version."""
     found = metadata.get(VERSION_KEY, b"").decode() or None
     if found is None:

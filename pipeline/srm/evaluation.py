@@ -6,15 +6,18 @@ or F in truth: U is neither right nor wrong.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
+from pipeline.evaluation.calibration_metrics import calibration_metrics
+from pipeline.evaluation.counts import ratio
+from pipeline.evaluation.relation_metrics import multi_label_metrics
 from pipeline.relations import DIRECTIONAL, measure_pairs
 
 CLEAR_GAP_M = 0.10
-ECE_BINS = 15
 
 
 def evaluate(
@@ -38,33 +41,31 @@ def evaluate(
         `macro_f1`, `element_accuracy`, `all_negative_accuracy` (what a scorer
         gets that always says no), `positives_per_pair`, `doubtful_share`,
         `brier`, `ece`, `pairs`, and with `rule` `differing` (cells, errors,
-        rule_errors, rule_opposite: see `differing_cells`).
+        rule_errors, rule_opposite: see `differing_cells`). None where a figure
+        has no meaning, as precision where nothing was said to hold.
     """
-    p, t = _cells(probabilities), _cells(truth)
-    known = t != 0
-    holds, said = t > 0, p > 0.5
-    tp, fp, fn = ((c & known).sum(axis=0) for c in (said & holds, said & ~holds, ~said & holds))
+    p, t = _cells(probabilities).astype(np.float64), _cells(truth).astype(np.int8)
+    metrics, calibration = multi_label_metrics(p, t), calibration_metrics(p, t)
     relations = {
         name: {
-            "precision": _share(tp[k], tp[k] + fp[k]),
-            "recall": _share(tp[k], tp[k] + fn[k]),
-            "f1": _share(2 * tp[k], 2 * tp[k] + fp[k] + fn[k]),
-            "positives": int(tp[k] + fn[k]),
+            "precision": _defined(metrics.precision[k]),
+            "recall": _defined(metrics.recall[k]),
+            "f1": _defined(metrics.f1[k]),
+            "positives": int(metrics.positives[k]),
         }
         for k, name in enumerate(DIRECTIONAL)
     }
-    right = (said == holds)[known]
     report: dict[str, Any] = {
-        "pairs": len(p),
+        "pairs": metrics.pairs,
         "relations": relations,
-        "micro_f1": _share(2 * tp.sum(), 2 * tp.sum() + fp.sum() + fn.sum()),
-        "macro_f1": float(np.mean([r["f1"] for r in relations.values()])),
-        "element_accuracy": _share(right.sum(), right.size),
-        "all_negative_accuracy": _share((known & ~holds).sum(), known.sum()),
-        "positives_per_pair": _share((known & holds).sum(), len(t)),
-        "doubtful_share": _share((~known).sum(), known.size),
-        "brier": _share(np.square(p - holds)[known].sum(), known.sum()),
-        "ece": expected_calibration_error(p[known], holds[known]),
+        "micro_f1": _defined(metrics.micro_f1),
+        "macro_f1": _defined(metrics.macro_f1),
+        "element_accuracy": _defined(metrics.element_accuracy),
+        "all_negative_accuracy": _defined(metrics.all_negative_accuracy),
+        "positives_per_pair": _defined(ratio(metrics.positives.sum(), len(t))),
+        "doubtful_share": _defined(ratio(metrics.doubtful.sum(), t.size)),
+        "brier": _defined(calibration.pooled_brier),
+        "ece": _defined(calibration.pooled_ece),
     }
     if rule is not None:
         report["differing"] = differing_cells(p, t, _cells(rule))
@@ -77,8 +78,8 @@ def _cells(views: Sequence[np.ndarray]) -> np.ndarray:
     return np.concatenate(rows) if rows else np.zeros((0, len(DIRECTIONAL)))
 
 
-def _share(part: Any, whole: Any) -> float:
-    return float(part) / float(whole) if whole else 0.0
+def _defined(figure: Any) -> float | None:
+    return float(figure) if math.isfinite(figure) else None
 
 
 def differing_cells(p: np.ndarray, truth: np.ndarray, rule: np.ndarray) -> dict[str, int]:
@@ -99,16 +100,6 @@ def differing_cells(p: np.ndarray, truth: np.ndarray, rule: np.ndarray) -> dict[
         "rule_errors": int((cells & ((rule > 0) != holds)).sum()),
         "rule_opposite": int((cells & (rule == -truth)).sum()),
     }
-
-
-def expected_calibration_error(p: np.ndarray, holds: np.ndarray, bins: int = ECE_BINS) -> float:
-    """Mean distance of probability and frequency over equal bins of probability, weighted by their content."""
-    if not p.size:
-        return 0.0
-    place = np.minimum((p * bins).astype(np.int64), bins - 1)
-    count = np.bincount(place, minlength=bins)
-    gap = np.bincount(place, p, bins) - np.bincount(place, holds.astype(np.float64), bins)
-    return float(np.abs(gap).sum() / count.sum())
 
 
 def clear_cut(lo: np.ndarray, hi: np.ndarray, by_centers: bool = False) -> np.ndarray:
@@ -140,13 +131,13 @@ def clear_cut_report(
     probabilities: Sequence[np.ndarray],
     extents: Sequence[tuple[np.ndarray, np.ndarray]],
     by_centers: bool = False,
-) -> dict[str, float]:
+) -> dict[str, Any]:
     """Of the clear-cut relations of all views: how many are likely (p > 0.5), how many doubted, how many opposite ones.
 
     Returns
     -------
     dict
-        clear_cut (their number), holds, doubted, opposite (shares of it).
+        clear_cut (their number), holds, doubted, opposite (shares of it; None where there is none).
     """
     asked, opposed = [], []
     for p, (lo, hi) in zip(probabilities, extents, strict=True):
@@ -157,7 +148,7 @@ def clear_cut_report(
     own, other = np.concatenate([*asked, []]), np.concatenate([*opposed, []])
     return {
         "clear_cut": len(own),
-        "holds": _share((own > 0.5).sum(), len(own)),
-        "doubted": _share((own == 0.5).sum(), len(own)),
-        "opposite": _share((other > 0.5).sum(), len(other)),
+        "holds": _defined(ratio((own > 0.5).sum(), len(own))),
+        "doubted": _defined(ratio((own == 0.5).sum(), len(own))),
+        "opposite": _defined(ratio((other > 0.5).sum(), len(other))),
     }

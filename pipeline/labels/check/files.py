@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -99,6 +100,9 @@ def profile_problem(manifest: Manifest) -> str | None:
     name = str(manifest.profile.get("name"))
     if name not in PROFILES:
         return f"this release has no rule profile {name!r}"
+    parameters = json.dumps(manifest.profile.get("parameters"), sort_keys=True)
+    if parameters != json.dumps(PROFILES[name].parameters, sort_keys=True):
+        return f"the manifest lists other thresholds for {name!r} than this release"
     if manifest.profile_hash != PROFILES[name].hash:
         return f"the labels were made with other rules under the name {name!r}"
     if name not in EXPECTED:

@@ -65,6 +65,14 @@ def _all_findings(labels: Labels, groups: frozenset[str], chosen: frozenset[str]
     relations = tuple(r for r in manifest.config.get("relations", ()) if r in PAIRWISE)
     class_names, survey = _surveyed(TableStream(labels.root / "objects.parquet", "objects"))
     expression_rules = ExpressionRules(Reader(class_names), manifest.seed, profile)
+    # What rests on a table that cannot be read, or lacks columns, would be one error a row.
+    lost = {name for name, stream in streams.items() if stream.problem is not None or stream.lacking}
+    if lost & {"frames", "objects"}:
+        groups -= {"row", "frame", "object", "relation", "expression"}
+    elif "relations" in lost:
+        groups -= {"relation", "expression"}
+    elif "expressions" in lost:
+        groups -= {"expression"}
     for index, tables in frames_of(streams):
         view = FrameView(index, tables, names, relations)
         if groups & {"row", "frame", "file", "object"}:

@@ -17,16 +17,17 @@ MARK = "export.json"
 
 
 @contextmanager
-def staged_folder(out: Path, *, overwrite: bool) -> Iterator[Path]:
+def staged_folder(out: Path, *, overwrite: bool, mark: str = MARK) -> Iterator[Path]:
     """A hidden folder beside `out` that takes its name when the block ends well, and is removed when it does not.
 
     Raises
     ------
     InputError
         `out` is a file, is not empty, or cannot be written. With `overwrite`, an
-        earlier export is replaced, and a folder of anything else still refused.
+        earlier export is replaced (told by the file `mark`), and a folder of
+        anything else still refused.
     """
-    check_target(out, overwrite=overwrite)
+    check_target(out, overwrite=overwrite, mark=mark)
     final = out.absolute()
     staging = final.with_name(f".{final.name}.{os.getpid()}.tmp")
     try:
@@ -37,32 +38,34 @@ def staged_folder(out: Path, *, overwrite: bool) -> Iterator[Path]:
         raise InputError("the folder cannot be made", got=error.strerror, path=out) from error
     try:
         yield staging
-        _take_name(staging, final, overwrite=overwrite)
+        _take_name(staging, final, overwrite=overwrite, mark=mark)
     except OSError as error:
-        raise InputError("the export cannot be written", got=error.strerror or str(error), path=out) from error
+        raise InputError("the folder cannot be written", got=error.strerror or str(error), path=out) from error
     finally:
         shutil.rmtree(staging, ignore_errors=True)
 
 
-def check_target(out: Path, *, overwrite: bool) -> None:
+def check_target(out: Path, *, overwrite: bool, mark: str = MARK) -> None:
     """Refuse a target that would be harmed; see `staged_folder`."""
     if not out.exists():
         return
     if not out.is_dir():
-        raise InputError("an export is a folder", got="a file", path=out)
+        raise InputError("what is written is a folder", got="a file", path=out)
     if not any(out.iterdir()):
         return
-    if not (out / MARK).is_file():
+    if not (out / mark).is_file():
         raise InputError(
-            "the folder is not empty, and holds no earlier export", expected="a new or empty folder", path=out
+            "the folder is not empty, and holds nothing that may be replaced",
+            expected="a new or empty folder",
+            path=out,
         )
     if not overwrite:
-        raise InputError("there is an export already", expected="another folder, or to overwrite it", path=out)
+        raise InputError("the folder is not empty", expected="another folder, or to overwrite it", path=out)
 
 
-def _take_name(staging: Path, final: Path, *, overwrite: bool) -> None:
+def _take_name(staging: Path, final: Path, *, overwrite: bool, mark: str) -> None:
     # Somebody may have filled the folder since.
-    check_target(final, overwrite=overwrite)
+    check_target(final, overwrite=overwrite, mark=mark)
     if not final.exists():
         os.rename(staging, final)
         return

@@ -11,6 +11,7 @@ import numpy as np
 
 from pipeline.errors import InputError
 from pipeline.labels.exports.frame_rows import FrameRows, iterate_frames
+from pipeline.labels.exports.vqa_questions import measured_extents
 from pipeline.labels.exports.vqa_records import Question, VqaConfig, read_questions
 from pipeline.labels.noun_phrase import readable
 from pipeline.labels.reading import Labels
@@ -120,6 +121,6 @@ def _measure(question: Question, own: list[dict[str, Any]], rows: FrameRows) -> 
         value = next(row["distance"] for row in pairs if (row["a"], row["b"]) == (a, b))
     else:
         axis = {"height": 1, "width": 0}[question.about]
-        value = own[0]["hi"][axis] - own[0]["lo"][axis]
+        value = float(measured_extents(own[0], rows.frame["up"])[axis])
     number, unit = question.answer.split(" ")
     return None if unit == "m" and abs(float(number) - value) <= 0.00501 else f"answered {number}, is {value:.3f}"

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.boxes import Box3D
 from pipeline.errors import InputError
 from pipeline.labels.exports import vqa_wording as say
 from pipeline.labels.exports.frame_rows import FrameRows
@@ -17,6 +18,7 @@ from pipeline.labels.exports.vqa_records import Kind, Question, VqaConfig
 from pipeline.labels.expressions import row_hash, same_names
 from pipeline.naming import normal_form
 from pipeline.relations import F, T
+from pipeline.viewer import viewer_axes
 
 Unit = Callable[[], tuple[Question, ...]]
 """Questions that are asked together or not at all."""
@@ -134,7 +136,9 @@ def alone(labels: Sequence[str]) -> np.ndarray:
 
 
 def is_measurable(row: dict[str, Any], config: VqaConfig) -> bool:
-    """Whether an object is seen so fully that its extents are its own."""
+    """Whether an object's size is known: by its exact box, or because it is seen so fully that it shows."""
+    if row["exact_size"] is not None:
+        return not row["touches_border"]
     return (
         row["center"] is not None
         and row["lo"] is not None
@@ -143,6 +147,7 @@ def is_measurable(row: dict[str, Any], config: VqaConfig) -> bool:
         and not row["fallback"]
         and row["occluded"] <= config.max_occluded
         and row["depth_missing"] <= config.max_depth_missing
+        and row["kept"] >= config.min_kept
         and (row["visible"] is None or row["visible"] >= 1 - config.max_occluded)
     )
 
@@ -283,14 +288,23 @@ def _distance(scene: Scene, measure: str, places: tuple[int, int], value: float,
     )  # fmt: skip
 
 
+def measured_extents(row: dict[str, Any], up: Sequence[float]) -> np.ndarray:
+    """(3,) metres along the viewer's (right, up, forward): of the exact box where there is one, else as seen."""
+    if row["exact_size"] is None:
+        return np.array(row["hi"]) - np.array(row["lo"])
+    R = np.array(row["exact_R"]).reshape(3, 3)
+    corners = Box3D(np.array(row["exact_center"]), R, np.array(row["exact_size"])).corners
+    return np.ptp(corners @ viewer_axes(np.array(up)).matrix.T, axis=0)
+
+
 def size_units(scene: Scene) -> Iterator[Unit]:
     """How tall and how wide a fully seen object is, along the viewer's up and right."""
     found: list[tuple[int, Unit]] = []
     for a in np.flatnonzero(scene.measurable).tolist():
-        row = scene.rows.objects[a]
+        extents = measured_extents(scene.rows.objects[a], scene.rows.frame["up"])
         for measure, axis in (("height", 1), ("width", 0)):
             key = scene.key("size", measure, scene.number[a])
-            found.append((key, _size(scene, measure, a, row["hi"][axis] - row["lo"][axis], key)))
+            found.append((key, _size(scene, measure, a, float(extents[axis]), key)))
     yield from (unit for _, unit in sorted(found, key=lambda item: item[0]))
 
 

@@ -33,6 +33,8 @@ class VqaConfig:
         their border covered, that do not touch the picture's border.
     max_depth_missing : float
         And with at most this share of their pixels without depth.
+    min_kept : float
+        And of whose mask cleaning kept at least this share: else what is measured is too small.
     min_distance : float
         Distances below it, metres, are not asked for.
     box_decimals : int
@@ -46,6 +48,7 @@ class VqaConfig:
     min_margin: float = 0.05
     max_occluded: float = 0.1
     max_depth_missing: float = 0.5
+    min_kept: float = 0.6
     min_distance: float = 0.1
     box_decimals: int = 3
     seed: int = 0

@@ -1,0 +1,153 @@
+"""Answering many expressions of one frame: detections, lifting and relations once, then a ranking for each.
+
+The winner is that of `pipeline.ranking.rank`; only what is shared between the
+expressions of a frame is computed once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.ask import propose
+from pipeline.errors import InputError
+from pipeline.jobs import Source
+from pipeline.objects import FrameContext, SceneObject, same_object
+from pipeline.ranking import MIN_RELATION, MIN_SCORE, TIE, Candidates
+
+
+@dataclass(frozen=True)
+class Pair:
+    """A target and a reference among the candidates, with the factors of their score.
+
+    Attributes
+    ----------
+    target, reference : int
+        Places in the frame's objects as detected.
+    p_target, p_reference, p_relation : float
+    log_score : float
+        S of the ranking.
+    """
+
+    target: int
+    reference: int
+    p_target: float
+    p_reference: float
+    p_relation: float
+    log_score: float
+
+
+@dataclass(frozen=True)
+class Scored:
+    """All candidate pairs of one expression.
+
+    Attributes
+    ----------
+    targets, references : Candidates
+    p_relation, log_score : (T, R) float64
+        -inf where the two are one thing.
+    """
+
+    targets: Candidates
+    references: Candidates
+    p_relation: np.ndarray
+    log_score: np.ndarray
+
+    def pair(self, i: int, j: int) -> Pair:
+        """Candidate target i with candidate reference j."""
+        return Pair(
+            int(self.targets.index[i]),
+            int(self.references.index[j]),
+            float(self.targets.scores[i]),
+            float(self.references.scores[j]),
+            float(self.p_relation[i, j]),
+            float(self.log_score[i, j]),
+        )
+
+
+class FrameAnswers:
+    """A frame with everything detected in it for a set of class names.
+
+    Parameters
+    ----------
+    source : Source
+    context : FrameContext
+    names : sequence of str
+        All class names that will be asked for.
+
+    Attributes
+    ----------
+    objects : tuple of SceneObject
+    candidates : dict of str to Candidates
+        A name that the detector does not know has none.
+    unknown : dict of str to str
+        Names that the detector refused, and why.
+    """
+
+    def __init__(self, source: Source, context: FrameContext, names: Sequence[str]) -> None:
+        detector = source.needed_detector()
+        self.source, self.context = source, context
+        objects: list[SceneObject] = []
+        place: dict[int, int] = {}
+        self.candidates: dict[str, Candidates] = {}
+        self.unknown: dict[str, str] = {}
+        for name in names:
+            try:
+                proposals = propose(context, detector, name, source.config.k)
+            except InputError as error:
+                self.unknown[name] = str(error)
+                self.candidates[name] = Candidates(np.zeros(0, np.int64), np.zeros(0))
+                continue
+            index = []
+            for entry in context.lift(proposals, detector):
+                at = place.get(entry.id) if entry.id >= 0 else None
+                if at is None:
+                    at = len(objects)
+                    objects.append(entry)
+                    if entry.id >= 0:
+                        place[entry.id] = at
+                index.append(at)
+            self.candidates[name] = Candidates(np.array(index, np.int64), proposals.scores.astype(np.float64))
+        self.objects = tuple(objects)
+        self.boxes = np.array([o.bbox for o in objects], np.float64).reshape(-1, 4)
+        self.mask_sizes = np.array([o.lifted.quality.mask_pixels for o in objects], np.int64)
+        self.same = same_object(objects, detector.exact)
+        self._scores = source.scorer.score([o.lifted for o in objects], context.viewer) if objects else None
+
+    def score(self, target: str, relation: str, reference: str) -> Scored | None:
+        """All candidate pairs of an expression; None where a class was not found."""
+        targets, references = self.candidates[target], self.candidates[reference]
+        if self._scores is None or not len(targets.index) or not len(references.index):
+            return None
+        config = self.source.config.rank
+        p = self._scores.of(relation)[np.ix_(targets.index, references.index)]
+        own, other = (np.log(np.clip(c.scores, MIN_SCORE, 1 - MIN_SCORE)) for c in (targets, references))
+        log_score = (
+            config.target_weight * own[:, None]
+            + config.reference_weight * other[None, :]
+            + config.relation_weight * np.log(np.maximum(p, MIN_RELATION))
+        )
+        log_score[self.same[np.ix_(targets.index, references.index)]] = -np.inf
+        return Scored(targets, references, p, log_score)
+
+    def best(self, scored: Scored, allowed: np.ndarray | None = None) -> tuple[int, int] | None:
+        """The first pair by the ranking's order; of the allowed ones ((T, R) bool) where they are given."""
+        score = scored.log_score if allowed is None else np.where(allowed, scored.log_score, -np.inf)
+        top = score.max(initial=-np.inf)
+        if not np.isfinite(top):
+            return None
+        # Scores within the rounding of a tie of the winner compete by the tie rules.
+        i, j = np.nonzero(np.round(score / TIE) >= np.round(top / TIE))
+        if len(i) > 1:
+            targets, references = scored.targets.index[i], scored.references.index[j]
+            keys = (references, targets, -self.mask_sizes[targets], -scored.targets.scores[i], -scored.p_relation[i, j])
+            first = np.lexsort(keys)[0]
+            i, j = i[first : first + 1], j[first : first + 1]
+        return int(i[0]), int(j[0])
+
+
+def alone(candidates: Candidates) -> int | None:
+    """The best target without any relation (OPM only), as a place in the frame's objects."""
+    return int(candidates.index[int(np.argmax(candidates.scores))]) if len(candidates.index) else None

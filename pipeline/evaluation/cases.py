@@ -1,0 +1,157 @@
+"""What is asked of a frame in an evaluation, and what counts as right: read from labels."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.labels.expressions import same_names
+from pipeline.labels.reading import Labels
+from pipeline.relations import PAIRWISE, U
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+
+@dataclass(frozen=True)
+class Case:
+    """One expression with its truth.
+
+    Attributes
+    ----------
+    id, text : str
+    target, relation, reference : str
+        The gold triple.
+    target_object, reference_object : int
+        Places in the frame's objects.
+    strict, acceptable : (K,) int64
+        Places of the right targets: beyond doubt, and with the doubtful ones.
+    ambiguous : bool
+    margin : float
+        Of the labelled pair, metres.
+    """
+
+    id: str
+    text: str
+    target: str
+    relation: str
+    reference: str
+    target_object: int
+    reference_object: int
+    strict: np.ndarray
+    acceptable: np.ndarray
+    ambiguous: bool
+    margin: float
+
+
+@dataclass(frozen=True)
+class FrameCases:
+    """All expressions of a frame, and its objects as labelled.
+
+    Attributes
+    ----------
+    frame : str
+    frame_index : int
+    scene : str
+    labels : tuple of str
+    boxes : (N, 4) float64
+        x0, y0, x1, y1, pixels.
+    alike : (N, N) bool
+        Objects whose class names mean the same.
+    states : dict of str to (N, N) int8
+        By relation; -1 where a pair has no label.
+    cases : tuple of Case
+    """
+
+    frame: str
+    frame_index: int
+    scene: str
+    labels: tuple[str, ...]
+    boxes: np.ndarray
+    alike: np.ndarray
+    states: dict[str, np.ndarray]
+    cases: tuple[Case, ...]
+
+    def acceptable_pairs(self, case: Case) -> np.ndarray:
+        """(N, N) bool: pairs of the asked classes of which the relation holds or may hold."""
+        ends = self.alike[case.target_object][:, None] & self.alike[case.reference_object][None, :]
+        return ends & (self.states[case.relation] >= U)
+
+
+def read_cases(labels: Labels, first: int, stop: int) -> Iterator[FrameCases]:
+    """The frames from index `first` up to `stop` that have expressions, in order."""
+    rows = {name: _part(labels.root, name, first, stop) for name in ("frames", "objects", "relations", "expressions")}
+    scenes = dict(zip(*(rows["frames"].column(n).to_pylist() for n in ("frame_index", "scene")), strict=True))
+    expressions = _by_frame(rows["expressions"])
+    objects, relations = _by_frame(rows["objects"]), _by_frame(rows["relations"])
+    names = [r for r in PAIRWISE if r in labels.relation_names]
+    for index in sorted(expressions):
+        own = objects[index]
+        numbers = own["object"]
+        place = {number: k for k, number in enumerate(numbers)}
+        states = {name: np.full((len(numbers), len(numbers)), -1, np.int8) for name in names}
+        pairs = relations.get(index)
+        if pairs is not None:
+            a, b = (np.array([place[n] for n in pairs[end]], np.int64) for end in ("a", "b"))
+            for name in names:
+                states[name][a, b] = pairs[name]
+        found = expressions[index]
+        cases = tuple(
+            Case(
+                id=found["id"][k],
+                text=found["text"][k],
+                target=found["target"][k],
+                relation=found["relation"][k],
+                reference=found["reference"][k],
+                target_object=place[found["target_object"][k]],
+                reference_object=place[found["reference_object"][k]],
+                strict=np.array([place[n] for n in found["targets"][k]], np.int64),
+                acceptable=np.array([place[n] for n in found["acceptable"][k]], np.int64),
+                ambiguous=found["ambiguous"][k],
+                margin=found["margin"][k],
+            )
+            for k in range(len(found["id"]))
+        )
+        yield FrameCases(
+            found["frame"][0],
+            index,
+            scenes[index],
+            tuple(own["label"]),
+            np.array(own["bbox"], np.float64).reshape(-1, 4),
+            same_names(own["label"]),
+            states,
+            cases,
+        )
+
+
+_COLUMNS: dict[str, list[str] | None] = {
+    "frames": ["frame_index", "scene"],
+    "objects": ["frame_index", "object", "label", "bbox"],
+    "relations": None,
+    "expressions": None,
+}
+
+
+def _part(root: Path, name: str, first: int, stop: int) -> pa.Table:
+    import pyarrow.parquet as pq
+
+    chosen = [("frame_index", ">=", first), ("frame_index", "<", stop)]
+    return pq.read_table(root / f"{name}.parquet", columns=_COLUMNS[name], filters=chosen)
+
+
+def _by_frame(table: pa.Table) -> dict[int, dict[str, list[Any]]]:
+    """Columns as lists, by frame; rows are in order of frames."""
+    if not table.num_rows:
+        return {}
+    index = table.column("frame_index").to_numpy()
+    starts = np.flatnonzero(np.diff(index, prepend=-1))
+    stops = [*starts[1:].tolist(), len(index)]
+    columns = {name: table.column(name).to_pylist() for name in table.column_names}
+    return {
+        int(index[a]): {name: values[a:b] for name, values in columns.items()}
+        for a, b in zip(starts.tolist(), stops, strict=True)
+    }

@@ -1,0 +1,134 @@
+"""Two runs on the same expressions: what was fixed, what was broken, what is right for another reason."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.errors import InputError
+from pipeline.evaluation.grounding_tables import clusters_of, column
+from pipeline.evaluation.intervals import Estimate, mean_estimate
+from pipeline.evaluation.significance import McNemar, mcnemar
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+MEASURES = ("correct", "strict_correct", "set_correct", "reference_correct", "pair_correct")
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What changed from one run to another.
+
+    Attributes
+    ----------
+    shared : int
+        Expressions that both answered.
+    only_before, only_after : int
+        Expressions that only one of them has.
+    differences : dict of str to Estimate
+        By measure: after less before, with its clustered interval.
+    tests : dict of str to McNemar
+        `b` counts what only the run after got right, `c` what only the run before did.
+    fixed, broken, other_reason : tuple of dict
+        Expressions (id, frame, text) that became right, became wrong, and are
+        right both times with another target, reference, or one that is only now (or no longer) acceptable.
+    measure : str
+        The measure by which they are sorted into these.
+    """
+
+    shared: int
+    only_before: int
+    only_after: int
+    differences: dict[str, Estimate]
+    tests: dict[str, McNemar]
+    fixed: tuple[dict[str, Any], ...]
+    broken: tuple[dict[str, Any], ...]
+    other_reason: tuple[dict[str, Any], ...]
+    measure: str
+
+    def record(self) -> dict[str, Any]:
+        """As JSON."""
+        return {
+            "measure": self.measure,
+            "shared": self.shared,
+            "only_before": self.only_before,
+            "only_after": self.only_after,
+            "differences": {k: v.record() for k, v in self.differences.items()},
+            "mcnemar": {k: {"b": t.b, "c": t.c, "p_value": t.p_value} for k, t in self.tests.items()},
+            "fixed": list(self.fixed),
+            "broken": list(self.broken),
+            "other_reason": list(self.other_reason),
+        }
+
+
+def read_records(run: Path) -> pa.Table:
+    """The records of a run folder.
+
+    Raises
+    ------
+    InputError
+        There is no run.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    path = Path(run) / "records.parquet"
+    try:
+        return pq.read_table(path)
+    except FileNotFoundError as error:
+        raise InputError("no evaluation run here", expected="a folder that `eval` wrote", path=run) from error
+    except (pa.ArrowInvalid, OSError) as error:
+        raise InputError("the records of the run cannot be read", got=str(error).split("\n")[0], path=path) from error
+
+
+def compare(before: pa.Table, after: pa.Table, measure: str = "set_correct") -> Comparison:
+    """Compare two runs by the expressions that both have.
+
+    Parameters
+    ----------
+    before, after : pyarrow.Table
+        Records.
+    measure : str
+        One of MEASURES.
+
+    Raises
+    ------
+    InputError
+        They have no expression in common.
+    """
+    keys = [list(zip(t.column("frame").to_pylist(), t.column("id").to_pylist(), strict=True)) for t in (before, after)]
+    place = {key: k for k, key in enumerate(keys[0])}
+    shared = [(place[key], k) for k, key in enumerate(keys[1]) if key in place]
+    if not shared:
+        raise InputError("the two runs have no expression in common", cause="were they made with other labels?")
+    first, second = (rows.take([pair[k] for pair in shared]) for k, rows in enumerate((before, after)))
+    clusters, _ = clusters_of(second)
+    differences, tests = {}, {}
+    for name in MEASURES:
+        a, b = column(first, name), column(second, name)
+        differences[name] = mean_estimate(b, clusters, other=a)
+        tests[name] = mcnemar(b > 0, a > 0)
+    was, now = column(first, measure) > 0, column(second, measure) > 0
+    same_target = column(first, "matched_target") == column(second, "matched_target")
+    same_reference = column(first, "matched_reference") == column(second, "matched_reference")
+    pair = (column(first, "pair_correct") > 0) == (column(second, "pair_correct") > 0)
+    other = was & now & ~(same_target & same_reference & pair)
+    return Comparison(
+        len(shared),
+        before.num_rows - len(shared),
+        after.num_rows - len(shared),
+        differences,
+        tests,
+        _named(second, ~was & now),
+        _named(second, was & ~now),
+        _named(second, other),
+        measure,
+    )
+
+
+def _named(records: pa.Table, chosen: np.ndarray) -> tuple[dict[str, Any], ...]:
+    return tuple(records.select(["id", "frame", "text", "relation"]).take(np.flatnonzero(chosen)).to_pylist())

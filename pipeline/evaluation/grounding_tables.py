@@ -1,0 +1,124 @@
+"""Tables from records: the systems of the paper, relation by relation, and where the answers are lost."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pipeline.evaluation.intervals import BootstrapConfig, Estimate, mean_estimate
+from pipeline.evaluation.records import HIT
+from pipeline.evaluation.tables import Row, Table
+from pipeline.relations import PAIRWISE, PHRASE
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+MEASURES = (
+    "Acc@0.5 single truth", "strict set", "set-valued", "mean IoU", "mean IoU over set", "reference", "pair", "n",
+)  # fmt: skip
+
+
+def column(records: pa.Table, name: str) -> np.ndarray:
+    """A column of records as float64; null is NaN."""
+    values = records.column(name)
+    found = values.to_numpy() if not values.null_count else values.cast("float64").to_numpy()
+    return np.asarray(found, np.float64)
+
+
+def clusters_of(records: pa.Table) -> tuple[np.ndarray, str]:
+    """What resembles each other: the scene of each row; its frame where there is one scene only."""
+    scenes = np.array(records.column("scene").to_pylist(), object)
+    if len(set(scenes.tolist())) > 1:
+        return scenes.astype(str), "scene"
+    return np.array(records.column("frame").to_pylist(), object).astype(str), "frame"
+
+
+def full_row(name: str, records: pa.Table, config: BootstrapConfig | None = None) -> Row:
+    """The pipeline's line of the table of systems."""
+    clusters, _ = clusters_of(records)
+    names = ("correct", "strict_correct", "set_correct", "iou", "set_iou", "reference_correct", "pair_correct")
+    cells = []
+    for measure in names:
+        values = column(records, measure)
+        # A system that gives one box has no reference to be measured by.
+        cells.append(None if np.isnan(values).all() else mean_estimate(values, clusters, config=config))
+    return Row(name, (*cells, records.num_rows))
+
+
+def opm_row(name: str, records: pa.Table, config: BootstrapConfig | None = None) -> Row:
+    """The line of the detector's best target alone: it has no reference."""
+    clusters, _ = clusters_of(records)
+    overlaps = [column(records, f"opm_{n}") for n in ("iou", "strict_iou", "set_iou")]
+    found = [mean_estimate((o >= HIT).astype(np.float64), clusters, config=config) for o in overlaps]
+    means = [mean_estimate(o, clusters, config=config) for o in (overlaps[0], overlaps[2])]
+    return Row(name, (*found, *means, None, None, records.num_rows))
+
+
+def systems_table(systems: Sequence[Row], unit: str) -> Table:
+    """The systems of the paper as rows."""
+    return Table(
+        "grounding",
+        "Grounding",
+        MEASURES,
+        tuple(systems),
+        "Percent. Single truth: IoU of at least 0.5 with the labelled target; set: with any target that the "
+        "expression is true of (strict), or may be true of (set-valued). Reference and pair: the answer's reference, "
+        f"and both, are acceptable ones. Brackets: 95 % bootstrap intervals over {unit}s.",
+    )
+
+
+def relation_table(systems: Mapping[str, pa.Table], config: BootstrapConfig | None = None) -> Table:
+    """Set-valued accuracy of each system by relation."""
+    first = next(iter(systems.values()))
+    present = set(first.column("relation").to_pylist())
+    relations = [r for r in PAIRWISE if r in present]
+    rows = []
+    for name, records in systems.items():
+        clusters, _ = clusters_of(records)
+        relation = np.array(records.column("relation").to_pylist(), object)
+        for label, right in (
+            (f"{name}, OPM only", (column(records, "opm_set_iou") >= HIT).astype(np.float64)),
+            (name, column(records, "set_correct")),
+        ):
+            if label != name and records.column("opm_iou").null_count == records.num_rows:
+                continue
+            cells: list[Estimate] = []
+            for r in relations:
+                own = relation == r
+                cells.append(mean_estimate(right[own], clusters[own], config=config))
+            rows.append(Row(label, tuple(cells)))
+    counts = tuple(int((np.array(first.column("relation").to_pylist(), object) == r).sum()) for r in relations)
+    return Table(
+        "relations",
+        "Grounding by relation",
+        tuple(PHRASE[r] for r in relations),
+        (*rows, Row("expressions", counts)),
+        "Percent, set-valued accuracy with 95 % intervals.",
+    )
+
+
+def stages_table(systems: Mapping[str, pa.Table]) -> Table:
+    """How many expressions get how far: what the next stage still could get right."""
+    rows = []
+    for name, records in systems.items():
+        if records.column("opm_iou").null_count == records.num_rows:
+            continue
+        found = column(records, "target_rank")
+        reference = column(records, "reference_rank")
+        cells = (
+            float(np.mean(column(records, "parse_ok"))),
+            float(np.mean(np.isfinite(found))),
+            float(np.mean(np.isfinite(found) & np.isfinite(reference))),
+            float(np.mean(column(records, "pair_covered"))),
+            float(np.mean(column(records, "set_correct"))),
+        )
+        rows.append(Row(name, cells))
+    return Table(
+        "stages",
+        "How far expressions get",
+        ("read rightly", "target found", "and a reference", "as an acceptable pair", "answered rightly"),
+        tuple(rows),
+        "Percent of all expressions; found: a candidate overlaps an acceptable object by at least 0.5.",
+    )

@@ -1,0 +1,208 @@
+"""One row an expression: what was asked, what every stage gave, and what of it was right."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.boxes import iou_2d
+from pipeline.errors import InputError
+from pipeline.evaluation.answering import FrameAnswers, Pair, Scored, alone
+from pipeline.evaluation.cases import Case, FrameCases
+from pipeline.expression import Query, parse
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+HIT = 0.5
+"""A box is found where its overlap (IoU) is at least this."""
+
+COLUMNS: dict[str, str] = {
+    "id": "string", "frame": "string", "frame_index": "int32", "scene": "string", "text": "string",
+    "target": "string", "relation": "string", "reference": "string",
+    "target_object": "int32", "reference_object": "int32",
+    "answers_strict": "int32", "answers": "int32", "same_class": "int32", "ambiguous": "bool",
+    "label_margin": "float32",
+    "parse_ok": "bool", "problem": "string",
+    "opm_box": "box", "opm_score": "float32", "opm_iou": "float32", "opm_strict_iou": "float32",
+    "opm_set_iou": "float32",
+    "targets_found": "int32", "references_found": "int32",
+    "target_rank": "int32", "reference_rank": "int32", "pair_covered": "bool",
+    "box": "box", "reference_box": "box", "iou": "float32", "strict_iou": "float32", "set_iou": "float32",
+    "correct": "bool", "strict_correct": "bool", "set_correct": "bool",
+    "reference_correct": "bool", "pair_correct": "bool",
+    "matched_target": "int32", "matched_reference": "int32", "label_state": "int8",
+    "p_target": "float32", "p_reference": "float32", "p_relation": "float32", "log_score": "float32",
+    "log_margin": "float32",
+    "right_p_target": "float32", "right_p_reference": "float32", "right_p_relation": "float32",
+    "right_log_score": "float32",
+    "target_points": "int32", "target_depth_missing": "float32", "target_distance": "float32",
+}  # fmt: skip
+"""The columns of `records.parquet`. Places of objects are those of the labels, ranks count from 1 and are null where
+nothing fits; `right_…` is the best-scoring acceptable pair among the candidates; overlaps are 0 without an answer."""
+
+
+def records_schema() -> pa.Schema:
+    """The Arrow schema of `COLUMNS`; a box is four numbers in pixels."""
+    import pyarrow as pa
+
+    kinds = {
+        "string": pa.string(), "int32": pa.int32(), "int8": pa.int8(), "bool": pa.bool_(), "float32": pa.float32(),
+        "box": pa.list_(pa.float32(), 4),
+    }  # fmt: skip
+    return pa.schema([pa.field(name, kinds[kind]) for name, kind in COLUMNS.items()])
+
+
+def overlaps(box: np.ndarray | None, truth: np.ndarray) -> float:
+    """The best overlap of a predicted box with any of the true ones ((K, 4)); 0 where either is missing."""
+    return 0.0 if box is None or not len(truth) else float(iou_2d(box[None], truth).max())
+
+
+def read_query(case: Case, class_names: Sequence[str]) -> tuple[Query | None, str | None]:
+    """The parsed expression, or why it cannot be read."""
+    try:
+        return parse(case.text, class_names=tuple(class_names)), None
+    except InputError as error:
+        return None, str(error)
+
+
+def is_gold(query: Query, case: Case) -> bool:
+    """Whether the parser read the gold triple and nothing else."""
+    e = query.expression
+    return (
+        len(query.readings) == 1
+        and len(query.labels) == len({case.target, case.reference})
+        and (e.target, e.relation, e.reference) == (case.target, case.relation, case.reference)
+        and not e.inverse
+        and e.second_reference is None
+    )
+
+
+def matched(boxes: np.ndarray, labels: np.ndarray, truth: FrameCases) -> np.ndarray:
+    """(D,) int64: the labelled object that each detection is, by the best overlap of at least 0.5; -1 where none.
+
+    `labels` is (D, N) bool: which labelled objects are of the class that was asked.
+    """
+    if not len(boxes) or not len(truth.boxes):
+        return np.full(len(boxes), -1, np.int64)
+    overlap = np.where(labels, iou_2d(boxes, truth.boxes), 0.0)
+    best = overlap.argmax(axis=1)
+    return np.where(overlap[np.arange(len(boxes)), best] >= HIT, best, -1)
+
+
+def record(
+    case: Case, truth: FrameCases, answers: FrameAnswers, parsed: tuple[Query | None, str | None]
+) -> dict[str, Any]:
+    """The row of one expression."""
+    query, problem = parsed
+    gold = query is not None and is_gold(query, case)
+    row: dict[str, Any] = dict.fromkeys(COLUMNS)
+    row |= {
+        "id": case.id, "frame": truth.frame, "frame_index": truth.frame_index, "scene": truth.scene, "text": case.text,
+        "target": case.target, "relation": case.relation, "reference": case.reference,
+        "target_object": case.target_object, "reference_object": case.reference_object,
+        "answers_strict": len(case.strict), "answers": len(case.acceptable),
+        "same_class": int(truth.alike[case.target_object].sum()), "ambiguous": case.ambiguous,
+        "label_margin": case.margin, "parse_ok": gold,
+        "problem": problem or answers.unknown.get(case.target) or answers.unknown.get(case.reference),
+    }  # fmt: skip
+    own = truth.boxes[case.target_object : case.target_object + 1]
+    sets = {"iou": own, "strict_iou": truth.boxes[case.strict], "set_iou": truth.boxes[case.acceptable]}
+    _opm(row, case, answers, sets)
+    scored = answers.score(case.target, case.relation, case.reference) if gold else None
+    covered = _coverage(row, case, truth, answers)
+    winner = None
+    if scored is not None:
+        place = answers.best(scored)
+        if place is not None:
+            winner = scored.pair(*place)
+            _right(row, scored, winner, covered, answers)
+    _winner(row, case, truth, answers, winner, sets)
+    return row
+
+
+def _opm(row: dict[str, Any], case: Case, answers: FrameAnswers, sets: dict[str, np.ndarray]) -> None:
+    """The detector's best target alone."""
+    first = alone(answers.candidates[case.target])
+    box = None if first is None else answers.boxes[first]
+    row |= {f"opm_{name}": overlaps(box, boxes) for name, boxes in sets.items()}
+    if box is not None:
+        row["opm_box"] = box.tolist()
+        row["opm_score"] = float(answers.candidates[case.target].scores.max())
+
+
+def _coverage(row: dict[str, Any], case: Case, truth: FrameCases, answers: FrameAnswers) -> np.ndarray:
+    """(T, R) bool: candidate pairs that are acceptable ones; how far up the right ones stand goes into the row."""
+    targets, references = answers.candidates[case.target], answers.candidates[case.reference]
+    pairs = truth.acceptable_pairs(case)
+    hits = iou_2d(answers.boxes[targets.index], truth.boxes) >= HIT
+    other = iou_2d(answers.boxes[references.index], truth.boxes) >= HIT
+    covered = (hits.astype(np.int32) @ pairs.astype(np.int32) @ other.T.astype(np.int32)) > 0
+    row |= {
+        "targets_found": len(targets.index),
+        "references_found": len(references.index),
+        "target_rank": _rank(targets.scores, hits[:, case.acceptable].any(axis=1)),
+        "reference_rank": _rank(references.scores, other[:, pairs.any(axis=0)].any(axis=1)),
+        "pair_covered": bool(covered.any()),
+    }
+    return covered
+
+
+def _rank(scores: np.ndarray, right: np.ndarray) -> int | None:
+    """Place, from 1, of the best-scored right candidate."""
+    if not right.any():
+        return None
+    order = np.argsort(-scores, kind="stable")
+    return int(np.flatnonzero(right[order])[0]) + 1
+
+
+def _right(row: dict[str, Any], scored: Scored, winner: Pair, covered: np.ndarray, answers: FrameAnswers) -> None:
+    """The best acceptable pair that stood among the candidates, and how far ahead the winner was."""
+    place = answers.best(scored, covered)
+    if place is not None:
+        right = scored.pair(*place)
+        row |= {
+            "right_p_target": right.p_target, "right_p_reference": right.p_reference,
+            "right_p_relation": right.p_relation, "right_log_score": right.log_score,
+        }  # fmt: skip
+    others = scored.log_score[np.isfinite(scored.log_score)]
+    if len(others) > 1:
+        row["log_margin"] = winner.log_score - float(np.partition(others, -2)[-2])
+
+
+def _winner(
+    row: dict[str, Any],
+    case: Case,
+    truth: FrameCases,
+    answers: FrameAnswers,
+    winner: Pair | None,
+    sets: dict[str, np.ndarray],
+) -> None:
+    box = None if winner is None else answers.boxes[winner.target]
+    row |= {name: overlaps(box, boxes) for name, boxes in sets.items()}
+    row |= {
+        "correct": row["iou"] >= HIT, "strict_correct": row["strict_iou"] >= HIT, "set_correct": row["set_iou"] >= HIT,
+        "reference_correct": False, "pair_correct": False,
+    }  # fmt: skip
+    if winner is None or box is None:
+        return
+    pairs = truth.acceptable_pairs(case)
+    hits = iou_2d(answers.boxes[[winner.target, winner.reference]], truth.boxes) >= HIT
+    classes = truth.alike[[case.target_object, case.reference_object]]
+    a, b = matched(answers.boxes[[winner.target, winner.reference]], classes, truth)
+    lifted = answers.objects[winner.target].lifted
+    row |= {
+        "box": box.tolist(), "reference_box": answers.boxes[winner.reference].tolist(),
+        "p_target": winner.p_target, "p_reference": winner.p_reference, "p_relation": winner.p_relation,
+        "log_score": winner.log_score,
+        "reference_correct": bool(hits[1][pairs.any(axis=0)].any()),
+        "pair_correct": bool((hits[0][:, None] & hits[1][None, :] & pairs).any()),
+        "matched_target": None if a < 0 else int(a), "matched_reference": None if b < 0 else int(b),
+        "label_state": None if a < 0 or b < 0 else int(truth.states[case.relation][a, b]),
+        "target_points": lifted.quality.points, "target_depth_missing": lifted.quality.depth_missing,
+        "target_distance": None if np.isnan(lifted.quality.distance) else lifted.quality.distance,
+    }  # fmt: skip
+
+

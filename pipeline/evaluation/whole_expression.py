@@ -1,0 +1,148 @@
+"""Systems that are given the whole expression and give one box: a detector as referring baseline, or a VLM."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from pipeline.errors import InputError
+from pipeline.evaluation.cases import Case, FrameCases
+from pipeline.evaluation.records import COLUMNS, HIT, matched, overlaps
+from pipeline.frame import Frame
+from pipeline.proposals.base import Detector
+
+
+@dataclass(frozen=True)
+class Pointed:
+    """Where a system says that an expression's target is.
+
+    Attributes
+    ----------
+    box : (4,) float or None
+        x0, y0, x1, y1, pixels.
+    score : float or None
+    problem : str or None
+        Why there is no box.
+    """
+
+    box: np.ndarray | None
+    score: float | None = None
+    problem: str | None = None
+
+
+class WholeExpression(Protocol):
+    """Points at what expressions say, without taking them apart."""
+
+    @property
+    def name(self) -> str: ...
+
+    def point(self, frame: Frame, texts: Sequence[str]) -> list[Pointed]:
+        """One answer for each expression, in order."""
+        ...
+
+
+@dataclass(frozen=True)
+class Referring:
+    """The detector fed the whole expression as if it were a class name: its best box is the answer."""
+
+    detector: Detector
+
+    @property
+    def name(self) -> str:
+        return f"{self.detector.name}, whole expression"
+
+    def point(self, frame: Frame, texts: Sequence[str]) -> list[Pointed]:
+        found = []
+        for text in texts:
+            try:
+                proposals = self.detector.detect(frame, [text])
+            except InputError as error:
+                found.append(Pointed(None, problem=str(error)))
+                continue
+            if not len(proposals):
+                found.append(Pointed(None, problem="nothing detected"))
+                continue
+            best = int(np.argmax(proposals.scores))
+            found.append(Pointed(proposals.boxes[best].astype(np.float64), float(proposals.scores[best])))
+        return found
+
+
+@dataclass(frozen=True)
+class VlmOptions:
+    """A vision-language model behind an OpenAI-compatible server.
+
+    Attributes
+    ----------
+    url, model : str
+    requests_per_minute : float or None
+    timeout_s : float
+    workers : int
+        Questions in flight at once.
+    box_scale : str or float
+        See `pipeline.vlm.box_answers.parse_box`.
+    """
+
+    url: str
+    model: str
+    requests_per_minute: float | None = None
+    timeout_s: float = 120.0
+    workers: int = 4
+    box_scale: Any = "auto"
+
+
+class Vlm:
+    """A vision-language model, asked LLaVA's question for the box of a sentence.
+
+    Parameters
+    ----------
+    options : VlmOptions
+
+    Attributes
+    ----------
+    client : ChatClient
+        Its `usage` counts requests and tokens.
+    """
+
+    def __init__(self, options: VlmOptions) -> None:
+        from pipeline.vlm.client import ChatClient
+        from pipeline.vlm.grounding import GroundingConfig
+
+        self.client = ChatClient(
+            options.url,
+            options.model,
+            timeout_s=options.timeout_s,
+            requests_per_minute=options.requests_per_minute,
+        )
+        self.name = f"VLM {options.model}"
+        self._config = GroundingConfig(box_scale=options.box_scale, workers=options.workers, keep_going=True)
+
+    def point(self, frame: Frame, texts: Sequence[str]) -> list[Pointed]:
+        from pipeline.vlm.grounding import ground_many
+
+        found = ground_many(self.client, frame, texts, config=self._config)
+        return [Pointed(g.box, problem=g.reason if g.box is None else None) for g in found]
+
+
+def record_whole(case: Case, truth: FrameCases, pointed: Pointed) -> dict[str, Any]:
+    """The row of one expression: only what a system that gives one box can be measured by."""
+    row: dict[str, Any] = dict.fromkeys(COLUMNS)
+    own = truth.boxes[case.target_object : case.target_object + 1]
+    box = pointed.box
+    iou, strict, lenient = (overlaps(box, b) for b in (own, truth.boxes[case.strict], truth.boxes[case.acceptable]))
+    row |= {
+        "id": case.id, "frame": truth.frame, "frame_index": truth.frame_index, "scene": truth.scene, "text": case.text,
+        "target": case.target, "relation": case.relation, "reference": case.reference,
+        "target_object": case.target_object, "reference_object": case.reference_object,
+        "answers_strict": len(case.strict), "answers": len(case.acceptable),
+        "same_class": int(truth.alike[case.target_object].sum()), "ambiguous": case.ambiguous,
+        "label_margin": case.margin, "parse_ok": True, "problem": pointed.problem,
+        "iou": iou, "strict_iou": strict, "set_iou": lenient,
+        "correct": iou >= HIT, "strict_correct": strict >= HIT, "set_correct": lenient >= HIT,
+    }  # fmt: skip
+    if box is not None:
+        place = int(matched(box[None], truth.alike[[case.target_object]], truth)[0])
+        row |= {"box": box.tolist(), "p_target": pointed.score, "matched_target": None if place < 0 else place}
+    return row

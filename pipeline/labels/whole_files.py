@@ -1,0 +1,58 @@
+"""Files that appear whole or not at all: written under a hidden name, synced, and renamed into place."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import socket
+import time
+from pathlib import Path
+from uuid import uuid4
+
+_TEMPORARY = re.compile(r"\..*\.(?P<host>[^.]*)\.(?P<pid>\d+)\.[0-9a-f]{8}\.tmp")
+_ABANDONED_S = 86_400
+"""A temporary name of another machine counts as left behind when it is as old as this."""
+
+
+def temporary_beside(path: Path) -> Path:
+    """A hidden name beside a file or folder that is this writer's alone, also where machines share the folder."""
+    host = socket.gethostname().replace(".", "-")
+    return path.with_name(f".{path.name}.{host}.{os.getpid()}.{uuid4().hex[:8]}.tmp")
+
+
+def clear_abandoned(folder: Path) -> None:
+    """Remove what killed writers left in a folder; what another process is writing stays."""
+    for left in folder.glob(".*.tmp"):
+        if not is_abandoned(left):
+            continue
+        if left.is_dir():
+            shutil.rmtree(left, ignore_errors=True)
+        else:
+            left.unlink(missing_ok=True)
+
+
+def is_abandoned(temporary: Path) -> bool:
+    """Whether nobody writes under this temporary name any more: its process is gone, or it is a day old."""
+    found = _TEMPORARY.fullmatch(temporary.name)
+    # On Windows os.kill would end the process instead of asking for it.
+    if os.name == "posix" and found is not None and found["host"] == socket.gethostname().replace(".", "-"):
+        try:
+            os.kill(int(found["pid"]), 0)
+        except ProcessLookupError:
+            return True
+        except OSError:
+            return False
+        return False
+    try:
+        return time.time() - temporary.stat().st_mtime > _ABANDONED_S
+    except OSError:
+        return False
+
+
+def write_synced(path: Path, data: bytes) -> None:
+    """Write a file and wait until it is on the disk."""
+    with open(path, "wb") as file:
+        file.write(data)
+        file.flush()
+        os.fsync(file.fileno())

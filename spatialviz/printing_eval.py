@@ -1,0 +1,84 @@
+"""What a person reads of an evaluation on the terminal."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from pipeline.evaluation.intervals import Estimate
+from rich.table import Table as RichTable
+from rich.text import Text
+
+from pipeline.evaluation.compare import Comparison
+from pipeline.evaluation.job import RunReport
+from pipeline.evaluation.tables import Cell, Table, shown
+from spatialviz.printing import make_console
+
+
+def print_run(report: RunReport, show: int) -> None:
+    """The tables, the comparison, and where everything lies."""
+    console = make_console()
+    for table in report.tables:
+        console.print(Text(table.title, "bold"))
+        console.print(_rich(table))
+        if table.note:
+            console.print(Text(table.note, "dim"))
+        console.print()
+    if report.comparison is not None:
+        print_comparison(report.comparison, show)
+    rate = report.expressions / report.seconds if report.seconds else 0.0
+    console.print(f"{report.expressions} expressions in {report.seconds:.1f} s, {rate:.0f} a second")
+    console.print(Text(f"-> {report.folder}", "dim"))
+
+
+def _rich(table: Table) -> RichTable:
+    found = RichTable(box=None, pad_edge=False, header_style="dim")
+    found.add_column("")
+    for name in table.columns:
+        found.add_column(name, justify="right")
+    for row in table.rows:
+        name = row.name if row.source == "measured" else f"{row.name} ({row.source})"
+        found.add_row(name, *map(shown, row.cells))
+    return found
+
+
+def print_comparison(found: Comparison, show: int) -> None:
+    """Differences with intervals and tests, and the first expressions of each kind."""
+    console = make_console()
+    console.print(Text(f"compared on {found.shared} expressions", "bold"))
+    table = RichTable(box=None, pad_edge=False, header_style="dim")
+    for name in ("measure", "difference", "only now right", "only before right", "McNemar p"):
+        table.add_column(name, justify="left" if name == "measure" else "right")
+    for name, estimate in found.differences.items():
+        test = found.tests[name]
+        table.add_row(name, estimate.formatted(signed=True), str(test.b), str(test.c), f"{test.p_value:.2g}")
+    console.print(table)
+    for title, entries in (
+        ("fixed", found.fixed),
+        ("broken", found.broken),
+        ("right for another reason", found.other_reason),
+    ):
+        console.print(f"{title}: {len(entries)}")
+        for entry in entries[:show]:
+            console.print(Text(f"  {entry['frame']}  {entry['text']}  ({entry['id']})", "dim"))
+    console.print()
+
+
+def run_record(report: RunReport) -> dict[str, Any]:
+    """`eval --json`."""
+    return {
+        "run": str(report.folder),
+        "expressions": report.expressions,
+        "seconds": round(report.seconds, 2),
+        "tables": {
+            t.key: {row.name: dict(zip(t.columns, map(_plain, row.cells), strict=True)) for row in t.rows}
+            for t in report.tables
+        },
+        "comparison": None if report.comparison is None else report.comparison.record(),
+    }
+
+
+def _plain(cell: Cell) -> Any:
+    if isinstance(cell, Estimate):
+        return cell.record()
+    return None if isinstance(cell, float) and math.isnan(cell) else cell

@@ -1,0 +1,288 @@
+"""Evaluation: the same winners as `ask`, records that follow from the boxes, runs that can be compared."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from pipeline.evaluation.intervals import BootstrapConfig, Estimate
+
+from pipeline.ask import AskConfig
+from pipeline.errors import InputError
+from pipeline.evaluation.answering import FrameAnswers, alone
+from pipeline.evaluation.cases import read_cases
+from pipeline.evaluation.compare import compare, read_records
+from pipeline.evaluation.job import evaluate_dataset, make_tables
+from pipeline.evaluation.records import COLUMNS, HIT, overlaps, records_schema
+from pipeline.evaluation.reported import read_reported, reported_rows
+from pipeline.evaluation.run import EvalSpec, Evaluator, evaluate_labels, table_of
+from pipeline.evaluation.tables import Row, Table, as_csv, latex, markdown
+from pipeline.jobs import open_source
+from pipeline.labels.job import label_dataset
+from pipeline.labels.plan import SourceSpec
+from pipeline.labels.reading import open_labels
+from pipeline.objects import FrameContext
+from pipeline.relations import PHRASE
+
+FRAMES = 4
+QUICK = BootstrapConfig(resamples=200)
+
+
+@pytest.fixture(scope="module")
+def labels(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("eval") / "labels"
+    label_dataset(SourceSpec("demo"), out, limit=FRAMES)
+    return out
+
+
+@pytest.fixture(scope="module")
+def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What a poor detector says of the frames: boxes off by some pixels, some missing, some of a wrong class."""
+    from pycocotools import mask as coco
+
+    rng = np.random.default_rng(5)
+    source = open_source("demo")
+    found = {}
+    for frame_id in source.dataset.frame_ids[:FRAMES]:
+        frame = source.dataset.load(frame_id)
+        names = sorted({a.label for a in frame.annotations})
+        entries = []
+        for a in frame.annotations:
+            assert a.mask is not None
+            if rng.random() < 0.1:
+                continue
+            code: Any = coco.encode(np.asfortranarray(a.mask.astype(np.uint8)))
+            wrong = rng.random() < 0.15
+            x0, y0, x1, y1 = (a.bbox + rng.normal(0, 0.05 * (a.bbox[2] - a.bbox[0]), 4)).tolist()
+            entries.append(
+                {
+                    "label": str(rng.choice(names)) if wrong else a.label,
+                    "score": float(rng.uniform(0.2, 0.6) if wrong else rng.uniform(0.3, 0.95)),
+                    "bbox": [max(min(x0, x1 - 1), 0), max(min(y0, y1 - 1), 0), min(x1, 640), min(y1, 480)],
+                    "mask": {"size": list(a.mask.shape), "counts": code["counts"].decode()},
+                }
+            )
+        found[frame_id] = entries
+    path = tmp_path_factory.mktemp("recorded") / "found.json"
+    path.write_text(json.dumps({"frames": found}))
+    return path
+
+
+def spec_of(labels: Path, recording: Path | None, **options: Any) -> EvalSpec:
+    chosen: dict[str, Any] = {"srm": "rule", "config": AskConfig(k=10), **options}
+    if recording is not None:
+        chosen |= {"detector": "recorded", "model": recording}
+    return EvalSpec("demo", str(labels), chosen)
+
+
+@pytest.mark.parametrize("srm", ["rule", "trained"])
+def test_winners_are_those_of_ask(labels: Path, recording: Path, srm: str) -> None:
+    evaluator = Evaluator(spec_of(labels, recording, srm=srm))
+    asked = 0
+    for truth in read_cases(evaluator.labels, 0, 2):
+        context = FrameContext(evaluator.source.dataset.load(truth.frame))
+        names = tuple(dict.fromkeys(n for c in truth.cases for n in (c.target, c.reference)))
+        answers = FrameAnswers(evaluator.source, context, names)
+        for case in truth.cases[:25]:
+            trace = evaluator.source.ask(context, f"{case.target} {PHRASE[case.relation]} {case.reference}")
+            scored = answers.score(case.target, case.relation, case.reference)
+            place = None if scored is None else answers.best(scored)
+            if trace.ranking is None or trace.ranking.degenerate:
+                assert place is None
+                continue
+            assert scored is not None
+            assert place is not None
+            pair, best = scored.pair(*place), trace.ranking.pairs[0]
+            asked += 1
+            np.testing.assert_array_equal(answers.boxes[pair.target], trace.objects[best.target].bbox)
+            np.testing.assert_array_equal(answers.boxes[pair.reference], trace.objects[best.reference or 0].bbox)
+            assert pair.log_score == pytest.approx(best.log_score, abs=1e-9)
+            assert pair.p_relation == pytest.approx(best.p_relation, abs=1e-9)
+    assert asked > 20
+
+
+def test_the_truth_as_detector_answers_everything_rightly(labels: Path) -> None:
+    (table, *_) = evaluate_labels(spec_of(labels, None))
+    rows = table.to_pylist()
+    assert len(rows) == open_labels(labels).expressions.num_rows
+    assert all(r["parse_ok"] and r["strict_correct"] and r["pair_correct"] and r["reference_correct"] for r in rows)
+    # One of several right answers need not be the labelled one.
+    assert any(not r["correct"] for r in rows)
+    assert all(r["ambiguous"] for r in rows if not r["correct"])
+    assert all(r["label_state"] == 1 for r in rows)
+
+
+def test_records_follow_from_boxes_and_labels(labels: Path, recording: Path) -> None:
+    spec = spec_of(labels, recording)
+    (table, *_) = evaluate_labels(spec)
+    rows = table.to_pylist()
+    truths = {t.frame: t for t in read_cases(open_labels(labels), 0, FRAMES)}
+    assert {r["set_correct"] for r in rows} == {True, False}
+    for row in rows:
+        truth = truths[row["frame"]]
+        case = next(c for c in truth.cases if c.id == row["id"])
+        box = None if row["box"] is None else np.array(row["box"])
+        assert row["iou"] == pytest.approx(overlaps(box, truth.boxes[[case.target_object]]), abs=1e-6)
+        assert row["set_iou"] == pytest.approx(overlaps(box, truth.boxes[case.acceptable]), abs=1e-6)
+        assert row["correct"] == (row["iou"] >= HIT)
+        assert row["iou"] <= row["set_iou"] + 1e-6
+        assert row["strict_iou"] <= row["set_iou"] + 1e-6
+        if row["set_correct"]:
+            assert row["target_rank"] is not None
+        if row["pair_correct"]:
+            assert row["set_correct"]
+            assert row["reference_correct"]
+            assert row["pair_covered"]
+        if row["pair_covered"]:
+            assert row["right_log_score"] <= row["log_score"] + 1e-6
+            assert row["target_rank"] <= row["targets_found"]
+        if row["matched_target"] is not None and row["matched_reference"] is not None:
+            state = truth.states[case.relation][row["matched_target"], row["matched_reference"]]
+            assert row["label_state"] == state
+
+
+def test_rows_do_not_depend_on_the_number_of_workers(labels: Path, recording: Path, monkeypatch: Any) -> None:
+    import pyarrow as pa
+
+    monkeypatch.setattr("pipeline.evaluation.run.FRAMES_A_BLOCK", 2)
+    spec = spec_of(labels, recording)
+    one = pa.concat_tables(list(evaluate_labels(spec)))
+    two = pa.concat_tables(list(evaluate_labels(spec, workers=2)))
+    assert one.equals(two)
+    assert one.schema.equals(records_schema())
+
+
+def test_a_sentence_that_cannot_be_read_is_a_wrong_answer(labels: Path) -> None:
+    from dataclasses import replace
+
+    evaluator = Evaluator(spec_of(labels, None))
+    truth = next(iter(read_cases(evaluator.labels, 0, 1)))
+    cases = (replace(truth.cases[0], text="gibberish"), replace(truth.cases[1], text="mug left of the laptop"))
+    first, second = evaluator.frame(replace(truth, cases=cases))
+    assert not first["parse_ok"]
+    assert "gibberish" in first["problem"] or "relation" in first["problem"]
+    assert first["box"] is None
+    assert first["iou"] == 0.0
+    assert first["opm_iou"] > 0 or first["opm_set_iou"] > 0
+    gold = (truth.cases[1].target, truth.cases[1].relation, truth.cases[1].reference)
+    assert second["parse_ok"] == (gold == ("mug", "left", "laptop"))
+
+
+def test_a_run_folder_and_its_comparison(labels: Path, recording: Path, tmp_path: Path) -> None:
+    pytest.importorskip("plotly", reason="the extra report is not installed")
+    first = evaluate_dataset(
+        spec_of(labels, recording), tmp_path / "rule", bootstrap=QUICK, name="poor | odd_name & co", plots=True
+    )
+    second = evaluate_dataset(
+        spec_of(labels, recording, config=AskConfig(k=1)),
+        tmp_path / "k1",
+        bootstrap=QUICK,
+        others=[tmp_path / "rule"],
+        against=tmp_path / "rule",
+        plots=False,
+    )
+    names = {p.relative_to(tmp_path / "rule").as_posix() for p in (tmp_path / "rule").rglob("*") if p.is_file()}
+    wanted = {"records.parquet", "run.json", "tables.md", "tables.tex", "tables/grounding.csv", "plots/plots.html"}
+    assert names >= wanted
+    assert "poor \\| odd_name & co" in (tmp_path / "rule" / "tables.md").read_text()
+    assert "odd\\_name \\& co" in (tmp_path / "rule" / "tables.tex").read_text()
+    lines = list(csv.DictReader(io.StringIO((tmp_path / "k1" / "tables" / "grounding.csv").read_text())))
+    assert [line["row"] for line in lines][2:4] == ["poor | odd_name & co: OPM only", "poor | odd_name & co"]
+    found = second.comparison
+    assert found is not None
+    before, after = read_records(tmp_path / "rule"), read_records(tmp_path / "k1")
+    was, now = (np.array(t.column("set_correct").to_pylist()) for t in (before, after))
+    assert len(found.fixed) == (~was & now).sum()
+    assert len(found.broken) == (was & ~now).sum()
+    assert found.differences["set_correct"].value == pytest.approx(now.mean() - was.mean())
+    assert json.loads((tmp_path / "k1" / "comparison.json").read_text())["shared"] == before.num_rows
+    # K = 1 leaves the relation no choice: the pipeline is then the detector alone, where it answers at all.
+    answered = [r for r in after.to_pylist() if r["box"] is not None]
+    assert all(r["box"] == r["opm_box"] for r in answered)
+    with pytest.raises(InputError, match="not empty"):
+        evaluate_dataset(spec_of(labels, recording), tmp_path / "rule", plots=False)
+    assert first.expressions == before.num_rows
+
+
+def test_runs_on_other_labels_are_not_compared(labels: Path) -> None:
+    (table, *_) = evaluate_labels(spec_of(labels, None))
+    with pytest.raises(InputError, match="no expression in common"):
+        compare(table, table.slice(0, 0))
+    same = compare(table, table)
+    assert same.fixed == same.broken == same.other_reason == ()
+    assert same.differences["correct"].value == 0.0
+    assert same.tests["correct"].p_value == 1.0
+    with pytest.raises(InputError, match="no evaluation run"):
+        read_records(labels)
+
+
+def test_opm_only_takes_the_best_score(labels: Path, recording: Path) -> None:
+    evaluator = Evaluator(spec_of(labels, recording))
+    truth = next(iter(read_cases(evaluator.labels, 0, 1)))
+    context = FrameContext(evaluator.source.dataset.load(truth.frame))
+    names = tuple({c.target for c in truth.cases})
+    answers = FrameAnswers(evaluator.source, context, names)
+    seen = [answers.candidates[n] for n in names if len(answers.candidates[n].index)]
+    assert len(seen) > 3
+    for found in seen:
+        first = alone(found)
+        assert first is not None
+        assert answers.objects[first].score == pytest.approx(found.scores.max())
+    assert alone(answers.candidates[names[0]].__class__(np.zeros(0, np.int64), np.zeros(0))) is None
+
+
+def test_tables_in_three_formats() -> None:
+    cells = (Estimate(0.627, 0.599, 0.654, 100, 12), float("nan"), 7, None)
+    table = Table("t", "A & B", ("Acc", "x", "n", "m"), (Row("ours", cells), Row("theirs", (0.5,) * 4, "reported")))
+    text = markdown([table])
+    assert "| ours | 62.7 [59.9, 65.4] | – | 7 | – |" in text
+    assert "| theirs (reported) | 50.0 |" in text
+    lines = list(csv.reader(io.StringIO(as_csv(table))))
+    assert lines[0] == ["row", "source", "Acc", "Acc low", "Acc high", "x", "n", "m"]
+    assert lines[1] == ["ours", "measured", "0.627", "0.599", "0.654", "", "7", ""]
+    assert float(lines[2][2]) == 0.5
+    tex = latex([table])
+    assert "A \\& B" in tex
+    assert "62.7 {\\scriptsize [59.9, 65.4]}" in tex
+    assert "theirs$^\\dagger$" in tex
+
+
+def test_published_figures_name_their_source(tmp_path: Path) -> None:
+    lines = read_reported()
+    assert all(line.source for line in lines)
+    (tmp_path / "mine.json").write_text(
+        '{"rows": [{"table": "grounding", "name": "X", "source": "Y 2024", "figures": {"set-valued": 0.5}}]}'
+    )
+    (row,) = reported_rows(path=tmp_path / "mine.json")
+    assert (row.name, row.source) == ("X, Y 2024", "reported")
+    assert row.cells[2] == 0.5
+    assert row.cells[0] is None
+    (tmp_path / "mine.json").write_text('{"rows": [{"name": "X"}]}')
+    with pytest.raises(InputError, match="published figures"):
+        read_reported(tmp_path / "mine.json")
+
+
+def test_tables_of_a_run_hold_every_system(labels: Path, recording: Path) -> None:
+    (poor, *_), (exact, *_) = evaluate_labels(spec_of(labels, recording)), evaluate_labels(spec_of(labels, None))
+    grounding, relations, stages = make_tables({"poor": poor, "exact": exact}, QUICK)
+    assert [r.name for r in grounding.rows[:4]] == ["poor: OPM only", "poor", "exact: OPM only", "exact"]
+    best = grounding.rows[3].cells[2]
+    assert isinstance(best, Estimate)
+    assert best.value == 1.0
+    assert relations.rows[-1].name == "expressions"
+    assert sum(int(str(c)) for c in relations.rows[-1].cells) == poor.num_rows
+    for row in stages.rows:
+        values = [c for c in row.cells if isinstance(c, float)]
+        assert values[1] >= values[2] >= values[3]
+
+
+def test_columns_are_all_filled(labels: Path) -> None:
+    (table, *_) = evaluate_labels(spec_of(labels, None))
+    empty = [name for name in COLUMNS if table.column(name).null_count == table.num_rows]
+    assert empty == ["problem"]
+    assert table_of([]).schema.equals(records_schema())

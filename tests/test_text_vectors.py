@@ -1,0 +1,415 @@
+"""Language features: every format, what is known and what is not, and the contract of a network."""
+
+from __future__ import annotations
+
+import gzip
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from vector_writers import VOCABULARY, fasttext_bytes, vec_text, written
+
+from pipeline.errors import InputError
+from pipeline.text_vectors import LanguageContract, TextVectors, open_vectors
+from pipeline.text_vectors.fasttext_bin import FastTextBinary, Subwords
+from pipeline.text_vectors.tables import VectorTable
+from pipeline.text_vectors.vec_text import VecFile
+from pipeline.text_vectors.words import phrase_words
+
+RNG = np.random.default_rng(11)
+WORDS = ("chair", "table", "mug", "trash", "can", "t", "shirt", "box", "of", "tissue", "Polaroid", "TV", "café")
+VECTORS = {w: RNG.normal(size=5).astype(np.float32) for w in WORDS}
+
+
+@pytest.fixture(autouse=True)
+def _own_cache(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("SPATIALVIZ_CACHE", str(tmp_path / "cache"))
+
+
+@pytest.fixture
+def vec(tmp_path: Path) -> Path:
+    return written(tmp_path / "words.vec", vec_text(VECTORS))
+
+
+def word_table(path: Path, kind: str = "word") -> Path:
+    np.savez(path, words=np.array(WORDS), vectors=np.stack(list(VECTORS.values())), kind=kind)
+    return path
+
+
+# Words of names.
+
+
+@pytest.mark.parametrize(
+    ("name", "expected"),
+    [
+        ("trash_can", ["trash", "can"]),
+        ("CoffeeTables", ["coffee", "table"]),
+        ("the_Coffee_Tables", ["coffee", "table"]),
+        ("boxes_of_tissues", ["box", "of", "tissues"]),
+        ("wine glasses", ["wine", "glass"]),
+        ("sunglasses", ["sunglasses"]),
+        ("bat_(animal)", ["bat"]),
+        ("bookcase / shelf", ["bookcase"]),
+        ("T-shirts", ["t-shirt"]),
+        ("TV", ["tv"]),
+        ("???", []),
+        ("", []),
+    ],
+)
+def test_words_of_a_name(name: str, expected: list[str]) -> None:
+    assert [w.text for w in phrase_words(name)] == expected
+
+
+@given(st.text(max_size=30))
+def test_words_of_any_text_are_words(name: str) -> None:
+    for word in phrase_words(name):
+        assert word.text
+        assert not any(c.isspace() for c in word.text)
+        assert word.spellings[0] == word.text
+
+
+# Subwords.
+
+
+def test_hash_of_subwords_has_the_published_values() -> None:
+    assert Subwords(1, 1, 2**32).of(b"a") == [0xE40C292C]
+    assert Subwords(6, 6, 2**32).of(b"foobar")[1] == 0xBF9CF968
+    # Bytes of 128 and more count as negative numbers, unlike in FNV-1a proper.
+    h = ((2166136261 ^ 0xFFFFFFC3) * 16777619) % 2**32
+    assert Subwords(1, 1, 2**32).of("é".encode()) == [((h ^ 0xFFFFFFA9) * 16777619) % 2**32]
+
+
+@given(
+    st.text(st.characters(exclude_categories=("Cs",)), min_size=1, max_size=12), st.integers(1, 4), st.integers(0, 3)
+)
+def test_subwords_are_runs_of_characters(word: str, shortest: int, more: int) -> None:
+    marked = f"<{word}>"
+    expected = set()
+    for start in range(len(marked)):
+        for n in range(shortest, shortest + more + 1):
+            if start + n > len(marked) or (n == 1 and start in (0, len(marked) - 1)):
+                continue
+            h = 2166136261
+            for b in marked[start : start + n].encode():
+                h = ((h ^ (b if b < 128 else b - 256)) * 16777619) % 2**32
+            expected.add(h)
+    assert set(Subwords(shortest, shortest + more, 2**32).of(word.encode())) == expected
+
+
+# The binary model against gensim.
+
+
+def compare_with_gensim(path: Path, words: list[str]) -> None:
+    fasttext = pytest.importorskip("gensim.models.fasttext")
+    oracle = fasttext.load_facebook_vectors(str(path))
+    ours = FastTextBinary.open(path)
+    assert ours.dimension == oracle.vector_size
+    held = [w for w in oracle.index_to_key if w != "</s>"]  # FastText gives the end of a sentence no subwords.
+    found = ours.find(held)
+    assert len(found) == len(held) > 10
+    for word in held:
+        np.testing.assert_allclose(found[word], oracle[word], atol=1e-6)
+    assert not ours.find(words)
+    for word in words:
+        guess = ours.infer(word)
+        assert guess is not None
+        np.testing.assert_allclose(guess, oracle[word], atol=1e-6)
+    vectors = TextVectors(ours)
+    pair = [held[3], words[0]]
+    mean = vectors.vector(" ".join(pair))
+    np.testing.assert_allclose(mean.vector, np.mean([oracle[w] for w in pair], axis=0), atol=1e-6)
+    assert mean.inferred == (words[0],)
+    assert mean.missing == ()
+    unit = vectors.vector(" ".join(pair), normalised=True)
+    np.testing.assert_allclose(unit.vector, oracle.get_sentence_vector(pair), atol=1e-6)
+
+
+@pytest.mark.parametrize("lengths", [(3, 6), (5, 5), (1, 3), (2, 9)])
+def test_binary_model_agrees_with_gensim(tmp_path: Path, lengths: tuple[int, int]) -> None:
+    path = written(tmp_path / "model.bin", fasttext_bytes(lengths=lengths))
+    compare_with_gensim(path, ["armchair", "стулья", "椅子椅子", "mugçé", "überstuhl"])
+
+
+def test_real_binary_model_agrees_with_gensim(shared_data: Path) -> None:
+    compare_with_gensim(shared_data / "vectors" / "tiny_fasttext.bin", ["armchair", "tableware", "überall"])
+
+
+def test_model_without_subwords_knows_its_words_only(tmp_path: Path) -> None:
+    matrix = np.arange(3 * 2, dtype="<f4").reshape(3, 2) + 1
+    content = fasttext_bytes(["chair", "mug", "a"], dimension=2, buckets=0, lengths=(0, 0), matrix=matrix)
+    vectors = open_vectors(written(tmp_path / "model.bin", content))
+    table = vectors.phrases(["mugs", "chair mug"])
+    np.testing.assert_array_equal(table.vectors, [[3, 4], [2, 3]])
+    with pytest.raises(InputError, match="lamp"):
+        vectors.vector("lamp")
+
+
+def test_labels_of_a_classifier_are_no_words(tmp_path: Path) -> None:
+    content = fasttext_bytes(["chair", "mug"], ["__label__mug"], model=3, lengths=(0, 0))
+    source = FastTextBinary.open(written(tmp_path / "model.bin", content))
+    assert set(source.find(["chair", "__label__mug", "ch", "", "chair\0"])) == {"chair"}
+
+
+def test_classifier_of_version_11_has_no_subwords(tmp_path: Path) -> None:
+    path = written(tmp_path / "model.bin", fasttext_bytes(version=11, model=3))
+    assert FastTextBinary.open(path).infer("armchair") is None
+    path = written(tmp_path / "other.bin", fasttext_bytes(version=11, model=2))
+    assert FastTextBinary.open(path).infer("armchair") is not None
+
+
+def test_fingerprint_of_a_model_is_of_what_vectors_are_made_of(tmp_path: Path) -> None:
+    content = fasttext_bytes()
+    one = open_vectors(written(tmp_path / "a.bin", content)).fingerprint()
+    matrix = np.frombuffer(content[-4 * 7 * len(VOCABULARY) :], "<f4") + 1
+    other_output = content[: -matrix.nbytes] + matrix.tobytes()
+    assert open_vectors(written(tmp_path / "b.bin", other_output)).fingerprint() == one
+    other_input = bytearray(content)
+    other_input[-matrix.nbytes - 17 - 4] ^= 1
+    assert open_vectors(written(tmp_path / "c.bin", bytes(other_input))).fingerprint() != one
+
+
+# Means, and what is not known.
+
+
+@pytest.mark.parametrize("kind", ["vec", "npz", "json"])
+def test_every_format_gives_the_same_phrases(tmp_path: Path, kind: str) -> None:
+    path = tmp_path / f"words.{kind}"
+    if kind == "vec":
+        written(path, vec_text(VECTORS))
+    elif kind == "npz":
+        word_table(path)
+    else:
+        entries = ", ".join(f'"{w}": {[float(x) for x in v]}' for w, v in VECTORS.items())
+        path.write_text(f'{{"kind": "word", "vectors": {{{entries}}}}}', encoding="utf-8")
+    names = ["trash_can", "Chairs", "T-shirt", "polaroid", "tv", "wooden chair", "cafés", "mug's box"]
+    vectors = open_vectors(path)
+    assert (vectors.name, vectors.dimension, vectors.kind) == (path.name, 5, "word")
+    table = vectors.phrases(names)
+    parts = ["trash can", "chair", "t shirt", "Polaroid", "TV", "chair", "café", "mug box"]
+    expected = [np.mean([VECTORS[w] for w in p.split()], axis=0) for p in parts]
+    np.testing.assert_allclose(table.vectors, expected, atol=1e-6)
+    assert table.vectors.dtype == np.float32
+    assert table.missing == {"wooden chair": ("wooden",)}
+    assert table.unknown == ()
+
+
+def test_normalised_mean_is_of_unit_vectors(vec: Path) -> None:
+    got = open_vectors(vec).vector("trash can", normalised=True).vector
+    a, b = VECTORS["trash"], VECTORS["can"]
+    np.testing.assert_allclose(got, (a / np.linalg.norm(a) + b / np.linalg.norm(b)) / 2, atol=1e-6)
+
+
+@given(st.lists(st.floats(1e-30, 1e30), min_size=2, max_size=2), st.integers(0, 2**32 - 1))
+def test_lengths_do_not_count_in_the_normalised_mean(scales: list[float], seed: int) -> None:
+    rows = np.random.default_rng(seed).normal(size=(2, 4)).astype(np.float32)
+    scaled = rows * np.array(scales, np.float32)[:, None]
+    one, other = (TextVectors(VectorTable("t", "word", ("red", "mug"), v)) for v in (rows, scaled))
+    np.testing.assert_allclose(
+        one.vector("red mug", normalised=True).vector, other.vector("red mug", normalised=True).vector, atol=1e-5
+    )
+
+
+def test_names_of_which_no_word_is_known_are_an_error(vec: Path) -> None:
+    vectors = open_vectors(vec)
+    with pytest.raises(InputError, match=r"'frobnicator', '\?\?\?'") as caught:
+        vectors.phrases(["mug", "frobnicator", "???", "wooden table"])
+    assert "\n" not in str(caught.value)
+    table = vectors.phrases(["mug", "frobnicator", "???", "mug"], allow_missing=True)
+    assert table.unknown == ("frobnicator", "???")
+    assert table.missing == {"frobnicator": ("frobnicator",), "???": ("???",)}
+    np.testing.assert_array_equal(table.vectors[1:3], 0)
+    np.testing.assert_array_equal(table.vectors[[0, 3]], [VECTORS["mug"]] * 2)
+
+
+def test_a_row_of_zeros_is_no_vector(tmp_path: Path) -> None:
+    rows = np.array([[0, 0], [1e-60, 0], [1, 2]])
+    np.savez(tmp_path / "t.npz", words=np.array(["mug", "cup", "jar"]), vectors=rows)
+    written(tmp_path / "t.vec", vec_text(dict(zip(["mug", "cup", "jar"], rows, strict=True))))
+    for name in ("t.npz", "t.vec"):
+        table = open_vectors(tmp_path / name).phrases(["mug", "cup", "jar"], allow_missing=True)
+        assert table.unknown == ("mug", "cup")
+
+
+def test_no_names_and_one_string(vec: Path) -> None:
+    assert open_vectors(vec).phrases([]).vectors.shape == (0, 5)
+    with pytest.raises(InputError, match="sequence"):
+        open_vectors(vec).phrases("mug")
+
+
+@settings(max_examples=50)
+@given(st.lists(st.text(max_size=20), max_size=5))
+def test_any_names_are_found_or_reported(names: list[str]) -> None:
+    vectors = TextVectors(VectorTable("t", "word", WORDS, np.stack(list(VECTORS.values()))))
+    table = vectors.phrases(names, allow_missing=True)
+    assert table.vectors.shape == (len(names), 5)
+    for name, row in zip(names, table.vectors, strict=True):
+        assert (name in table.unknown) == (not row.any())
+        assert name not in table.unknown or name in table.missing
+
+
+# Text files.
+
+
+def test_words_are_looked_up_in_one_pass_and_then_remembered(vec: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    passes: list[set[str]] = []
+    scan = VecFile._scan
+    monkeypatch.setattr(VecFile, "_scan", lambda self, wanted: passes.append(set(wanted)) or scan(self, wanted))
+    vectors = open_vectors(vec)
+    first = vectors.phrases(["mug", "trash can", "lamp"], allow_missing=True)
+    fingerprint = vectors.fingerprint()
+    again = open_vectors(vec)
+    second = again.phrases(["trash can", "mug", "lamp"], allow_missing=True)
+    assert again.fingerprint() == fingerprint
+    assert len(passes) == 1
+    np.testing.assert_array_equal(first.vectors[[1, 0, 2]], second.vectors)
+    again.phrases(["mug", "chair"])
+    assert passes[1] == {"chair", "Chair", "CHAIR"}
+    next((vec.parent / "cache" / "text_vectors").glob("*.npz")).write_bytes(b"broken")
+    np.testing.assert_array_equal(open_vectors(vec).vector("mug").vector, VECTORS["mug"])
+    assert len(passes) == 3
+
+
+def test_a_changed_file_is_read_anew(vec: Path) -> None:
+    before = open_vectors(vec)
+    before.vector("mug")
+    state = vec.stat()
+    changed = dict(VECTORS, mug=VECTORS["chair"], chair=VECTORS["mug"])
+    written(vec, vec_text(changed))
+    os.utime(vec, ns=(state.st_atime_ns, state.st_mtime_ns))
+    np.testing.assert_array_equal(open_vectors(vec).vector("mug").vector, VECTORS["chair"])
+    assert open_vectors(vec).fingerprint() != before.fingerprint()
+
+
+def test_a_cache_that_cannot_be_written_costs_only_time(vec: Path, tmp_path: Path) -> None:
+    blocked = written(tmp_path / "file", b"")
+    vectors = open_vectors(vec, cache=blocked)
+    np.testing.assert_array_equal(vectors.vector("mug").vector, VECTORS["mug"])
+
+
+def test_packed_text_is_the_same(vec: Path, tmp_path: Path) -> None:
+    packed = open_vectors(written(tmp_path / "words.vec.gz", gzip.compress(vec.read_bytes())))
+    plain = open_vectors(vec)
+    assert packed.fingerprint() == plain.fingerprint()
+    np.testing.assert_array_equal(packed.vector("trash can").vector, plain.vector("trash can").vector)
+
+
+def test_odd_lines_of_text(tmp_path: Path) -> None:
+    lines = [b"\xef\xbb\xbf7 2", b". mug 9 9", b"mug at home 8 8", b"mug 1 2 ", b"mug 7 7", b"\xff\xfe bad 6 6",
+             b"caf\xc3\xa9 3 4", b"\xc2\xa0 5 5", b"", b""]  # fmt: skip
+    for end in (b"\n", b"\r\n"):
+        path = written(tmp_path / "odd.vec", end.join(lines))
+        table = open_vectors(path).phrases(["mug", "café", "\ud800", "at\0"], allow_missing=True)
+        np.testing.assert_array_equal(table.vectors[:2], [[1, 2], [3, 4]])
+        assert table.unknown == ("\ud800", "at\0")
+
+
+# Tables.
+
+
+def phrase_table(tmp_path: Path, names: list[str], key: str = "phrases", **more: object) -> TextVectors:
+    vectors = np.arange(len(names) * 2, dtype=np.float16).reshape(-1, 2) + 1
+    np.savez(tmp_path / "clip.npz", **{key: np.array(names)}, vectors=vectors, **more)  # type: ignore[arg-type]
+    return open_vectors(tmp_path / "clip.npz")
+
+
+@pytest.mark.parametrize("key", ["phrases", "names"])
+def test_phrases_are_found_whole_by_their_normal_form(tmp_path: Path, key: str) -> None:
+    vectors = phrase_table(tmp_path, ["trash_can", "bat_(animal)", "bookcase", "trash can", "mug", "???"], key)
+    assert vectors.kind == "phrase"
+    names = ["trash cans", "trash can", "TrashCan", "bat (animal)", "bookcase / shelf", "Mugs"]
+    rows = [0, 3, 0, 1, 2, 4]
+    np.testing.assert_array_equal(vectors.phrases(names).vectors[:, 0], [2 * r + 1 for r in rows])
+    with pytest.raises(InputError, match=r"'trash mug', '!!!'.*whole phrases"):
+        vectors.phrases(["trash mug", "mug", "!!!"])
+    table = vectors.phrases(["red mug", "mug"], allow_missing=True)
+    assert table.missing == {"red mug": ("red mug",)}
+    unit = vectors.vector("mug", normalised=True).vector
+    np.testing.assert_allclose(unit, np.array([9, 10]) / np.hypot(9, 10), atol=1e-6)
+
+
+def test_whole_names_come_before_means_in_a_table_of_words(tmp_path: Path) -> None:
+    vectors = phrase_table(tmp_path, ["trash", "can", "trash_can"], "words")
+    np.testing.assert_array_equal(vectors.phrases(["trash cans", "can trash"]).vectors, [[5, 6], [2, 3]])
+
+
+def test_kind_is_what_the_caller_says_then_the_file(tmp_path: Path) -> None:
+    assert phrase_table(tmp_path, ["red", "mug"], "phrases", kind="word").kind == "word"
+    assert phrase_table(tmp_path, ["red", "mug"], "words", kind="phrase").kind == "phrase"
+    again = open_vectors(tmp_path / "clip.npz", kind="word")
+    np.testing.assert_array_equal(again.vector("red mug").vector, [2, 3])
+    assert again.fingerprint() != open_vectors(tmp_path / "clip.npz").fingerprint()
+    with pytest.raises(InputError, match="'sentence'"):
+        phrase_table(tmp_path, ["mug"], kind="sentence")
+
+
+def test_fingerprint_of_a_table_is_of_its_content(tmp_path: Path) -> None:
+    one = open_vectors(word_table(tmp_path / "a.npz")).fingerprint()
+    rows = np.stack(list(VECTORS.values()))
+    np.savez_compressed(tmp_path / "b.npz", kind="word", vectors=rows, words=np.array(WORDS))
+    assert open_vectors(tmp_path / "b.npz").fingerprint() == one
+    np.savez(tmp_path / "c.npz", vectors=rows + np.float32(1e-6), words=np.array(WORDS))
+    assert open_vectors(tmp_path / "c.npz").fingerprint() != one
+    np.savez(tmp_path / "d.npz", vectors=rows, words=np.array([*WORDS[:-1], "other"]))
+    assert open_vectors(tmp_path / "d.npz").fingerprint() != one
+
+
+def test_first_of_two_equal_names_counts(tmp_path: Path) -> None:
+    assert phrase_table(tmp_path, ["mug", "mug"]).vector("mug").vector[0] == 1
+    path = written(tmp_path / "t.json", b'{"vectors": {"mug": [1, 2], "mug": [3, 4]}}')
+    assert open_vectors(path).vector("mug").vector[0] == 1
+
+
+def test_real_tables(shared_data: Path) -> None:
+    clip = open_vectors(shared_data / "vectors" / "clip_vitb32_object_names.npz")
+    assert (clip.kind, clip.dimension) == ("phrase", 512)
+    assert isinstance(clip.source, VectorTable)
+    table = clip.phrases(clip.source.names)
+    assert table.missing == {}
+    with np.load(shared_data / "vectors" / "clip_vitb32_object_names.npz") as data:
+        # Names that stand in it for several datasets differ by rounding only.
+        np.testing.assert_allclose(table.vectors, data["vectors"], atol=0.01)
+    fast = open_vectors(shared_data / "vectors" / "fasttext300_object_names.npz", kind="word")
+    assert fast.dimension == 300
+    near, far = (fast.phrases(pair, normalised=True).vectors for pair in (["chair", "table"], ["chair", "airplane"]))
+    assert near[0] @ near[1] > far[0] @ far[1]
+
+
+# The contract of a network.
+
+
+def test_contract_goes_through_metadata(vec: Path, tmp_path: Path) -> None:
+    vectors = open_vectors(vec)
+    contract = LanguageContract.of(vectors, normalised=True)
+    metadata = contract.to_metadata()
+    assert all(isinstance(v, str) for v in metadata.values())
+    assert LanguageContract.from_metadata({**metadata, "srm.features": "rel14"}) == contract
+    assert LanguageContract.from_metadata({"srm.features": "rel14"}) is None
+    contract.check(vectors)
+    contract.check(open_vectors(written(tmp_path / "renamed.vec", vec.read_bytes())))
+
+
+def test_wrong_vectors_are_refused(vec: Path, tmp_path: Path) -> None:
+    contract = LanguageContract.of(open_vectors(vec))
+    other = open_vectors(written(tmp_path / "other.vec", vec_text({**VECTORS, "mug": VECTORS["can"]})))
+    with pytest.raises(InputError, match="other ones"):
+        contract.check(other)
+    with pytest.raises(InputError, match="another dimension"):
+        replace(contract, dimension=300).check(open_vectors(vec))
+
+
+@pytest.mark.parametrize(
+    ("key", "value"),
+    [("contract", "spatialviz-language-9"), ("dimension", "many"), ("dimension", "0"), ("normalised", "perhaps"),
+     ("fingerprint", ""), ("fingerprint", None), ("name", None), ("contract", None)],
+)  # fmt: skip
+def test_metadata_that_makes_no_sense_is_refused(key: str, value: str | None) -> None:
+    metadata = LanguageContract("words.vec", 5, False, "abc").to_metadata()
+    metadata.pop(f"srm.language.{key}")
+    if value is not None:
+        metadata[f"srm.language.{key}"] = value
+    with pytest.raises(InputError, match="language features"):
+        LanguageContract.from_metadata(metadata)

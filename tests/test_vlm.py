@@ -1,0 +1,604 @@
+"""The vision-language baseline against a local server that speaks the real protocol, well and badly."""
+
+from __future__ import annotations
+
+import _thread
+import json
+import socket
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from chat_server import MODELS, ChatServer, Clock, CutOff, Raw, Script, Slow, Trickle, completion, error, running
+from scenes import frame_of, upright
+
+from pipeline.errors import InputError
+from pipeline.frame import Frame
+from pipeline.vlm import (
+    KEY_VARIABLE,
+    ChatClient,
+    GroundingConfig,
+    Prices,
+    Question,
+    RelationConfig,
+    ServerError,
+    Usage,
+    ground,
+    ground_many,
+    score_pairs,
+)
+from pipeline.vlm.cost import money
+from pipeline.vlm.transport import wait_asked
+from pipeline.vlm.view import PADDING, Picture, marked, view_of
+
+Make = Callable[..., ChatClient]
+
+
+@pytest.fixture
+def clock() -> Clock:
+    return Clock()
+
+
+@pytest.fixture
+def server(clock: Clock) -> Iterator[ChatServer]:
+    with running(clock) as found:
+        yield found
+        assert found.problems == []
+
+
+@pytest.fixture
+def client_of(server: ChatServer, clock: Clock, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Make:
+    monkeypatch.delenv(KEY_VARIABLE, raising=False)
+
+    def make(**options: Any) -> ChatClient:
+        return ChatClient(
+            options.pop("base_url", server.url),
+            options.pop("model", MODELS[0]),
+            **{"cache": tmp_path / "answers", "clock": clock, "sleep": clock.sleep, **options},
+        )
+
+    return make
+
+
+@pytest.fixture(scope="module")
+def frame() -> Frame:
+    boxes = [upright((x, 1.0, z), (0.3, 0.4, 0.3)) for x, z in ((-0.6, 2.5), (0.0, 2.0), (0.6, 2.5))]
+    return frame_of(boxes, ["mug", "laptop", "mug"])
+
+
+def flat(value: int = 90, height: int = 24, width: int = 32) -> np.ndarray:
+    return np.full((height, width, 3), value, np.uint8)
+
+
+def test_a_question_is_sent_as_the_protocol_has_it(server: ChatServer, client_of: Make) -> None:
+    rgb = np.zeros((48, 64, 3), np.uint8)
+    rgb[:, :32, 0], rgb[:, 32:, 2] = 250, 250
+    answer = client_of(api_key="secret", max_tokens=9, seed=3, top_logprobs=2).ask("Is it “blau”? 猫 🐱", rgb)
+    (request,) = server.requests
+    assert (answer.text, answer.finish, answer.cached, answer.estimated) == ("Yes", "stop", False, False)
+    assert (answer.prompt_tokens, answer.completion_tokens) == (600, 3)
+    assert request.prompt == "Is it “blau”? 猫 🐱"
+    body = {k: v for k, v in request.body.items() if k != "messages"}
+    assert body == {
+        "model": MODELS[0], "max_tokens": 9, "temperature": 0.0, "seed": 3, "stream": False,
+        "logprobs": True, "top_logprobs": 2,
+    }  # fmt: skip
+    assert request.headers["authorization"] == "Bearer secret"
+    assert request.picture.shape == rgb.shape
+    # Red stays left and blue right: neither the channels nor the sides are swapped.
+    assert np.abs(request.picture.astype(int) - rgb)[:, [4, 60]].max() < 12
+
+
+def test_extra_keys_replace_and_take_away(server: ChatServer, client_of: Make) -> None:
+    client_of(extra={"seed": None, "temperature": 0.5}).ask("q", flat())
+    assert "seed" not in server.requests[0].body
+    assert server.requests[0].body["temperature"] == 0.5
+
+
+@pytest.mark.parametrize(
+    ("reply", "text"),
+    [
+        (completion("Да — 是 ✓"), "Да — 是 ✓"),
+        (completion(None), ""),
+        ({"choices": [{"message": {"content": [{"type": "text", "text": "Yes"}]}}]}, "Yes"),
+        (Raw(200, b"\xef\xbb\xbf" + json.dumps(completion("No")).encode()), "No"),
+        (completion("No") | {"error": None}, "No"),
+    ],
+)
+def test_replies_of_many_servers_are_read(server: ChatServer, client_of: Make, reply: Script, text: str) -> None:
+    server.script = [reply]
+    assert client_of().ask("q", flat()).text == text
+
+
+def test_tokens_are_estimated_where_the_server_does_not_count(server: ChatServer, client_of: Make) -> None:
+    for reply in (completion("Yes", usage=False), completion("Yes") | {"usage": {"prompt_tokens": -1}}):
+        server.script = [reply]
+        client = client_of(cache=False)
+        answer = client.ask("x" * 40, flat())
+        assert answer.estimated
+        assert (answer.prompt_tokens, answer.completion_tokens) == (586, 1)
+        assert client.usage.estimated == 1
+
+
+RATE_LIMITED = error(429, "Rate limit reached", headers={"Retry-After": "7"})
+
+
+@pytest.mark.parametrize(
+    ("troubles", "waits"),
+    [
+        ([RATE_LIMITED], [7.0]),
+        ([error(429, "slow down")], [0.5]),
+        ([error(500, "oops"), error(503, "loading model"), error(502, "gateway")], [0.5, 1.0, 2.0]),
+        ([error(503, "busy", headers={"Retry-After": "3"}), error(500, "oops")], [3.0, 1.0]),
+        ([CutOff()], [0.5]),
+        ([CutOff(b'{"choices": [')], [0.5]),
+        ([CutOff(json.dumps(completion("Yes")).encode())], [0.5]),
+        ([Raw(200, b'{"choices": [{"mess')], [0.5]),
+        ([completion("x") | {"choices": []}], [0.5]),
+        ([{"choices": [{"text": "no message"}]}], [0.5]),
+        ([{"error": {"message": "Provider returned error", "code": 502}}], [0.5]),
+    ],
+)
+def test_passing_troubles_are_waited_out(
+    server: ChatServer, client_of: Make, clock: Clock, troubles: list[Script], waits: list[float]
+) -> None:
+    server.script = [*troubles, "No"]
+    client = client_of()
+    assert client.ask("q", flat()).text == "No"
+    assert clock.slept == pytest.approx(waits)
+    assert client.usage.requests == len(troubles) + 1
+    assert len({json.dumps(r.body) for r in server.requests}) == 1
+
+
+def test_a_slow_answer_is_given_up_and_asked_for_again(server: ChatServer, client_of: Make) -> None:
+    server.script = [Slow(), Trickle(), "Yes"]
+    assert client_of(timeout_s=0.3).ask("q", flat()).text == "Yes"
+    server.script = [Slow()]
+    with pytest.raises(ServerError, match=r"no whole reply within 0\.3 s .*longer timeout") as caught:
+        client_of(timeout_s=0.3, retries=0).ask("another", flat())
+    assert caught.value.status is None
+    assert not caught.value.everywhere
+
+
+def test_tries_end_and_the_error_says_where_and_what(server: ChatServer, client_of: Make, clock: Clock) -> None:
+    server.answer = lambda _: Raw(500, b"\n  CUDA out of memory\nTraceback ...\n")
+    with pytest.raises(ServerError) as caught:
+        client_of(retries=2).ask("q", flat())
+    assert f"{server.url}/chat/completions" in str(caught.value)
+    assert "500 Internal Server Error, 3 times; got 'CUDA out of memory'" in str(caught.value)
+    assert "\n" not in str(caught.value)
+    assert (caught.value.status, len(server.requests), clock.slept) == (500, 3, [0.5, 1.0])
+
+
+@pytest.mark.parametrize(
+    ("trouble", "said"),
+    [
+        (error(400, "This model does not support images"), "400 Bad Request; got 'This model does not support images'"),
+        (Raw(400, b'{"error": "Only stream=true is supported"}'), "got 'Only stream=true is supported'"),
+        (error(429, "You exceeded your quota", type="insufficient_quota"), "exceeded your quota"),
+        (error(429, "later", headers={"Retry-After": "3600"}), "it asks to wait 3600 s"),
+        (Raw(200, b"<html><title>Open WebUI</title></html>", {"Content-Type": "text/html"}), "end in /v1?"),
+        (Raw(200, b'data: {"choices": []}\n\n', {"Content-Type": "text/event-stream"}), "does not honour stream=false"),
+        (Raw(200, b"[]"), "no JSON object"),
+        (Raw(307, b"", {"Location": "https://elsewhere.example/v1"}), "redirects to https://elsewhere.example/v1"),
+        (Raw(302, b"", {"Location": "https://elsewhere.example/v1"}), "redirects to https://elsewhere.example/v1"),
+        (Raw(499, b""), "499 unknown status"),
+    ],
+)
+def test_lasting_troubles_are_told_at_once(
+    server: ChatServer, client_of: Make, clock: Clock, trouble: Raw, said: str
+) -> None:
+    server.script = [trouble]
+    with pytest.raises(ServerError) as caught:
+        client_of().ask("q", flat())
+    assert said in str(caught.value)
+    assert len(server.requests) == 1
+    assert clock.slept == []
+
+
+def test_a_wrong_key_a_wrong_model_and_a_wrong_address(
+    server: ChatServer, client_of: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    server.key = "right"
+    with pytest.raises(ServerError, match=f"401 Unauthorized.*no API key was given: set {KEY_VARIABLE}"):
+        client_of().ask("q", flat())
+    with pytest.raises(ServerError, match="is the API key the right one"):
+        client_of(api_key="wrong").ask("q", flat())
+    monkeypatch.setenv(KEY_VARIABLE, "right")
+    assert client_of().ask("q", flat()).text == "Yes"
+    assert len(server.requests) == 3
+    assert client_of().models() == MODELS
+    with pytest.raises(ServerError, match=r"404 Not Found.*has no model 'lava', only: llava-1\.5-7b, qwen-vl"):
+        client_of(model="lava").ask("q", flat())
+    with pytest.raises(ServerError, match=r"404 Not Found.*does the base address end in /v1"):
+        client_of(base_url=server.url.removesuffix("/v1")).ask("another", flat())
+
+
+def test_a_key_is_never_said(server: ChatServer, client_of: Make, tmp_path: Path) -> None:
+    client = client_of(api_key="sk-verysecret")
+    server.script = [error(401, "bad key sk-verysecret"), "Yes"]
+    with pytest.raises(ServerError, match=r"bad key \*\*\*") as caught:
+        client.ask("q", flat())
+    client.ask("q", flat())
+    kept = "".join(path.read_text() for path in tmp_path.rglob("*.json"))
+    assert kept
+    assert "verysecret" not in str(caught.value) + repr(client) + kept
+
+
+def test_nobody_listens(client_of: Make, clock: Clock) -> None:
+    with socket.socket() as free:
+        free.bind(("127.0.0.1", 0))
+        port = free.getsockname()[1]
+    with pytest.raises(ServerError, match=r"no server listens there, 2 times \(is it running") as caught:
+        client_of(base_url=f"http://127.0.0.1:{port}/v1", retries=1).ask("q", flat())
+    assert caught.value.everywhere
+    assert clock.slept == [0.5]
+
+
+def test_a_proxy_does_not_stand_before_this_machine(
+    server: ChatServer, client_of: Make, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("http_proxy", "http://127.0.0.1:9")
+    monkeypatch.delenv("no_proxy", raising=False)
+    assert client_of().ask("q", flat()).text == "Yes"
+    assert len(server.requests) == 1
+
+
+def test_the_cache_answers_the_second_time(server: ChatServer, client_of: Make, tmp_path: Path) -> None:
+    place = ((("Yes", -0.25), ("No", -1.5)),)
+    rows = [{"token": "Yes", "logprob": -0.25, "top_logprobs": [{"token": "No", "logprob": -1.5}]}]
+    server.answer = lambda _: completion("Yes", logprobs={"content": rows}, finish="length")
+    first, again = client_of(), client_of()
+    asked = first.ask("größer?", flat())
+    known = again.ask("größer?", flat())
+    assert len(server.requests) == 1
+    assert asked.logprobs == known.logprobs == place
+    assert (known.text, known.finish, known.cached, known.seconds) == ("Yes", "length", True, asked.seconds)
+    assert again.usage == Usage(cached=1, cached_prompt_tokens=600, cached_completion_tokens=3)
+    changes: list[dict[str, Any]] = [
+        {"model": MODELS[1]}, {"temperature": 0.1}, {"seed": 1}, {"max_tokens": 5}, {"top_logprobs": 1},
+        {"extra": {"stream": None}},
+    ]  # fmt: skip
+    for change in changes:
+        assert not client_of(**change).ask("größer?", flat()).cached
+    for rgb in (flat(91), flat(90, 32, 24)):
+        assert not again.ask("größer?", rgb).cached
+    assert not again.ask("größer", flat()).cached
+    assert len(server.requests) == 1 + len(changes) + 3
+    for path in tmp_path.rglob("*.json"):
+        path.write_bytes(path.read_bytes()[:-20])
+    assert not again.ask("größer?", flat()).cached
+    assert again.ask("größer?", flat()).cached
+    assert not list(tmp_path.rglob("*.tmp"))
+
+
+def test_no_cache_and_a_cache_that_cannot_be_written(server: ChatServer, client_of: Make, tmp_path: Path) -> None:
+    file = tmp_path / "file"
+    file.write_text("in the way")
+    for cache in (False, file):
+        client = client_of(cache=cache)
+        assert [client.ask("q", flat()).cached for _ in range(2)] == [False, False]
+    assert len(server.requests) == 4
+
+
+def test_the_usual_cache_is_the_users(
+    server: ChatServer, client_of: Make, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("SPATIALVIZ_CACHE", str(tmp_path / "mine"))
+    client_of(cache=True).ask("q", flat())
+    assert len(list((tmp_path / "mine" / "vlm").rglob("*.json"))) == 1
+
+
+def test_no_minute_sees_more_requests_than_allowed(server: ChatServer, client_of: Make, clock: Clock) -> None:
+    server.script = ["Yes", error(500, "oops")]
+    client = client_of(requests_per_minute=30)
+    client.ask_many([Question(str(n), Picture(flat())) for n in range(40)], workers=1)
+    times = np.array([r.at for r in server.requests])
+    assert len(times) == 41
+    assert max(int(((times >= t - 1e-6) & (times < t + 60 - 1e-6)).sum()) for t in times) == 30
+    assert clock.now - 1000 == pytest.approx(80)
+    # What is known needs no turn.
+    before = clock.now
+    client.ask("3", flat())
+    assert clock.now == before
+
+
+def test_the_wait_that_a_server_asks_for_holds_for_all_workers(
+    server: ChatServer, client_of: Make, clock: Clock
+) -> None:
+    server.script = [RATE_LIMITED]
+    client_of().ask_many([Question(str(n), Picture(flat())) for n in range(6)], workers=1)
+    assert [r.at for r in server.requests] == [1000.0] + [1007.0] * 6
+
+
+def test_waits_are_read_from_numbers_and_dates() -> None:
+    date = {"date": "Wed, 21 Oct 2015 07:28:00 GMT"}
+    assert wait_asked({"retry-after": "2.5"}) == 2.5
+    assert wait_asked({"retry-after": "Wed, 21 Oct 2015 07:28:42 GMT", **date}) == 42
+    assert wait_asked({"retry-after": "Wed, 21 Oct 2015 07:20:00 GMT", **date}) == 0
+    for value in ("", "soon", "-3", "nan", "1e9", "9" * 30):
+        assert wait_asked({"retry-after": value, **date}) is None
+
+
+def test_many_answers_come_in_order(server: ChatServer, client_of: Make) -> None:
+    server.answer = lambda request: request.prompt[::-1]
+    asked = [f"question {n}" for n in range(30)]
+    seen: list[int] = []
+    client = client_of()
+    answers = client.ask_many((Question(q, Picture(flat())) for q in asked), workers=5, progress=seen.append)
+    assert [a.text for a in answers] == [q[::-1] for q in asked]
+    assert seen == list(range(1, 31))
+    assert client.usage == Usage(requests=30, answers=30, prompt_tokens=18_000, completion_tokens=90)
+    assert client.ask_many([]) == []
+
+
+def test_workers_are_bounded_and_do_work_at_once(server: ChatServer, client_of: Make) -> None:
+    server.gate = threading.Event()
+    together = threading.Event()
+
+    def answer(_: Any) -> Script:
+        if len(server.requests) == 3:
+            together.set()
+        return "Yes"
+
+    server.answer = answer
+    done: list[Any] = []
+    client = client_of()
+    questions = [Question(str(n), Picture(flat())) for n in range(9)]
+    thread = threading.Thread(target=lambda: done.extend(client.ask_many(questions, workers=3)))
+    thread.start()
+    assert together.wait(5)
+    assert len(server.requests) == 3
+    server.gate.set()
+    thread.join(5)
+    assert len(done) == 9
+
+
+def test_an_error_ends_a_run_and_the_next_goes_on_from_there(server: ChatServer, client_of: Make) -> None:
+    questions = [Question(str(n), Picture(flat())) for n in range(6)]
+    server.answer = lambda request: error(400, "refused") if request.prompt == "3" else "Yes"
+    client = client_of()
+    with pytest.raises(ServerError, match="refused"):
+        client.ask_many(questions, workers=1)
+    assert len(server.requests) == 4
+    kept = client.ask_many(questions, workers=1, keep_going=True)
+    assert [a.failure is None for a in kept] == [True] * 3 + [False] + [True] * 2
+    assert [a.cached for a in kept] == [True] * 3 + [False] * 3
+    assert "refused" in str(kept[3].failure)
+    server.answer = lambda _: "No"
+    assert [a.text for a in client.ask_many(questions)] == ["Yes"] * 3 + ["No"] + ["Yes"] * 2
+    server.key = "another"
+    with pytest.raises(ServerError, match="401"):
+        client.ask_many([Question("new", Picture(flat()))], keep_going=True)
+
+
+def test_an_error_in_making_a_question_ends_the_run(client_of: Make) -> None:
+    def questions() -> Iterator[Question]:
+        yield Question("first", Picture(flat()))
+        raise InputError("no picture")
+
+    with pytest.raises(InputError, match="no picture"):
+        client_of().ask_many(questions(), workers=3)
+
+
+def test_an_interrupt_is_heeded_while_answers_are_awaited(server: ChatServer, client_of: Make) -> None:
+    server.gate = threading.Event()
+
+    def answer(_: Any) -> Script:
+        _thread.interrupt_main()
+        return "Yes"
+
+    server.answer = answer
+    client = client_of()
+    with pytest.raises(KeyboardInterrupt):
+        client.ask_many((Question(str(n), Picture(flat())) for n in range(50)), workers=1)
+    server.answer = lambda _: "Yes"
+    server.gate.set()
+    # What was under way is still kept; nothing new is begun.
+    assert client.ask("fresh", flat()).text == "Yes"
+    assert {r.prompt for r in server.requests} == {"0", "fresh"}
+
+
+def test_money() -> None:
+    usage = Usage(prompt_tokens=2_000_000, completion_tokens=500_000, cached_prompt_tokens=1_000_000)
+    assert money(usage, Prices(0.5, 4)) == pytest.approx(3.0)
+    assert money(usage, Prices(0.5, 4), with_cached=True) == pytest.approx(3.5)
+    with pytest.raises(InputError, match="price"):
+        Prices(-1, 2)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"base_url": "localhost:8000"}, {"base_url": "ftp://host/v1"}, {"base_url": "http://"}, {"base_url": ""},
+        {"base_url": "http://me:pw@host/v1"}, {"base_url": "http://host/v1?x=1"}, {"base_url": "http://h st/v1"},
+        {"base_url": "http://host:99999/v1"}, {"model": " "}, {"api_key": "two words"}, {"api_key": "schlüssel"},
+        {"timeout_s": 0}, {"retries": -1}, {"requests_per_minute": 0}, {"max_tokens": 0}, {"temperature": -1},
+        {"temperature": float("nan")}, {"extra": {"messages": []}}, {"extra": {"stream": True}},
+        {"extra": {"a": {1}}}, {"top_logprobs": 21},
+    ],
+)  # fmt: skip
+def test_unusable_settings_are_refused(client_of: Make, options: dict[str, Any]) -> None:
+    with pytest.raises(InputError):
+        client_of(**options)
+
+
+def test_addresses_may_end_in_many_ways(server: ChatServer, client_of: Make) -> None:
+    for ending in ("", "/", "/chat/completions", "/chat/completions/", "  "):
+        assert client_of(base_url=server.url + ending).base_url == server.url
+
+
+@pytest.mark.parametrize("image", [np.zeros((4, 4), np.uint8), np.zeros((4, 4, 3)), np.zeros((0, 4, 3), np.uint8), "x"])
+def test_what_is_no_picture_is_refused(client_of: Make, image: Any) -> None:
+    with pytest.raises(InputError, match="uint8"):
+        client_of().ask("q", image)
+
+
+def test_a_question_without_words_is_refused(client_of: Make) -> None:
+    with pytest.raises(InputError, match="without words"):
+        client_of().ask(" ", flat())
+
+
+def test_pictures_become_square_and_boxes_find_back() -> None:
+    rng = np.random.default_rng(3)
+    for height, width, most in ((480, 640, None), (640, 480, 336), (1080, 1920, 672), (100, 100, None), (5, 3, 2)):
+        rgb = rng.integers(0, 256, (height, width, 3)).astype(np.uint8)
+        view = view_of(rgb, max_side=most)
+        side = view.size[0]
+        assert view.size == (side, side)
+        assert side == min(max(height, width), most or 10_000)
+        x, y = map(int, view.offset)
+        if most is None:
+            assert np.array_equal(view.picture.rgb[y : y + height, x : x + width], rgb)
+        if y:
+            assert (view.picture.rgb[0] == PADDING).all()
+        found = view.to_frame((x / side, y / side, 1, 1))
+        assert found is not None
+        assert np.abs(found - (0, 0, width, height)).max() < 1e-3
+        assert view.to_frame((0.4, 0, 0.6, y / side)) is None
+    plain = view_of(flat(9, 48, 64), square=False)
+    assert plain.size == (64, 48)
+    assert plain.to_frame((0.25, 0.5, 0.5, 1)) == pytest.approx([16, 24, 32, 48])
+
+
+def test_marks_are_drawn_on_the_boxes_and_nowhere_else() -> None:
+    rgb = flat(200, 200, 300)
+    boxes = [np.array([20, 30, 120, 130], np.float32), np.array([250, 150, 400, 260], np.float32)]
+    image = marked(rgb, boxes)
+    assert (rgb == 200).all()
+    changed = (image != 200).any(axis=2)
+    for x0, y0, x1, y1 in np.clip(boxes, 0, (300, 200, 300, 200)).astype(int):
+        assert changed[y0:y1, x0].all()
+        assert changed[y1 - 1, x0:x1].all()
+        changed[y0 - 2 : y1 + 2, x0 - 2 : x1 + 2] = False
+    # The number of a box at the corner is moved inside the picture.
+    changed[165:, 250:] = changed[165:, 220:] = False
+    assert not changed.any()
+
+
+def test_relations_by_yes_and_no(server: ChatServer, client_of: Make, frame: Frame) -> None:
+    said = {
+        "Is the mug left of the laptop?": "**Yes**",
+        "Is the mug behind the laptop?": "No, it is not.",
+        "Is the laptop left of the mug?": "Perhaps.",
+        "Is the laptop behind the mug?": "Yes and no.",
+    }
+    server.answer = lambda request: said[request.prompt.split("\n")[0]]
+    pairs = np.array([[0, 1], [1, 0], [2, 1]])
+    seen: list[tuple[int, int]] = []
+    found = score_pairs(
+        client_of(), frame, frame.annotations, pairs, ("left", "behind"), progress=lambda *n: seen.append(n)
+    )
+    assert found.probabilities.tolist() == [[1, 0], [0.5, 0.5], [1, 0]]
+    assert found.known.tolist() == [[True, True], [False, False], [True, True]]
+    assert found.texts[1] == ("Perhaps.", "Yes and no.")
+    assert found.reasons == {"neither yes nor no": 1, "both yes and no": 1}
+    assert seen == [(n, 4) for n in (1, 2, 3, 4)]
+    assert found.ambiguous.all()
+    assert not found.by_logprobs.any()
+    # Both mugs ask the same words about the same picture.
+    assert len(server.requests) == 4
+    assert server.requests[0].prompt.endswith("\nAnswer the question using a single word or phrase.")
+    assert server.requests[0].picture.shape == (320, 320, 3)
+    assert not any("logprobs" in r.body for r in server.requests)
+
+
+def test_relations_of_marked_things(server: ChatServer, client_of: Make, frame: Frame) -> None:
+    config = RelationConfig(mark=True, square=False)
+    found = score_pairs(client_of(), frame, frame.annotations, [(0, 1), (2, 1)], ("left", "front"), config=config)
+    assert found.known.all()
+    assert not found.ambiguous.any()
+    assert {r.prompt.split("\n")[0] for r in server.requests} == {
+        "Is the mug (box 1) left of the laptop (box 2)?",
+        "Is the mug (box 1) in front of the laptop (box 2)?",
+    }
+    assert len(server.requests) == 4
+    assert len({r.picture.tobytes() for r in server.requests}) == 2
+    assert server.requests[0].picture.shape == frame.rgb.shape
+
+
+def test_relations_by_log_probabilities(server: ChatServer, client_of: Make, frame: Frame) -> None:
+    rows = [
+        {"token": "\n", "logprob": -0.1, "top_logprobs": []},
+        {
+            "token": "Yes",
+            "logprob": np.log(0.5),
+            "top_logprobs": [
+                {"token": t, "logprob": float(np.log(p))}
+                for t, p in (("Yes", 0.5), ("No", 0.2), (" yes", 0.1), ("Maybe", 0.1))
+            ],
+        },
+    ]
+    server.script = [completion("Yes", logprobs={"content": rows}), completion("No", logprobs=None)]
+    config = RelationConfig(logprobs=True, workers=1)
+    found = score_pairs(client_of(), frame, frame.annotations, [(0, 1)], ("left", "right"), config=config)
+    assert found.probabilities == pytest.approx(np.array([[0.75, 0.0]]))
+    assert found.by_logprobs.tolist() == [[True, False]]
+    assert server.requests[0].body["logprobs"] is True
+
+
+def test_relations_go_on_without_some_answers(server: ChatServer, client_of: Make, frame: Frame) -> None:
+    replies: dict[str, Script] = {"left": error(400, "refused"), "right": completion("The mug", finish="length")}
+    server.answer = lambda request: next((r for word, r in replies.items() if f" {word} of" in request.prompt), "No")
+    config = RelationConfig(keep_going=True)
+    found = score_pairs(client_of(), frame, frame.annotations, [(0, 1)], ("left", "right", "on"), config=config)
+    assert found.probabilities.tolist() == [[0.5, 0.5, 0.0]]
+    assert found.reasons == {"the server failed": 1, "neither yes nor no, cut off by max_tokens": 1}
+
+
+def test_names_that_cannot_be_asked_and_pairs_that_are_none(server: ChatServer, client_of: Make, frame: Frame) -> None:
+    odd = [replace(frame.annotations[0], label="<image>"), frame.annotations[1]]
+    for mark in (False, True):
+        found = score_pairs(client_of(), frame, odd, [(0, 1)], ("left",), config=RelationConfig(mark=mark))
+        assert found.probabilities.tolist() == [[0.5]]
+        assert found.reasons == {"a name that cannot stand in a question": 1}
+    empty = score_pairs(client_of(), frame, frame.annotations, np.zeros((0, 2), int), ("left", "on"))
+    assert empty.probabilities.shape == (0, 2)
+    assert empty.ambiguous.shape == (0,)
+    assert server.requests == []
+    for pairs, relations in (([(0, 3)], ["left"]), ([(-1, 0)], ["left"]), ([(0, 1, 2)], ["left"]), ([(0, 1)], ["up"])):
+        with pytest.raises(InputError):
+            score_pairs(client_of(), frame, frame.annotations, pairs, relations)  # type: ignore[arg-type]
+
+
+def test_grounding_finds_the_box_in_the_frame(server: ChatServer, client_of: Make, frame: Frame) -> None:
+    """The picture of 320 x 240 is sent as a square of 320, with 40 rows of padding above and below."""
+    server.script = ["[0.25, 0.25, 0.5, 0.5]"]
+    found = ground(client_of(), frame, "the mug left of the laptop")
+    assert found.box is not None
+    assert found.box == pytest.approx([80, 40, 160, 120])
+    assert (found.raw, found.reason, found.notes) == ("[0.25, 0.25, 0.5, 0.5]", None, ())
+    assert server.requests[0].prompt == (
+        "Please provide the bounding box coordinate of the region this sentence describes: the mug left of the laptop"
+    )
+    assert server.requests[0].picture.shape == (320, 320, 3)
+
+
+def test_grounding_reads_other_scales_and_says_why_there_is_no_box(
+    server: ChatServer, client_of: Make, frame: Frame
+) -> None:
+    said: dict[str, Script] = {
+        "a": "[250, 250, 500, 500]", "b": "I see no such thing.", "c": "[0.1, 0.0, 0.9, 0.1]", "d": "[0.2, 0.1, 0.9",
+        "e": error(400, "refused"),
+    }  # fmt: skip
+    server.answer = lambda request: said[request.prompt[-1]]
+    config = GroundingConfig(box_scale=1000, square=False, keep_going=True)
+    boxes = ground_many(client_of(), frame, list("abce"), config=config)
+    assert boxes[0].box == pytest.approx([80, 60, 160, 120])
+    assert [g.reason for g in boxes[1:2]] == ["no box"]
+    assert boxes[2].box is not None
+    assert boxes[2].notes == ("shares, not numbers up to 1000",)
+    assert "refused" in str(boxes[3].reason)
+    padded = ground_many(client_of(), frame, ["c", "d"])
+    assert [g.reason for g in padded] == ["a box outside the frame, in the padding", "3 numbers, not the 4 of a box"]
+    asked = len(server.requests)
+    with pytest.raises(InputError, match="scale"):
+        ground(client_of(), frame, "a", config=GroundingConfig(box_scale=-1))
+    for text in (" ", "the <image> there"):
+        with pytest.raises(InputError):
+            ground(client_of(), frame, text)
+    assert len(server.requests) == asked

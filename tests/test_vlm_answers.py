@@ -1,0 +1,207 @@
+"""Reading what models write: yes and no, and boxes in the many ways they are written."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pipeline.errors import InputError
+from pipeline.vlm.answers import parse_yes_no, yes_probability
+from pipeline.vlm.box_answers import parse_box
+
+YES = (
+    "Yes", "yes.", "YES!", " **Yes** ", "‘Yes’", "y", "Yes, the mug is not behind it.", "The answer is yes",
+    '{"answer": "yes"}', "Answer yes or no: yes", "Yes, there is no doubt.", "yes, no mug is there", "True", "Correct.",
+    "That is true.", "<think>No. Or no?</think>\n\nYes", "reasoning ...</think> Yes.", "No doubt: yes", "Yep",
+    "Is the mug left of it? Yes.", "It looks like no. Wait. Final answer: yes", "Ｙｅｓ", "It is not false.",
+)  # fmt: skip
+NO = (
+    "No", "no.", "NO", "_No_", "n", "No, the mug is right of the laptop.", "No — it is behind.", "The answer is: *no*.",
+    "I would say no.", "No mug is on the table.", "That is not correct.", "False", "No, that is not correct.", "Nope!",
+    "The correct answer is no", "<think>yes</think>no", "No, it isn't.", "Answer: No",
+)  # fmt: skip
+UNKNOWN = (
+    "", "  \n", "Ja", "はい", "Oui.", "Yes and no.", "Yes/No", "yes or no", "Yes\nNo", "No idea.", "I don't know.",
+    "The mug is right of the laptop.", "there is no mug here", "I cannot answer yes or no.", "<think>Yes, it",
+    "The answer is not yes", "it is object no. 5", "Answer: yes. Answer: no.", "left", "\x00\ud800", "12", "nobody",
+    "yesterday", "noon",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize(("text", "value"), [*((t, True) for t in YES), *((t, False) for t in NO)])
+def test_yes_and_no_are_read(text: str, value: bool) -> None:
+    assert parse_yes_no(text).value is value
+
+
+@pytest.mark.parametrize("text", UNKNOWN)
+def test_what_is_neither_or_both_is_said_to_be(text: str) -> None:
+    found = parse_yes_no(text)
+    assert found.value is None
+    assert found.reason
+
+
+@given(
+    st.booleans(),
+    st.sampled_from(["", "**", "_", '"', "`"]),
+    st.sampled_from(["", ".", "!", ", it is.", ", as one can see in the picture."]),
+    st.sampled_from(["", " ", "\n\n", "The answer is ", "Answer: ", "I would say: "]),
+    st.sampled_from([str.lower, str.title, str.upper]),
+)
+def test_dressed_up_answers_are_read(value: bool, mark: str, tail: str, lead: str, case: Callable[[str], str]) -> None:
+    word = case("yes" if value else "no")
+    assert parse_yes_no(f"{lead}{mark}{word}{mark}{tail}").value is value
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.text())
+def test_no_text_is_too_odd(text: str) -> None:
+    verdict = parse_yes_no(text)
+    assert (verdict.value is None) == (verdict.reason is not None)
+    found = parse_box(text, (640, 480))
+    assert (found.box is None) == (found.reason is not None)
+
+
+@given(st.lists(st.sampled_from([*"0123456789.,-[](){}<>=:%ex nainf\n", "x1", "loc", "to", "bbox"]), max_size=40))
+def test_no_run_of_numbers_is_too_odd(parts: list[str]) -> None:
+    found = parse_box("".join(parts), (640, 480))
+    if found.box is not None:
+        x0, y0, x1, y1 = found.box
+        assert 0 <= x0 < x1 <= 1
+        assert 0 <= y0 < y1 <= 1
+
+
+def test_probabilities_of_yes() -> None:
+    def place(**tokens: float) -> Any:
+        return tuple((t.replace("_", " "), math.log(p) if p else -math.inf) for t, p in tokens.items())
+
+    assert yes_probability([place(Yes=0.6, No=0.3, _yes=0.05)]) == pytest.approx(0.65 / 0.95)
+    assert yes_probability([place(_no=0.9, Yes=0.1)]) == pytest.approx(0.1)
+    assert yes_probability([place(No=1.0)]) == 0
+    assert yes_probability([place(The=0.9, Yes=0.1), place(Yes=0.8, No=0.2)]) == pytest.approx(0.8)
+    assert yes_probability([place(Yes=0.0, No=0.0)]) is None
+    for nothing in ([], [()], [place(The=0.9, Yes=0.1)]):
+        assert yes_probability(nothing) is None
+
+
+def written(digits: int, factor: float) -> Callable[[float], str]:
+    return lambda share: f"{share * factor:.{digits}f}"
+
+
+STYLES: dict[str, tuple[str, int, float, dict[str, Any]]] = {
+    "list": ("[{}, {}, {}, {}]", 3, 1, {}),
+    "tight": ("({},{},{},{})", 2, 1, {}),
+    "in a sentence": ("The mug is at [{}, {}, {}, {}], left of the laptop 2.", 3, 1, {}),
+    "spaces": ("{} {} {} {}", 3, 1, {}),
+    "bare": ("Sure! {}, {}, {}, {}.", 3, 1, {}),
+    "semicolons": ("[{}; {}; {}; {}]", 3, 1, {}),
+    "bold": ("**[{}, {}, {}, {}]**", 3, 1, {}),
+    "json": ('```json\n{{"bbox": [{}, {}, {}, {}], "label": "mug"}}\n```', 4, 1, {}),
+    "json of corners": ('{{"x1": {}, "y1": {}, "x2": {}, "y2": {}}}', 4, 1, {}),
+    "from zero": ("x0={} y0={} x1={} y1={}", 3, 1, {}),
+    "min and max": ("x_min: {}, y_min: {}, x_max: {}, y_max: {}", 3, 1, {}),
+    "sides": ("Left: {}\nTop: {}\nRight: {}\nBottom: {}", 3, 1, {}),
+    "points": ("({}, {}), ({}, {})", 3, 1, {}),
+    "nested": ("[[{}, {}], [{}, {}]]", 3, 1, {}),
+    "named points": ("from (x={}, y={}) to (x={}, y={})", 3, 1, {}),
+    "told corners": ("top-left ({}, {}) and bottom-right ({}, {})", 3, 1, {}),
+    "per cent": ("[{}%, {}%, {}%, {}%]", 1, 100, {}),
+    "per cent in a row": ("{} %, {} %, {} %, {} %", 0, 100, {}),
+    "hundredths": ("[{}, {}, {}, {}]", 0, 100, {"scale": 100}),
+    "thousandths": ("[{}, {}, {}, {}]", 0, 1000, {"scale": 1000}),
+    "thousandths, tagged": ("<|box_start|>({},{}),({},{})<|box_end|>", 0, 1000, {}),
+    "pixels": ("[{}, {}, {}, {}]", 0, 4000, {"size": (4000, 4000)}),
+    "pixels, told": ("[{}, {}, {}, {}]", 1, 500, {"size": (500, 500), "scale": "pixels"}),
+    "pixels, signed": ("[{}px, {}px, {}px, {}px]", 0, 500, {"size": (500, 500)}),
+    "PaliGemma": ("<loc{1:0>4}><loc{0:0>4}><loc{3:0>4}><loc{2:0>4}> mug", 0, 1024, {}),
+    "Florence": ("mug<loc_{}><loc_{}><loc_{}><loc_{}>", 0, 1000, {}),
+}
+
+
+@pytest.mark.parametrize("style", STYLES)
+@settings(max_examples=40, deadline=None)
+@given(x=st.tuples(st.floats(0.0, 0.99), st.floats(0.0, 0.99)), y=st.tuples(st.floats(0.0, 0.99), st.floats(0, 0.99)))
+def test_a_box_written_in_any_style_is_read_back(style: str, x: tuple[float, float], y: tuple[float, float]) -> None:
+    form, digits, factor, options = STYLES[style]
+    say = written(digits, factor)
+    step = 10.0**-digits / factor
+    (x0, x1), (y0, y1) = sorted(x), sorted(y)
+    # Wide enough not to be rounded to nothing, nor taken for shares.
+    if min(x1 - x0, y1 - y0) < 0.03:
+        return
+    found = parse_box(form.format(*(say(v) for v in (x0, y0, x1, y1))), **options)
+    assert found.reason is None
+    assert found.box == pytest.approx((x0, y0, x1, y1), abs=step * 0.51 + 1e-9)
+    assert set(found.notes) <= {"read as pixels"}
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "box", "note"),
+    [
+        ("[0.5, 0.9, 0.1, 0.2]", {}, (0.1, 0.2, 0.5, 0.9), "order"),
+        ("[-0.02, 0.1, 1.03, 0.9]", {}, (0, 0.1, 1, 0.9), "cut"),
+        ("[0.1, 0.2, 0.3, 0.4] or [0.5, 0.5, 0.6, 0.6]", {}, (0.1, 0.2, 0.3, 0.4), "first of 2"),
+        ("[120, 300, 500, 900]", {"size": (640, 480)}, (0.12, 0.3, 0.5, 0.9), "thousandths"),
+        ("[64, 48, 320, 240]", {"size": (640, 480)}, (0.1, 0.1, 0.5, 0.5), "pixels"),
+        ("[0.1, 0.2, 0.3, 0.4]", {"scale": 1000}, (0.1, 0.2, 0.3, 0.4), "shares"),
+    ],
+)
+def test_what_is_mended_or_assumed_is_noted(
+    text: str, options: dict[str, Any], box: tuple[float, ...], note: str
+) -> None:
+    found = parse_box(text, **options)
+    assert found.box == pytest.approx(box)
+    assert len(found.notes) == 1
+    assert note in found.notes[0]
+
+
+@pytest.mark.parametrize(
+    ("text", "options", "reason"),
+    [
+        ("", {}, "empty answer"),
+        ("There is no mug.", {}, "no box"),
+        ("[nan, 0.1, 0.2, 0.3]", {}, "not finite"),
+        ("[0.1, 0.1, inf, 0.3]", {}, "not finite"),
+        ('{"bbox": [0.1, NaN, 0.2, Infinity]}', {}, "not finite"),
+        ("[0.1, 0.1, 1e999, 0.3]", {}, "not finite"),
+        ("[0.1, 0.2, 0.3]", {}, "3 numbers"),
+        ("[0.1, 0.2, 0.3, 0.4, 0.9]", {}, "5 numbers"),
+        ('{"x": 0.1, "y": 0.2, "width": 0.3, "height": 0.4}', {}, "width and height"),
+        ("[0, 0, 0, 0]", {}, "an empty box"),
+        ("[0.2, 0.1, 0.2, 0.9]", {}, "an empty box"),
+        ("[1.2, 0.1, 1.4, 0.9]", {}, "an empty box"),
+        ("[120, 300, 500, 900]", {}, "neither their scale"),
+        ("[5000, 300, 6000, 900]", {"size": (640, 480)}, "unknown scale"),
+        ("[5000, 300, 6000, 900]", {"scale": 1000}, "far outside"),
+        ("[10px, 20px, 30px, 40px]", {}, "unknown size"),
+        ("<think>[0.1, 0.2, 0.3, 0.4]", {}, "within its reasoning"),
+        ("version 1.2.3.4", {}, "no box"),
+    ],
+)
+def test_why_there_is_no_box(text: str, options: dict[str, Any], reason: str) -> None:
+    found = parse_box(text, **options)
+    assert found.box is None
+    assert found.reason is not None
+    assert reason in found.reason
+
+
+def test_unusable_scales_are_refused() -> None:
+    scales: tuple[Any, ...] = (0, -1, math.nan, math.inf, "percent", None)
+    for scale in scales:
+        with pytest.raises(InputError, match="scale"):
+            parse_box("[0, 0, 1, 1]", scale=scale)
+    with pytest.raises(InputError, match="size"):
+        parse_box("[0, 0, 1, 1]", scale="pixels")
+
+
+@pytest.mark.parametrize(
+    "piece", ["answer ", "<think>", "0.1 ", "[", "0.1,", "x1=", "0", "<loc0001>", "(x=1,y=1)", " "]
+)
+def test_endless_answers_are_read_in_no_time(piece: str) -> None:
+    text = piece * (300_000 // len(piece))
+    assert parse_yes_no(text).value is None
+    assert parse_box(text, (640, 480)).box is None or piece in ("<loc0001>", "(x=1,y=1)")
