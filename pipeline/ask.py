@@ -151,7 +151,7 @@ def ask(
     with _timed(timings, "opm"):
         found = {name: propose(context, detector, name, config.k) for name in names}
     with _timed(timings, "lift"):
-        objects, candidates = _merged(context, detector, found, calibration)
+        objects, candidates = merged(context, detector, found, calibration)
     with _timed(timings, "srm"):
         scores = scorer.score([o.lifted for o in objects], context.viewer)
     missing = tuple(name for name in names if not len(candidates[name].index))
@@ -197,7 +197,7 @@ def propose(context: FrameContext, detector: Detector, name: str, k: int) -> Pro
     return proposals if detector.exact else top_k(proposals, k)
 
 
-def _merged(
+def merged(
     context: FrameContext, detector: Detector, found: dict[str, Proposals], calibration: ScoreCalibration | None
 ) -> tuple[tuple[SceneObject, ...], dict[str, Candidates]]:
     """All proposals as one list in which a detection that several names found stands once."""

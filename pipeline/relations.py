@@ -287,12 +287,13 @@ def on_measures(
 def _on(pairs: PairMeasures, clouds: Sequence[np.ndarray] | None, profile: Profile) -> np.ndarray:
     covered, area_ratio, gap = on_measures(pairs, clouds, profile)
     supported = (covered >= profile.on_overlap) & (area_ratio < profile.on_area_ratio)
-    # What is on a thing has its middle above the thing's: no two things are on one another.
-    supported &= pairs.delta[..., 1] > 0
     touching = np.maximum(profile.on_gap, profile.on_gap_relative * pairs.extent[:, 1])[:, None]
-    return np.where(
+    state = np.where(
         supported & (gap <= touching), T, np.where(supported & (gap <= profile.on_gap_doubtful), U, F)
     )
+    # Of two flat things at one height only the one whose middle is higher can be on the other.
+    mutual = (state >= U) & (state.T >= U)
+    return np.where(mutual & (pairs.delta[..., 1] <= 0), F, state)
 
 
 def _surface_heights(

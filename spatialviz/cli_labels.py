@@ -69,12 +69,15 @@ class Selection:
     """No relation has more than so many times the expressions of the rarest one; 0 for no such limit."""
     selection_seed: int = 0
     """Another seed chooses others."""
+    keep_vague: bool = False
+    """Keep sentences that every object of the target's class answers."""
 
     def config(self) -> SelectConfig:
         """The same as the core takes it."""
         from pipeline.labels.config import SelectConfig
 
-        return SelectConfig(self.expressions, self.per_frame, self.balance or None, self.selection_seed)
+        balance = self.balance or None
+        return SelectConfig(self.expressions, self.per_frame, balance, self.selection_seed, not self.keep_vague)
 
 
 @dataclass(frozen=True)
@@ -290,6 +293,8 @@ class Export:
             )
         for note in report.notes:
             print(f"spatialviz: {note}", file=sys.stderr)
+        if self.format in ("coco", "vqa") and self.images == "none":
+            print("spatialviz: the files name images/ that are not there; --images copy writes them", file=sys.stderr)
         rows = ", ".join(f"{count} {name}" for name, count in report.rows.items())
         print(f"{rows} -> {self.out}")
         return FINE

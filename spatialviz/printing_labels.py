@@ -51,7 +51,7 @@ def print_manifest(manifest: Manifest, out: str) -> None:
     console = make_console()
     console.print(
         f"{manifest.counts['expressions']} of {manifest.counts['candidates']} candidate expressions kept, "
-        f"rules {manifest.profile['name']} {manifest.profile_hash[:12]}, labels {manifest.config_hash[:12]}"
+        f"rules {manifest.profile['name']} {manifest.profile_hash[:12]}, settings {manifest.config_hash[:12]}"
     )
     table = Table(box=None, pad_edge=False, header_style="dim")
     for column in ("table", "rows", "hash of its rows"):

@@ -11,10 +11,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.ask import propose
+from pipeline.ask import merged, propose
 from pipeline.errors import InputError
 from pipeline.jobs import Source
-from pipeline.objects import FrameContext, SceneObject, same_object
+from pipeline.objects import FrameContext, same_object
+from pipeline.proposals.base import Proposals
 from pipeline.ranking import MIN_RELATION, MIN_SCORE, TIE, Candidates
 
 
@@ -89,28 +90,18 @@ class FrameAnswers:
     def __init__(self, source: Source, context: FrameContext, names: Sequence[str]) -> None:
         detector = source.needed_detector()
         self.source, self.context = source, context
-        objects: list[SceneObject] = []
-        place: dict[int, int] = {}
-        self.candidates: dict[str, Candidates] = {}
         self.unknown: dict[str, str] = {}
+        found: dict[str, Proposals] = {}
         for name in names:
             try:
-                proposals = propose(context, detector, name, source.config.k)
+                found[name] = propose(context, detector, name, source.config.k)
             except InputError as error:
                 self.unknown[name] = str(error)
-                self.candidates[name] = Candidates(np.zeros(0, np.int64), np.zeros(0))
-                continue
-            index = []
-            for entry in context.lift(proposals, detector):
-                at = place.get(entry.id) if entry.id >= 0 else None
-                if at is None:
-                    at = len(objects)
-                    objects.append(entry)
-                    if entry.id >= 0:
-                        place[entry.id] = at
-                index.append(at)
-            self.candidates[name] = Candidates(np.array(index, np.int64), proposals.scores.astype(np.float64))
-        self.objects = tuple(objects)
+        calibration = None if detector.exact else source.config.score_calibration
+        objects, candidates = merged(context, detector, found, calibration)
+        nothing = Candidates(np.zeros(0, np.int64), np.zeros(0))
+        self.objects = objects
+        self.candidates: dict[str, Candidates] = {name: candidates.get(name, nothing) for name in names}
         self.boxes = np.array([o.bbox for o in objects], np.float64).reshape(-1, 4)
         self.mask_sizes = np.array([o.lifted.quality.mask_pixels for o in objects], np.int64)
         self.same = same_object(objects, detector.exact)

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.camera import Camera, backproject
-from pipeline.errors import MissingExtra
+from pipeline.errors import InputError, MissingExtra
 from pipeline.fitting import extents_of
 from pipeline.labels.config import LabelConfig
 from pipeline.labels.job import label_dataset
@@ -81,6 +81,8 @@ def bench_labels(spec: SourceSpec, *, views: int = 12, repeat: int = 3, workers:
         by number of objects; job: frames, workers, seconds, frames_per_s,
         candidates_per_frame, and what 1,500 frames would take.
     """
+    if views < 1 or repeat < 1:
+        raise InputError("at least one view and one pass are needed", got=f"{views} views, {repeat} passes")
     found = [v for k in range(-(-views // VIEWS_A_ROOM)) for v in bench_views(FIRST_ROOM + k)][:views]
     with one_thread():
         ours = _timed(found, our_lifting, repeat)

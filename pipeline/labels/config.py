@@ -101,6 +101,9 @@ class SelectConfig:
     balance : float or None
         No relation has more than so many times the expressions of the rarest
         one; None keeps the relations as they come.
+    telling : bool
+        Leave out what is true of every object of the target's class, where there
+        are several: such a sentence tells nothing apart.
     seed : int
     """
 
@@ -108,6 +111,7 @@ class SelectConfig:
     per_frame: int | None = 40
     balance: float | None = 3.0
     seed: int = 0
+    telling: bool = True
 
     def __post_init__(self) -> None:
         for name in ("total", "per_frame"):

@@ -58,7 +58,7 @@ def candidate_expressions(
         return {}
     same = same_names(labels)
     kinds = same.astype(np.int32)
-    kind = same.argmax(axis=1)
+    kind, rivals = same.argmax(axis=1), same.sum(axis=1)
     asked = usable & np.array([can_be_said(label) for label in labels], np.bool_)
     number = np.asarray(ids)
     names = [str(n) for n in ids]
@@ -83,6 +83,7 @@ def candidate_expressions(
             found["targets"].append(strict)
             found["acceptable"].append(acceptable)
             found["ambiguous"].append(len(acceptable) > 1)
+            found["same_class"].append(int(rivals[a]))
         found["relation"] += [relation] * len(targets)
         found["target_object"] += number[targets].tolist()
         found["reference_object"] += number[references].tolist()
@@ -99,5 +100,5 @@ def candidate_expressions(
 
 _OWN_COLUMNS = (
     "id", "target", "relation", "reference", "target_object", "reference_object", "targets", "acceptable",
-    "ambiguous", "margin",
+    "ambiguous", "margin", "same_class",
 )  # fmt: skip

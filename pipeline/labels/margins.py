@@ -110,7 +110,6 @@ def contact_margins(pairs: PairMeasures, clouds: Sequence[np.ndarray] | None, pr
     supported = np.minimum(
         (covered - profile.on_overlap) * side[:, None] - sideways, (profile.on_area_ratio - ratio) * side[None, :]
     )
-    supported = np.minimum(supported, pairs.delta[..., 1])
     touching = np.maximum(profile.on_gap, profile.on_gap_relative * pairs.extent[:, 1])[:, None]
     on = margin_of(
         np.minimum(supported, touching - gap),

@@ -161,25 +161,34 @@ def _move_all(staging: Path, out: Path) -> None:
         os.replace(file, final)
 
 
+_CHOSEN_BY = ("id", "frame_index", "relation", "target", "reference", "acceptable", "same_class")
+
+
 def choose(shards: Sequence[Shard], store: Store, selection: SelectConfig) -> tuple[int, dict[str, np.ndarray]]:
     """How many candidates there are, and by shard which are kept."""
     codes: dict[str, int] = {}
     columns: list[list[np.ndarray]] = []
     for shard in shards:
-        part = store.read_part(shard.name, CANDIDATES, ["id", "frame_index", "relation", "target", "reference"])
+        part = store.read_part(shard.name, CANDIDATES, list(_CHOSEN_BY))
         ids = np.array([int(i, 16) for i in part.column("id").to_pylist()], np.uint64)
         named = [
             np.array([codes.setdefault(v, len(codes)) for v in part.column(n).to_pylist()], np.int32)
             for n in ("target", "reference")
         ]
         relation = np.array([PAIRWISE.index(r) for r in part.column("relation").to_pylist()], np.int32)
-        columns.append([ids, part.column("frame_index").to_numpy().astype(np.int32), relation, *named])
+        frame = part.column("frame_index").to_numpy().astype(np.int32)
+        answers = np.array([len(a) for a in part.column("acceptable").to_pylist()], np.int32)
+        same_class = part.column("same_class").to_numpy()
+        columns.append([ids, frame, relation, *named, (answers < same_class) | (same_class == 1)])
     if not columns:
         return 0, {}
-    ids, frame, relation, target, reference = (np.concatenate(parts) for parts in zip(*columns, strict=True))
-    kept = select(ids, frame, relation, target, reference, selection)
+    *said, telling = (np.concatenate(parts) for parts in zip(*columns, strict=True))
+    kept = np.zeros(len(telling), np.bool_)
+    rows = np.flatnonzero(telling) if selection.telling else np.arange(len(telling))
+    ids, frame, relation, target, reference = (column[rows] for column in said)
+    kept[rows] = select(ids, frame, relation, target, reference, selection)
     at = np.cumsum([0, *(len(part[0]) for part in columns)])
-    return len(ids), {shard.name: kept[at[k] : at[k + 1]] for k, shard in enumerate(shards)}
+    return len(kept), {shard.name: kept[at[k] : at[k + 1]] for k, shard in enumerate(shards)}
 
 
 def _worded(

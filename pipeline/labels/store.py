@@ -43,7 +43,12 @@ class Store:
                 import fsspec
             except ImportError as error:
                 raise MissingExtra(f"writing to {self.where}", "cluster") from error
-            self._fs, self._root = fsspec.core.url_to_fs(self.where)
+            try:
+                self._fs, self._root = fsspec.core.url_to_fs(self.where)
+            except (ImportError, ValueError) as error:
+                raise InputError(
+                    "this kind of URL cannot be written to", got=str(error).split("\n")[0], path=self.where
+                ) from error
         else:
             self.folder = Path(self.where).expanduser()
 

@@ -30,7 +30,8 @@ Columns = dict[str, Any]
 
 
 CANDIDATES = "candidates"
-"""The table of a shard: expressions before some of them are chosen and put into words."""
+"""The table of a shard: expressions before some of them are chosen and put into words. `same_class` counts the
+objects of the frame that are of the target's class."""
 PART_TABLES = ("frames", "objects", "relations", CANDIDATES)
 
 
@@ -42,7 +43,8 @@ def arrow_schema(table: str) -> pa.Schema:
     if table == CANDIDATES:
         worded = arrow_schema("expressions")
         metadata = {**worded.metadata, TABLE_KEY: CANDIDATES.encode()}
-        return worded.remove(worded.get_field_index("text")).with_metadata(metadata)
+        bare = worded.remove(worded.get_field_index("text"))
+        return bare.append(pa.field("same_class", pa.int32(), False)).with_metadata(metadata)
     fields = []
     for name, info in TABLES[table].model_fields.items():
         kinds = [k for k in (typing.get_args(info.annotation) or (info.annotation,)) if k is not types.NoneType]

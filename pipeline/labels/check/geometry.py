@@ -138,7 +138,6 @@ def _contact(
     area = extent[:, 0] * extent[:, 2]
     covered = pairs.overlap[..., 0] * pairs.overlap[..., 2] / area[:, None]
     supported = (covered >= profile.on_overlap) & (area[:, None] / area[None, :] < profile.on_area_ratio)
-    supported &= pairs.delta[..., 1] > 0
     bottom = pairs.lo[:, None, 1]
     surface = np.clip(bottom, pairs.lo[None, :, 1] - SURFACE_SLACK, pairs.hi[None, :, 1] + SURFACE_SLACK)
     gap = np.abs(bottom - surface)

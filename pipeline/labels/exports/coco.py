@@ -46,7 +46,7 @@ def write_coco(job: Job) -> Written:
     manifest = job.labels.manifest
     categories = _categories(job)
     info = {
-        "description": f"Auto-labels of {manifest.dataset.get('format')} by {manifest.tool} {manifest.version}",
+        "description": f"Auto-labels of {manifest.dataset.get('path')} by {manifest.tool} {manifest.version}",
         "version": manifest.schema_version,
         "date_created": manifest.created,
         "contributor": "",
