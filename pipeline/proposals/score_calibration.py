@@ -20,7 +20,6 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from pipeline.boxes import iou_2d
 from pipeline.errors import InputError, UnknownClass
-from pipeline.evaluation.calibration_metrics import expected_calibration_error
 from pipeline.frame import Frame
 from pipeline.proposals.annotations import AnnotationDetector
 from pipeline.proposals.base import Detector
