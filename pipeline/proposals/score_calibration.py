@@ -20,7 +20,6 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from pipeline.boxes import iou_2d
 from pipeline.errors import InputError, UnknownClass
-from pipeline.evaluation.calibration_metrics import expected_calibration_error
 from pipeline.frame import Frame
 from pipeline.proposals.annotations import AnnotationDetector
 from pipeline.proposals.base import Detector
@@ -283,17 +282,23 @@ def calibrate_scores(
 
 def reliability(p: np.ndarray, hits: np.ndarray) -> dict[str, Any]:
     """How well scores (N,) in 0..1 say how often they are right, given the hits (N,) bool."""
+    # The evaluation asks questions itself, and so imports what imports this.
+    from pipeline.evaluation.calibration_metrics import brier_score, expected_calibration_error, reliability_diagram
+
+    diagram = reliability_diagram(p, hits, RELIABILITY_BINS)
+    rows = [
+        {
+            "low": round(float(diagram.edges[k]), 6),
+            "high": round(float(diagram.edges[k + 1]), 6),
+            "count": int(diagram.count[k]),
+            "score": round(float(diagram.confidence[k]), 4),
+            "hits": round(float(diagram.frequency[k]), 4),
+        }
+        for k in np.flatnonzero(diagram.count)
+    ]
     q = np.clip(p, SCORE_LIMIT, 1 - SCORE_LIMIT)
-    place = np.minimum((p * RELIABILITY_BINS).astype(np.int64), RELIABILITY_BINS - 1)
-    rows = []
-    for k in range(RELIABILITY_BINS):
-        inside = place == k
-        if inside.any():
-            bounds = {"low": k / RELIABILITY_BINS, "high": (k + 1) / RELIABILITY_BINS}
-            means = {"score": round(float(p[inside].mean()), 4), "hits": round(float(hits[inside].mean()), 4)}
-            rows.append({**bounds, "count": int(inside.sum()), **means})
     return {
-        "brier": float(np.square(p - hits).mean()),
+        "brier": brier_score(p, hits),
         "ece": expected_calibration_error(p, hits),
         "log_loss": float(-np.where(hits, np.log(q), np.log1p(-q)).mean()),
         "reliability": rows,
