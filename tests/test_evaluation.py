@@ -22,6 +22,7 @@ from pipeline.evaluation.records import COLUMNS, HIT, overlaps, records_schema
 from pipeline.evaluation.reported import read_reported, reported_rows
 from pipeline.evaluation.run import EvalSpec, Evaluator, evaluate_labels, table_of
 from pipeline.evaluation.tables import Row, Table, as_csv, latex, markdown
+from pipeline.evaluation.whole_expression import VlmOptions
 from pipeline.jobs import open_source
 from pipeline.labels.job import label_dataset
 from pipeline.labels.plan import SourceSpec
@@ -286,3 +287,39 @@ def test_columns_are_all_filled(labels: Path) -> None:
     empty = [name for name in COLUMNS if table.column(name).null_count == table.num_rows]
     assert empty == ["problem"]
     assert table_of([]).schema.equals(records_schema())
+
+
+def test_a_vision_language_model_is_measured_by_its_boxes(labels: Path, tmp_path: Path, monkeypatch: Any) -> None:
+    """A model that always points at the middle of the picture, behind a server that speaks the real protocol."""
+    from chat_server import MODELS, Clock, running
+
+    monkeypatch.setenv("SPATIALVIZ_CACHE", str(tmp_path / "cache"))
+    with running(Clock()) as server:
+        server.answer = lambda _: "[0.25, 0.25, 0.75, 0.75]"
+        options = VlmOptions(server.url, MODELS[0])
+        spec = EvalSpec("demo", str(labels), {"srm": "rule"}, system="vlm", vlm=options, limit=12)
+        report = evaluate_dataset(spec, tmp_path / "vlm", plots=False, bootstrap=QUICK)
+        asked = len(server.requests)
+    rows = read_records(tmp_path / "vlm").to_pylist()
+    assert report.expressions == asked == 12
+    assert len({r["frame"] for r in rows}) == FRAMES
+    # The picture is padded to a square above and below: a quarter of 640 pixels, and of the padded height.
+    for row in rows:
+        np.testing.assert_allclose(row["box"], [160, 80, 480, 400], atol=1.5)
+        assert row["correct"] == (row["iou"] >= HIT)
+        assert row["opm_iou"] is None
+    (table, *_) = report.tables
+    assert [r.name for r in table.rows] == [f"VLM {MODELS[0]}"]
+    assert table.rows[0].cells[5] is None
+
+
+def test_a_detector_is_fed_the_whole_expression(labels: Path, recording: Path) -> None:
+    spec = spec_of(labels, recording)
+    whole = EvalSpec(spec.dataset, spec.labels, spec.options, system="referring", limit=10)
+    (table, *_) = evaluate_labels(whole)
+    rows = table.to_pylist()
+    assert len(rows) == 10
+    # A recording knows class names only, and says so.
+    assert all(r["box"] is None and r["problem"] for r in rows)
+    with pytest.raises(InputError, match="no model is named"):
+        list(evaluate_labels(EvalSpec(spec.dataset, spec.labels, spec.options, system="vlm")))
