@@ -473,6 +473,13 @@ def test_the_selection_keeps_to_its_limits(demo: Path, tmp_path: Path) -> None:
     assert max(sum(r["frame"] == f for r in rows) for f in {r["frame"] for r in rows}) <= 20
 
 
+def test_merged_tables_do_not_go_among_other_files(demo: Path, tmp_path: Path) -> None:
+    (tmp_path / "mine.txt").write_text("mine")
+    with pytest.raises(InputError, match="something else"):
+        merge_labels(demo, out=tmp_path)
+    assert [p.name for p in tmp_path.iterdir()] == ["mine.txt"]
+
+
 def test_profiles_are_what_the_manifest_names(demo: Path) -> None:
     manifest = open_labels(demo).manifest
     assert manifest.profile_hash == PROFILES["viewer-cone-v1"].hash

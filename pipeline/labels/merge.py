@@ -19,7 +19,7 @@ from pipeline import __version__
 from pipeline.errors import InputError
 from pipeline.labels.card import croissant, dataset_card
 from pipeline.labels.config import SelectConfig, TextStyle
-from pipeline.labels.plan import Plan, Shard, load_plan
+from pipeline.labels.plan import PLAN_FILE, Plan, Shard, load_plan
 from pipeline.labels.reading import MANIFEST_FILE, Labels
 from pipeline.labels.schema import SCHEMA_VERSION, Manifest, TableFile
 from pipeline.labels.schema_files import write_schemas
@@ -83,6 +83,8 @@ def merge_labels(where: str | Path, selection: SelectConfig | None = None, out: 
         out.mkdir(parents=True, exist_ok=True)
     except (FileExistsError, NotADirectoryError) as error:
         raise InputError("merged tables go into a folder", got="a file", path=out) from error
+    if any(out.iterdir()) and not (out / PLAN_FILE).is_file() and not (out / MANIFEST_FILE).is_file():
+        raise InputError("the folder holds something else", expected="a new or empty folder, or labels", path=out)
     for shard in plan.shards:
         store.check_part(shard.name, shard.key)
     clear_abandoned(out)
