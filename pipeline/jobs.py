@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ from pipeline.frame import Frame
 from pipeline.naming import Synonyms
 from pipeline.objects import FrameContext, SceneObject, all_objects
 from pipeline.proposals import Detector, Segmented, make_detector, make_segmenter
+from pipeline.relations import PAIRWISE
 from pipeline.srm import RelationScorer, RelationScores, make_scorer
 from pipeline.srm.appearance import appearance_of
 
@@ -60,9 +61,12 @@ class Source:
             )
         return self.detector
 
-    def score(self, context: FrameContext, objects: Sequence[SceneObject]) -> RelationScores:
-        """Every relation of every ordered pair of the frame's objects; InputError where the scorer lacks a class."""
-        return self.scorer.score([o.lifted for o in objects], context.viewer, appearance_of(objects, context.frame))
+    def score(
+        self, context: FrameContext, objects: Sequence[SceneObject], relations: Collection[str] = PAIRWISE
+    ) -> RelationScores:
+        """The relations of every ordered pair of the frame's objects; InputError where the scorer lacks a class."""
+        appearance = appearance_of(objects, context.frame)
+        return self.scorer.score([o.lifted for o in objects], context.viewer, appearance, relations)
 
     def ask(self, frame: Frame | FrameContext, text: str) -> Trace:
         """Answer an expression on a frame with these models; raises as `pipeline.ask.ask`."""

@@ -323,3 +323,15 @@ def test_a_detector_is_fed_the_whole_expression(labels: Path, recording: Path) -
     assert all(r["box"] is None and r["problem"] for r in rows)
     with pytest.raises(InputError, match="no model is named"):
         list(evaluate_labels(EvalSpec(spec.dataset, spec.labels, spec.options, system="vlm")))
+
+
+@pytest.mark.parametrize("srm", ["rule", "trained"])
+def test_scoring_only_what_is_asked_changes_nothing_of_it(srm: str) -> None:
+    source = open_source("demo", srm=srm)
+    context = FrameContext(source.dataset.load(source.dataset.frame_ids[0]))
+    objects = context.lift(source.needed_detector().detect(context.frame, None), source.needed_detector())
+    whole, part = source.score(context, objects), source.score(context, objects, ("left", "above"))
+    assert "on" not in part.relations
+    for relation in ("left", "above"):
+        np.testing.assert_array_equal(whole.of(relation), part.of(relation))
+    np.testing.assert_array_equal(source.score(context, objects, ("left", "on")).of("on"), whole.of("on"))

@@ -6,7 +6,7 @@ expressions of a frame is computed once.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -17,6 +17,7 @@ from pipeline.jobs import Source
 from pipeline.objects import FrameContext, same_object
 from pipeline.proposals.base import Proposals
 from pipeline.ranking import MIN_RELATION, MIN_SCORE, TIE, Candidates
+from pipeline.relations import PAIRWISE
 
 
 @dataclass(frozen=True)
@@ -77,6 +78,8 @@ class FrameAnswers:
     context : FrameContext
     names : sequence of str
         All class names that will be asked for.
+    relations : collection of str
+        All relations that will be.
 
     Attributes
     ----------
@@ -87,7 +90,9 @@ class FrameAnswers:
         Names that the detector refused, and why.
     """
 
-    def __init__(self, source: Source, context: FrameContext, names: Sequence[str]) -> None:
+    def __init__(
+        self, source: Source, context: FrameContext, names: Sequence[str], relations: Collection[str] = PAIRWISE
+    ) -> None:
         detector = source.needed_detector()
         self.source, self.context = source, context
         self.unknown: dict[str, str] = {}
@@ -105,7 +110,7 @@ class FrameAnswers:
         self.boxes = np.array([o.bbox for o in objects], np.float64).reshape(-1, 4)
         self.mask_sizes = np.array([o.lifted.quality.mask_pixels for o in objects], np.int64)
         self.same = same_object(objects, detector.exact)
-        self._scores = source.score(context, objects) if objects else None
+        self._scores = source.score(context, objects, relations) if objects else None
 
     def score(self, target: str, relation: str, reference: str) -> Scored | None:
         """All candidate pairs of an expression; None where a class was not found."""

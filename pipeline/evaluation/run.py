@@ -102,7 +102,8 @@ class Evaluator:
             return [record_whole(c, truth, p) for c, p in zip(truth.cases, pointed, strict=True)]
         context = FrameContext(frame, self.source.config.lift)
         names = dict.fromkeys(name for case in truth.cases for name in (case.target, case.reference))
-        answers = FrameAnswers(self.source, context, tuple(names))
+        relations = {case.relation for case in truth.cases}
+        answers = FrameAnswers(self.source, context, tuple(names), relations)
         rows = []
         for case in truth.cases:
             if case.text not in self._parsed:

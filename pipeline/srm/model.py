@@ -8,7 +8,7 @@ not say so, or says something this program does not compute, is refused.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +17,7 @@ import numpy as np
 from pipeline.errors import InputError
 from pipeline.lifting import LiftedObject
 from pipeline.proposals.onnx_session import open_session, signature
+from pipeline.relations import PAIRWISE
 from pipeline.srm.appearance import Appearance
 from pipeline.srm.calibration import antisymmetric, antisymmetric_log_softmax, sigmoid, softmax
 from pipeline.srm.class_vectors import ClassLookup
@@ -74,7 +75,11 @@ class OnnxScorer:
             raise InputError("the relation network uses no class names: leave out --vectors", got=self.name, path=path)
 
     def score(
-        self, objects: Sequence[LiftedObject], viewer: ViewerAxes, appearance: Appearance | None = None
+        self,
+        objects: Sequence[LiftedObject],
+        viewer: ViewerAxes,
+        appearance: Appearance | None = None,
+        relations: Collection[str] = PAIRWISE,
     ) -> RelationScores:
         """Probabilities by the network; states are the rule's.
 
@@ -83,13 +88,14 @@ class OnnxScorer:
         InputError
             The network is given 2D boxes or class names and there is no appearance, or a class it does not know.
         """
-        rule = RuleScorer().score(objects, viewer)
+        rule = RuleScorer().score(objects, viewer, relations=relations)
         probabilities = rule.probabilities.copy()
         scored_by = dict(rule.scored_by)
         found = self.of_pairs(objects, viewer, appearance)
         for k, relation in enumerate(self.contract.vocabulary):
-            probabilities[..., rule.relations.index(relation)] = found[..., k]
-            scored_by[relation] = self.name
+            if relation in rule.relations:
+                probabilities[..., rule.relations.index(relation)] = found[..., k]
+                scored_by[relation] = self.name
         # What a thing is to itself is not a question for a network.
         same = np.eye(len(objects), dtype=np.bool_)
         probabilities[same] = rule.probabilities[same]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -10,7 +10,7 @@ import numpy as np
 
 from pipeline.arrangement import between_states, superlative_states
 from pipeline.lifting import LiftedObject
-from pipeline.relations import PAIRWISE, PROFILE, Indices, pairwise_states
+from pipeline.relations import DIRECTIONAL, PAIRWISE, PROFILE, Indices, directional_states, pairwise_states
 from pipeline.srm.appearance import Appearance
 from pipeline.viewer import ViewerAxes
 
@@ -50,9 +50,16 @@ class RelationScorer(Protocol):
     def name(self) -> str: ...
 
     def score(
-        self, objects: Sequence[LiftedObject], viewer: ViewerAxes, appearance: Appearance | None = None
+        self,
+        objects: Sequence[LiftedObject],
+        viewer: ViewerAxes,
+        appearance: Appearance | None = None,
+        relations: Collection[str] = PAIRWISE,
     ) -> RelationScores:
-        """The scores of all ordered pairs; InputError where the scorer needs the appearance and has none."""
+        """The scores of all ordered pairs; InputError where the scorer needs the appearance and has none.
+
+        Only `relations` need be scored: on, in and near look at all points, and cost the most.
+        """
         ...
 
 
@@ -65,12 +72,19 @@ class RuleScorer:
     name = "rule"
 
     def score(
-        self, objects: Sequence[LiftedObject], viewer: ViewerAxes, appearance: Appearance | None = None
+        self,
+        objects: Sequence[LiftedObject],
+        viewer: ViewerAxes,
+        appearance: Appearance | None = None,
+        relations: Collection[str] = PAIRWISE,
     ) -> RelationScores:
         lo, hi = stacked_extents(objects)
-        axes = viewer.matrix.T.astype(np.float32)
-        states = pairwise_states(lo, hi, [o.points @ axes for o in objects])
-        return RelationScores(PAIRWISE, states, rule_probabilities(states), dict.fromkeys(PAIRWISE, self.name))
+        if set(relations) <= set(DIRECTIONAL):
+            states, names = directional_states(lo, hi), DIRECTIONAL
+        else:
+            axes = viewer.matrix.T.astype(np.float32)
+            states, names = pairwise_states(lo, hi, [o.points @ axes for o in objects]), PAIRWISE
+        return RelationScores(names, states, rule_probabilities(states), dict.fromkeys(names, self.name))
 
 
 def rule_probabilities(states: np.ndarray) -> np.ndarray:
