@@ -112,6 +112,10 @@ class FrameAnswers:
         self.same = same_object(objects, detector.exact)
         self._scores = source.score(context, objects, relations) if objects else None
 
+    def probabilities(self, relation: str) -> np.ndarray | None:
+        """(D, D) float64: P("a RELATION b") of all detections; None where nothing was detected."""
+        return None if self._scores is None else self._scores.of(relation)
+
     def score(self, target: str, relation: str, reference: str) -> Scored | None:
         """All candidate pairs of an expression; None where a class was not found."""
         targets, references = self.candidates[target], self.candidates[reference]

@@ -65,6 +65,12 @@ class FrameCases:
     states : dict of str to (N, N) int8
         By relation; -1 where a pair has no label.
     cases : tuple of Case
+    numbers : (N,) int64
+        The objects' own numbers in the labels: the dataset's own, where they were made from its annotations.
+    judged : (N, N) bool
+        Pairs that have a label.
+    geometry : dict of str to (N, K) float64
+        "lo", "hi", "center", "R" and "size" as labelled; NaN where there is none.
     """
 
     frame: str
@@ -75,6 +81,9 @@ class FrameCases:
     alike: np.ndarray
     states: dict[str, np.ndarray]
     cases: tuple[Case, ...]
+    numbers: np.ndarray
+    judged: np.ndarray
+    geometry: dict[str, np.ndarray]
 
     def acceptable_pairs(self, case: Case) -> np.ndarray:
         """(N, N) bool: pairs of the asked classes of which the relation holds or may hold."""
@@ -94,9 +103,11 @@ def read_cases(labels: Labels, first: int, stop: int) -> Iterator[FrameCases]:
         numbers = own["object"]
         place = {number: k for k, number in enumerate(numbers)}
         states = {name: np.full((len(numbers), len(numbers)), -1, np.int8) for name in names}
+        judged = np.zeros((len(numbers), len(numbers)), np.bool_)
         pairs = relations.get(index)
         if pairs is not None:
             a, b = (np.array([place[n] for n in pairs[end]], np.int64) for end in ("a", "b"))
+            judged[a, b] = True
             for name in names:
                 states[name][a, b] = pairs[name]
         found = expressions[index]
@@ -125,12 +136,21 @@ def read_cases(labels: Labels, first: int, stop: int) -> Iterator[FrameCases]:
             same_names(own["label"]),
             states,
             cases,
+            np.array(numbers, np.int64),
+            judged,
+            {name: _rows(own[name], width) for name, width in _GEOMETRY.items()},
         )
 
 
+def _rows(values: list[Any], width: int) -> np.ndarray:
+    """(N, width) float64 of lists of numbers, of which some are missing."""
+    return np.array([v if v is not None else [np.nan] * width for v in values], np.float64).reshape(-1, width)
+
+
+_GEOMETRY = {"lo": 3, "hi": 3, "center": 3, "R": 9, "size": 3}
 _COLUMNS: dict[str, list[str] | None] = {
     "frames": ["frame_index", "scene"],
-    "objects": ["frame_index", "object", "label", "bbox"],
+    "objects": ["frame_index", "object", "label", "bbox", *_GEOMETRY],
     "relations": None,
     "expressions": None,
 }

@@ -1,0 +1,6 @@
+"""Which module failed, why, and what smallest change would mend it.
+
+`frame_evidence` joins what was detected in a frame with what is true of it,
+`substitution` ranks again with parts of the pipeline replaced by the truth,
+`verdict` names the module, `shapley` shares the loss of a run among them.
+"""

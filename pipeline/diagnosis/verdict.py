@@ -1,0 +1,257 @@
+"""The verdict on one expression: exclusive, exhaustive, decided in a fixed order.
+
+CORRECT      the answer's target overlaps the labelled one by half (LUCKY where the pair is not an acceptable one)
+PARSE        the parsed triple is not the gold triple
+LABEL        AMBIGUOUS: the answer is another acceptable target; BAD_LABEL, BAD_BOX: a person marked the label
+OPM-TARGET   no candidate overlaps an acceptable target: RANK, THRESHOLD, LOCALISATION or ABSENT (`misses`)
+OPM-REF      no candidate pair is an acceptable one
+LIFT, SRM, OPM-CONF, PRM, COMPOUND
+             an acceptable pair stood among the candidates and lost. Each oracle is applied alone and the pairs are
+             ranked again. Exactly one makes an acceptable pair win: it names the verdict; CONF is OPM-CONF where a
+             false positive won, and PRM where two real objects did, whose confidences overruled the relation. Several
+             do: the one with the largest margin of the best acceptable over the best other pair; within 1e-6 the
+             earlier stage. None does: COMPOUND, with the smallest subset of the three that does. Not even all three:
+             PRM, DEGENERATE: the right pair is excluded as one thing, or lost by a rule for ties.
+
+When several oracles are compared, a relation that the network is sure of
+(at least .9, at most .1) counts as .99 or .01, as the truth does: else the
+truth, which is never less sure, would go farther than any true geometry, and
+a broken box would never be blamed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pipeline.diagnosis.frame_evidence import FrameEvidence
+from pipeline.diagnosis.misses import Missed, why_missed
+from pipeline.diagnosis.oracles import CONF, LIFT, RECALL, SRM, SUBSETS, names_of, size
+from pipeline.diagnosis.substitution import Role, Substituted, substitute
+from pipeline.evaluation.cases import Case
+from pipeline.evaluation.records import HIT
+from pipeline.proposals.base import Detector
+
+VERDICTS = (
+    "CORRECT", "PARSE", "LABEL", "OPM-TARGET", "OPM-REF", "LIFT", "SRM", "OPM-CONF", "PRM", "COMPOUND",
+)  # fmt: skip
+"""In the order in which they are decided."""
+MODULE_OF = {
+    "PARSE": "PARSE", "LABEL": "LABEL", "OPM-TARGET": "OPM", "OPM-REF": "OPM", "LIFT": "LIFT", "SRM": "SRM",
+    "OPM-CONF": "OPM", "PRM": "PRM",
+}  # fmt: skip
+"""The module that a verdict blames; COMPOUND blames those of its repair."""
+MARKS = ("BAD_LABEL", "BAD_BOX")
+_FLIPS = (LIFT, SRM, CONF)
+_ALL_FLIPS = LIFT | SRM | CONF
+SAME_MARGIN = 1e-6
+
+
+@dataclass(frozen=True)
+class Stand:
+    """One pair in the score: who it is, its factors, its S.
+
+    Attributes
+    ----------
+    target, reference : int
+        Places in the frame's detections.
+    p_target, p_reference, p_relation : float
+    log_score : float
+    """
+
+    target: int
+    reference: int
+    p_target: float
+    p_reference: float
+    p_relation: float
+    log_score: float
+
+
+@dataclass(frozen=True)
+class Diagnosis:
+    """What failed and what would mend it.
+
+    Attributes
+    ----------
+    verdict : str
+        One of VERDICTS.
+    detail : str or None
+        AMBIGUOUS, BAD_LABEL, BAD_BOX; RANK, THRESHOLD, LOCALISATION, ABSENT; DEGENERATE; the oracles of COMPOUND.
+    lucky : bool
+        Right, but with a pair that is not acceptable.
+    repair : tuple of str
+        The smallest set of oracles with which an acceptable pair wins; empty where none is needed or none helps.
+    right_with : int
+        Bit s is set where the target is right with the oracles of subset s (`oracles`), on the gold triple.
+    margins : (16,) float64
+        S of the best acceptable pair less S of the best other one under each subset; NaN without any pair.
+    winner, right : Stand or None
+        The answer, and the best acceptable pair among the candidates.
+    false_target, false_reference : bool
+        The answer's objects are of no labelled object of the asked class.
+    missed : Missed or None
+        With OPM-TARGET and OPM-REF.
+    missed_name : str or None
+        The class name of which the right object is missing.
+    pseudo : bool
+        LIFT's truth was the box of the label for an object of either pair: the dataset has no pixels of it.
+    """
+
+    verdict: str
+    detail: str | None
+    lucky: bool
+    repair: tuple[str, ...]
+    right_with: int
+    margins: np.ndarray
+    winner: Stand | None
+    right: Stand | None
+    false_target: bool = False
+    false_reference: bool = False
+    missed: Missed | None = None
+    missed_name: str | None = None
+    pseudo: bool = False
+
+    @property
+    def correct(self) -> bool:
+        """The verdict is CORRECT."""
+        return self.verdict == "CORRECT"
+
+    @property
+    def contributions(self) -> dict[str, float] | None:
+        """Each factor's share of S(winner) - S(right), unweighted logs; positive favours the winner."""
+        if self.winner is None or self.right is None:
+            return None
+        return {
+            name: float(np.log(max(getattr(self.winner, f), 1e-6)) - np.log(max(getattr(self.right, f), 1e-6)))
+            for name, f in (("target", "p_target"), ("reference", "p_reference"), ("relation", "p_relation"))
+        }
+
+
+def diagnose(
+    evidence: FrameEvidence,
+    case: Case,
+    *,
+    parse_ok: bool,
+    mark: str | None = None,
+    unfiltered: Callable[[], Detector] | None = None,
+) -> Diagnosis:
+    """Name the module that failed on one expression.
+
+    Parameters
+    ----------
+    evidence : FrameEvidence
+    case : Case
+    parse_ok : bool
+        The parser read the gold triple.
+    mark : str, optional
+        What a person said of the label: BAD_LABEL or BAD_BOX.
+    unfiltered : callable, optional
+        Gives the detector without a minimum score, to tell THRESHOLD from ABSENT.
+    """
+    found = substitute(evidence, case)
+    pair, alone = found.pair(), found.alone()
+    winner = None if pair is None else _stand(found, *pair)
+    place = _best_acceptable(found)
+    target = pair[0] if pair is not None else alone
+    overlap = 0.0 if target is None or not parse_ok else float(found.target.overlap[target, case.target_object])
+    flip = _smallest(found, range(1, SUBSETS))
+    diagnosis = Diagnosis(
+        verdict="",
+        detail=None,
+        lucky=False,
+        repair=() if flip is None else names_of(flip),
+        right_with=int((found.right_target << np.arange(SUBSETS)).sum()),
+        margins=found.margins,
+        winner=winner if parse_ok else None,
+        right=None if place is None else _stand(found, *place),
+        false_target=pair is not None and found.target.object[pair[0]] < 0,
+        false_reference=pair is not None and found.reference.object[pair[1]] < 0,
+        pseudo=_pseudo(evidence, found, [p for p in (pair, place) if p is not None]),
+    )
+    if overlap >= HIT:
+        lucky = pair is None or not found.covered[pair]
+        return replace(diagnosis, verdict="CORRECT", lucky=lucky, repair=())
+    if not parse_ok:
+        return replace(diagnosis, verdict="PARSE", repair=())
+    if target is not None and found.right[target]:
+        return replace(diagnosis, verdict="LABEL", detail="AMBIGUOUS", repair=())
+    if mark is not None:
+        return replace(diagnosis, verdict="LABEL", detail=mark, repair=())
+    if not found.right[: found.target.found].any():
+        missed = _missed(evidence, case.target, case.acceptable, unfiltered)
+        return replace(diagnosis, verdict="OPM-TARGET", detail=missed.kind, missed=missed, missed_name=case.target)
+    if not found.covered[: found.target.found, : found.reference.found].any():
+        pairs = evidence.truth.acceptable_pairs(case)
+        shown = found.target.overlap[: found.target.found] >= HIT
+        wanted = pairs[(shown & pairs.any(axis=1)[None]).any(axis=0)].any(axis=0)
+        missed = _missed(evidence, case.reference, np.flatnonzero(wanted), unfiltered)
+        return replace(
+            diagnosis, verdict="OPM-REF", detail=missed.kind, missed=missed, missed_name=case.reference
+        )
+    verdict, detail, repair = _flipped(found, diagnosis, evidence.answers.source.config.rank.relation_weight)
+    return replace(diagnosis, verdict=verdict, detail=detail, repair=names_of(repair))
+
+
+def _flipped(found: Substituted, diagnosis: Diagnosis, weight: float) -> tuple[str, str | None, int]:
+    """Verdict, detail and repair where an acceptable pair lost."""
+    flips = [bit for bit in _FLIPS if found.accepted[bit]]
+    if not flips:
+        several = [s for s in range(SUBSETS) if not s & ~_ALL_FLIPS and size(s) > 1]
+        smallest = _smallest(found, several)
+        if smallest is None:
+            return "PRM", "DEGENERATE", 0
+        return "COMPOUND", "+".join(names_of(smallest)), smallest
+    chosen = flips[0]
+    if len(flips) > 1:
+        margin = {bit: found.decided_margin(bit, weight) for bit in flips}
+        farthest = max(margin.values())
+        chosen = next(bit for bit in flips if margin[bit] >= farthest - SAME_MARGIN)
+    if chosen == CONF:
+        real = not (diagnosis.false_target or diagnosis.false_reference)
+        return ("PRM" if real else "OPM-CONF"), None, CONF
+    return ("LIFT" if chosen == LIFT else "SRM"), None, chosen
+
+
+def _smallest(found: Substituted, subsets: range | list[int]) -> int | None:
+    """The smallest of these subsets with which an acceptable pair wins; of equal ones that with the largest margin."""
+    able = [s for s in subsets if found.accepted[s]]
+    return min(able, key=lambda s: (size(s), -found.margins[s], s)) if able else None
+
+
+def _best_acceptable(found: Substituted) -> tuple[int, int] | None:
+    """The acceptable pair among the candidates with the highest S."""
+    score = np.where(found.covered, found.log_score[0], -np.inf)
+    if not score.size or not np.isfinite(score.max()):
+        return None
+    i, j = np.unravel_index(int(score.argmax()), score.shape)
+    return int(i), int(j)
+
+
+def _stand(found: Substituted, i: int, j: int) -> Stand:
+    return Stand(
+        int(found.target.places[i]),
+        int(found.reference.places[j]),
+        float(found.target.scores[i]),
+        float(found.reference.scores[j]),
+        float(found.p_relation[0, 0, i, j]),
+        float(found.log_score[0, i, j]),
+    )
+
+
+def _pseudo(evidence: FrameEvidence, found: Substituted, pairs: list[tuple[int, int]]) -> bool:
+    def boxed(role: Role, k: int) -> bool:
+        return role.shape_of[k] >= 0 and bool(evidence.pseudo[role.shape_of[k]])
+
+    return any(boxed(found.target, i) or boxed(found.reference, j) for i, j in pairs)
+
+
+def _missed(
+    evidence: FrameEvidence, name: str, objects: np.ndarray, unfiltered: Callable[[], Detector] | None
+) -> Missed:
+    source = evidence.answers.source
+    detector = source.needed_detector()
+    loose = unfiltered or (lambda: detector)
+    frame = evidence.answers.context.frame
+    return why_missed(frame, name, evidence.truth.boxes[objects], source.config.k, detector, loose)
