@@ -36,7 +36,7 @@ class FrameEvidence:
     overlap : (D, N) float64
         IoU of the 2D boxes.
     match : (D,) int64
-        The labelled object that each detection is, whatever its class: the best overlap of at least a half; -1 for none.
+        The labelled object that each detection is, of whatever class: the best overlap of at least a half; -1 for none.
     known : (N,) bool
         Labelled objects whose true geometry is at hand.
     pseudo : (N,) bool
@@ -102,7 +102,7 @@ class FrameEvidence:
 
 
 def _true_objects(truth: FrameCases, answers: FrameAnswers) -> tuple[tuple[SceneObject | None, ...], np.ndarray]:
-    """The labelled objects in 3D by their own pixels, else by the box of the label; and which are of the second kind."""
+    """The labelled objects in 3D by their own pixels, else by the label's box; and which are of the second kind."""
     context = answers.context
     everything = AnnotationDetector().detect(context.frame, None)
     place = {int(number): k for k, number in enumerate(everything.ids)}

@@ -1,4 +1,4 @@
-"""Why no right target stood among the candidates: cut by rank, under the threshold, badly placed, or not seen at all."""
+"""Why no right object stood among the candidates: cut by rank, under the threshold, badly placed, or not seen."""
 
 from __future__ import annotations
 

@@ -223,7 +223,7 @@ def substitute(evidence: FrameEvidence, case: Case) -> Substituted:
         log_score=score,
         p_relation=p,
         covered=(hits @ pairs @ ends.T) > 0,
-        right=hits[:, case.acceptable].any(axis=1),
+        right=np.asarray(hits[:, case.acceptable].any(axis=1)),
         mask_sizes=evidence.mask_sizes,
     )
 

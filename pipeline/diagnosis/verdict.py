@@ -28,7 +28,7 @@ import numpy as np
 
 from pipeline.diagnosis.frame_evidence import FrameEvidence
 from pipeline.diagnosis.misses import Missed, why_missed
-from pipeline.diagnosis.oracles import CONF, LIFT, RECALL, SRM, SUBSETS, names_of, size
+from pipeline.diagnosis.oracles import CONF, LIFT, SRM, SUBSETS, names_of, size
 from pipeline.diagnosis.substitution import Role, Substituted, substitute
 from pipeline.evaluation.cases import Case
 from pipeline.evaluation.records import HIT
@@ -185,7 +185,7 @@ def diagnose(
     if not found.covered[: found.target.found, : found.reference.found].any():
         pairs = evidence.truth.acceptable_pairs(case)
         shown = found.target.overlap[: found.target.found] >= HIT
-        wanted = pairs[(shown & pairs.any(axis=1)[None]).any(axis=0)].any(axis=0)
+        wanted = pairs[np.asarray((shown & np.asarray(pairs.any(axis=1))[None]).any(axis=0))].any(axis=0)
         missed = _missed(evidence, case.reference, np.flatnonzero(wanted), unfiltered)
         return replace(
             diagnosis, verdict="OPM-REF", detail=missed.kind, missed=missed, missed_name=case.reference
