@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -37,6 +38,8 @@ class Source:
     scorer : RelationScorer
     config : AskConfig
     synonyms : Synonyms or None
+    open_unfiltered : callable or None
+        Opens the same detector without a minimum score.
     """
 
     dataset: Dataset
@@ -44,6 +47,15 @@ class Source:
     scorer: RelationScorer
     config: AskConfig = field(default_factory=AskConfig)
     synonyms: Synonyms | None = None
+    open_unfiltered: Callable[[], Detector | None] | None = None
+
+    def unfiltered_detector(self) -> Detector:
+        """The detector without a minimum score, for what it sees and does not say; itself where it has none."""
+        return self._unfiltered or self.needed_detector()
+
+    @cached_property
+    def _unfiltered(self) -> Detector | None:
+        return None if self.open_unfiltered is None else self.open_unfiltered()
 
     def needed_detector(self) -> Detector:
         """The detector.
@@ -117,13 +129,18 @@ def open_source(
         detector = "annotations" if dataset.class_names else None
         if model is not None:
             raise InputError("--model needs --detector", cause="which kind of model is it?", path=model)
-    found = (
-        None
-        if detector is None
-        else make_detector(
-            detector, model=model, class_names=dataset.class_names, synonyms=table, min_score=min_score
+
+
+    def make(min_score: float | None) -> Detector | None:
+        return (
+            None
+            if detector is None
+            else make_detector(
+                detector, model=model, class_names=dataset.class_names, synonyms=table, min_score=min_score
+            )
         )
-    )
+
+    found = make(min_score)
     if segmenter is None and segmenter_model is not None:
         raise InputError("--segmenter-model needs --segmenter", cause="what is it for?", path=segmenter_model)
     if segmenter is not None:
@@ -132,7 +149,7 @@ def open_source(
     config = config or AskConfig()
     if config.score_calibration is not None and found is not None:
         config.score_calibration.check(found)
-    return Source(dataset, found, make_scorer(srm, vectors), config, table)
+    return Source(dataset, found, make_scorer(srm, vectors), config, table, lambda: make(0.0))
 
 
 def open_sources(path: str | Path, **options: Any) -> tuple[dict[str, Source], dict[str, str]]:

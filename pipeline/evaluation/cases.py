@@ -71,6 +71,8 @@ class FrameCases:
         Pairs that have a label.
     geometry : dict of str to (N, K) float64
         "lo", "hi", "center", "R" and "size" as labelled; NaN where there is none.
+    facts : dict of str to (N,) float64
+        "distance" (metres, NaN for unknown), "occluded" (share of the border), "mask_pixels".
     """
 
     frame: str
@@ -84,6 +86,7 @@ class FrameCases:
     numbers: np.ndarray
     judged: np.ndarray
     geometry: dict[str, np.ndarray]
+    facts: dict[str, np.ndarray]
 
     def acceptable_pairs(self, case: Case) -> np.ndarray:
         """(N, N) bool: pairs of the asked classes of which the relation holds or may hold."""
@@ -139,6 +142,7 @@ def read_cases(labels: Labels, first: int, stop: int) -> Iterator[FrameCases]:
             np.array(numbers, np.int64),
             judged,
             {name: _rows(own[name], width) for name, width in _GEOMETRY.items()},
+            {name: np.array([np.nan if v is None else v for v in own[name]], np.float64) for name in _FACTS},
         )
 
 
@@ -148,9 +152,10 @@ def _rows(values: list[Any], width: int) -> np.ndarray:
 
 
 _GEOMETRY = {"lo": 3, "hi": 3, "center": 3, "R": 9, "size": 3}
+_FACTS = ("distance", "occluded", "mask_pixels")
 _COLUMNS: dict[str, list[str] | None] = {
     "frames": ["frame_index", "scene"],
-    "objects": ["frame_index", "object", "label", "bbox", *_GEOMETRY],
+    "objects": ["frame_index", "object", "label", "bbox", *_GEOMETRY, *_FACTS],
     "relations": None,
     "expressions": None,
 }

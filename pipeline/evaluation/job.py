@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from datetime import datetime, timezone
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING
 
 from pipeline import __version__
+from pipeline.diagnosis.confidence import median_confidence
 from pipeline.errors import InputError
 from pipeline.evaluation.compare import Comparison, compare, read_records
 from pipeline.evaluation.grounding_tables import (
@@ -101,6 +102,10 @@ def evaluate_dataset(
         need_plots()
     source, labels = spec.open()
     detector = source.needed_detector()
+    seen = 0
+    if spec.system == "pipeline" and spec.confidence is None:
+        confidence, seen = median_confidence(source, labels)
+        spec = replace(spec, confidence=confidence)
     if name is None:
         name = {
             "pipeline": f"{detector.name} + {source.scorer.name}",
@@ -143,6 +148,7 @@ def evaluate_dataset(
                 "system": spec.system,
                 "vlm": None if spec.vlm is None else {"url": spec.vlm.url, "model": spec.vlm.model},
                 "limit": spec.limit,
+                "recalled_confidence": {"median": spec.confidence, "of": seen},
                 "config": plain,
                 "config_hash": canonical_hash(plain),
                 "expressions": count,

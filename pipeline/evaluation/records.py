@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.boxes import iou_2d
+from pipeline.diagnosis.columns import DIAGNOSIS_COLUMNS
 from pipeline.errors import InputError
 from pipeline.evaluation.answering import FrameAnswers, Pair, Scored, alone
 from pipeline.evaluation.cases import Case, FrameCases
@@ -39,9 +40,11 @@ COLUMNS: dict[str, str] = {
     "right_p_target": "float32", "right_p_reference": "float32", "right_p_relation": "float32",
     "right_log_score": "float32",
     "target_points": "int32", "target_depth_missing": "float32", "target_distance": "float32",
+    **DIAGNOSIS_COLUMNS,
 }  # fmt: skip
 """The columns of `records.parquet`. Places of objects are those of the labels, ranks count from 1 and are null where
-nothing fits; `right_…` is the best-scoring acceptable pair among the candidates; overlaps are 0 without an answer."""
+nothing fits; `right_…` is the best-scoring acceptable pair among the candidates; overlaps are 0 without an answer. The last columns are those of
+the diagnosis, null for systems that are not the pipeline."""
 
 
 def records_schema() -> pa.Schema:
@@ -50,7 +53,7 @@ def records_schema() -> pa.Schema:
 
     kinds = {
         "string": pa.string(), "int32": pa.int32(), "int8": pa.int8(), "bool": pa.bool_(), "float32": pa.float32(),
-        "box": pa.list_(pa.float32(), 4),
+        "box": pa.list_(pa.float32(), 4), "strings": pa.list_(pa.string()),
     }  # fmt: skip
     return pa.schema([pa.field(name, kinds[kind]) for name, kind in COLUMNS.items()])
 

@@ -12,9 +12,13 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from pipeline.diagnosis.columns import diagnosis_columns
+from pipeline.diagnosis.frame_evidence import DEFAULT_CONFIDENCE, FrameEvidence
+from pipeline.diagnosis.verdict import diagnose
+from pipeline.diagnosis.words import explain
 from pipeline.errors import InputError
 from pipeline.evaluation.answering import FrameAnswers
-from pipeline.evaluation.cases import FrameCases, read_cases
+from pipeline.evaluation.cases import Case, FrameCases, read_cases
 from pipeline.evaluation.records import COLUMNS, read_query, record, records_schema
 from pipeline.evaluation.whole_expression import Referring, Vlm, VlmOptions, WholeExpression, record_whole
 from pipeline.expression import Query
@@ -48,6 +52,10 @@ class EvalSpec:
         The model behind the system "vlm".
     limit : int or None
         Only so many expressions, spread evenly over the frames.
+    confidence : float or None
+        Score of an object that the oracle RECALL adds: the median of the run's right detections.
+    marks : dict
+        Labels that a person marked: (frame, id of the expression) -> "BAD_LABEL" or "BAD_BOX".
     """
 
     dataset: str
@@ -56,6 +64,8 @@ class EvalSpec:
     system: System = "pipeline"
     vlm: VlmOptions | None = None
     limit: int | None = None
+    confidence: float | None = None
+    marks: dict[tuple[str, str], str] = field(default_factory=dict)
 
     def open(self) -> tuple[Source, Labels]:
         """The dataset with its models, and the labels."""
@@ -71,6 +81,7 @@ class Evaluator:
     """
 
     def __init__(self, spec: EvalSpec) -> None:
+        self.spec = spec
         self.source, self.labels = spec.open()
         self.class_names = class_names_of(self.labels)
         self.whole: WholeExpression | None = None
@@ -104,12 +115,28 @@ class Evaluator:
         names = dict.fromkeys(name for case in truth.cases for name in (case.target, case.reference))
         relations = {case.relation for case in truth.cases}
         answers = FrameAnswers(self.source, context, tuple(names), relations)
+        confidence = DEFAULT_CONFIDENCE if self.spec.confidence is None else self.spec.confidence
+        evidence = FrameEvidence(truth, answers, relations, confidence)
         rows = []
         for case in truth.cases:
             if case.text not in self._parsed:
                 self._parsed[case.text] = read_query(case, self.class_names)
-            rows.append(record(case, truth, answers, self._parsed[case.text]))
+            row = record(case, truth, answers, self._parsed[case.text])
+            rows.append(row | self._diagnosis(evidence, case, row))
         return rows
+
+    def _diagnosis(self, evidence: FrameEvidence, case: Case, row: dict[str, Any]) -> dict[str, Any]:
+        diagnosis = diagnose(
+            evidence,
+            case,
+            parse_ok=row["parse_ok"],
+            mark=self.spec.marks.get((row["frame"], case.id)),
+            unfiltered=self.source.unfiltered_detector,
+        )
+        said = explain(
+            diagnosis, case, self.source.config.rank, query=self._parsed[case.text][0], problem=row["problem"]
+        )
+        return diagnosis_columns(diagnosis, said, evidence, case)
 
     def block(self, first: int, stop: int) -> pa.Table:
         """The records of the frames from index `first` up to `stop`."""
