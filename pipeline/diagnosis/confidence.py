@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from pipeline.labels.reading import Labels
 
 LOOKED_AT = 64
-"""Frames that are looked at, spread evenly over those with expressions: detecting twice in all would double the cost."""
+"""Frames that are looked at, spread evenly over those with expressions: to detect in all would double the cost."""
 
 
 def right_scores(source: Source, context: FrameContext, truth: FrameCases) -> np.ndarray:

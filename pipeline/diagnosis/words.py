@@ -85,7 +85,7 @@ def _missed(d: Diagnosis) -> str:
 def _flipped(d: Diagnosis, case: Case) -> str:
     winner, right = d.winner, d.right
     if winner is None or right is None:
-        return f"No pair is left to answer with. {_repaired(d)}"
+        return "All candidates of the two names count as one thing: there is no pair to answer with. Verdict: PRM."
     relation = PHRASE[case.relation]
     if d.verdict == "LIFT":
         boxed = " (of some objects the label's box)" if d.pseudo else ""
@@ -138,16 +138,17 @@ def _confidences(d: Diagnosis, winner: Stand, right: Stand, case: Case) -> str:
 def _repaired(d: Diagnosis) -> str:
     if not d.repair:
         return "No correction of the modules mends it."
-    return f"It takes {' and '.join(_MODULE_WORDS[name] for name in d.repair)} together." if len(d.repair) > 1 else (
-        f"It takes {_MODULE_WORDS[d.repair[0]]}."
-    )
+    together = " together" if len(d.repair) > 1 else ""
+    return f"It takes {' and '.join(_MODULE_WORDS[name] for name in d.repair)}{together}."
 
 
 def _smallest_change(d: Diagnosis, config: RankConfig) -> str:
     for change in needed_changes(d, config):
         if change.right_above is not None:
             name = {"relation": "relation", "target": "target score", "reference": "reference score"}[change.factor]
-            return f"Smallest change: its {name} above {_p(change.right_above)} instead of {_p(change.right)}."
+            digits = 2 if change.right_above - change.right >= 0.01 else 4
+            above, now = f"{change.right_above:.{digits}f}", f"{change.right:.{digits}f}"
+            return f"Smallest change: its {name} above {above} instead of {now}."
     return ""
 
 

@@ -11,13 +11,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.ask import merged, propose
+from pipeline.ask import Trace, merged, propose
 from pipeline.errors import InputError
 from pipeline.jobs import Source
-from pipeline.objects import FrameContext, same_object
+from pipeline.objects import FrameContext, SceneObject, same_object
 from pipeline.proposals.base import Proposals
 from pipeline.ranking import MIN_RELATION, MIN_SCORE, TIE, Candidates
 from pipeline.relations import PAIRWISE
+from pipeline.srm.scorer import RelationScores
 
 
 @dataclass(frozen=True)
@@ -94,23 +95,47 @@ class FrameAnswers:
         self, source: Source, context: FrameContext, names: Sequence[str], relations: Collection[str] = PAIRWISE
     ) -> None:
         detector = source.needed_detector()
-        self.source, self.context = source, context
-        self.unknown: dict[str, str] = {}
+        unknown: dict[str, str] = {}
         found: dict[str, Proposals] = {}
         for name in names:
             try:
                 found[name] = propose(context, detector, name, source.config.k)
             except InputError as error:
-                self.unknown[name] = str(error)
+                unknown[name] = str(error)
         calibration = None if detector.exact else source.config.score_calibration
         objects, candidates = merged(context, detector, found, calibration)
         nothing = Candidates(np.zeros(0, np.int64), np.zeros(0))
-        self.objects = objects
-        self.candidates: dict[str, Candidates] = {name: candidates.get(name, nothing) for name in names}
+        self._set(
+            source,
+            context,
+            objects,
+            {name: candidates.get(name, nothing) for name in names},
+            source.score(context, objects, relations) if objects else None,
+            unknown,
+        )
+
+    def _set(
+        self,
+        source: Source,
+        context: FrameContext,
+        objects: tuple[SceneObject, ...],
+        candidates: dict[str, Candidates],
+        scores: RelationScores | None,
+        unknown: dict[str, str],
+    ) -> None:
+        self.source, self.context, self.objects, self.candidates = source, context, objects, candidates
+        self.unknown = unknown
         self.boxes = np.array([o.bbox for o in objects], np.float64).reshape(-1, 4)
         self.mask_sizes = np.array([o.lifted.quality.mask_pixels for o in objects], np.int64)
-        self.same = same_object(objects, detector.exact)
-        self._scores = source.score(context, objects, relations) if objects else None
+        self.same = same_object(objects, source.needed_detector().exact)
+        self._scores = scores
+
+    @classmethod
+    def of_trace(cls, source: Source, context: FrameContext, trace: Trace) -> FrameAnswers:
+        """The answers that a trace holds: its own objects, candidates and relations, edited or not."""
+        found = cls.__new__(cls)
+        found._set(source, context, trace.objects, dict(trace.candidates), trace.scores, {})
+        return found
 
     def probabilities(self, relation: str) -> np.ndarray | None:
         """(D, D) float64: P("a RELATION b") of all detections; None where nothing was detected."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -100,50 +100,68 @@ def read_cases(labels: Labels, first: int, stop: int) -> Iterator[FrameCases]:
     scenes = dict(zip(*(rows["frames"].column(n).to_pylist() for n in ("frame_index", "scene")), strict=True))
     expressions = _by_frame(rows["expressions"])
     objects, relations = _by_frame(rows["objects"]), _by_frame(rows["relations"])
-    names = [r for r in PAIRWISE if r in labels.relation_names]
     for index in sorted(expressions):
-        own = objects[index]
-        numbers = own["object"]
-        place = {number: k for k, number in enumerate(numbers)}
-        states = {name: np.full((len(numbers), len(numbers)), -1, np.int8) for name in names}
-        judged = np.zeros((len(numbers), len(numbers)), np.bool_)
-        pairs = relations.get(index)
-        if pairs is not None:
-            a, b = (np.array([place[n] for n in pairs[end]], np.int64) for end in ("a", "b"))
-            judged[a, b] = True
-            for name in names:
-                states[name][a, b] = pairs[name]
         found = expressions[index]
-        cases = tuple(
-            Case(
-                id=found["id"][k],
-                text=found["text"][k],
-                target=found["target"][k],
-                relation=found["relation"][k],
-                reference=found["reference"][k],
-                target_object=place[found["target_object"][k]],
-                reference_object=place[found["reference_object"][k]],
-                strict=np.array([place[n] for n in found["targets"][k]], np.int64),
-                acceptable=np.array([place[n] for n in found["acceptable"][k]], np.int64),
-                ambiguous=found["ambiguous"][k],
-                margin=found["margin"][k],
-            )
-            for k in range(len(found["id"]))
-        )
-        yield FrameCases(
+        yield frame_cases(
             found["frame"][0],
             index,
             scenes[index],
-            tuple(own["label"]),
-            np.array(own["bbox"], np.float64).reshape(-1, 4),
-            same_names(own["label"]),
-            states,
-            cases,
-            np.array(numbers, np.int64),
-            judged,
-            {name: _rows(own[name], width) for name, width in _GEOMETRY.items()},
-            {name: np.array([np.nan if v is None else v for v in own[name]], np.float64) for name in _FACTS},
+            objects[index],
+            relations.get(index, {}),
+            found,
+            [r for r in PAIRWISE if r in labels.relation_names],
         )
+
+
+def frame_cases(
+    frame: str,
+    frame_index: int,
+    scene: str,
+    objects: Mapping[str, Any],
+    relations: Mapping[str, Any],
+    expressions: Mapping[str, Any],
+    names: Sequence[str],
+) -> FrameCases:
+    """One frame's rows of the tables of labels, as columns, made ready; `names` are the relations that were judged."""
+    numbers = list(objects["object"])
+    place = {number: k for k, number in enumerate(numbers)}
+    states = {name: np.full((len(numbers), len(numbers)), -1, np.int8) for name in names}
+    judged = np.zeros((len(numbers), len(numbers)), np.bool_)
+    if relations:
+        a, b = (np.array([place[n] for n in relations[end]], np.int64) for end in ("a", "b"))
+        judged[a, b] = True
+        for name in names:
+            states[name][a, b] = relations[name]
+    cases = tuple(
+        Case(
+            id=expressions["id"][k],
+            text=expressions["text"][k],
+            target=expressions["target"][k],
+            relation=expressions["relation"][k],
+            reference=expressions["reference"][k],
+            target_object=place[expressions["target_object"][k]],
+            reference_object=place[expressions["reference_object"][k]],
+            strict=np.array([place[n] for n in expressions["targets"][k]], np.int64),
+            acceptable=np.array([place[n] for n in expressions["acceptable"][k]], np.int64),
+            ambiguous=expressions["ambiguous"][k],
+            margin=expressions["margin"][k],
+        )
+        for k in range(len(expressions["id"]) if expressions else 0)
+    )
+    return FrameCases(
+        frame,
+        frame_index,
+        scene,
+        tuple(objects["label"]),
+        np.array(objects["bbox"], np.float64).reshape(-1, 4),
+        same_names(objects["label"]),
+        states,
+        cases,
+        np.array(numbers, np.int64),
+        judged,
+        {name: _rows(objects[name], width) for name, width in _GEOMETRY.items()},
+        {name: np.array([np.nan if v is None else v for v in objects[name]], np.float64) for name in _FACTS},
+    )
 
 
 def _rows(values: list[Any], width: int) -> np.ndarray:

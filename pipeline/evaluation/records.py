@@ -43,8 +43,8 @@ COLUMNS: dict[str, str] = {
     **DIAGNOSIS_COLUMNS,
 }  # fmt: skip
 """The columns of `records.parquet`. Places of objects are those of the labels, ranks count from 1 and are null where
-nothing fits; `right_…` is the best-scoring acceptable pair among the candidates; overlaps are 0 without an answer. The last columns are those of
-the diagnosis, null for systems that are not the pipeline."""
+nothing fits; `right_…` is the best-scoring acceptable pair among the candidates; overlaps are 0 without an answer. The
+last columns are those of the diagnosis, null for systems that are not the pipeline."""
 
 
 def records_schema() -> pa.Schema:

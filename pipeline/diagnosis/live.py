@@ -1,0 +1,219 @@
+"""The verdict on a question asked just now, where the frame's truth is known: from labels, or from its annotations."""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from pipeline.ask import Trace
+from pipeline.diagnosis.frame_evidence import DEFAULT_CONFIDENCE, FrameEvidence
+from pipeline.diagnosis.oracles import names_of
+from pipeline.diagnosis.repair import Needed, needed_changes
+from pipeline.diagnosis.verdict import Diagnosis, Stand, diagnose
+from pipeline.diagnosis.words import explain
+from pipeline.evaluation.answering import FrameAnswers
+from pipeline.evaluation.cases import Case, FrameCases, frame_cases, read_cases
+from pipeline.evaluation.records import is_gold
+from pipeline.expression import Query
+from pipeline.jobs import Source
+from pipeline.labels.config import LabelConfig
+from pipeline.labels.labelling import label_objects
+from pipeline.labels.reading import Labels
+from pipeline.labels.second_opinion import open_second_opinion
+from pipeline.labels.shard import scene_of
+from pipeline.naming import match
+from pipeline.objects import FrameContext, all_objects
+from pipeline.proposals.annotations import AnnotationDetector
+from pipeline.ranking import RankConfig
+from pipeline.relations import T, U
+from pipeline.srm.model import OnnxScorer
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What is known of one answer.
+
+    Attributes
+    ----------
+    case : Case
+    truth : FrameCases
+    evidence : FrameEvidence
+    diagnosis : Diagnosis
+    said : str
+        The verdict in words.
+    needed : tuple of Needed
+        What one factor alone would have to be.
+    """
+
+    case: Case
+    truth: FrameCases
+    evidence: FrameEvidence
+    diagnosis: Diagnosis
+    said: str
+    needed: tuple[Needed, ...]
+
+
+@lru_cache(maxsize=1)
+def _second_opinion() -> OnnxScorer | None:
+    return open_second_opinion(LabelConfig().second_opinion)
+
+
+def annotated_truth(context: FrameContext, source: Source) -> FrameCases | None:
+    """The truth of an annotated frame, labelled now by the default profile; None where nothing is annotated."""
+    if not context.frame.annotations:
+        return None
+    config = LabelConfig(vocabulary="all", lift=context.config)
+    objects = all_objects(context, AnnotationDetector())
+    frame_id = context.frame.id
+    ids = source.dataset.frame_ids
+    rows = label_objects(
+        context,
+        objects,
+        config,
+        frame_index=ids.index(frame_id) if frame_id in ids else 0,
+        scene=scene_of(source.dataset, frame_id),
+        exact=True,
+        network=_second_opinion(),
+    )
+    index, scene = int(rows.frames["frame_index"][0]), str(rows.frames["scene"][0])
+    return frame_cases(frame_id, index, scene, rows.objects, rows.relations, {}, config.relations)
+
+
+def labelled_truth(frame_id: str, source: Source, labels: Labels) -> FrameCases | None:
+    """The truth of a frame as labels have it, with their expressions; None where they have none of it."""
+    if frame_id not in source.dataset.frame_ids:
+        return None
+    index = source.dataset.frame_ids.index(frame_id)
+    return next((truth for truth in read_cases(labels, index, index + 1) if truth.frame == frame_id), None)
+
+
+def labelled_case(truth: FrameCases, text: str) -> Case | None:
+    """The expression of the labels that has these words, if there is one."""
+    wanted = " ".join(text.casefold().split())
+    return next((c for c in truth.cases if " ".join(c.text.casefold().split()) == wanted), None)
+
+
+def case_of(truth: FrameCases, query: Query, source: Source) -> tuple[FrameCases, Case] | str:
+    """A typed expression with its truth by the relations of the frame, or why there is none.
+
+    The labelled pair is, of those of which it is true beyond doubt, the first in the order of the objects.
+    """
+    e = query.expression
+    if len(query.readings) > 1 or len(query.labels) > 2 or e.second_reference is not None or e.inverse:
+        return "the truth of expressions with several relations, or of “holding”, is not worked out"
+    if e.relation not in truth.states:
+        return f"the truth of {e.relation!r} is not known"
+    known = tuple(dict.fromkeys([*truth.labels, *source.dataset.class_names]))
+    meant = [match(name, known, source.synonyms) for name in (e.target, e.reference)]
+    ends = [np.array([label in names for label in truth.labels], np.bool_) for names in meant]
+    states = np.where(ends[0][:, None] & ends[1][None, :] & truth.judged, truth.states[e.relation], -1)
+    np.fill_diagonal(states, -1)
+    sure = np.argwhere(states == T)
+    if not len(sure):
+        return "in this frame the expression is true of nothing beyond doubt"
+    a, b = (int(x) for x in sure[0])
+    # Only the rows of the two ends are read: whatever the names mean here is of the asked class.
+    alike = np.eye(len(truth.labels), dtype=np.bool_)
+    alike[a], alike[b] = ends
+    strict, acceptable = (np.flatnonzero((states >= least).any(axis=1)) for least in (T, U))
+    case = Case(
+        id="typed", text=query.text, target=e.target, relation=e.relation, reference=e.reference, target_object=a,
+        reference_object=b, strict=strict, acceptable=acceptable, ambiguous=len(acceptable) > 1, margin=float("nan"),
+    )  # fmt: skip
+    return replace(truth, alike=alike, cases=(case,)), case
+
+
+def judge_trace(
+    trace: Trace,
+    source: Source,
+    context: FrameContext,
+    truth: FrameCases,
+    *,
+    case: Case | None = None,
+    mark: str | None = None,
+    confidence: float | None = None,
+    rank: RankConfig | None = None,
+) -> Judgement | str:
+    """The verdict on a trace, or why there can be none.
+
+    Parameters
+    ----------
+    trace : Trace
+        Edited or not.
+    source : Source
+    context : FrameContext
+        Of the trace's frame.
+    truth : FrameCases
+    case : Case, optional
+        The labelled expression; by default the one whose words were asked, else one made of the frame's relations.
+    mark : str, optional
+        BAD_LABEL or BAD_BOX.
+    confidence : float, optional
+        Score of an object that RECALL adds.
+    rank : RankConfig, optional
+        The weights the trace was ranked with, where they are not the source's.
+    """
+    case = case or labelled_case(truth, trace.query.text)
+    if case is None:
+        made = case_of(truth, trace.query, source)
+        if isinstance(made, str):
+            return made
+        truth, case = made
+    if rank is not None:
+        source = replace(source, config=replace(source.config, rank=rank))
+    gold = is_gold(trace.query, case)
+    names: Collection[str] = (case.target, case.reference)
+    if gold and all(name in trace.candidates for name in names):
+        answers = FrameAnswers.of_trace(source, context, trace)
+    else:
+        answers = FrameAnswers(source, context, tuple(names), (case.relation,))
+    confidence = DEFAULT_CONFIDENCE if confidence is None else confidence
+    evidence = FrameEvidence(truth, answers, (case.relation,), confidence)
+    diagnosis = diagnose(
+        evidence, case, parse_ok=gold, mark=mark, unfiltered=source.unfiltered_detector
+    )
+    config = source.config.rank
+    said = explain(diagnosis, case, config, query=trace.query)
+    return Judgement(case, truth, evidence, diagnosis, said, needed_changes(diagnosis, config))
+
+
+def judgement_record(judged: Judgement) -> dict[str, Any]:
+    """As in `ask --json`: places of objects are those in "proposals", `truth` those of the labels."""
+    d, case, truth = judged.diagnosis, judged.case, judged.truth
+    record: dict[str, Any] = {
+        "verdict": d.verdict, "detail": d.detail, "lucky": d.lucky, "said": judged.said, "repair": list(d.repair),
+        "truth": {
+            "target": int(truth.numbers[case.target_object]), "reference": int(truth.numbers[case.reference_object]),
+            "targets": truth.numbers[case.strict].tolist(), "acceptable": truth.numbers[case.acceptable].tolist(),
+        },
+        "winner": _stand_record(d.winner), "right": _stand_record(d.right),
+        "contributions": None if d.contributions is None else {k: round(v, 6) for k, v in d.contributions.items()},
+        "margins": {"+".join(names_of(s)) or "none": _rounded(d.margins[s]) for s in (0, 2, 4, 8, 14, 15)},
+        "needed": [
+            {"factor": n.factor, "right": round(n.right, 6), "winner": round(n.winner, 6),
+             "right_above": _rounded(n.right_above), "winner_below": _rounded(n.winner_below)}
+            for n in judged.needed
+        ],
+    }  # fmt: skip
+    if d.missed is not None:
+        record["missed"] = {
+            "name": d.missed_name, "kind": d.missed.kind, "overlap": round(d.missed.overlap, 4),
+            "score": _rounded(d.missed.score), "rank": d.missed.rank, "suppressed": d.missed.suppressed,
+        }  # fmt: skip
+    return record
+
+
+def _stand_record(stand: Stand | None) -> dict[str, Any] | None:
+    if stand is None:
+        return None
+    factors = {name: round(getattr(stand, name), 6) for name in ("p_target", "p_reference", "p_relation", "log_score")}
+    return {"target": stand.target, "reference": stand.reference, **factors}
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None or not np.isfinite(value) else round(float(value), 6)
+
