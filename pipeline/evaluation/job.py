@@ -25,6 +25,7 @@ from pipeline.evaluation.grounding_tables import (
 from pipeline.evaluation.intervals import BootstrapConfig
 from pipeline.evaluation.reported import reported_rows
 from pipeline.evaluation.run import EvalSpec, Progress, evaluate_labels, write_records
+from pipeline.evaluation.run_folder import RUN_FILE, spec_record
 from pipeline.evaluation.tables import Table, as_csv, latex, markdown
 from pipeline.labels.exports.staging import staged_folder, write_json
 from pipeline.labels.merge import environment
@@ -32,9 +33,6 @@ from pipeline.labels.profiles import canonical_hash
 
 if TYPE_CHECKING:
     import pyarrow as pa
-
-RUN_FILE = "run.json"
-"""The manifest of a run; a folder that holds it may be overwritten by another run."""
 
 
 @dataclass(frozen=True)
@@ -140,14 +138,14 @@ def evaluate_dataset(
                 "tool": "spatialviz",
                 "version": __version__,
                 "name": name,
-                "dataset": spec.dataset,
-                "labels": {"path": spec.labels, "config_hash": labels.manifest.config_hash,
+                "labels": {"config_hash": labels.manifest.config_hash,
                            "content_hash": labels.manifest.tables["expressions"].content_hash},
                 "detector": f"{detector.name}: {detector.fingerprint()}",
                 "scorer": source.scorer.name,
                 "system": spec.system,
                 "vlm": None if spec.vlm is None else {"url": spec.vlm.url, "model": spec.vlm.model},
                 "limit": spec.limit,
+                "spec": json.loads(json.dumps(spec_record(spec, out.resolve()), default=str)),
                 "recalled_confidence": {"median": spec.confidence, "of": seen},
                 "config": plain,
                 "config_hash": canonical_hash(plain),

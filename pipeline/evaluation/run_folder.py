@@ -1,0 +1,172 @@
+"""What an evaluation was made of, written so that it can be opened again, here or elsewhere."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pydantic import TypeAdapter, ValidationError
+
+from pipeline.ask import AskConfig
+from pipeline.demo import DEMO_NAME
+from pipeline.errors import InputError
+from pipeline.evaluation.run import EvalSpec
+from pipeline.jobs import Source, open_source
+from pipeline.labels.reading import Labels, open_labels
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+RUN_FILE = "run.json"
+"""The manifest of a run; a folder that holds it may be overwritten by another run."""
+RECORDS_FILE = "records.parquet"
+_PATHS = ("model", "segmenter_model", "srm", "vectors", "synonyms")
+_WORDS = ("trained", "rule")
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """A finished evaluation.
+
+    Attributes
+    ----------
+    folder : Path
+    name : str
+        Of the system.
+    manifest : dict
+        The whole of `run.json`.
+    spec : EvalSpec
+        What was evaluated on what; paths are those of this machine.
+    """
+
+    folder: Path
+    name: str
+    manifest: Mapping[str, Any]
+    spec: EvalSpec
+
+    @cached_property
+    def records(self) -> pa.Table:
+        """One row an expression.
+
+        Raises
+        ------
+        InputError
+            They are missing or damaged.
+        """
+        from pipeline.evaluation.compare import read_records
+
+        return read_records(self.folder)
+
+    @cached_property
+    def source(self) -> Source:
+        """The dataset with the run's models; raises as `open_source`."""
+        return open_source(self.spec.dataset, **self.spec.options)
+
+    @cached_property
+    def labels(self) -> Labels:
+        """The labels; raises as `open_labels`."""
+        return open_labels(self.spec.labels)
+
+
+def spec_record(spec: EvalSpec, folder: Path) -> dict[str, Any]:
+    """A specification as JSON.
+
+    What lies in or beside the run's folder is named as seen from it, so that
+    both may be moved together; everything else by its absolute path.
+    """
+    options = {k: v for k, v in spec.options.items() if k != "config" and v is not None}
+    for name in _files(options):
+        options[name] = written_path(options[name], folder)
+    config = spec.options.get("config")
+    return {
+        "dataset": spec.dataset if spec.dataset == DEMO_NAME else written_path(spec.dataset, folder),
+        "labels": written_path(spec.labels, folder),
+        "options": options,
+        "config": None if config is None else asdict(config),
+        "system": spec.system,
+        "limit": spec.limit,
+        "confidence": spec.confidence,
+        "marks": [[frame, expression, mark] for (frame, expression), mark in sorted(spec.marks.items())],
+    }
+
+
+def written_path(path: str | Path, folder: Path) -> str:
+    """A path as the manifest of a run in `folder` has it."""
+    absolute = os.path.abspath(path)
+    try:
+        nearby = os.path.relpath(absolute, os.path.abspath(folder))
+    except ValueError:  # Another drive.
+        return absolute
+    return absolute if nearby.startswith(os.path.join("..", "..")) else Path(nearby).as_posix()
+
+
+def _files(options: Mapping[str, Any]) -> tuple[str, ...]:
+    return tuple(k for k in _PATHS if options.get(k) is not None and str(options[k]) not in _WORDS)
+
+
+def open_run(folder: str | Path, *, dataset: str | None = None, labels: str | None = None) -> Run:
+    """Open a run folder.
+
+    Parameters
+    ----------
+    folder : str or Path
+    dataset, labels : str, optional
+        Where they are now, if they are no longer where the run found them.
+
+    Raises
+    ------
+    InputError
+        No run there, a manifest that cannot be read, or one of an earlier release.
+    """
+    folder = Path(folder)
+    path = folder / RUN_FILE
+    try:
+        manifest = json.loads(path.read_text(encoding="utf-8"))
+        name = str(manifest["name"])
+    except (FileNotFoundError, NotADirectoryError) as error:
+        raise InputError("no evaluation run here", expected="a folder that `eval` wrote", path=folder) from error
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError("the run's manifest cannot be read", got=str(error), path=path) from error
+    if not isinstance(manifest.get("spec"), dict):
+        raise InputError(
+            "the run does not say what it was made of", cause="made by an earlier release? run `eval` again", path=path
+        )
+    try:
+        spec = _read_spec(manifest["spec"], folder)
+    except (KeyError, TypeError, ValueError, ValidationError) as error:
+        reason = str(error).split("\n")[0]
+        raise InputError("the run's manifest cannot be read", got=reason, path=path) from error
+    if dataset is not None:
+        spec = replace(spec, dataset=dataset)
+    if labels is not None:
+        spec = replace(spec, labels=labels)
+    return Run(folder, name, manifest, spec)
+
+
+def _read_spec(record: Mapping[str, Any], folder: Path) -> EvalSpec:
+    def found(path: str) -> str:
+        return os.path.normpath(folder / path)
+
+    options: dict[str, Any] = dict(record["options"])
+    for name in _files(options):
+        options[name] = Path(found(options[name]))
+    if isinstance(options.get("intrinsics"), list):
+        options["intrinsics"] = tuple(options["intrinsics"])
+    if record["config"] is not None:
+        options["config"] = TypeAdapter(AskConfig).validate_python(record["config"])
+    dataset = str(record["dataset"])
+    return EvalSpec(
+        dataset if dataset == DEMO_NAME else found(dataset),
+        found(str(record["labels"])),
+        options,
+        record["system"],
+        None,
+        record["limit"],
+        record["confidence"],
+        {(frame, expression): mark for frame, expression, mark in record["marks"]},
+    )
