@@ -155,8 +155,6 @@ class Quality:
             found.append("no mask: the whole 2D box was lifted")
         elif self.mask_source == "box3d":
             found.append("no mask: the points inside the annotated 3D box were lifted")
-        elif self.mask_source == "segmenter":
-            found.append("no mask: one was made from the 2D box by a segmenter")
         return tuple(found)
 
 

@@ -9,6 +9,8 @@ import numpy as np
 
 from pipeline.errors import InputError
 from pipeline.expression import parse
+from pipeline.labels.noun_phrase import readable
+from pipeline.naming import normal_form
 from pipeline.objects import SceneObject
 from pipeline.relations import DIRECTIONAL, PHRASE
 from pipeline.srm.scorer import RelationScores
@@ -45,18 +47,24 @@ def suggest_expressions(objects: Sequence[SceneObject], scores: RelationScores, 
         best = max(found, key=lambda f: (f[0] - 1.5 * (used[f[1]] + used[f[2]]) - 0.7 * used[f[3]], f[1:]))
         found.remove(best)
         _, target, relation, reference = best
-        text = f"{target} {PHRASE[relation]} the {reference}"
-        if not _reads_back(text, target, reference, tuple(number)):
+        text = _worded(target, relation, reference, tuple(number))
+        if text is None:
             continue
         used.update((target, relation, reference))
         chosen.append(text)
     return tuple(chosen)
 
 
-def _reads_back(text: str, target: str, reference: str, class_names: tuple[str, ...]) -> bool:
-    """Whether the parser understands a suggestion as it is meant; class names may hold anything."""
-    try:
-        query = parse(text, class_names=class_names)
-    except InputError:
-        return False
-    return (query.expression.target, query.expression.reference) == (target, reference)
+def _worded(target: str, relation: str, reference: str, class_names: tuple[str, ...]) -> str | None:
+    """The expression in words (`potted plant` for `potted_plant`), else with the names as they are spelled; None
+    where the parser would understand neither as it is meant: class names may hold anything."""
+    for a, b in ((readable(target, brief=False), readable(reference, brief=False)), (target, reference)):
+        text = f"{a} {PHRASE[relation]} the {b}"
+        try:
+            said = parse(text, class_names=class_names).expression
+        except InputError:
+            continue
+        meant = normal_form(target), normal_form(reference)
+        if (normal_form(said.target), normal_form(said.reference or "")) == meant:
+            return text
+    return None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -19,8 +20,10 @@ from pipeline.camera import project
 from pipeline.datasets import open_dataset
 from pipeline.demo import DEMO_EXPRESSION, demo_path
 from pipeline.errors import InputError
+from pipeline.expression import parse
 from pipeline.frame import Frame
 from pipeline.jobs import Source, ask_frames, contexts, frame_ids, open_source, open_sources, relate_frames
+from pipeline.naming import match
 from pipeline.objects import FrameContext, SceneObject, all_objects, same_object
 from pipeline.palette import ON_DARK, depth_colors, hex_color, instance_colors, palette
 from pipeline.picture import answer_picture, box_edges_2d, save_picture, tinted
@@ -323,6 +326,25 @@ def test_suggested_expressions_have_exactly_one_right_answer() -> None:
             asked += 1
         assert suggest_expressions([], scores) == ()
     assert asked >= 3
+
+
+def test_suggestions_are_words_even_where_class_names_are_not() -> None:
+    source = open_source("demo")
+    (context,) = contexts(source, 0)
+    objects = all_objects(context, source.needed_detector())
+    scores = source.scorer.score([o.lifted for o in objects], context.viewer)
+    expected = suggest_expressions(objects, scores, 5)
+    assert any("potted plant" in text for text in expected)
+    raw = [replace(o, label=o.label.replace(" ", "_")) for o in objects]
+    names = tuple(dict.fromkeys(o.label for o in raw))
+    assert suggest_expressions(raw, scores, 5) == expected
+    for text in expected:
+        said = parse(text, class_names=names).expression
+        assert len(match(said.target, names)) == len(match(said.reference or "", names)) == 1
+    # A name that no words can stand for is said as it is spelled, or not at all.
+    odd = [replace(o, label=f"{o.label} on the wall (3)") for o in objects]
+    for text in suggest_expressions(odd, scores, 5):
+        assert parse(text, class_names=tuple(o.label for o in odd)).expression.target in {o.label for o in odd}
 
 
 @pytest.fixture

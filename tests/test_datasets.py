@@ -28,12 +28,12 @@ from dataset_writers import (
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from pipeline import plugins
 from pipeline.boxes import Box3D
 from pipeline.datasets import (
     DatasetFormat,
     Settings,
     open_dataset,
-    opening,
     read_settings,
     resolve_frame,
     survey,
@@ -842,10 +842,10 @@ def test_a_rounded_rotation_becomes_a_rotation_again(seed: int, decimals: int) -
 
 
 class _Point:
-    """An entry point, as far as `plugins` looks at one."""
+    """An entry point, as far as `load_plugins` looks at one."""
 
     def __init__(self, loaded: object) -> None:
-        self.value, self._loaded = "somewhere:FORMAT", loaded
+        self.name, self.value, self._loaded = "mine", "somewhere:FORMAT", loaded
 
     def load(self) -> object:
         if isinstance(self._loaded, Exception):
@@ -867,7 +867,7 @@ def test_a_plugin_opens_its_own_format_before_any_folder(
     mine = DatasetFormat("mine", "mine: mine.txt", lambda root: (root / "mine.txt").exists(), open_mine)
     points = [_Point(ImportError("no such module")), _Point(42), _Point(mine)]
     monkeypatch.setattr(
-        opening, "entry_points", lambda group: points if group == "spatialviz.datasets" else []
+        plugins, "entry_points", lambda group: points if group == "spatialviz.datasets" else []
     )
     with pytest.warns(UserWarning, match="plugin") as warned:
         assert open_dataset(tmp_path, depth_scale=7.0) == "mine"

@@ -17,6 +17,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from label_sets import K, frame_row, object_row, pair_row, write_labels
 
+from pipeline import plugins
 from pipeline.boxes import Box3D
 from pipeline.camera import Camera, project
 from pipeline.datasets import open_dataset
@@ -371,7 +372,7 @@ def test_a_plugin_adds_a_format(label_sets: dict[str, Labels], tmp_path: Path, m
 
     own = ExportFormat(FORMATS["jsonl"].write, FORMATS["jsonl"].read, "ours")
     points = [Point("ours", own), Point("broken", RuntimeError("no")), Point("odd", 3)]
-    monkeypatch.setattr(exporting, "entry_points", lambda group: points if group == "spatialviz.exports" else [])
+    monkeypatch.setattr(plugins, "entry_points", lambda group: points if group == "spatialviz.exports" else [])
     with pytest.warns(UserWarning, match="export plugin"):
         export_labels(label_sets["hostile"], "ours", tmp_path / "out")
     with pytest.warns(UserWarning, match="export plugin"):

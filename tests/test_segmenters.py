@@ -344,7 +344,8 @@ def test_only_boxes_without_masks_are_segmented() -> None:
     assert found.take(np.array([2])).segmented is not None
     objects = all_objects(FrameContext(mixed), detector)
     assert [o.lifted.quality.mask_source for o in objects] == ["annotation", "box", "segmenter"]
-    assert "no mask: one was made from the 2D box by a segmenter" in objects[2].lifted.quality.concerns
+    assert objects[1].lifted.quality.concerns == ("no mask: the whole 2D box was lifted",)
+    assert objects[2].lifted.quality.concerns == (), "a segmenter's mask is no reason to doubt by itself"
 
 
 def test_the_detector_behind_stays_what_it_is() -> None:

@@ -5,12 +5,17 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from pipeline.errors import InputError, MissingExtra
 from pipeline.relations import DIRECTIONAL
+from pipeline.srm import card
+from pipeline.srm.calibration import fit_calibration, fit_platt, sigmoid
+from pipeline.srm.card import RoomConfig
 from pipeline.srm.features import FEATURES
 from pipeline.srm.model import OnnxScorer
 from pipeline.srm.onnx_file import save_onnx, write_onnx
@@ -178,6 +183,38 @@ def test_equal_seeds_give_equal_bytes(samples: tuple[FrameSamples, ...], tmp_pat
     assert not np.array_equal(first.layers[0][0], third.layers[0][0])
     assert torch.get_num_threads() == threads
     assert not torch.are_deterministic_algorithms_enabled()
+
+
+def test_a_training_job_does_not_depend_on_the_threads_it_finds(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    torch = pytest.importorskip("torch")
+    rooms, config = RoomConfig(rooms=3, views=1, width=WIDTH, height=HEIGHT, seed=8), TrainConfig(epochs=1)
+    rng = np.random.default_rng(0)
+    many = rng.normal(size=300_000)
+    holds = rng.random(len(many)) < sigmoid(2 * many)
+    fitted, loose = [], []
+
+    def fit(*given: Any) -> dict[str, Any]:
+        # As many pairs as hundreds of rooms have: with few of them the sums are not shared among threads.
+        fitted.append(fit_platt(many, holds))
+        return fit_calibration(*given)
+
+    monkeypatch.setattr(card, "fit_calibration", fit)
+    before = torch.get_num_threads()
+    try:
+        for threads in (1, 2):
+            torch.set_num_threads(threads)
+            with threadpool_limits(threads):
+                loose.append(fit_platt(many, holds))
+                card.train_on_rooms(tmp_path / f"{threads}" / "srm.onnx", rooms, config)
+                counts = {pool["num_threads"] for pool in threadpool_info() if pool["user_api"] == "blas"}
+                assert counts == {threads}, "they are as they were afterwards"
+    finally:
+        torch.set_num_threads(before)
+    assert fitted == [loose[0]] * 2
+    for name in ("srm.onnx", "srm.json"):
+        assert (tmp_path / "1" / name).read_bytes() == (tmp_path / "2" / name).read_bytes()
 
 
 def test_doubtful_cells_teach_nothing(samples: tuple[FrameSamples, ...], monkeypatch: pytest.MonkeyPatch) -> None:

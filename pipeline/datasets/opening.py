@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
-from importlib.metadata import entry_points
 from pathlib import Path
 
 from pipeline.datasets import (
@@ -21,6 +19,7 @@ from pipeline.datasets import (
 from pipeline.datasets.base import Dataset, DatasetFormat
 from pipeline.datasets.settings import read_settings
 from pipeline.errors import InputError, UnknownFormat
+from pipeline.plugins import load_plugins
 
 FORMATS: tuple[DatasetFormat, ...] = (
     bop.FORMAT,
@@ -77,7 +76,8 @@ def open_dataset(
             "a dataset is a folder", got="a file", cause="is its parent folder the dataset?", path=root
         )
     settings = read_settings(root).overridden(intrinsics, depth_scale)
-    formats = (*FORMATS, *plugins(), FALLBACK)
+    added = (loaded for _, loaded in load_plugins(ENTRY_POINT_GROUP, "dataset", DatasetFormat))
+    formats = (*FORMATS, *added, FALLBACK)
     for candidate in formats:
         if candidate.recognises(root):
             return candidate.open(root, settings)
@@ -86,19 +86,3 @@ def open_dataset(
         cause="looked for " + "; ".join(candidate.signature for candidate in formats),
         path=root,
     )
-
-
-def plugins() -> list[DatasetFormat]:
-    """The formats that installed packages add. One that fails to load is warned of and left out."""
-    found: list[DatasetFormat] = []
-    for point in entry_points(group=ENTRY_POINT_GROUP):
-        try:
-            loaded = point.load()
-        except Exception as error:  # A plugin may raise anything; the other formats must still open.
-            warnings.warn(f"dataset plugin {point.value} cannot be loaded: {error}", stacklevel=2)
-            continue
-        if isinstance(loaded, DatasetFormat):
-            found.append(loaded)
-        else:
-            warnings.warn(f"dataset plugin {point.value} is no DatasetFormat", stacklevel=2)
-    return found

@@ -27,9 +27,9 @@ from pipeline.evaluation.reported import reported_rows
 from pipeline.evaluation.run import EvalSpec, Progress, evaluate_labels, write_records
 from pipeline.evaluation.run_folder import RUN_FILE, spec_record
 from pipeline.evaluation.tables import Table, as_csv, latex, markdown
-from pipeline.labels.exports.staging import staged_folder, write_json
 from pipeline.labels.merge import environment
 from pipeline.labels.profiles import canonical_hash
+from pipeline.staging import staged_folder, write_json
 
 if TYPE_CHECKING:
     import pyarrow as pa

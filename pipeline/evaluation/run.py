@@ -23,9 +23,9 @@ from pipeline.evaluation.records import COLUMNS, read_query, record, records_sch
 from pipeline.evaluation.whole_expression import Referring, Vlm, VlmOptions, WholeExpression, record_whole
 from pipeline.expression import Query
 from pipeline.jobs import Source, open_source
-from pipeline.labels.local import one_thread, threads_in_children
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.objects import FrameContext
+from pipeline.threads import one_thread, threads_in_children
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -20,11 +20,11 @@ from pipeline.errors import InputError, MissingExtra
 from pipeline.fitting import extents_of
 from pipeline.labels.config import LabelConfig
 from pipeline.labels.job import label_dataset
-from pipeline.labels.local import one_thread
 from pipeline.labels.plan import SourceSpec
 from pipeline.labels.profiles import judge_viewer_cone
 from pipeline.lifting import depth_edges, lift
 from pipeline.relations import DIRECTIONAL, directional_states
+from pipeline.threads import one_thread
 from pipeline.viewer import ViewerAxes, viewer_axes
 
 WIDTH, HEIGHT, VIEWS_A_ROOM = 640, 480, 3

@@ -5,40 +5,23 @@ from __future__ import annotations
 import multiprocessing
 import os
 import threading
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 
 from pipeline.errors import InputError
 from pipeline.labels.config import LabelConfig
 from pipeline.labels.plan import Plan, Shard, SourceSpec
 from pipeline.labels.shard import Labeller, ShardReport, label_shard, open_labeller
 from pipeline.labels.store import Store
+from pipeline.threads import one_thread, threads_in_children
 
 Done = Callable[[ShardReport], None]
 """Called with each shard's report when it is finished."""
 
-_THREAD_VARIABLES = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "VECLIB_MAXIMUM_THREADS")
-
 
 _PATIENCE_S = 5.0
 """How long a worker that is told to end may take."""
-
-
-@contextmanager
-def one_thread() -> Iterator[None]:
-    """Arithmetic of this process on one thread: so that sums come out the same everywhere."""
-    import cv2
-    from threadpoolctl import threadpool_limits
-
-    threads = cv2.getNumThreads()
-    cv2.setNumThreads(1)
-    try:
-        with threadpool_limits(1):
-            yield
-    finally:
-        cv2.setNumThreads(threads)
 
 
 def run_local(plan: Plan, shards: Sequence[Shard], store: Store, workers: int, done: Done) -> None:
@@ -74,21 +57,6 @@ def run_local(plan: Plan, shards: Sequence[Shard], store: Store, workers: int, d
                 process.join(_PATIENCE_S)
             raise
         pool.shutdown()
-
-
-@contextmanager
-def threads_in_children() -> Iterator[None]:
-    """Thread counts are read when numpy is loaded, so that they must be set before a child starts."""
-    before = {name: os.environ.get(name) for name in _THREAD_VARIABLES}
-    os.environ.update(dict.fromkeys(_THREAD_VARIABLES, "1"))
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value
 
 
 _worker: tuple[Labeller, Store] | Exception | None = None

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib.metadata import entry_points
 from pathlib import Path
 
 from pipeline.errors import InputError
 from pipeline.naming import Synonyms
+from pipeline.plugins import load_plugins
 from pipeline.proposals.annotations import AnnotationDetector
 from pipeline.proposals.base import Detector
 from pipeline.proposals.cache import CachedDetector
@@ -78,6 +78,9 @@ DETECTORS: dict[str, Callable[[DetectorRequest], Detector]] = {
     "simulated": _simulated,
 }
 
+ENTRY_POINT_GROUP = "spatialviz.detectors"
+"""Entry points of this group name a function of a DetectorRequest, and so add a detector."""
+
 
 def make_detector(
     name: str,
@@ -96,10 +99,9 @@ def make_detector(
     """
     if min_score is not None and not 0 <= min_score <= 1:
         raise InputError("a minimum score must lie in 0..1", got=min_score)
-    known = dict(DETECTORS)
-    for entry in entry_points(group="spatialviz.detectors"):
-        if entry.name not in known:
-            known[entry.name] = entry.load()
+    known = DETECTORS
+    if name not in known:
+        known = {**dict(load_plugins(ENTRY_POINT_GROUP, "detector", Callable)), **known}
     if name not in known:
         raise InputError(f"there is no detector {name!r}", expected=" or ".join(known))
     return known[name](DetectorRequest(model, class_names, synonyms, min_score))

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from importlib.metadata import entry_points
 from pathlib import Path
 
 from pipeline.errors import InputError
 from pipeline.naming import Synonyms
+from pipeline.plugins import load_plugins
 from pipeline.proposals.depth_segmenter import DepthSegmenter
 from pipeline.proposals.detector_masks import DetectorSegmenter
 from pipeline.proposals.segmenter import Segmenter
@@ -62,6 +62,9 @@ SEGMENTERS: dict[str, Callable[[SegmenterRequest], Segmenter]] = {
     "yolo-seg": _yolo_seg,
 }
 
+ENTRY_POINT_GROUP = "spatialviz.segmenters"
+"""Entry points of this group name a function of a SegmenterRequest, and so add a segmenter."""
+
 
 def make_segmenter(name: str, *, model: Path | None = None, synonyms: Synonyms | None = None) -> Segmenter:
     """The segmenter of that name.
@@ -71,10 +74,9 @@ def make_segmenter(name: str, *, model: Path | None = None, synonyms: Synonyms |
     InputError
         For an unknown name, a missing model, or a model of another contract.
     """
-    known = dict(SEGMENTERS)
-    for entry in entry_points(group="spatialviz.segmenters"):
-        if entry.name not in known:
-            known[entry.name] = entry.load()
+    known = SEGMENTERS
+    if name not in known:
+        known = {**dict(load_plugins(ENTRY_POINT_GROUP, "segmenter", Callable)), **known}
     if name not in known:
         raise InputError(f"there is no segmenter {name!r}", expected=" or ".join(known))
     return known[name](SegmenterRequest(model, synonyms))

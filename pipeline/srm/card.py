@@ -24,6 +24,7 @@ from pipeline.srm.onnx_file import save_onnx
 from pipeline.srm.scorer import rule_probabilities
 from pipeline.srm.train import TrainConfig, check_room_config, require_training, train_srm
 from pipeline.srm.training_data import SCALES, FrameSamples, make_split, room_seeds, with_other_sizes
+from pipeline.threads import one_thread
 
 Progress = Callable[[str, int, int], None]
 """Called with (what is done, how much of it, of how much)."""
@@ -40,6 +41,7 @@ class RoomConfig:
     seed: int = 0
 
 
+@one_thread()
 def train_on_rooms(
     out: Path,
     rooms: RoomConfig | None = None,
@@ -51,7 +53,7 @@ def train_on_rooms(
     """Render rooms, train on some, calibrate on others, and measure on the rest.
 
     Writes `out` and, beside it with the suffix .json, the card. Neither
-    depends on `workers`.
+    depends on `workers`, nor on how many threads there are for arithmetic.
 
     Parameters
     ----------

@@ -27,6 +27,7 @@ from pipeline.srm.onnx_file import save_onnx
 from pipeline.srm.splits import PARTS, TEST, TRAIN, VALIDATION, SplitKind, SplitPlan, split_frames
 from pipeline.srm.train import Epoch, TrainConfig, TrainedModel, require_training, train_pairs
 from pipeline.text_vectors import LanguageContract, open_vectors
+from pipeline.threads import one_thread
 
 CIRCULAR = (
     "features and auto-labels come from the same points: a network that learns them imitates the rule that made them, "
@@ -78,6 +79,7 @@ class LabelTraining:
             raise InputError("there must be at least two pairs to learn from", got=self.pairs)
 
 
+@one_thread()
 def train_on_labels(
     job: LabelTraining, out: Path, progress: Callable[[Epoch], None] | None = None
 ) -> dict[str, Any]:

@@ -21,6 +21,7 @@ from pipeline.relations import directional_states
 from pipeline.srm.appearance import Appearance
 from pipeline.srm.features import FEATURES
 from pipeline.synthetic import Instance, Room, choose_views, make_room, sense_view
+from pipeline.threads import threads_in_children
 from pipeline.viewer import ViewerAxes, viewer_axes
 
 FIRST_ROOM = 500_000
@@ -143,7 +144,8 @@ def make_samples(
         import multiprocessing
         from concurrent.futures import ProcessPoolExecutor
 
-        with ProcessPoolExecutor(min(workers, len(jobs)), mp_context=multiprocessing.get_context("spawn")) as pool:
+        spawn = multiprocessing.get_context("spawn")
+        with threads_in_children(), ProcessPoolExecutor(min(workers, len(jobs)), mp_context=spawn) as pool:
             found = []
             for k, samples in enumerate(pool.map(_room_samples, jobs), start=1):
                 found.append(samples)

@@ -55,6 +55,7 @@ class Bridge:
         self.alive = threading.Event()
         self._tags: viser.GuiHtmlHandle | None = None
         self._shown_tags = ""
+        self._address: viser.GuiHtmlHandle | None = None
         threading.Thread(target=self._work, daemon=True, name=f"session-{client.client_id}").start()
 
     def install(self) -> None:
@@ -65,12 +66,16 @@ class Bridge:
         script = html.escape(SCRIPT.replace("BUS_UUID", uuid).replace("\n", " "), quote=True)
         gui.add_html(f'{CSS}<img src="" style="display:none" onerror="{script}">', order=-1000)
         self._tags = gui.add_html("", order=1000)
+        self._address = gui.add_html("", order=1001)
 
         @bus.on_update
         async def _(event: viser.GuiEvent) -> None:
             message = str(bus.value).rsplit("#", 1)[0]
-            if message == HELLO:
-                self.alive.set()
+            if message.startswith(HELLO):
+                # The page says hello again whenever its HTML is mounted anew.
+                if not self.alive.is_set():
+                    self.alive.set()
+                    self.post(lambda: self._on_message(message))
             else:
                 self.post(lambda: self._on_message(message))
 
@@ -89,6 +94,12 @@ class Bridge:
         self._shown_tags = data
         call = html.escape(f"window.svTags&&svTags({data})", quote=True)
         self._tags.content = f'<img src="" style="display:none" onerror="{call}">'
+
+    def show_address(self, fragment: str) -> None:
+        """Write a fragment into the page's address, where the page is known to run our script."""
+        if self._address is not None and self.alive.is_set():
+            call = html.escape(f"history.replaceState(history.state,'',{json.dumps('#' + fragment)})", quote=True)
+            self._address.content = f'<img src="" style="display:none" onerror="{call}">'
 
     def _work(self) -> None:
         while (job := self._queue.get()) is not None:

@@ -45,12 +45,16 @@ FLAGS = {
 def frame_html(place: int, count: int, leads: Mapping[str, str] | None = None) -> str:
     """Which frame of how many, with steps to its neighbours; below it the moves of a dataset that has moves."""
     return panel(
-        '<div class="nav">'
-        '<span class="try" onclick="sv(\'next-frame:-1\')" title="previous frame (P)">‹ previous</span>'
+        f'<div class="nav">{_step(-1, "‹ previous", "previous frame (P)", place > 0)}'
         f'<span class="dim">{place + 1} of {count}</span>'
-        '<span class="try" onclick="sv(\'next-frame:1\')" title="next frame (N)">next ›</span></div>',
+        f'{_step(1, "next ›", "next frame (N)", place + 1 < count)}</div>',
         "" if leads is None else _moves_html(leads),
     )
+
+
+def _step(by: int, label: str, hint: str, possible: bool) -> str:
+    way = f'role="button" onclick="sv(\'next-frame:{by}\')"' if possible else 'aria-disabled="true"'
+    return f'<span class="try" {way} title="{hint}">{label}</span>'
 
 
 def _moves_html(leads: Mapping[str, str]) -> str:
@@ -109,13 +113,17 @@ def _chips(state: State, trace: Trace) -> str:
     return f'<div class="chips">{"".join(parts)}</div>'
 
 
-def modules_html(state: State) -> str:
-    """The module strip: OPM, LIFT, SRM, PRM and LABEL with their state and cost."""
+def modules_html(state: State, working: str = "") -> str:
+    """The module strip: OPM, LIFT, SRM, PRM and LABEL with their state and cost.
+
+    `working` says what is being done now; it is seen from 0.15 s on, so that quick work does not flicker.
+    """
     cells = "".join(
         f'<div class="mod" style="--c:{color}" title="{safe(hint)}"><b>{name}</b><i>{safe(cost)}</i></div>'
         for name, color, cost, hint in _modules(state)
     )
-    return panel(f'<div class="strip">{cells}</div>')
+    strip = f'<div class="strip">{cells}</div>'
+    return panel(f'<div class="busy">{strip}<span role="status">{safe(working)}</span></div>' if working else strip)
 
 
 def _modules(state: State) -> list[tuple[str, str, str, str]]:

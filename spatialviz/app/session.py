@@ -20,10 +20,12 @@ from pipeline.records import why_no_answer
 from pipeline.relations import PHRASE
 from pipeline.suggestions import suggest_expressions
 from spatialviz.app import bottom, left, right
+from spatialviz.app.address import Address
 from spatialviz.app.bridge import HELLO_SECONDS, Bridge
 from spatialviz.app.fallback import Fallback
 from spatialviz.app.filling import fill_page
 from spatialviz.app.frames import FrameStore, LoadedFrame
+from spatialviz.app.inputs import forward_inputs
 from spatialviz.app.keys import HelpDialog, add_keys
 from spatialviz.app.layout import build, listed
 from spatialviz.app.paint import frame_colors
@@ -35,6 +37,8 @@ from spatialviz.app.theme import apply_theme
 LOG_LENGTH = 200
 MODES: tuple[ColorMode, ...] = ("rgb", "objects", "depth", "evidence")
 BROWSED = 6
+PATIENCE_SECONDS = 2.0
+"""How long the first frame waits for the page to say which one it is."""
 
 
 class Session:
@@ -58,6 +62,7 @@ class Session:
         self._suggestions: tuple[str, ...] = ()
         self._painted: tuple[Any, ...] = ()
         self._closed = threading.Event()
+        self._begun = False
         self.bridge = Bridge(client, self.handle)
         moving = any(has_moves(opened.dataset) for opened in store.sources.values())
         self._help = HelpDialog(client, self.post, moving)
@@ -69,9 +74,9 @@ class Session:
             on_ray=lambda pixel, boxes: self.bridge.post(lambda: self._select_on_ray(pixel, boxes)),
         )
         self.fallback = Fallback(client, self.post)
-        self._wire()
+        forward_inputs(self.page, self.post, self.bridge.alive)
         add_keys(client, self.post, moving)
-        self.bridge.post(lambda: self._open_frame(ids[0], first=True))
+        threading.Timer(PATIENCE_SECONDS, lambda: self.post("begin")).start()
         threading.Timer(HELLO_SECONDS, self._check_bridge).start()
 
     def close(self) -> None:
@@ -102,46 +107,22 @@ class Session:
             "camera": lambda: self._set_camera(argument),
             "focus": self._focus,
             "flag": lambda: self._toggle(argument),
+            "open": lambda: self._open_frame(argument),
+            "data": lambda: self._go(Address(argument)),
             "frame": lambda: self._open_number(number),
             "next-frame": lambda: self._step_frame(number),
             "move": lambda: self._move(argument),
             "image": lambda: self._select_at(argument),
             "theme": lambda: self._set_theme(not self.state.dark),
             "clear": self._clear,
+            "begin": self._begin,
+            "hello": lambda: self._begin(argument),
+            "go": lambda: self._go(Address.read(argument, self._store.sources)),
             "help": self._help.toggle,
             "close-help": self._help.close,
         }
         if kind in handlers:
             handlers[kind]()
-
-    def _wire(self) -> None:
-        page = self.page
-
-        @page.ask.on_click
-        async def _(event: viser.GuiEvent) -> None:
-            self.post("again")
-
-        @page.form.on_submit
-        async def _(event: viser.GuiEvent) -> None:
-            # Where the bridge is alive it has sent the text itself: viser drops
-            # a keystroke that comes within 50 ms before Enter.
-            if not self.bridge.alive.is_set():
-                self.post("again")
-
-        # viser calls back for values that Python sets, too; those carry no client.
-        @page.frame.on_update
-        async def _(event: viser.GuiEvent) -> None:
-            if event.client_id is None:
-                return
-            wanted = str(page.frame.value)
-            self.bridge.post(lambda: self._open_frame(wanted))
-
-        @page.dataset.on_update
-        async def _(event: viser.GuiEvent) -> None:
-            if event.client_id is None:
-                return
-            wanted = str(page.dataset.value)
-            self.bridge.post(lambda: self._open_source(wanted))
 
     def _source(self) -> Source:
         return self._store.sources[self.state.source]
@@ -150,19 +131,44 @@ class Session:
         detector = self._source().detector
         return detector is not None and detector.exact
 
+    # ---- where the page is ----------------------------------------------------------
+
+    def _begin(self, fragment: str = "") -> None:
+        """Open the first frame: the one the page's address says, else the first of the dataset."""
+        if fragment.lstrip("#"):
+            self._go(Address.read(fragment, self._store.sources))
+        elif not self._begun:
+            self._open_frame(self.state.frame_id, first=True)
+        self.bridge.show_address(self.state.address.fragment())
+
+    def _go(self, address: Address) -> None:
+        """Look at what an address says; what it does not say stays as it is."""
+        here = self.state
+        source = address.source or here.source
+        ids = self._store.sources[source].dataset.frame_ids
+        frame, text = address.frame, address.text
+        if frame not in ids:
+            # A question belongs to its frame.
+            text = text if frame is None else None
+            frame = here.frame_id if source == here.source else ids[0]
+        if self._begun and (source, frame) == (here.source, here.frame_id) and text in (None, here.text):
+            return
+        if source != here.source:
+            self.page.frame.options = listed(ids, frame)
+            self.page.dataset.value = source
+            here = replace(here, source=source, text=here.text or DEMO_EXPRESSION)
+        self.state = here
+        self._open_frame(frame, first=True, asking=text)
+
     # ---- frames ---------------------------------------------------------------------
 
-    def _open_source(self, name: str) -> None:
-        if name == self.state.source or name not in self._store.sources:
-            return
-        ids = self._store.sources[name].dataset.frame_ids
-        self.state = replace(self.state, source=name, frame_id="", text=self.state.text or DEMO_EXPRESSION)
-        self.page.frame.options = listed(ids, ids[0])
-        self._open_frame(ids[0], first=True)
-
-    def _open_frame(self, frame_id: str, first: bool = False) -> None:
+    def _open_frame(self, frame_id: str, first: bool = False, asking: str | None = None) -> None:
+        """Show a frame and ask `asking` of it; without, what was asked before, or on a `first` frame what fits it."""
         if frame_id == self.state.frame_id and not first:
             return
+        self._begun = True
+        self._sync_frame_box(frame_id)
+        self._show_working("finding the objects")
         self._thumbs = {}
         self._painted = ()
         cleared = replace(self.state, frame_id=frame_id, trace=None, pair=None, selected=None, error="", problem="")
@@ -173,15 +179,13 @@ class Session:
             self.state = replace(cleared, loaded=None, problem=str(error), shown=NOTHING)
             self._note(str(error))
             self._suggestions = ()
-            self._sync_frame_box(frame_id)
             self.scene.clear()
             self.bridge.show_tags([])
             self._draw()
             self._browse()
             return
         self.state = replace(cleared, loaded=loaded, shown=shown_objects(loaded, None, self._exact()))
-        self._sync_frame_box(frame_id)
-        self._painted = self._paint_key()
+        self._painted = self.state.paint_key
         self.scene.set_frame(loaded, frame_colors(self.state.colors, loaded, {}, self.state.dark))
         self._show_context()
         if first or self.scene.viewpoint.untouched:
@@ -192,13 +196,13 @@ class Session:
             self._note(loaded.problem)
         for remark in loaded.context.frame.notes:
             self._note(f"frame {frame_id}: {remark}")
-        text = self.state.text
+        text = self.state.text if asking is None else asking
         if self._source().detector is None:
             text = ""
             self.page.expression.value = ""
-        elif first and not self._can_ask(loaded, text):
+        elif first and asking is None and not self._can_ask(loaded, text):
             text = self._suggestions[0] if self._suggestions else ""
-            self.state = replace(self.state, text=text)
+        self.state = replace(self.state, text=text)
         if text:
             self._ask(text, draw=False)
         self._draw()
@@ -224,7 +228,7 @@ class Session:
 
     def _step_frame(self, step: int) -> None:
         ids = self._source().dataset.frame_ids
-        self._open_frame(ids[(ids.index(self.state.frame_id) + step) % len(ids)])
+        self._open_number(ids.index(self.state.frame_id) + step)
 
     def _move(self, move: str) -> None:
         """Go where a move of the dataset's robot leads; one that is not possible does nothing."""
@@ -257,6 +261,7 @@ class Session:
         if str(self.page.expression.value) != text:
             self.page.expression.value = text
         exact = self._exact()
+        self._show_working("answering")
         try:
             trace = self._source().ask(loaded.context, text)
         except InputError as error:
@@ -398,10 +403,9 @@ class Session:
     def _note(self, text: str) -> None:
         self._log = [*self._log, (datetime.now().strftime("%H:%M:%S"), text)][-LOG_LENGTH:]
 
-    def _paint_key(self) -> tuple[Any, ...]:
-        state = self.state
-        roles = tuple(sorted(state.roles.items())) if state.colors == "objects" else ()
-        return (state.source, state.frame_id, state.colors, state.dark, roles)
+    def _show_working(self, what: str) -> None:
+        """Say at once in the module strip what is being done; the drawing that follows takes it away."""
+        self.page.modules.content = left.modules_html(self.state, what)
 
     def _draw(self) -> None:
         """Bring the whole page up to the state. Handles that would not change send nothing."""
@@ -417,8 +421,8 @@ class Session:
             atomic=self._client.atomic,
         )
         if state.loaded is not None:
-            if self._painted != self._paint_key():
-                self._painted = self._paint_key()
+            if self._painted != self.state.paint_key:
+                self._painted = self.state.paint_key
                 self.scene.recolor(frame_colors(state.colors, state.loaded, state.roles, state.dark))
             truth = [a.box for a in state.loaded.context.frame.annotations if a.box is not None]
             tags = self.scene.draw(
@@ -426,22 +430,14 @@ class Session:
                 state.shown.names,
                 state.roles,
                 state.selected,
-                self._pair_lines(),
+                self.state.pair_lines,
                 truth,
                 state.flags,
                 state.dark,
             )
             self.bridge.show_tags(tags)
         self.fallback.update(state)
-
-    def _pair_lines(self) -> list[tuple[int, int]]:
-        """The chosen pair, then the next best few."""
-        state = self.state
-        if state.pair is None:
-            return []
-        chosen = state.pair[:2]
-        others = dict.fromkeys(state.at(p)[:2] for p in state.ranked[:6])
-        return [(chosen[0], chosen[1]), *[(a, b) for a, b in others if (a, b) != chosen]]
+        self.bridge.show_address(state.address.fragment())
 
     def _check_bridge(self) -> None:
         if not self.bridge.alive.is_set() and not self._closed.is_set():

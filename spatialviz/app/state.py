@@ -10,6 +10,7 @@ from pipeline.ask import Trace
 from pipeline.objects import SceneObject
 from pipeline.palette import Role
 from pipeline.ranking import RankedPair
+from spatialviz.app.address import Address
 from spatialviz.app.frames import LoadedFrame
 from spatialviz.app.scene import SceneFlags
 
@@ -107,6 +108,27 @@ class State:
                     roles[self.shown.place[end]] = "reference"
         roles[self.pair[0]] = "target"
         return roles
+
+
+    @property
+    def pair_lines(self) -> list[tuple[int, int]]:
+        """The chosen pair, then the next best few, as places in `shown.objects`."""
+        if self.pair is None:
+            return []
+        chosen = (self.pair[0], self.pair[1])
+        others = dict.fromkeys((self.at(p)[0], self.at(p)[1]) for p in self.ranked[:6])
+        return [chosen, *(pair for pair in others if pair != chosen)]
+
+    @property
+    def paint_key(self) -> tuple[object, ...]:
+        """What the colours of the cloud depend on."""
+        roles = tuple(sorted(self.roles.items())) if self.colors == "objects" else ()
+        return (self.source, self.frame_id, self.colors, self.dark, roles)
+
+    @property
+    def address(self) -> Address:
+        """Where the page is, for its own address."""
+        return Address(self.source, self.frame_id, self.text)
 
 
 def shown_objects(loaded: LoadedFrame, trace: Trace | None, exact: bool) -> Shown:

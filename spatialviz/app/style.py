@@ -23,12 +23,20 @@ CSS = """<style>
 .sv .chip.rel{border:1px dashed var(--mantine-color-dimmed);color:var(--mantine-color-text);font-weight:500}
 .sv .try{border-radius:10px;padding:1px 9px;border:1px solid var(--mantine-color-default-border);color:var(--mantine-color-dimmed);cursor:pointer;max-width:100%;overflow:hidden;text-overflow:ellipsis;white-space:nowrap}
 .sv .try:hover{color:var(--mantine-color-text);background:var(--mantine-color-default-hover)}
+.sv .try[aria-disabled]{opacity:.4;cursor:default;pointer-events:none}
 .sv .try.on{color:var(--mantine-color-text);border-color:var(--mantine-primary-color-filled)}
 .sv .note{margin-top:.35em;border-left:3px solid var(--c);padding:4px 8px;background:color-mix(in srgb,var(--c) 12%,transparent);border-radius:0 4px 4px 0;overflow-wrap:anywhere}
 .sv .strip{display:grid;grid-template-columns:repeat(5,1fr);gap:3px}
 .sv .mod{border-radius:4px;padding:3px 2px;text-align:center;background:color-mix(in srgb,var(--c) 13%,transparent);border-top:3px solid var(--c);cursor:help;overflow:hidden}
 .sv .mod b{display:block;font-size:11px;font-weight:650}
 .sv .mod i{display:block;font-style:normal;font-size:10px;color:var(--mantine-color-dimmed);white-space:nowrap}
+.sv .busy{position:relative}
+.sv .busy .strip{animation:svdim 0s .15s forwards}
+.sv .busy>span{position:absolute;inset:0;display:flex;align-items:center;justify-content:center;gap:7px;font-weight:600;opacity:0;animation:svshow 0s .15s forwards}
+.sv .busy>span:before{content:"";width:11px;height:11px;border-radius:50%;border:2px solid var(--mantine-color-dimmed);border-top-color:transparent;animation:svturn .9s linear infinite}
+@keyframes svdim{to{opacity:.22;filter:grayscale(1)}}
+@keyframes svshow{to{opacity:1}}
+@keyframes svturn{to{transform:rotate(1turn)}}
 .sv .row{display:flex;align-items:center;gap:8px;margin-bottom:5px}
 .sv .row>label{width:52px;flex:none;color:var(--mantine-color-dimmed)}
 .sv .seg{display:flex;flex:1;border:1px solid var(--mantine-color-default-border);border-radius:5px;overflow:hidden}
@@ -129,6 +137,7 @@ if (!window.svTags) {
     requestAnimationFrame(place);
   };
   place();
+  window.addEventListener('hashchange', () => window.sv('go:' + location.hash));
   window.addEventListener('keydown', e => {
     const a = document.activeElement;
     if (e.key === 'Enter' && a && a.tagName === 'INPUT' && a.closest('form')) window.sv('ask:' + a.value);
@@ -142,7 +151,7 @@ if (!window.svTags) {
     }
   });
 }
-const hello = n => { const m = window.__viserMutable; if (m && m.sendMessage) { window.sv('hello'); } else if (n < 40) { setTimeout(() => hello(n + 1), 250); } };
+const hello = n => { const m = window.__viserMutable; if (m && m.sendMessage) { window.sv('hello:' + location.hash); } else if (n < 40) { setTimeout(() => hello(n + 1), 250); } };
 hello(0);
 })()
 """

@@ -36,7 +36,7 @@ from pipeline.labels.exports.coco_reading import (
 from pipeline.labels.exports.frame_rows import FrameRows, iterate_frames, table_batches
 from pipeline.labels.exports.images import image_name
 from pipeline.labels.exports.json_text import JsonList, json_line
-from pipeline.labels.exports.staging import text_file
+from pipeline.staging import text_file
 
 _WORD = re.compile(r"[^\W_]+(?:['’-][^\W_]+)*")
 

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import json
 import shutil
-import warnings
 from collections.abc import Mapping
-from importlib.metadata import entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -17,9 +16,10 @@ from pipeline.labels.exports import coco, hub, jsonl, kitti, vqa
 from pipeline.labels.exports.base import ExportFormat, ExportReport, Job, Progress
 from pipeline.labels.exports.images import ImageCopy, labelled_dataset
 from pipeline.labels.exports.json_text import load_json
-from pipeline.labels.exports.staging import MARK, read_mark, staged_folder, write_json
 from pipeline.labels.reading import MANIFEST_FILE, Labels
 from pipeline.labels.tables import content_hash
+from pipeline.plugins import load_plugins
+from pipeline.staging import staged_folder, write_json
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -35,6 +35,9 @@ FORMATS: dict[str, ExportFormat] = {
 
 ENTRY_POINT_GROUP = "spatialviz.exports"
 """Entry points of this group name an ExportFormat, and so add a format."""
+
+MARK = "export.json"
+"""Written into every export; only a folder that holds it is ever replaced."""
 
 
 def export_labels(
@@ -86,7 +89,7 @@ def export_labels(
         raise InputError("images", got=repr(images), expected="none | copy")
     out = Path(out).expanduser()
     _keep_the_labels(labels, out)
-    with staged_folder(out, overwrite=overwrite) as folder:
+    with staged_folder(out, overwrite=overwrite, mark=MARK) as folder:
         copy = ImageCopy(dataset or labelled_dataset(labels)) if images == "copy" else None
         written = chosen.write(Job(labels, folder, copy, progress or (lambda done, of: None), options))
         shutil.copyfile(labels.root / MANIFEST_FILE, folder / MANIFEST_FILE)
@@ -132,7 +135,7 @@ def import_labels(path: str | Path, format: str, *, verify: bool = True) -> dict
         raise InputError(f"the format {format} holds no labels to read back", path=root)
     if not root.is_dir():
         raise InputError("there is no such export", expected="a folder", path=root)
-    mark = read_mark(root)
+    mark = _read_mark(root)
     if mark is not None and mark.get("format") != format:
         raise InputError("an export in another format", got=mark.get("format"), expected=format, path=root)
     tables = dict(chosen.read(root))
@@ -155,6 +158,15 @@ def _check_hashes(root: Path, tables: Mapping[str, pa.Table]) -> None:
             raise InputError(f"the table {name} was changed after it was exported", path=root)
 
 
+def _read_mark(folder: Path) -> dict[str, object] | None:
+    """The record that an export left of itself, or None."""
+    try:
+        found = json.loads((folder / MARK).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return found if isinstance(found, dict) else None
+
+
 def _keep_the_labels(labels: Labels, out: Path) -> None:
     """An export must not take the place of the labels, nor of a folder that they are in."""
     target, root = out.resolve(), labels.root.resolve()
@@ -163,23 +175,9 @@ def _keep_the_labels(labels: Labels, out: Path) -> None:
 
 
 def _format(name: str) -> ExportFormat:
-    formats = {**plugins(), **FORMATS} if name not in FORMATS else FORMATS
+    formats = FORMATS
+    if name not in FORMATS:
+        formats = {**dict(load_plugins(ENTRY_POINT_GROUP, "export", ExportFormat)), **FORMATS}
     if name not in formats:
         raise InputError("no such export format", got=repr(name), expected=" | ".join(formats))
     return formats[name]
-
-
-def plugins() -> dict[str, ExportFormat]:
-    """The formats that installed packages add, by name. One that fails to load is warned of and left out."""
-    found: dict[str, ExportFormat] = {}
-    for point in entry_points(group=ENTRY_POINT_GROUP):
-        try:
-            loaded = point.load()
-        except Exception as error:  # A plugin may raise anything; the other formats must still work.
-            warnings.warn(f"export plugin {point.value} cannot be loaded: {error}", stacklevel=2)
-            continue
-        if isinstance(loaded, ExportFormat):
-            found[point.name] = loaded
-        else:
-            warnings.warn(f"export plugin {point.value} is no ExportFormat", stacklevel=2)
-    return found

@@ -17,10 +17,10 @@ from pipeline.labels.card import UNKNOWN_LICENCE, DataFile, croissant, dataset_c
 from pipeline.labels.exports.base import ExportFormat, Job, Written
 from pipeline.labels.exports.frame_rows import table_batches
 from pipeline.labels.exports.jsonl import copy_images
-from pipeline.labels.exports.staging import text_file, write_json
 from pipeline.labels.schema import TABLES
 from pipeline.labels.schema_files import write_schemas
 from pipeline.labels.tables import ROW_GROUP, arrow_schema, read_table
+from pipeline.staging import text_file, write_json
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -16,10 +16,10 @@ from pipeline.labels.exports.base import ExportFormat, Job, Written
 from pipeline.labels.exports.frame_rows import iterate_frames, table_batches
 from pipeline.labels.exports.images import image_name
 from pipeline.labels.exports.json_text import json_lines
-from pipeline.labels.exports.staging import text_file
 from pipeline.labels.schema import TABLES
 from pipeline.labels.schema_files import write_schemas
 from pipeline.labels.tables import arrow_schema
+from pipeline.staging import text_file
 
 if TYPE_CHECKING:
     import pyarrow as pa

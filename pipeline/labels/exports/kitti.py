@@ -46,8 +46,8 @@ from pipeline.labels.exports.kitti_geometry import (
     projection,
     to_kitti,
 )
-from pipeline.labels.exports.staging import text_file, write_json
 from pipeline.labels.tables import arrow_schema
+from pipeline.staging import text_file, write_json
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -24,9 +24,9 @@ from pipeline.labels.exports.base import ExportFormat, Job, Written
 from pipeline.labels.exports.frame_rows import iterate_frames
 from pipeline.labels.exports.images import image_name
 from pipeline.labels.exports.json_text import JsonList
-from pipeline.labels.exports.staging import text_file
 from pipeline.labels.exports.vqa_questions import frame_questions
 from pipeline.labels.exports.vqa_records import CONVERSATIONS_FILE, VqaConfig
+from pipeline.staging import text_file
 
 __all__ = ["FORMAT", "VqaConfig", "write_vqa"]
 

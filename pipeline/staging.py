@@ -12,19 +12,16 @@ from typing import TextIO
 
 from pipeline.errors import InputError
 
-MARK = "export.json"
-"""Written into every export; only a folder that holds it is ever replaced."""
-
 
 @contextmanager
-def staged_folder(out: Path, *, overwrite: bool, mark: str = MARK) -> Iterator[Path]:
+def staged_folder(out: Path, *, overwrite: bool, mark: str) -> Iterator[Path]:
     """A hidden folder beside `out` that takes its name when the block ends well, and is removed when it does not.
 
     Raises
     ------
     InputError
-        `out` is a file, is not empty, or cannot be written. With `overwrite`, an
-        earlier export is replaced (told by the file `mark`), and a folder of
+        `out` is a file, is not empty, or cannot be written. With `overwrite`, what
+        an earlier run wrote is replaced (told by the file `mark`), and a folder of
         anything else still refused.
     """
     check_target(out, overwrite=overwrite, mark=mark)
@@ -45,7 +42,7 @@ def staged_folder(out: Path, *, overwrite: bool, mark: str = MARK) -> Iterator[P
         shutil.rmtree(staging, ignore_errors=True)
 
 
-def check_target(out: Path, *, overwrite: bool, mark: str = MARK) -> None:
+def check_target(out: Path, *, overwrite: bool, mark: str) -> None:
     """Refuse a target that would be harmed; see `staged_folder`."""
     if not out.exists():
         return
@@ -94,12 +91,3 @@ def write_json(path: Path, content: object) -> None:
     """A small JSON file, indented."""
     with text_file(path) as file:
         file.write(json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n")
-
-
-def read_mark(folder: Path) -> dict[str, object] | None:
-    """The record that an export left of itself, or None."""
-    try:
-        found = json.loads((folder / MARK).read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return None
-    return found if isinstance(found, dict) else None
