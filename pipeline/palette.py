@@ -87,3 +87,18 @@ def depth_colors(depth: np.ndarray) -> np.ndarray:
     colors = flat[:, 0, ::-1].reshape(*depth.shape, 3).copy()
     colors[~valid] = (40, 42, 46)
     return colors
+
+
+VERDICTS: dict[str, RGB] = {
+    "CORRECT": (58, 158, 104),
+    "PARSE": (170, 68, 153),
+    "LABEL": (126, 136, 150),
+    "OPM-TARGET": (0, 101, 189),
+    "OPM-REF": (86, 180, 233),
+    "LIFT": (204, 164, 20),
+    "SRM": (213, 68, 60),
+    "OPM-CONF": (92, 92, 214),
+    "PRM": (226, 122, 24),
+    "COMPOUND": (140, 92, 60),
+}
+"""A colour for each verdict; the blues are the detector's. Wherever it is shown, the word stands beside it."""

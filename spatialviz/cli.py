@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal, Union
 
 import tyro
-from tyro.conf import OmitArgPrefixes, Positional, subcommand
+from tyro.conf import OmitArgPrefixes, Positional, arg, subcommand
 
 from pipeline import __version__
 from pipeline.errors import InputError, MissingExtra
@@ -32,7 +32,9 @@ class View:
     """Open a dataset in the browser; without DATASET, the built-in demo."""
 
     dataset: Positional[str] = "demo"
-    """Dataset folder, or "demo"."""
+    """Dataset folder, or "demo". With --run, the run's own."""
+    run_folder: Annotated[Path | None, arg(name="run")] = None
+    """A run folder that `eval` wrote: its failures are listed, with its detector and relation scorer."""
     source: OmitArgPrefixes[SourceOptions] = SourceOptions()
     port: int = 8080
     """Port; if it is taken, the next free one is used."""
@@ -44,14 +46,23 @@ class View:
     """Open the page in the default browser."""
 
     def run(self) -> int:
+        from pipeline.demo import DEMO_NAME
+        from pipeline.evaluation.run_folder import open_run
         from pipeline.jobs import open_sources
         from spatialviz.app.server import serve
 
-        sources, left_out = open_sources(self.dataset, **self.source.options())
-        for name, reason in left_out.items():
-            print(f"spatialviz: left out {name}: {reason}", file=sys.stderr)
+        runs = {}
+        if self.run_folder is not None:
+            run = open_run(self.run_folder, dataset=None if self.dataset == DEMO_NAME else self.dataset)
+            name = Path(run.spec.dataset).name
+            sources, runs = {name: run.source}, {name: run}
+        else:
+            sources, left_out = open_sources(self.dataset, **self.source.options())
+            for name, reason in left_out.items():
+                print(f"spatialviz: left out {name}: {reason}", file=sys.stderr)
         serve(
             sources,
+            runs=runs,
             host=self.host,
             port=self.port,
             dark=self.theme == "dark",

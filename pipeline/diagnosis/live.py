@@ -10,9 +10,11 @@ from typing import Any
 import numpy as np
 
 from pipeline.ask import Trace
+from pipeline.boxes import Box3D
 from pipeline.diagnosis.frame_evidence import DEFAULT_CONFIDENCE, FrameEvidence
 from pipeline.diagnosis.oracles import names_of
 from pipeline.diagnosis.repair import Needed, needed_changes
+from pipeline.diagnosis.substitution import Substituted, substitute
 from pipeline.diagnosis.verdict import Diagnosis, Stand, diagnose
 from pipeline.diagnosis.words import explain
 from pipeline.evaluation.answering import FrameAnswers
@@ -47,6 +49,8 @@ class Judgement:
         The verdict in words.
     needed : tuple of Needed
         What one factor alone would have to be.
+    gold : bool
+        The expression was read as meant; else the evidence is that of the gold names, not the trace's own.
     """
 
     case: Case
@@ -55,6 +59,27 @@ class Judgement:
     diagnosis: Diagnosis
     said: str
     needed: tuple[Needed, ...]
+    gold: bool = True
+
+    def acceptable_pairs(self) -> set[tuple[int, int]]:
+        """Candidate pairs that are acceptable, as places in the trace's objects."""
+        if not self.gold:
+            return set()
+        found, evidence = substitute(self.evidence, self.case), self.evidence
+        here = np.argwhere(found.covered[: found.target.found, : found.reference.found] & ~_same(found, evidence))
+        return {(int(found.target.places[i]), int(found.reference.places[j])) for i, j in here}
+
+    def labelled_boxes(self) -> dict[str, Box3D]:
+        """The labelled target and reference in 3D, as far as their geometry is known."""
+        ends = (("target", self.case.target_object), ("reference", self.case.reference_object))
+        found = ((name, self.evidence.true_objects[k]) for name, k in ends)
+        return {name: o.lifted.box for name, o in found if o is not None and o.lifted.box is not None}
+
+
+def _same(found: Substituted, evidence: FrameEvidence) -> np.ndarray:
+    """(T, R) bool: candidates that are one and the same thing."""
+    targets, references = (role.places[: role.found] for role in (found.target, found.reference))
+    return evidence.same[np.ix_(targets, references)]
 
 
 @lru_cache(maxsize=1)
@@ -178,7 +203,7 @@ def judge_trace(
     )
     config = source.config.rank
     said = explain(diagnosis, case, config, query=trace.query)
-    return Judgement(case, truth, evidence, diagnosis, said, needed_changes(diagnosis, config))
+    return Judgement(case, truth, evidence, diagnosis, said, needed_changes(diagnosis, config), gold)
 
 
 def judgement_record(judged: Judgement) -> dict[str, Any]:

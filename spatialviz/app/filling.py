@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 
 from pipeline.datasets import Dataset, has_moves, moves
-from spatialviz.app import bottom, left, right
+from spatialviz.app import bottom, left, right, why
 from spatialviz.app.layout import Page
 from spatialviz.app.state import State
 
@@ -35,6 +35,7 @@ def fill_page(
         page.answer.content = right.answer_html(state)
         page.pairs.content = right.pairs_html(state)
         page.relations.content = right.relations_html(state)
+        page.why.content = why.why_html(state)
         page.object.content = right.object_html(state)
         page.image.content = bottom.image_html(state)
         page.log.content = bottom.log_html(log)

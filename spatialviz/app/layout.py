@@ -41,8 +41,11 @@ class Page:
     answer: viser.GuiHtmlHandle
     pairs: viser.GuiHtmlHandle
     relations: viser.GuiHtmlHandle
+    why: viser.GuiHtmlHandle
     object: viser.GuiHtmlHandle
     image: viser.GuiHtmlHandle
+    search: viser.GuiHtmlHandle
+    listing: viser.GuiHtmlHandle
     frames: viser.GuiHtmlHandle
     log: viser.GuiHtmlHandle
 
@@ -71,13 +74,17 @@ def build(
     lower.dock_below(upper)
     with upper.add_tab("Answer", viser.Icon.TARGET_ARROW):
         answer, pairs, relations = (gui.add_html("") for _ in range(3))
+    with upper.add_tab("Why", viser.Icon.HELP_CIRCLE):
+        why = gui.add_html("")
     with lower.add_tab("Image", viser.Icon.PHOTO):
         image, object_ = gui.add_html(""), gui.add_html("")
+    with lower.add_tab("Failures", viser.Icon.BUG):
+        search, listing = gui.add_html(""), gui.add_html("")
     with lower.add_tab("Frames", viser.Icon.LAYOUT_GRID):
         frames = gui.add_html("")
     with lower.add_tab("Log", viser.Icon.LIST):
         log = gui.add_html("")
     return Page(
         dataset_box, frame_box, expression, ask, form, steps, parse, modules, controls, objects,
-        answer, pairs, relations, object_, image, frames, log,
+        answer, pairs, relations, why, object_, image, search, listing, frames, log,
     )  # fmt: skip

@@ -6,7 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 
 from pipeline.ask import Trace
-from pipeline.palette import DROPPED, hex_color, palette
+from pipeline.diagnosis.live import Judgement
+from pipeline.diagnosis.verdict import MODULE_OF
+from pipeline.palette import DROPPED, VERDICTS, hex_color, palette
 from pipeline.records import why_no_answer
 from spatialviz.app.frames import object_thumb
 from spatialviz.app.keys import MOVE_KEYS
@@ -35,6 +37,7 @@ FLAGS = {
     "boxes": "boxes",
     "labels": "all names",
     "pairs": "pairs",
+    "ghosts": "labelled",
     "truth": "exact boxes",
     "axes": "axes",
     "context": "room",
@@ -167,7 +170,22 @@ def _modules(state: State) -> list[tuple[str, str, str, str]]:
         close = len(trace.ranking.pairs) > 1 and trace.ranking.margin < 0.1
         hint = f"{len(trace.ranking.pairs)} pairs, margin {trace.ranking.margin:.2f} to the runner-up"
         prm = ("PRM", DOUBT if close else GOOD, ms("prm"), hint)
-    return [opm, lift, srm, prm, label]
+    return [_blamed(cell, state) for cell in (opm, lift, srm, prm, label)]
+
+
+def _blamed(cell: tuple[str, str, str, str], state: State) -> tuple[str, str, str, str]:
+    """The cell of a module as the verdict has it: the module that failed stands out, and what did not fail is fine."""
+    if not isinstance(state.judged, Judgement):
+        return cell
+    name, color, cost, hint = cell
+    d = state.judged.diagnosis
+    blamed = {MODULE_OF[d.verdict]} if d.verdict in MODULE_OF else set()
+    if d.verdict == "COMPOUND":
+        blamed = {"OPM" if part in ("CONF", "RECALL") else part for part in d.repair}
+    if name in blamed:
+        said = (d.detail or d.verdict.removeprefix("OPM-")).lower()
+        return name, hex_color(VERDICTS[d.verdict]), said, f"{state.judged.said} ({cost}; {hint})"
+    return (name, GOOD, cost, hint) if d.correct and name != "LABEL" else cell
 
 
 def controls_html(state: State) -> str:

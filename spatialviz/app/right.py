@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pipeline.diagnosis.live import Judgement
 from pipeline.lexicon import wording
 from pipeline.lifting import Pixel
 from pipeline.palette import DROPPED, RGB, hex_color, palette
@@ -11,6 +12,7 @@ from pipeline.relations import PHRASE, letter
 from pipeline.srm.scorer import RelationScores
 from spatialviz.app.state import State
 from spatialviz.app.text import BAD, DOUBT, dot, heading, note, panel, safe, words
+from spatialviz.app.why import verdict_line
 
 SHOWN_PAIRS = 30
 KEPT: RGB = (53, 169, 107)
@@ -26,10 +28,12 @@ def answer_html(state: State) -> str:
         return panel(f'<div class="dim" style="padding:.7em 0">{hint}</div>')
     reason = why_no_answer(trace)
     if reason is not None:
-        return panel('<div style="height:.5em"></div>', note(reason[0].upper() + reason[1:], BAD))
+        return panel(
+            '<div style="height:.5em"></div>', note(reason[0].upper() + reason[1:], BAD), verdict_line(state)
+        )
     best, chosen = state.ranked[0], state.chosen
     pair = chosen or best
-    parts = [_sentence(state, pair)]
+    parts = [_sentence(state, pair), verdict_line(state)]
     assert trace.ranking is not None
     place = state.ranked.index(pair) + 1
     if place == 1:
@@ -41,7 +45,7 @@ def answer_html(state: State) -> str:
     summary = f"relation {pair.p_relation:.2f} · "
     summary += f"{more} · {count} pairs" if count > 1 else "the only candidate pair"
     parts.append(f'<div class="dim">{summary}</div>')
-    if best.p_relation < 0.5 and place == 1:
+    if best.p_relation < 0.5 and place == 1 and not isinstance(state.judged, Judgement):
         parts.append(
             note(f"The best there is, but the relation itself is unlikely ({best.p_relation:.2f}).", DOUBT)
         )

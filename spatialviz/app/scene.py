@@ -53,6 +53,7 @@ class SceneFlags:
     axes: bool = False
     context: bool = False
     camera: bool = False
+    ghosts: bool = True
 
 
 @dataclass(frozen=True)
@@ -80,6 +81,7 @@ class SceneView:
         self._lines: dict[str, Any] = {}
         self._faces: Any = None
         self._anchors: list[viser.FrameHandle] = []
+        self._ghost_anchors: dict[str, viser.FrameHandle] = {}
         self._frustum: Any = None
         self._axes: list[Any] = []
         self._context: Any = None
@@ -174,10 +176,14 @@ class SceneView:
         selected: int | None,
         pairs: Sequence[tuple[int, int]],
         truth: Sequence[Box3D],
+        ghosts: Mapping[str, Box3D],
         flags: SceneFlags,
         dark: bool,
     ) -> list[Tag]:
-        """Draw boxes, the chosen pair first in `pairs`, and return the names to show."""
+        """Draw boxes, the chosen pair first in `pairs`, and return the names to show.
+
+        `truth` are the dataset's exact boxes, `ghosts` the labelled target and reference of a verdict.
+        """
         colors = palette(dark)
         boxed = [i for i, o in enumerate(objects) if o.lifted.box is not None]
         self._flags = flags
@@ -196,10 +202,25 @@ class SceneView:
             self._set_lines("/boxes/selected", _edges(chosen), (255, 255, 255) if dark else (20, 22, 26), 2.0, True)
             shown_truth = [self._shown_box(b) for b in truth]
             self._set_lines("/boxes/truth", _edges(shown_truth), colors["truth"], LINE_WIDTH["truth"], flags.truth)
+            ghost_tags = self._draw_ghosts(ghosts, colors["truth"], flags.ghosts)
             self._draw_faces(objects, boxed, role_of, colors, flags)
             self._draw_pairs(pairs, colors, flags)
             axes = self._draw_axes(pairs, dark)
-            return axes + self._draw_tags(objects, names, boxed, role_of, selected, flags, colors)
+            return axes + ghost_tags + self._draw_tags(objects, names, boxed, role_of, selected, flags, colors)
+
+    def _draw_ghosts(self, ghosts: Mapping[str, Box3D], color: RGB, visible: bool) -> list[Tag]:
+        """The labelled objects, in lines of their own a little outside the answer's."""
+        shown = {name: self._shown_box(box) for name, box in ghosts.items()}
+        grown = [Box3D(b.center, b.R, b.size + 0.012) for b in shown.values()]
+        self._set_lines("/boxes/ghosts", _edges(grown), color, 2.4, visible)
+        tags = []
+        for name, box in shown.items() if visible else ():
+            if name not in self._ghost_anchors:
+                self._ghost_anchors[name] = self._client.scene.add_frame(f"/tags/ghost-{name}", show_axes=False)
+            low = float(box.corners[:, 2].min())
+            self._ghost_anchors[name].position = (float(box.center[0]), float(box.center[1]), low)
+            tags.append(Tag(f"/tags/ghost-{name}", f"labelled {name}", "", hex_color(color), False))
+        return tags
 
     def _shown_box(self, box: Box3D) -> Box3D:
         return Box3D(self._to_show @ box.center, self._to_show @ box.R, box.size)

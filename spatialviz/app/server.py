@@ -7,12 +7,14 @@ import socket
 import sys
 import threading
 import webbrowser
+from collections.abc import Mapping
 from contextlib import redirect_stdout
 
 import viser
 
 from pipeline.demo import DEMO_EXPRESSION, DEMO_NAME
 from pipeline.errors import InputError
+from pipeline.evaluation.run_folder import Run
 from pipeline.jobs import Source
 from spatialviz.app.frames import FrameStore
 from spatialviz.app.memory import return_freed_memory
@@ -22,7 +24,12 @@ from spatialviz.app.theme import apply_theme
 
 
 def start(
-    sources: dict[str, Source], *, host: str = "127.0.0.1", port: int = 8080, dark: bool = True
+    sources: dict[str, Source],
+    *,
+    runs: Mapping[str, Run] | None = None,
+    host: str = "127.0.0.1",
+    port: int = 8080,
+    dark: bool = True,
 ) -> viser.ViserServer:
     """Start the server and return it; it runs on its own threads.
 
@@ -30,6 +37,8 @@ def start(
     ----------
     sources : dict of str to Source
         Datasets by name; the first is shown first.
+    runs : mapping of str to Run, optional
+        Evaluations to debug, by the name of their source.
     port : int
         0 lets the system choose; a port that is taken becomes the next free one.
 
@@ -65,7 +74,7 @@ def start(
 
     @server.on_client_connect
     def _(client: viser.ClientHandle) -> None:
-        session = Session(client, store, first, DEMO_EXPRESSION, dark)
+        session = Session(client, store, first, DEMO_EXPRESSION, dark, runs)
         with lock:
             sessions[client.client_id] = session
         if client.client_id not in server.get_clients():
@@ -93,13 +102,14 @@ def _check_address(host: str, port: int) -> None:
 def serve(
     sources: dict[str, Source],
     *,
+    runs: Mapping[str, Run] | None = None,
     host: str = "127.0.0.1",
     port: int = 8080,
     dark: bool = True,
     open_browser: bool = True,
 ) -> None:
     """Start the server, say where it is, and wait until it is stopped."""
-    server = start(sources, host=host, port=port, dark=dark)
+    server = start(sources, runs=runs, host=host, port=port, dark=dark)
     shown = "127.0.0.1" if host in ("", "0.0.0.0", "::") else f"[{host}]" if ":" in host else host
     address = f"http://{shown}:{server.get_port()}"
     if host not in (*LOCAL_NAMES, "::1"):

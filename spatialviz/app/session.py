@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from datetime import datetime
 from typing import Any
@@ -15,6 +15,7 @@ from pipeline.context import fuse_context
 from pipeline.datasets import has_moves, moves
 from pipeline.demo import DEMO_EXPRESSION
 from pipeline.errors import FrameUnusable, InputError, MissingExtra
+from pipeline.evaluation.run_folder import Run
 from pipeline.jobs import Source
 from pipeline.records import why_no_answer
 from pipeline.relations import PHRASE
@@ -26,9 +27,12 @@ from spatialviz.app.fallback import Fallback
 from spatialviz.app.filling import fill_page
 from spatialviz.app.frames import FrameStore, LoadedFrame
 from spatialviz.app.inputs import forward_inputs
+from spatialviz.app.judging import Judge
 from spatialviz.app.keys import HelpDialog, add_keys
 from spatialviz.app.layout import build, listed
 from spatialviz.app.paint import frame_colors
+from spatialviz.app.run_browser import Listing
+from spatialviz.app.run_panel import RunPanel
 from spatialviz.app.scene import SceneView
 from spatialviz.app.state import NOTHING, CameraMode, ColorMode, State, shown_objects
 from spatialviz.app.text import safe
@@ -54,6 +58,7 @@ class Session:
         source: str,
         first_expression: str,
         dark: bool,
+        runs: Mapping[str, Run] | None = None,
     ) -> None:
         self._client = client
         self._store = store
@@ -63,6 +68,7 @@ class Session:
         self._painted: tuple[Any, ...] = ()
         self._closed = threading.Event()
         self._begun = False
+        self._judge = Judge(runs or {})
         self.bridge = Bridge(client, self.handle)
         moving = any(has_moves(opened.dataset) for opened in store.sources.values())
         self._help = HelpDialog(client, self.post, moving)
@@ -74,6 +80,9 @@ class Session:
             on_ray=lambda pixel, boxes: self.bridge.post(lambda: self._select_on_ray(pixel, boxes)),
         )
         self.fallback = Fallback(client, self.post)
+        self._runs = RunPanel(
+            runs or {}, store, self.page, lambda: self.state, self._set_listing, self._go, self.bridge.post
+        )
         forward_inputs(self.page, self.post, self.bridge.alive)
         add_keys(client, self.post, moving)
         threading.Timer(PATIENCE_SECONDS, lambda: self.post("begin")).start()
@@ -118,6 +127,10 @@ class Session:
             "begin": self._begin,
             "hello": lambda: self._begin(argument),
             "go": lambda: self._go(Address.read(argument, self._store.sources)),
+            "find": lambda: self._runs.search(argument),
+            "find-page": lambda: self._runs.turn(number),
+            "failure": lambda: self._runs.open(number),
+            "next-failure": lambda: self._runs.step(number),
             "help": self._help.toggle,
             "close-help": self._help.close,
         }
@@ -171,7 +184,9 @@ class Session:
         self._show_working("finding the objects")
         self._thumbs = {}
         self._painted = ()
-        cleared = replace(self.state, frame_id=frame_id, trace=None, pair=None, selected=None, error="", problem="")
+        cleared = replace(
+            self.state, frame_id=frame_id, trace=None, pair=None, selected=None, error="", problem="", judged=None
+        )
         try:
             loaded = self._store.load(self.state.source, frame_id)
             scores = self._source().score(loaded.context, loaded.objects)
@@ -257,7 +272,7 @@ class Session:
         loaded = self.state.loaded
         if loaded is None:
             return
-        self.state = replace(self.state, text=text, error="", trace=None, pair=None)
+        self.state = replace(self.state, text=text, error="", trace=None, pair=None, judged=None)
         if str(self.page.expression.value) != text:
             self.page.expression.value = text
         exact = self._exact()
@@ -272,7 +287,10 @@ class Session:
         else:
             shown = shown_objects(loaded, trace, exact)
             self._thumbs = {}
-            self.state = replace(self.state, trace=trace, shown=shown)
+            judged = self._judge.judge(
+                self.state.source, self._source(), loaded.context, trace, self._runs.expression(self.state.frame_id, text)
+            )
+            self.state = replace(self.state, trace=trace, shown=shown, judged=judged)
             ranked = self.state.ranked
             pair = self.state.at(ranked[0]) if ranked else None
             self.state = replace(self.state, pair=pair, selected=None if pair is None else pair[0])
@@ -309,7 +327,9 @@ class Session:
         if loaded is None:
             return
         shown = shown_objects(loaded, None, self._exact())
-        self.state = replace(self.state, trace=None, pair=None, selected=None, error="", text="", shown=shown)
+        self.state = replace(
+            self.state, trace=None, pair=None, selected=None, error="", text="", shown=shown, judged=None
+        )
         self.page.expression.value = ""
         self._draw()
 
@@ -432,12 +452,17 @@ class Session:
                 state.selected,
                 self.state.pair_lines,
                 truth,
+                state.ghosts,
                 state.flags,
                 state.dark,
             )
             self.bridge.show_tags(tags)
         self.fallback.update(state)
+        self._runs.follow()
         self.bridge.show_address(state.address.fragment())
+
+    def _set_listing(self, listing: Listing | None) -> None:
+        self.state = replace(self.state, listing=listing)
 
     def _check_bridge(self) -> None:
         if not self.bridge.alive.is_set() and not self._closed.is_set():

@@ -7,11 +7,14 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from pipeline.ask import Trace
+from pipeline.boxes import Box3D
+from pipeline.diagnosis.live import Judgement
 from pipeline.objects import SceneObject
 from pipeline.palette import Role
 from pipeline.ranking import RankedPair
 from spatialviz.app.address import Address
 from spatialviz.app.frames import LoadedFrame
+from spatialviz.app.run_browser import Listing
 from spatialviz.app.scene import SceneFlags
 
 ColorMode = Literal["rgb", "objects", "depth", "evidence"]
@@ -61,6 +64,10 @@ class State:
         The chosen pair (with "between", all three), as places in `shown.objects`; kept by objects, not by rank.
     selected : int or None
         Place in `shown.objects`.
+    judged : Judgement or str or None
+        The verdict on the answer, why there is none, or None where nothing is known of the truth.
+    listing : Listing or None
+        What is searched of the source's run.
     """
 
     source: str
@@ -77,6 +84,8 @@ class State:
     camera: CameraMode = "orbit"
     flags: SceneFlags = field(default_factory=SceneFlags)
     dark: bool = True
+    judged: Judgement | str | None = None
+    listing: Listing | None = None
 
     @property
     def ranked(self) -> tuple[RankedPair, ...]:
@@ -109,7 +118,6 @@ class State:
         roles[self.pair[0]] = "target"
         return roles
 
-
     @property
     def pair_lines(self) -> list[tuple[int, int]]:
         """The chosen pair, then the next best few, as places in `shown.objects`."""
@@ -118,6 +126,11 @@ class State:
         chosen = (self.pair[0], self.pair[1])
         others = dict.fromkeys((self.at(p)[0], self.at(p)[1]) for p in self.ranked[:6])
         return [chosen, *(pair for pair in others if pair != chosen)]
+
+    @property
+    def ghosts(self) -> dict[str, Box3D]:
+        """The labelled target and reference in 3D, beside an answer that has a verdict."""
+        return self.judged.labelled_boxes() if isinstance(self.judged, Judgement) else {}
 
     @property
     def paint_key(self) -> tuple[object, ...]:

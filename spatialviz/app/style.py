@@ -90,6 +90,37 @@ CSS = """<style>
 .sv kbd{font:inherit;font-size:10.5px;border:1px solid var(--mantine-color-default-border);border-radius:3px;padding:0 4px;background:var(--mantine-color-default-hover)}
 .sv .keys{display:grid;grid-template-columns:auto 1fr;gap:5px 14px;align-items:baseline;font-size:13px}
 .sv .log div{padding:2px 0;border-bottom:1px solid color-mix(in srgb,var(--mantine-color-default-border) 50%,transparent);overflow-wrap:anywhere}
+.sv .vd{display:inline-block;border-radius:4px;padding:0 6px;font-size:11px;font-weight:650;line-height:17px;color:#fff;background:var(--c);white-space:nowrap}
+.sv .vd i{font-style:normal;font-weight:450;opacity:.92}
+.sv .vline{display:flex;align-items:center;gap:7px;min-width:0;cursor:pointer;margin:1px 0 3px;border-radius:4px}
+.sv .vline:hover{background:var(--mantine-color-default-hover)}
+.sv .vline>span:last-child{min-width:0;overflow:hidden;text-overflow:ellipsis;white-space:nowrap;color:var(--mantine-color-dimmed)}
+.sv .said{font-size:13px;line-height:1.45}
+.sv .vcs{display:flex;flex-wrap:wrap;gap:3px;margin:4px 0 2px}
+.sv .vc{border:1px solid color-mix(in srgb,var(--c) 60%,transparent);border-left:4px solid var(--c);border-radius:4px;padding:0 5px;font-size:10.5px;line-height:17px;cursor:pointer;white-space:nowrap}
+.sv .vc:hover,.sv .vc.on{background:color-mix(in srgb,var(--c) 28%,transparent)}
+.sv .find{width:100%;font:inherit;color:inherit;background:var(--mantine-color-default-hover);border:1px solid var(--mantine-color-default-border);border-radius:5px;padding:4px 8px;outline:none}
+.sv .find:focus{border-color:var(--mantine-primary-color-filled)}
+.sv .thumb.wide{width:46px;height:34px;display:block}
+.sv table.found td{padding:3px 4px;vertical-align:middle}
+.sv table.oracles td{padding:2px 3px}
+.sv tr.on td{background:color-mix(in srgb,var(--mantine-primary-color-filled) 14%,transparent)}
+.sv tr.sum td{border-top:1px solid var(--mantine-color-default-border)}
+.sv .diverge{position:relative;height:9px;background:color-mix(in srgb,var(--mantine-color-dimmed) 18%,transparent);border-radius:2px}
+.sv .diverge:after{content:"";position:absolute;left:50%;top:-2px;bottom:-2px;width:1px;background:var(--mantine-color-dimmed)}
+.sv .diverge i{position:absolute;top:0;bottom:0;background:var(--c);border-radius:2px}
+.sv .mx{overflow:auto;max-height:46vh}
+.sv .mx table{width:auto;border-spacing:2px;border-collapse:separate}
+.sv .mx td,.sv .mx th{padding:1px 2px;font-size:11px}
+.sv .mx th{border:0;text-align:center;color:var(--r);font-weight:600}
+.sv .mx th i{display:block;font-style:normal;font-weight:400;color:var(--mantine-color-dimmed)}
+.sv .mx td.c{width:30px;min-width:30px;height:22px;text-align:center;cursor:pointer;border-radius:3px;background:color-mix(in srgb,var(--t) calc(var(--a)*100%),transparent);border:2px solid transparent}
+.sv .mx td.c:hover{border-color:var(--mantine-color-dimmed)}
+.sv .mx td.ok{border-color:var(--g)}
+.sv .mx td.sel{box-shadow:0 0 0 2px var(--mantine-color-text)}
+.sv .mx td.top{font-weight:750}
+.sv .mx td.no{text-align:center;color:var(--mantine-color-dimmed)}
+.sv .mx td.w2{max-width:104px;overflow:hidden;text-overflow:ellipsis}
 .svhost{position:absolute;inset:0;overflow:hidden;pointer-events:none;z-index:1}
 .svtag{position:absolute;left:0;top:0;will-change:transform;background:var(--c);color:#fff;font:600 12px/1 system-ui,sans-serif;padding:4px 7px;border-radius:4px;white-space:nowrap;box-shadow:0 1px 5px rgba(0,0,0,.5);text-shadow:0 0 2px rgba(0,0,0,.45)}
 .svtag{max-width:240px;overflow:hidden;text-overflow:ellipsis}
@@ -100,6 +131,7 @@ CSS = """<style>
 SCRIPT = """
 (() => {
 window.sv = v => window.__viserMutable.sendMessage({type: 'GuiUpdateMessage', uuid: 'BUS_UUID', updates: {value: v + '#' + performance.now()}});
+window.svTab = name => { const t = [...document.querySelectorAll('[role=tab]')].find(e => e.textContent.trim() === name); if (t) for (const k of ['pointerdown', 'mousedown', 'pointerup', 'mouseup', 'click']) t.dispatchEvent(new (k.startsWith('p') ? PointerEvent : MouseEvent)(k, {bubbles: true, button: 0, pointerId: 1, isPrimary: true})); };
 if (!window.svTags) {
   let tags = [];
   const host = document.createElement('div');

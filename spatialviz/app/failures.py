@@ -1,0 +1,109 @@
+"""The bottom dock's list of a run's expressions, by verdict, and the search in it."""
+
+from __future__ import annotations
+
+from pipeline.diagnosis.verdict import VERDICTS
+from pipeline.palette import VERDICTS as COLORS
+from pipeline.palette import hex_color
+from spatialviz.app.run_browser import PAGE, Listing
+from spatialviz.app.text import BAD, note, panel, safe
+
+MEANING = {
+    "CORRECT": "the answer is the labelled target",
+    "PARSE": "the expression was read as something else",
+    "LABEL": "the answer is right, too, or the label was marked as wrong",
+    "OPM-TARGET": "no candidate is a right target",
+    "OPM-REF": "no candidate pair is a right one",
+    "LIFT": "a 3D box is off",
+    "SRM": "the relation network is wrong",
+    "OPM-CONF": "a false detection outscored the right one",
+    "PRM": "confidences overruled the relation",
+    "COMPOUND": "several modules together",
+}
+"""What each verdict says, in a few words."""
+
+
+def verdict_chip(verdict: str, detail: str | None = None) -> str:
+    """A verdict in its colour, with its detail."""
+    color = hex_color(COLORS[verdict])
+    more = f" <i>{safe(detail.lower().replace('_', ' '))}</i>" if detail else ""
+    return f'<span class="vd" style="--c:{color}" title="{safe(MEANING[verdict])}">{safe(verdict)}{more}</span>'
+
+
+def search_html(query: str) -> str:
+    """The search field. It is drawn once, so that nothing is lost while one types."""
+    hint = "Words and fields: verdict:SRM relation:behind class:chair margin<0.1 sort:margin. Enter searches."
+    return panel(
+        f'<input class="find" value="{safe(query)}" title="{safe(hint)}" spellcheck="false" '
+        "placeholder=\"verdict:SRM relation:behind margin&lt;0.1\" "
+        "onkeydown=\"if(event.key==='Enter')sv('find:'+this.value)\">",
+        style="padding-top:.5em",
+    )
+
+
+def listing_html(listing: Listing | None, thumbs: dict[str, str]) -> str:
+    """Verdicts of the run as a bar and chips, then the expressions that match the search."""
+    if listing is None:
+        return panel(
+            '<div class="dim" style="padding:.7em 0">No run is open. <code>spatialviz eval</code> writes one; open it '
+            "with <code>spatialviz view --run RUN</code>.</div>"
+        )
+    error = note(listing.error, BAD) if listing.error else ""
+    return panel(_verdicts(listing), error, _head(listing), _rows(listing, thumbs))
+
+
+def _verdicts(listing: Listing) -> str:
+    asked = {word[8:] for word in listing.query.split() if word.startswith("verdict:")}
+    bars, chips = [], []
+    for verdict in VERDICTS:
+        count = listing.counts.get(verdict, 0)
+        if not count:
+            continue
+        color, share = hex_color(COLORS[verdict]), count / listing.total
+        # The same chip again shows all failures.
+        search = "" if verdict in asked else f"verdict:{verdict}"
+        click = f"sv('find:{search}')"
+        hint = f"{verdict}: {count} of {listing.total} ({share:.1%}): {MEANING[verdict]}"
+        bars.append(f'<i style="--c:{color};width:{100 * share:.2f}%" onclick="{click}" title="{safe(hint)}"></i>')
+        chips.append(
+            f'<span class="vc{" on" if verdict in asked else ""}" style="--c:{color}" onclick="{click}" '
+            f'title="{safe(hint)}">{verdict} <b>{count}</b></span>'
+        )
+    bar = f'<div class="stack" style="height:12px;cursor:pointer">{"".join(bars)}</div>'
+    return f'{bar}<div class="vcs">{"".join(chips)}</div>'
+
+
+def _head(listing: Listing) -> str:
+    place = "" if listing.place is None else f"{listing.place + 1} of "
+    first = listing.page * PAGE + 1 if listing.keys else 0
+    last = min(first + PAGE - 1, len(listing.keys))
+    pages = "" if listing.pages == 1 else (
+        f'<span class="try" onclick="sv(\'find-page:{listing.page - 1}\')">‹</span> {first}–{last} '
+        f'<span class="try" onclick="sv(\'find-page:{listing.page + 1}\')">›</span>'
+    )
+    return (
+        f'<div class="h" style="text-transform:none;letter-spacing:0"><b>{place}{len(listing.keys)} found</b>'
+        f"<span>{pages}</span></div>"
+    )
+
+
+def _rows(listing: Listing, thumbs: dict[str, str]) -> str:
+    rows = []
+    for k, row in enumerate(listing.rows):
+        place = listing.page * PAGE + k
+        here = (row["frame"], row["id"]) == listing.at
+        picture = thumbs.get(row["frame"], "")
+        image = f'<img class="thumb wide" src="{picture}">' if picture else '<span class="thumb wide"></span>'
+        margin = "" if row["margin"] is None else f'{row["margin"]:+.2f}'
+        luck = " · luck" if row["lucky"] else ""
+        rows.append(
+            f'<tr class="r{" sel" if here else ""}" onclick="sv(\'failure:{place}\')" title="{safe(row["said"])}">'
+            f'<td style="width:52px">{image}</td>'
+            f'<td class="w" style="width:100%"><b>{safe(row["text"])}</b><div class="dim" style="font-size:11px">'
+            f'{safe(row["frame"])}{luck}</div></td>'
+            f'<td class="n">{verdict_chip(row["verdict"], row["detail"])}<div class="dim" style="font-size:11px" '
+            f'title="S of the best acceptable pair less S of the best other one">{margin}</div></td></tr>'
+        )
+    if not rows:
+        rows = ['<tr><td class="dim">Nothing matches.</td></tr>']
+    return f'<table class="found">{"".join(rows)}</table>'

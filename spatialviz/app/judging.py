@@ -1,0 +1,63 @@
+"""The verdict on what a client asks, where the truth of its frame is known. The core computes; this only remembers."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from pipeline.ask import Trace
+from pipeline.diagnosis.live import Judgement, annotated_truth, judge_trace, labelled_truth
+from pipeline.errors import InputError
+from pipeline.evaluation.cases import FrameCases
+from pipeline.evaluation.run_folder import Run
+from pipeline.jobs import Source
+from pipeline.objects import FrameContext
+
+
+class Judge:
+    """Judges traces of one client; the truth of the frame it looked at last is kept.
+
+    Parameters
+    ----------
+    runs : mapping of str to Run
+        By name of the source that the run was made with.
+    """
+
+    def __init__(self, runs: Mapping[str, Run]) -> None:
+        self._runs = runs
+        self._kept: tuple[tuple[str, str], FrameCases | None] | None = None
+
+    def truth(self, name: str, source: Source, context: FrameContext) -> FrameCases | None:
+        """What is true in a frame: by the run's labels, else by the frame's annotations; None where neither is there.
+
+        Raises
+        ------
+        InputError
+            The labels cannot be read.
+        """
+        key = (name, context.frame.id)
+        if self._kept is None or self._kept[0] != key:
+            run = self._runs.get(name)
+            found = None if run is None else labelled_truth(context.frame.id, source, run.labels)
+            self._kept = key, annotated_truth(context, source) if found is None else found
+        return self._kept[1]
+
+    def judge(
+        self, name: str, source: Source, context: FrameContext, trace: Trace, expression: str | None = None
+    ) -> Judgement | str | None:
+        """The verdict, why there can be none, or None where nothing is known of the frame.
+
+        `expression` is the id of the labelled expression that was asked.
+        """
+        try:
+            truth = self.truth(name, source, context)
+            if truth is None:
+                return None
+            run = self._runs.get(name)
+            case = next((c for c in truth.cases if c.id == expression), None)
+            mark = confidence = None
+            if run is not None:
+                confidence = run.spec.confidence
+                mark = run.spec.marks.get((context.frame.id, expression or ""))
+            return judge_trace(trace, source, context, truth, case=case, mark=mark, confidence=confidence)
+        except InputError as error:
+            return str(error)

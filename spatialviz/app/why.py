@@ -1,0 +1,204 @@
+"""The verdict on the current answer: what failed, what would mend it, winner against right pair, all pairs at once."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pipeline.diagnosis.live import Judgement
+from pipeline.diagnosis.oracles import ORACLES
+from pipeline.palette import VERDICTS as COLORS
+from pipeline.palette import hex_color, palette
+from pipeline.ranking import Candidates
+from spatialviz.app.failures import verdict_chip
+from spatialviz.app.state import State
+from spatialviz.app.text import dot, heading, panel, safe
+
+MATRIX_LIMIT = 14
+ORACLE_WORDS = {
+    "RECALL": ("missing objects", "every labelled object the detector missed joins the candidates"),
+    "LIFT": ("true geometry", "every candidate that is an object gets the geometry of its own labelled pixels"),
+    "SRM": ("true relations", "the relation of every pair of real objects is .99, .5 or .01, as labelled"),
+    "CONF": ("true confidences", "real objects of the asked class get .99, false positives .01"),
+}
+
+
+def verdict_line(state: State) -> str:
+    """The verdict in one line, for the head of the answer; a click shows why."""
+    if isinstance(state.judged, Judgement):
+        d = state.judged.diagnosis
+        detail = "lucky" if d.lucky else d.detail
+        return (
+            f'<div class="vline" onclick="svTab(\'Why\')" title="{safe(state.judged.said)}">'
+            f"{verdict_chip(d.verdict, detail)}<span>{safe(state.judged.said)}</span></div>"
+        )
+    return ""
+
+
+def why_html(state: State) -> str:
+    """Everything about the verdict."""
+    judged = state.judged
+    if state.trace is None:
+        return panel('<div class="dim" style="padding:.7em 0">Nothing is asked.</div>')
+    if judged is None:
+        return panel(
+            '<div class="dim" style="padding:.7em 0">No verdict: nothing is known of the truth in this frame. It needs '
+            "labels (a run) or annotations.</div>",
+            _matrix(state),
+        )
+    if isinstance(judged, str):
+        return panel(f'<div class="dim" style="padding:.7em 0">No verdict: {safe(judged)}.</div>', _matrix(state))
+    d = judged.diagnosis
+    head = f'<div style="padding:.55em 0 .3em">{verdict_chip(d.verdict, "lucky" if d.lucky else d.detail)}</div>'
+    return panel(
+        head,
+        f'<div class="said">{safe(judged.said)}</div>',
+        _decomposition(state, judged),
+        _oracles(judged),
+        _matrix(state),
+    )
+
+
+def _decomposition(state: State, judged: Judgement) -> str:
+    """Winner against the best acceptable pair, factor by factor, as log-contributions."""
+    d = judged.diagnosis
+    if not judged.gold or d.winner is None or d.right is None or d.contributions is None or d.winner == d.right:
+        return ""
+    colors = palette(state.dark)
+    config = judged.evidence.answers.source.config.rank
+    weights = (config.target_weight, config.reference_weight, config.relation_weight)
+    shares = {name: w * d.contributions[name] for name, w in zip(d.contributions, weights, strict=True)}
+    scale = max(1e-9, *(abs(v) for v in shares.values()))
+    needed = {n.factor: n for n in judged.needed}
+    rows = []
+    for name, share in shares.items():
+        width = 50 * abs(share) / scale
+        side = f"left:50%;width:{width:.1f}%" if share >= 0 else f"right:50%;width:{width:.1f}%"
+        color = hex_color(COLORS["SRM"]) if share > 0 else hex_color(COLORS["CORRECT"])
+        change = needed.get(name)
+        wanted = "" if change is None or change.right_above is None else f"&gt; {change.right_above:.2f}"
+        rows.append(
+            f"<tr><td>{name}</td><td class=\"n\">{getattr(d.winner, f'p_{name}'):.2f}</td>"
+            f"<td class=\"n\">{getattr(d.right, f'p_{name}'):.2f}</td>"
+            f'<td style="width:38%"><div class="diverge"><i style="--c:{color};{side}"></i></div></td>'
+            f'<td class="n">{share:+.2f}</td><td class="n dim">{wanted}</td></tr>'
+        )
+    total = d.winner.log_score - d.right.log_score
+    pairs = [
+        f"{dot(colors['target'])}{safe(_name(state, s.target))} · "
+        f"{dot(colors['reference'])}{safe(_name(state, s.reference))}"
+        for s in (d.winner, d.right)
+    ]
+    head = (
+        '<tr><th></th><th class="n">answer</th><th class="n">right</th><th>for the right · for the answer</th>'
+        '<th class="n">Δ log</th><th class="n" title="the right pair wins as soon as its factor is above this, '
+        'all else as it is">needed</th></tr>'
+    )
+    return (
+        heading("Answer against the right pair")
+        + f'<div class="facts"><span>answer</span><span>{pairs[0]}</span><span>right</span><span>{pairs[1]}</span></div>'
+        + f'<table>{head}{"".join(rows)}<tr class="sum"><td>S</td><td></td><td></td><td></td>'
+        f'<td class="n"><b>{total:+.2f}</b></td><td></td></tr></table>'
+    )
+
+
+def _name(state: State, place: int) -> str:
+    at = state.shown.place.get(place)
+    return "?" if at is None else state.shown.names[at]
+
+
+def _oracles(judged: Judgement) -> str:
+    """Each oracle alone: is the answer right with it, and by what margin."""
+    d = judged.diagnosis
+    rows = []
+    for k, name in enumerate(("", *ORACLES)):
+        subset = 0 if k == 0 else 1 << (k - 1)
+        right, margin = bool(d.right_with >> subset & 1), float(d.margins[subset])
+        words, hint = ("nothing: as it is", "the pipeline's own answer") if k == 0 else ORACLE_WORDS[name]
+        color = hex_color(COLORS["CORRECT"] if right else COLORS["SRM"])
+        shown = "–" if not np.isfinite(margin) else f"{margin:+.2f}"
+        repair = " on" if name in d.repair else ""
+        rows.append(
+            f'<tr class="{repair}" title="{safe(hint)}"><td><b>{name}</b></td><td>{words}</td>'
+            f'<td style="color:{color}">{"✓ right" if right else "✗ wrong"}</td><td class="n">{shown}</td></tr>'
+        )
+    repair = f"smallest repair: {' + '.join(d.repair)}" if d.repair else ""
+    return (
+        heading("With the truth in place of", repair)
+        + '<table class="oracles"><tr><th></th><th></th><th>target</th>'
+        '<th class="n" title="S of the best acceptable pair less S of the best other one">margin</th></tr>'
+        + "".join(rows)
+        + "</table>"
+    )
+
+
+def _matrix(state: State) -> str:
+    """All candidate pairs as a heat map, targets down and references across; a click chooses the pair."""
+    trace = state.trace
+    if trace is None or not state.ranked or trace.asked.relation == "between" or len(trace.query.labels) > 2:
+        return ""
+    colors = palette(state.dark)
+    targets = trace.candidates[trace.query.expression.target]
+    references = trace.candidates[trace.asked.nodes[0].label]
+    rows, columns = _best(targets), _best(references)
+    place = {(p.target, p.reference): k for k, p in enumerate(state.ranked)}
+    accepted = _accepted(state)
+    head = "".join(
+        f'<th class="ref" title="{safe(_name(state, c))}">{safe(_number(state, c))}<i>{s:.2f}</i></th>'
+        for c, s in columns
+    )
+    body = []
+    for r, score in rows:
+        cells = []
+        for c, _ in columns:
+            k = place.get((r, c))
+            if k is None:
+                cells.append('<td class="no" title="one and the same thing">·</td>')
+                continue
+            pair = state.ranked[k]
+            chosen = state.at(pair)[:2] == (state.pair or ())[:2]
+            marks = f'{" sel" if chosen else ""}{" ok" if (r, c) in accepted else ""}{" top" if k == 0 else ""}'
+            hint = (
+                f"{_name(state, r)} · {_name(state, c)}: relation {pair.p_relation:.3f}, S {pair.log_score:.2f}, "
+                f"P {pair.probability:.3f}, rank {k + 1}" + (", acceptable" if (r, c) in accepted else "")
+            )
+            cells.append(
+                f'<td class="c{marks}" style="--a:{_heat(pair.p_relation):.2f};--p:{pair.probability:.3f}" '
+                f'onclick="sv(\'pair:{k}\')" title="{safe(hint)}">{_short(pair.p_relation)}</td>'
+            )
+        name = f"{dot(colors['target'])}{safe(_name(state, r))}"
+        body.append(
+            f'<tr><td class="w2" title="{safe(_name(state, r))}">{name}</td><td class="n dim">{score:.2f}</td>'
+            f'{"".join(cells)}</tr>'
+        )
+    cut = max(len(targets.index), len(references.index)) > MATRIX_LIMIT
+    more = f"best {MATRIX_LIMIT} a side" if cut else "relation · outlined: acceptable"
+    return (
+        heading("All pairs", more)
+        + f'<div class="mx"><table style="--t:{hex_color(colors["target"])};--g:{hex_color(colors["truth"])};'
+        f'--r:{hex_color(colors["reference"])}"><tr><td></td><td></td>{head}</tr>{"".join(body)}</table></div>'
+    )
+
+
+def _best(candidates: Candidates) -> list[tuple[int, float]]:
+    order = np.argsort(-candidates.scores, kind="stable")[:MATRIX_LIMIT]
+    return [(int(candidates.index[k]), float(candidates.scores[k])) for k in order]
+
+
+def _accepted(state: State) -> set[tuple[int, int]]:
+    """Pairs of candidates that are acceptable, as places in the trace's objects."""
+    if not isinstance(state.judged, Judgement):
+        return set()
+    return state.judged.acceptable_pairs()
+
+
+def _number(state: State, place: int) -> str:
+    return _name(state, place).rpartition("·")[2]
+
+
+def _heat(p: float) -> float:
+    return 0.06 + 0.84 * p
+
+
+def _short(p: float) -> str:
+    return "1" if p >= 0.995 else f"{p:.2f}"[1:]
+
