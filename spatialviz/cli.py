@@ -35,6 +35,8 @@ class View:
     """Dataset folder, or "demo". With --run, the run's own."""
     run_folder: Annotated[Path | None, arg(name="run")] = None
     """A run folder that `eval` wrote: its failures are listed, with its detector and relation scorer."""
+    compare: Path | None = None
+    """With --run: another run on the same dataset, whose answers are shown beside."""
     source: OmitArgPrefixes[SourceOptions] = SourceOptions()
     port: int = 8080
     """Port; if it is taken, the next free one is used."""
@@ -51,11 +53,15 @@ class View:
         from pipeline.jobs import open_sources
         from spatialviz.app.server import serve
 
-        runs = {}
+        runs, others = {}, {}
+        if self.compare is not None and self.run_folder is None:
+            raise InputError("--compare needs --run", expected="--run RUN --compare OTHER_RUN", path=self.compare)
         if self.run_folder is not None:
             run = open_run(self.run_folder, dataset=None if self.dataset == DEMO_NAME else self.dataset)
             name = Path(run.spec.dataset).name
             sources, runs = {name: run.source}, {name: run}
+            if self.compare is not None:
+                others = {name: open_run(self.compare, dataset=run.spec.dataset)}
         else:
             sources, left_out = open_sources(self.dataset, **self.source.options())
             for name, reason in left_out.items():
@@ -63,6 +69,7 @@ class View:
         serve(
             sources,
             runs=runs,
+            others=others,
             host=self.host,
             port=self.port,
             dark=self.theme == "dark",

@@ -63,12 +63,12 @@ def _overlay(state: State) -> str:
                 f'<rect x="{x0:.1f}" y="{y0:.1f}" width="{x1 - x0:.1f}" height="{y1 - y0:.1f}" fill="none" '
                 f'stroke="{color}" stroke-width="{0.7 * unit:.2f}" opacity=".75"/>'
             )
-    truth = hex_color(colors["truth"])
-    for box in state.ghosts.values() if state.flags.ghosts else ():
+    for ghost in state.ghosts if state.flags.ghosts else ():
+        color = hex_color(colors[ghost.role])
         parts += [
-            f'<line x1="{ax:.1f}" y1="{ay:.1f}" x2="{bx:.1f}" y2="{by:.1f}" stroke="{truth}" '
+            f'<line x1="{ax:.1f}" y1="{ay:.1f}" x2="{bx:.1f}" y2="{by:.1f}" stroke="{color}" '
             f'stroke-width="{1.1 * unit:.2f}" stroke-dasharray="{3 * unit:.1f} {2 * unit:.1f}"/>'
-            for (ax, ay), (bx, by) in box_edges_2d(box, frame.camera)
+            for (ax, ay), (bx, by) in box_edges_2d(ghost.box, frame.camera)
         ]
     for i in order:
         if i not in roles and i != state.selected:

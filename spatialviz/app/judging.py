@@ -11,6 +11,7 @@ from pipeline.evaluation.cases import FrameCases
 from pipeline.evaluation.run_folder import Run
 from pipeline.jobs import Source
 from pipeline.objects import FrameContext
+from spatialviz.app.state import OtherAnswer
 
 
 class Judge:
@@ -20,10 +21,12 @@ class Judge:
     ----------
     runs : mapping of str to Run
         By name of the source that the run was made with.
+    others : mapping of str to Run
+        Runs to compare with, by the same names.
     """
 
-    def __init__(self, runs: Mapping[str, Run]) -> None:
-        self._runs = runs
+    def __init__(self, runs: Mapping[str, Run], others: Mapping[str, Run]) -> None:
+        self._runs, self._others = runs, others
         self._kept: tuple[tuple[str, str], FrameCases | None] | None = None
 
     def truth(self, name: str, source: Source, context: FrameContext) -> FrameCases | None:
@@ -61,3 +64,16 @@ class Judge:
             return judge_trace(trace, source, context, truth, case=case, mark=mark, confidence=confidence)
         except InputError as error:
             return str(error)
+
+    def other(self, name: str, context: FrameContext, text: str, expression: str | None) -> OtherAnswer | None:
+        """What the run to compare with answers now, with its verdict by the same truth; None where there is none."""
+        run = self._others.get(name)
+        if run is None:
+            return None
+        try:
+            source = run.source
+            own = context if source.config.lift == context.config else FrameContext(context.frame, source.config.lift)
+            trace = source.ask(own, text)
+        except InputError as error:
+            return OtherAnswer(run.name, None, error=str(error))
+        return OtherAnswer(run.name, trace, self.judge(name, source, own, trace, expression))

@@ -177,7 +177,7 @@ def _blamed(cell: tuple[str, str, str, str], state: State) -> tuple[str, str, st
     """The cell of a module as the verdict has it: the module that failed stands out, and what did not fail is fine."""
     if not isinstance(state.judged, Judgement):
         return cell
-    name, color, cost, hint = cell
+    name, _, cost, hint = cell
     d = state.judged.diagnosis
     blamed = {MODULE_OF[d.verdict]} if d.verdict in MODULE_OF else set()
     if d.verdict == "COMPOUND":

@@ -38,7 +38,28 @@ CUBE_FACES = np.array(
     ]
 )  # fmt: skip
 LINE_WIDTH: dict[Role, float] = {"other": 1.3, "reference": 3.2, "target": 3.2, "truth": 1.6, "edited": 2.5}
+GHOST_GROWTH = 0.012
+"""Ghosts are drawn this much larger, metres, so that they do not lie in the very lines of the answer's boxes."""
 FACE_OPACITY: dict[Role, float] = {"other": 0.035, "reference": 0.15, "target": 0.15}
+
+
+@dataclass(frozen=True)
+class Ghost:
+    """A box beside the answer's: of the label, or of another run's answer.
+
+    Attributes
+    ----------
+    key, text : str
+    box : Box3D
+        Camera frame.
+    role : str
+        "truth" for the label's, "edited" for the other run's.
+    """
+
+    key: str
+    text: str
+    box: Box3D
+    role: Role
 
 
 @dataclass(frozen=True)
@@ -176,13 +197,13 @@ class SceneView:
         selected: int | None,
         pairs: Sequence[tuple[int, int]],
         truth: Sequence[Box3D],
-        ghosts: Mapping[str, Box3D],
+        ghosts: Sequence[Ghost],
         flags: SceneFlags,
         dark: bool,
     ) -> list[Tag]:
         """Draw boxes, the chosen pair first in `pairs`, and return the names to show.
 
-        `truth` are the dataset's exact boxes, `ghosts` the labelled target and reference of a verdict.
+        `truth` are the dataset's exact boxes, `ghosts` those of a label or of another run's answer.
         """
         colors = palette(dark)
         boxed = [i for i, o in enumerate(objects) if o.lifted.box is not None]
@@ -202,24 +223,26 @@ class SceneView:
             self._set_lines("/boxes/selected", _edges(chosen), (255, 255, 255) if dark else (20, 22, 26), 2.0, True)
             shown_truth = [self._shown_box(b) for b in truth]
             self._set_lines("/boxes/truth", _edges(shown_truth), colors["truth"], LINE_WIDTH["truth"], flags.truth)
-            ghost_tags = self._draw_ghosts(ghosts, colors["truth"], flags.ghosts)
+            ghost_tags = self._draw_ghosts(ghosts if flags.ghosts else (), colors)
             self._draw_faces(objects, boxed, role_of, colors, flags)
             self._draw_pairs(pairs, colors, flags)
             axes = self._draw_axes(pairs, dark)
             return axes + ghost_tags + self._draw_tags(objects, names, boxed, role_of, selected, flags, colors)
 
-    def _draw_ghosts(self, ghosts: Mapping[str, Box3D], color: RGB, visible: bool) -> list[Tag]:
-        """The labelled objects, in lines of their own a little outside the answer's."""
-        shown = {name: self._shown_box(box) for name, box in ghosts.items()}
-        grown = [Box3D(b.center, b.R, b.size + 0.012) for b in shown.values()]
-        self._set_lines("/boxes/ghosts", _edges(grown), color, 2.4, visible)
+    def _draw_ghosts(self, ghosts: Sequence[Ghost], colors: Mapping[Role, RGB]) -> list[Tag]:
+        """Boxes beside the answer's, in lines of their own and a little larger."""
         tags = []
-        for name, box in shown.items() if visible else ():
-            if name not in self._ghost_anchors:
-                self._ghost_anchors[name] = self._client.scene.add_frame(f"/tags/ghost-{name}", show_axes=False)
+        shown = [(g, self._shown_box(g.box)) for g in ghosts]
+        for role in ("truth", "edited"):
+            grown = [Box3D(b.center, b.R, b.size + GHOST_GROWTH) for g, b in shown if g.role == role]
+            self._set_lines(f"/boxes/ghosts-{role}", _edges(grown), colors[role], 2.4, True)
+        for ghost, box in shown:
+            if ghost.key not in self._ghost_anchors:
+                anchor = self._client.scene.add_frame(f"/tags/ghost-{ghost.key}", show_axes=False)
+                self._ghost_anchors[ghost.key] = anchor
             low = float(box.corners[:, 2].min())
-            self._ghost_anchors[name].position = (float(box.center[0]), float(box.center[1]), low)
-            tags.append(Tag(f"/tags/ghost-{name}", f"labelled {name}", "", hex_color(color), False))
+            self._ghost_anchors[ghost.key].position = (float(box.center[0]), float(box.center[1]), low)
+            tags.append(Tag(f"/tags/ghost-{ghost.key}", ghost.text, "", hex_color(colors[ghost.role]), False))
         return tags
 
     def _shown_box(self, box: Box3D) -> Box3D:

@@ -27,6 +27,7 @@ def start(
     sources: dict[str, Source],
     *,
     runs: Mapping[str, Run] | None = None,
+    others: Mapping[str, Run] | None = None,
     host: str = "127.0.0.1",
     port: int = 8080,
     dark: bool = True,
@@ -39,6 +40,8 @@ def start(
         Datasets by name; the first is shown first.
     runs : mapping of str to Run, optional
         Evaluations to debug, by the name of their source.
+    others : mapping of str to Run, optional
+        Evaluations whose answers are shown beside, by the same names.
     port : int
         0 lets the system choose; a port that is taken becomes the next free one.
 
@@ -74,7 +77,7 @@ def start(
 
     @server.on_client_connect
     def _(client: viser.ClientHandle) -> None:
-        session = Session(client, store, first, DEMO_EXPRESSION, dark, runs)
+        session = Session(client, store, first, DEMO_EXPRESSION, dark, runs, others)
         with lock:
             sessions[client.client_id] = session
         if client.client_id not in server.get_clients():
@@ -103,13 +106,14 @@ def serve(
     sources: dict[str, Source],
     *,
     runs: Mapping[str, Run] | None = None,
+    others: Mapping[str, Run] | None = None,
     host: str = "127.0.0.1",
     port: int = 8080,
     dark: bool = True,
     open_browser: bool = True,
 ) -> None:
     """Start the server, say where it is, and wait until it is stopped."""
-    server = start(sources, runs=runs, host=host, port=port, dark=dark)
+    server = start(sources, runs=runs, others=others, host=host, port=port, dark=dark)
     shown = "127.0.0.1" if host in ("", "0.0.0.0", "::") else f"[{host}]" if ":" in host else host
     address = f"http://{shown}:{server.get_port()}"
     if host not in (*LOCAL_NAMES, "::1"):

@@ -59,6 +59,7 @@ class Session:
         first_expression: str,
         dark: bool,
         runs: Mapping[str, Run] | None = None,
+        others: Mapping[str, Run] | None = None,
     ) -> None:
         self._client = client
         self._store = store
@@ -68,7 +69,7 @@ class Session:
         self._painted: tuple[Any, ...] = ()
         self._closed = threading.Event()
         self._begun = False
-        self._judge = Judge(runs or {})
+        self._judge = Judge(runs or {}, others or {})
         self.bridge = Bridge(client, self.handle)
         moving = any(has_moves(opened.dataset) for opened in store.sources.values())
         self._help = HelpDialog(client, self.post, moving)
@@ -184,9 +185,7 @@ class Session:
         self._show_working("finding the objects")
         self._thumbs = {}
         self._painted = ()
-        cleared = replace(
-            self.state, frame_id=frame_id, trace=None, pair=None, selected=None, error="", problem="", judged=None
-        )
+        cleared = replace(self.state.unasked, frame_id=frame_id, problem="")
         try:
             loaded = self._store.load(self.state.source, frame_id)
             scores = self._source().score(loaded.context, loaded.objects)
@@ -272,7 +271,7 @@ class Session:
         loaded = self.state.loaded
         if loaded is None:
             return
-        self.state = replace(self.state, text=text, error="", trace=None, pair=None, judged=None)
+        self.state = replace(self.state.unasked, text=text, selected=self.state.selected)
         if str(self.page.expression.value) != text:
             self.page.expression.value = text
         exact = self._exact()
@@ -287,10 +286,10 @@ class Session:
         else:
             shown = shown_objects(loaded, trace, exact)
             self._thumbs = {}
-            judged = self._judge.judge(
-                self.state.source, self._source(), loaded.context, trace, self._runs.expression(self.state.frame_id, text)
-            )
-            self.state = replace(self.state, trace=trace, shown=shown, judged=judged)
+            name, expression = self.state.source, self._runs.expression(self.state.frame_id, text)
+            judged = self._judge.judge(name, self._source(), loaded.context, trace, expression)
+            other = self._judge.other(name, loaded.context, text, expression)
+            self.state = replace(self.state, trace=trace, shown=shown, judged=judged, other=other)
             ranked = self.state.ranked
             pair = self.state.at(ranked[0]) if ranked else None
             self.state = replace(self.state, pair=pair, selected=None if pair is None else pair[0])
@@ -327,9 +326,7 @@ class Session:
         if loaded is None:
             return
         shown = shown_objects(loaded, None, self._exact())
-        self.state = replace(
-            self.state, trace=None, pair=None, selected=None, error="", text="", shown=shown, judged=None
-        )
+        self.state = replace(self.state.unasked, text="", shown=shown)
         self.page.expression.value = ""
         self._draw()
 

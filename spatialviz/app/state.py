@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from pipeline.ask import Trace
-from pipeline.boxes import Box3D
 from pipeline.diagnosis.live import Judgement
 from pipeline.objects import SceneObject
 from pipeline.palette import Role
@@ -15,7 +14,7 @@ from pipeline.ranking import RankedPair
 from spatialviz.app.address import Address
 from spatialviz.app.frames import LoadedFrame
 from spatialviz.app.run_browser import Listing
-from spatialviz.app.scene import SceneFlags
+from spatialviz.app.scene import Ghost, SceneFlags
 
 ColorMode = Literal["rgb", "objects", "depth", "evidence"]
 CameraMode = Literal["sensor", "orbit", "top"]
@@ -44,6 +43,33 @@ NOTHING = Shown((), (), {})
 
 
 @dataclass(frozen=True)
+class OtherAnswer:
+    """What another run answers to the same question about the same frame.
+
+    Attributes
+    ----------
+    name : str
+        Of its system.
+    trace : Trace or None
+    judged : Judgement or str or None
+    error : str
+        Why it cannot be asked.
+    """
+
+    name: str
+    trace: Trace | None
+    judged: Judgement | str | None = None
+    error: str = ""
+
+    @property
+    def best(self) -> RankedPair | None:
+        """Its best pair."""
+        if self.trace is None or self.trace.ranking is None or self.trace.ranking.degenerate:
+            return None
+        return self.trace.ranking.pairs[0]
+
+
+@dataclass(frozen=True)
 class State:
     """One client's view.
 
@@ -68,6 +94,8 @@ class State:
         The verdict on the answer, why there is none, or None where nothing is known of the truth.
     listing : Listing or None
         What is searched of the source's run.
+    other : OtherAnswer or None
+        The answer of a run to compare with.
     """
 
     source: str
@@ -86,6 +114,12 @@ class State:
     dark: bool = True
     judged: Judgement | str | None = None
     listing: Listing | None = None
+    other: OtherAnswer | None = None
+
+    @property
+    def unasked(self) -> State:
+        """The same without any answer."""
+        return replace(self, trace=None, pair=None, selected=None, error="", judged=None, other=None)
 
     @property
     def ranked(self) -> tuple[RankedPair, ...]:
@@ -128,9 +162,20 @@ class State:
         return [chosen, *(pair for pair in others if pair != chosen)]
 
     @property
-    def ghosts(self) -> dict[str, Box3D]:
-        """The labelled target and reference in 3D, beside an answer that has a verdict."""
-        return self.judged.labelled_boxes() if isinstance(self.judged, Judgement) else {}
+    def ghosts(self) -> list[Ghost]:
+        """The labelled target and reference in 3D, and those of the other run where it answers otherwise."""
+        found = []
+        if isinstance(self.judged, Judgement):
+            boxes = self.judged.labelled_boxes()
+            found += [Ghost(name, f"labelled {name}", box, "truth") for name, box in boxes.items()]
+        pair = None if self.other is None else self.other.best
+        if self.other is not None and self.other.trace is not None and pair is not None:
+            for name, place in (("target", pair.target), ("reference", pair.reference)):
+                entry = None if place is None else self.other.trace.objects[place]
+                if entry is not None and entry.lifted.box is not None:
+                    text = f"{self.other.name}: {entry.label}"
+                    found.append(Ghost(f"other-{name}", text, entry.lifted.box, "edited"))
+        return found
 
     @property
     def paint_key(self) -> tuple[object, ...]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from pipeline.boxes import iou_2d
 from pipeline.diagnosis.live import Judgement
 from pipeline.diagnosis.oracles import ORACLES
 from pipeline.palette import VERDICTS as COLORS
@@ -11,7 +12,7 @@ from pipeline.palette import hex_color, palette
 from pipeline.ranking import Candidates
 from spatialviz.app.failures import verdict_chip
 from spatialviz.app.state import State
-from spatialviz.app.text import dot, heading, panel, safe
+from spatialviz.app.text import dot, heading, note, panel, safe
 
 MATRIX_LIMIT = 14
 ORACLE_WORDS = {
@@ -52,9 +53,42 @@ def why_html(state: State) -> str:
     return panel(
         head,
         f'<div class="said">{safe(judged.said)}</div>',
+        _other(state),
         _decomposition(state, judged),
         _oracles(judged),
         _matrix(state),
+    )
+
+
+def _other(state: State) -> str:
+    """The other run's answer beside this one: what moved."""
+    other, mine = state.other, state.ranked[0] if state.ranked else None
+    if other is None:
+        return ""
+    if other.error:
+        return heading("The other run", safe(other.name)) + note(other.error)
+    verdict = ""
+    if isinstance(other.judged, Judgement):
+        d = other.judged.diagnosis
+        verdict = verdict_chip(d.verdict, "lucky" if d.lucky else d.detail)
+    rows = []
+    for name, pair, trace in (("this", mine, state.trace), ("other", other.best, other.trace)):
+        if pair is None or trace is None or pair.reference is None:
+            rows.append(f'<tr><td class="dim">{name}</td><td colspan="6">no answer</td></tr>')
+            continue
+        names = " · ".join(safe(trace.objects[i].label) for i in (pair.target, pair.reference))
+        factors = (pair.p_target, pair.p_reference, pair.p_relation)
+        cells = "".join(f'<td class="n">{p:.2f}</td>' for p in factors)
+        rows.append(f'<tr><td class="dim">{name}</td><td class="w">{names}</td>{cells}</tr>')
+    moved = ""
+    if mine is not None and other.best is not None and state.trace is not None and other.trace is not None:
+        ours, theirs = (t.objects[p.target].bbox for t, p in ((state.trace, mine), (other.trace, other.best)))
+        same = float(iou_2d(ours, theirs)[0, 0])
+        moved = "the same target" if same >= 0.5 else "another target"
+    head = '<tr><th></th><th></th><th class="n">tgt</th><th class="n">ref</th><th class="n">rel</th></tr>'
+    return (
+        heading("Against the other run", f"{safe(other.name)}: {moved}")
+        + f'<div style="padding-bottom:3px">{verdict}</div><table>{head}{"".join(rows)}</table>'
     )
 
 
@@ -95,7 +129,8 @@ def _decomposition(state: State, judged: Judgement) -> str:
     )
     return (
         heading("Answer against the right pair")
-        + f'<div class="facts"><span>answer</span><span>{pairs[0]}</span><span>right</span><span>{pairs[1]}</span></div>'
+        + f'<div class="facts"><span>answer</span><span>{pairs[0]}</span>'
+        f"<span>right</span><span>{pairs[1]}</span></div>"
         + f'<table>{head}{"".join(rows)}<tr class="sum"><td>S</td><td></td><td></td><td></td>'
         f'<td class="n"><b>{total:+.2f}</b></td><td></td></tr></table>'
     )
