@@ -84,11 +84,12 @@ class FrameCases:
 
 def read_cases(labels: Labels, first: int, stop: int) -> Iterator[FrameCases]:
     """The frames from index `first` up to `stop` that have expressions, in order."""
-    rows = {name: _part(labels.root, name, first, stop) for name in ("frames", "objects", "relations", "expressions")}
+    names = [r for r in PAIRWISE if r in labels.relation_names]
+    columns = {**_COLUMNS, "relations": ["frame_index", "a", "b", *names]}
+    rows = {table: _part(labels.root, table, chosen, first, stop) for table, chosen in columns.items()}
     scenes = dict(zip(*(rows["frames"].column(n).to_pylist() for n in ("frame_index", "scene")), strict=True))
     expressions = _by_frame(rows["expressions"])
     objects, relations = _by_frame(rows["objects"]), _by_frame(rows["relations"])
-    names = [r for r in PAIRWISE if r in labels.relation_names]
     for index in sorted(expressions):
         own = objects[index]
         numbers = own["object"]
@@ -128,19 +129,21 @@ def read_cases(labels: Labels, first: int, stop: int) -> Iterator[FrameCases]:
         )
 
 
-_COLUMNS: dict[str, list[str] | None] = {
+_COLUMNS = {
     "frames": ["frame_index", "scene"],
     "objects": ["frame_index", "object", "label", "bbox"],
-    "relations": None,
-    "expressions": None,
-}
+    "expressions": [
+        "frame", "frame_index", "id", "text", "target", "relation", "reference", "target_object", "reference_object",
+        "targets", "acceptable", "ambiguous", "margin",
+    ],
+}  # fmt: skip
 
 
-def _part(root: Path, name: str, first: int, stop: int) -> pa.Table:
+def _part(root: Path, name: str, columns: list[str], first: int, stop: int) -> pa.Table:
     import pyarrow.parquet as pq
 
     chosen = [("frame_index", ">=", first), ("frame_index", "<", stop)]
-    return pq.read_table(root / f"{name}.parquet", columns=_COLUMNS[name], filters=chosen)
+    return pq.read_table(root / f"{name}.parquet", columns=columns, filters=chosen)
 
 
 def _by_frame(table: pa.Table) -> dict[int, dict[str, list[Any]]]:

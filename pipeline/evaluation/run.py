@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from pipeline.boxes import iou_2d
+from pipeline.datasets.capabilities import load_picture
 from pipeline.errors import InputError
 from pipeline.evaluation.answering import FrameAnswers
 from pipeline.evaluation.cases import FrameCases, read_cases
@@ -22,6 +24,7 @@ from pipeline.jobs import Source, open_source
 from pipeline.labels.local import one_thread, threads_in_children
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.objects import FrameContext
+from pipeline.proposals.base import reads_annotations
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -96,19 +99,24 @@ class Evaluator:
             truth = replace(truth, cases=kept)
         if not truth.cases:
             return []
-        frame = self.source.dataset.load(truth.frame)
+        if self.whole is None and not reads_annotations(self.source.needed_detector()):
+            frame = load_picture(self.source.dataset, truth.frame)
+        else:
+            frame = self.source.dataset.load(truth.frame)
         if self.whole is not None:
             pointed = self.whole.point(frame, [case.text for case in truth.cases])
             return [record_whole(c, truth, p) for c, p in zip(truth.cases, pointed, strict=True)]
-        context = FrameContext(frame, self.source.config.lift)
+        # No answer depends on 3D boxes: features that are made of boxes fit them to the points themselves.
+        context = FrameContext(frame, self.source.config.lift, boxes=False)
         names = dict.fromkeys(name for case in truth.cases for name in (case.target, case.reference))
         relations = {case.relation for case in truth.cases}
         answers = FrameAnswers(self.source, context, tuple(names), relations)
+        overlap = iou_2d(answers.boxes, truth.boxes)
         rows = []
         for case in truth.cases:
             if case.text not in self._parsed:
                 self._parsed[case.text] = read_query(case, self.class_names)
-            rows.append(record(case, truth, answers, self._parsed[case.text]))
+            rows.append(record(case, truth, answers, self._parsed[case.text], overlap))
         return rows
 
     def block(self, first: int, stop: int) -> pa.Table:
