@@ -13,6 +13,7 @@ import numpy as np
 
 from pipeline.ask import merged, propose
 from pipeline.errors import InputError
+from pipeline.evaluation.stage_clock import StageClock
 from pipeline.jobs import Source
 from pipeline.objects import FrameContext, same_object
 from pipeline.proposals.base import Proposals
@@ -80,6 +81,8 @@ class FrameAnswers:
         All class names that will be asked for.
     relations : collection of str
         All relations that will be.
+    clock : StageClock, optional
+        Is told what each stage took.
 
     Attributes
     ----------
@@ -91,26 +94,36 @@ class FrameAnswers:
     """
 
     def __init__(
-        self, source: Source, context: FrameContext, names: Sequence[str], relations: Collection[str] = PAIRWISE
+        self,
+        source: Source,
+        context: FrameContext,
+        names: Sequence[str],
+        relations: Collection[str] = PAIRWISE,
+        clock: StageClock | None = None,
     ) -> None:
         detector = source.needed_detector()
         self.source, self.context = source, context
+        self.clock = clock or StageClock()
         self.unknown: dict[str, str] = {}
         found: dict[str, Proposals] = {}
-        for name in names:
-            try:
-                found[name] = propose(context, detector, name, source.config.k)
-            except InputError as error:
-                self.unknown[name] = str(error)
+        with self.clock.stage("opm"):
+            for name in names:
+                try:
+                    found[name] = propose(context, detector, name, source.config.k)
+                except InputError as error:
+                    self.unknown[name] = str(error)
         calibration = None if detector.exact else source.config.score_calibration
-        objects, candidates = merged(context, detector, found, calibration)
+        with self.clock.stage("lift"):
+            objects, candidates = merged(context, detector, found, calibration)
         nothing = Candidates(np.zeros(0, np.int64), np.zeros(0))
         self.objects = objects
         self.candidates: dict[str, Candidates] = {name: candidates.get(name, nothing) for name in names}
         self.boxes = np.array([o.bbox for o in objects], np.float64).reshape(-1, 4)
         self.mask_sizes = np.array([o.lifted.quality.mask_pixels for o in objects], np.int64)
-        self.same = same_object(objects, detector.exact)
-        self._scores = source.score(context, objects, relations) if objects else None
+        with self.clock.stage("rank"):
+            self.same = same_object(objects, detector.exact)
+        with self.clock.stage("srm"):
+            self._scores = source.score(context, objects, relations) if objects else None
 
     def score(self, target: str, relation: str, reference: str) -> Scored | None:
         """All candidate pairs of an expression; None where a class was not found."""

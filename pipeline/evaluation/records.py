@@ -114,14 +114,15 @@ def record(
     }  # fmt: skip
     pairs = truth.acceptable_pairs(case)
     _opm(row, case, answers, overlap)
-    scored = answers.score(case.target, case.relation, case.reference) if gold else None
     covered = _coverage(row, case, pairs, answers, overlap >= HIT)
-    winner = None
-    if scored is not None:
-        place = answers.best(scored)
-        if place is not None:
-            winner = scored.pair(*place)
-            _right(row, scored, winner, covered, answers)
+    winner = place = None
+    with answers.clock.stage("rank"):
+        scored = answers.score(case.target, case.relation, case.reference) if gold else None
+        if scored is not None:
+            place = answers.best(scored)
+    if scored is not None and place is not None:
+        winner = scored.pair(*place)
+        _right(row, scored, winner, covered, answers)
     _winner(row, case, truth, answers, winner, pairs, overlap)
     return row
 

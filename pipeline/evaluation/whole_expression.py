@@ -8,6 +8,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from pipeline.boxes import iou_2d
 from pipeline.errors import InputError
 from pipeline.evaluation.cases import Case, FrameCases
 from pipeline.evaluation.records import COLUMNS, HIT, matched, overlaps
