@@ -168,7 +168,7 @@ def same_object(objects: Sequence[SceneObject], exact: bool) -> np.ndarray:
     same |= overlap >= SAME_BOX_IOU
     if (overlap > 0).sum() > len(objects):
         # A filled 2D box is no mask; for it the stricter test of boxes stands.
-        masked = np.flatnonzero([o.lifted.quality.mask_source != "box" for o in objects])
+        masked = [i for i, o in enumerate(objects) if o.lifted.quality.mask_source != "box"]
         same[np.ix_(masked, masked)] |= mask_iou([objects[i].mask for i in masked]) >= SAME_MASK_IOU
     return same
 

@@ -88,8 +88,8 @@ def load_picture(dataset: Dataset, frame_id: str) -> Frame:
     InputError
         As `Dataset.load`.
     """
-    method = getattr(dataset, "load_picture", None)
-    return method(frame_id) if callable(method) else dataset.load(frame_id)
+    method: Any = getattr(dataset, "load_picture", None)
+    return dataset.load(frame_id) if method is None else method(frame_id)
 
 
 def _ask(dataset: Dataset, capability: str, nothing: Any, *arguments: str) -> Any:

@@ -18,7 +18,14 @@ import numpy as np
 
 from pipeline.errors import InputError, MissingExtra
 from pipeline.evaluation.job import make_tables
-from pipeline.evaluation.run import EvalSpec, Evaluator, blocks_of, evaluate_labels, frames_with_expressions
+from pipeline.evaluation.run import (
+    FRAMES_A_BLOCK,
+    EvalSpec,
+    Evaluator,
+    blocks_of,
+    evaluate_labels,
+    frames_with_expressions,
+)
 from pipeline.jobs import open_source
 from pipeline.labels.job import label_dataset
 from pipeline.labels.local import one_thread
@@ -78,11 +85,12 @@ def bench_evaluation(
         raise InputError("at least one worker, one expression and two pairs are needed", got=f"{workers}, {singly}, "
                          f"{pairs}")  # fmt: skip
     with _inputs(dataset, labels, recording) as spec:
+        # The job first: later this process also holds what only the other measurements load.
+        job = _job(spec, workers)
         with one_thread():
             evaluator, stages, records = _by_stages(spec)
             alone = _asked_singly(evaluator, records, singly)
             training = _training(evaluator.labels, pairs)
-        job = _job(spec, evaluator.labels, workers)
     expressions = records.num_rows
     answering = sum(seconds for name, seconds in stages.items() if name != "tables")
     rate = expressions / answering
@@ -189,12 +197,12 @@ def _same_answer(row: dict[str, Any], trace: Any) -> bool:
     return [row["box"], row["reference_box"]] == boxes and abs(row["p_relation"] - best.p_relation) < P_TOLERANCE
 
 
-def _job(spec: EvalSpec, labels: Labels, workers: int) -> dict[str, Any]:
+def _job(spec: EvalSpec, workers: int) -> dict[str, Any]:
     """The whole evaluation by so many processes, on the wall clock, with the memory of all of them."""
-    frames = len(frames_with_expressions(labels))
-    workers = min(workers, frames)
+    frames = len(frames_with_expressions(open_labels(spec.labels)))
+    workers = max(1, min(workers, frames))
     # A small dataset is cut into smaller blocks, so that each process has some.
-    a_block = max(1, min(24, frames // (2 * workers) or 1))
+    a_block = max(1, min(FRAMES_A_BLOCK, frames // (2 * workers)))
     start = perf_counter()
     with PeakMemory() as memory:
         rows = sum(t.num_rows for t in evaluate_labels(spec, workers=workers, frames_a_block=a_block))
