@@ -321,6 +321,7 @@ def lift(
     config: LiftConfig | None = None,
     mask_source: MaskSource = "annotation",
     edges: np.ndarray | None = None,
+    boxes: bool = True,
 ) -> tuple[LiftedObject, ...]:
     """Lift masks to 3D.
 
@@ -333,6 +334,8 @@ def lift(
         The level frame for extents and boxes.
     edges : (H, W) bool, optional
         From `depth_edges`, where it is at hand already.
+    boxes : bool
+        Fit 3D boxes; without, `box` is None and `yaw_confidence` 0, all else is the same.
 
     Returns
     -------
@@ -342,7 +345,7 @@ def lift(
     config = config or LiftConfig()
     if edges is None:
         edges = depth_edges(depth, config)
-    return tuple(_lift_one(depth, camera, m, viewer, config, mask_source, edges) for m in masks)
+    return tuple(_lift_one(depth, camera, m, viewer, config, mask_source, edges, boxes) for m in masks)
 
 
 def _lift_one(
@@ -353,6 +356,7 @@ def _lift_one(
     config: LiftConfig,
     mask_source: MaskSource,
     edges: np.ndarray,
+    boxes: bool,
 ) -> LiftedObject:
     evidence, fallback = clean(mask, depth, edges, config)
     v, u = np.nonzero(evidence.codes == Pixel.KEPT)
@@ -383,7 +387,7 @@ def _lift_one(
         fallback=fallback,
         mask_source=mask_source,
     )
-    box, confidence = fit_box(points, viewer, config.box)
+    box, confidence = fit_box(points, viewer, config.box) if boxes else (None, 0.0)
     lo, hi, source = extents(points, box, viewer)
     return LiftedObject(points, box, confidence, lo, hi, source, evidence, quality)
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from time import perf_counter
 
+import cv2
 import numpy as np
 
 from pipeline.boxes import Box3D, iou_2d
@@ -54,6 +55,8 @@ class FrameContext:
     ----------
     frame : Frame
     config : LiftConfig, optional
+    boxes : bool
+        Fit 3D boxes; without them lifting is a third cheaper, and all relations are the same.
 
     Attributes
     ----------
@@ -66,8 +69,9 @@ class FrameContext:
         What making it took.
     """
 
-    def __init__(self, frame: Frame, config: LiftConfig | None = None) -> None:
+    def __init__(self, frame: Frame, config: LiftConfig | None = None, *, boxes: bool = True) -> None:
         start = perf_counter()
+        self.boxes = boxes
         self.config = config or LiftConfig()
         camera = resolve_up(frame.depth, frame.camera)
         assert camera.up is not None
@@ -94,6 +98,7 @@ class FrameContext:
                     config=self.config,
                     mask_source=source,
                     edges=self.edges,
+                    boxes=self.boxes,
                 )
                 known = lifted, mask
                 if key[1] >= 0:
@@ -162,14 +167,30 @@ def same_object(objects: Sequence[SceneObject], exact: bool) -> np.ndarray:
     overlap = iou_2d(np.stack([o.bbox for o in objects]), np.stack([o.bbox for o in objects]))
     same |= overlap >= SAME_BOX_IOU
     if (overlap > 0).sum() > len(objects):
-        # A coarse grid of the masks decides an overlap of a half as surely as every pixel.
-        step = max(1, objects[0].mask.shape[1] // 320)
-        flat = np.stack([o.mask[::step, ::step].ravel() for o in objects]).astype(np.float32)
-        shared = flat @ flat.T
-        area = flat.sum(axis=1)
-        union = area[:, None] + area[None, :] - shared
-        masked = np.array([o.lifted.quality.mask_source != "box" for o in objects])
-        alike = np.divide(shared, union, out=np.zeros_like(union), where=union > 0) >= SAME_MASK_IOU
         # A filled 2D box is no mask; for it the stricter test of boxes stands.
-        same |= alike & masked[:, None] & masked[None, :]
+        masked = [i for i, o in enumerate(objects) if o.lifted.quality.mask_source != "box"]
+        same[np.ix_(masked, masked)] |= mask_iou([objects[i].mask for i in masked]) >= SAME_MASK_IOU
     return same
+
+
+def mask_iou(masks: Sequence[np.ndarray]) -> np.ndarray:
+    """(N, N) float64: intersection over union of (H, W) bool masks, on a grid of some 320 columns; 0 for empty ones.
+
+    A coarse grid decides an overlap of a half as surely as every pixel.
+    """
+    found = np.zeros((len(masks), len(masks)))
+    if not len(masks):
+        return found
+    step = max(1, masks[0].shape[1] // 320)
+    coarse = [np.ascontiguousarray(m[::step, ::step]) for m in masks]
+    x, y, w, h = np.array([cv2.boundingRect(m.view(np.uint8)) for m in coarse]).T
+    area = np.array([np.count_nonzero(m) for m in coarse])
+    left, top = np.maximum(x[:, None], x), np.maximum(y[:, None], y)
+    right, bottom = (np.minimum(end[:, None], end) for end in (x + w, y + h))
+    # Few of all pairs share any pixel: only where the rectangles around the masks meet.
+    i, j = np.nonzero(np.triu((right > left) & (bottom > top)))
+    for a, b in zip(i.tolist(), j.tolist(), strict=True):
+        part = np.s_[top[a, b] : bottom[a, b], left[a, b] : right[a, b]]
+        shared = np.count_nonzero(coarse[a][part] & coarse[b][part])
+        found[a, b] = found[b, a] = shared / (area[a] + area[b] - shared)
+    return found

@@ -13,7 +13,7 @@ extras of the same profile; `pipeline.arrangement` has between, closest and fart
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -232,7 +232,11 @@ def _above(pairs: PairMeasures, profile: Profile) -> np.ndarray:
 
 
 def pairwise_states(
-    lo: np.ndarray, hi: np.ndarray, clouds: Sequence[np.ndarray] | None = None, profile: Profile | None = None
+    lo: np.ndarray,
+    hi: np.ndarray,
+    clouds: Sequence[np.ndarray] | None = None,
+    profile: Profile | None = None,
+    relations: Collection[str] = PAIRWISE,
 ) -> np.ndarray:
     """All relations that have a state for every ordered pair.
 
@@ -244,22 +248,37 @@ def pairwise_states(
         Each object's points along (right, up, forward); `on` reads the height
         of the supporting surface from them and `in` counts them. Without
         points the extents stand in.
+    relations : collection of str
+        Of those that look at points only these are judged; the directions always are.
 
     Returns
     -------
-    (N, N, 9) int8
-        In the order of PAIRWISE; the diagonal is F.
+    (N, N, R) int8
+        In the order of PAIRWISE, as `judged_relations` names them; the diagonal is F.
     """
     profile = profile or Profile()
     lo, hi = np.asarray(lo, np.float64).reshape(-1, 3), np.asarray(hi, np.float64).reshape(-1, 3)
     known = known_extents(lo, hi)
     clean_lo, clean_hi = np.where(known[:, None], lo, 0.0), np.where(known[:, None], hi, 0.0)
     pairs = measure_pairs(clean_lo, clean_hi, profile)
-    found = [_on(pairs, clouds, profile), _in(pairs, clouds, profile), _near(pairs, profile)]
+    directions = directional_states(lo, hi, profile)
+    judges: dict[str, Callable[[], np.ndarray]] = {
+        "on": lambda: _on(pairs, clouds, profile),
+        "in": lambda: _in(pairs, clouds, profile),
+        "near": lambda: _near(pairs, profile),
+    }
+    found = [judge() for name, judge in judges.items() if name in relations]
+    if not found:
+        return directions
     extra = np.stack(found, axis=2).astype(np.int8)
     extra[~(known[:, None] & known[None, :])] = U
     extra[np.eye(len(lo), dtype=bool)] = F
-    return np.concatenate([directional_states(lo, hi, profile), extra], axis=2)
+    return np.concatenate([directions, extra], axis=2)
+
+
+def judged_relations(relations: Collection[str]) -> tuple[str, ...]:
+    """What `pairwise_states` judges where it is asked for these."""
+    return tuple(name for name in PAIRWISE if name in DIRECTIONAL or name in relations)
 
 
 def on_measures(
@@ -307,12 +326,18 @@ def _surface_heights(
     plan = cloud[:, [0, 2]]
     margin = profile.on_footprint_margin
     low, high = pairs.lo[:, [0, 2]] - margin, pairs.hi[:, [0, 2]] + margin
-    under = np.logical_and.reduce((plan[None] >= low[:, None]) & (plan[None] <= high[:, None]), axis=2)
+    # Most footprints are nowhere near b: only the others need be compared with each of its points.
+    near = np.flatnonzero((low <= plan.max(axis=0)).all(axis=1) & (high >= plan.min(axis=0)).all(axis=1))
+    if not len(near):
+        return top
+    low, high = low[near, None], high[near, None]
+    under = np.logical_and.reduce((plan[None] >= low) & (plan[None] <= high), axis=2)
     order = np.argsort(cloud[:, 1])
     rank = np.cumsum(under[:, order], axis=1)
     number = rank[:, -1]
     at = (rank >= np.ceil(0.95 * number)[:, None]).argmax(axis=1)
-    return np.where(number > 0, cloud[order, 1][at], top)
+    top[near] = np.where(number > 0, cloud[order, 1][at], top[near])
+    return top
 
 
 def in_measures(
@@ -332,7 +357,10 @@ def in_measures(
     for a in range(len(pairs.lo)):
         if clouds is not None and len(clouds[a]):
             cloud = clouds[a][:: max(1, len(clouds[a]) // 500)]
-            share[a] = ((cloud[None] >= low[:, None]) & (cloud[None] <= high[:, None])).all(axis=2).mean(axis=1)
+            # Most boxes hold none of a's points.
+            near = np.flatnonzero((low <= cloud.max(axis=0)).all(axis=1) & (high >= cloud.min(axis=0)).all(axis=1))
+            inside = (cloud[None] >= low[near, None]) & (cloud[None] <= high[near, None])
+            share[a, near] = inside.all(axis=2).mean(axis=1)
         else:
             shared = np.minimum(pairs.hi[a], high) - np.maximum(pairs.lo[a], low)
             share[a] = (np.clip(shared, 0, None) / pairs.extent[a]).clip(0, 1).prod(axis=1)

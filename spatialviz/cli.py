@@ -17,7 +17,7 @@ from tyro.conf import OmitArgPrefixes, Positional, arg, subcommand
 from pipeline import __version__
 from pipeline.errors import InputError, MissingExtra
 from spatialviz.cli_detect import Calibrate, Detect
-from spatialviz.cli_eval import Eval
+from spatialviz.cli_eval import BenchEval, Eval
 from spatialviz.cli_labels import BenchLabel, Check, Export, Label, Merge
 from spatialviz.cli_training import Train
 from spatialviz.exits import BAD, FINE, INTERRUPTED, NO
@@ -308,6 +308,7 @@ Command = Union[
     Annotated[Eval, subcommand("eval")],
     Annotated[Bench, subcommand("bench")],
     Annotated[BenchLabel, subcommand("bench-label")],
+    Annotated[BenchEval, subcommand("bench-eval")],
 ]
 
 
@@ -323,8 +324,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         return FINE
     if not arguments or (arguments[0].startswith("-") and arguments[0] not in ("-h", "--help")):
         arguments = ["view", *arguments]
-    if arguments[:2] == ["bench", "label"]:
-        arguments = ["bench-label", *arguments[2:]]
+    if arguments[:2] in (["bench", "label"], ["bench", "eval"]):
+        arguments = [f"bench-{arguments[1]}", *arguments[2:]]
     try:
         command = tyro.cli(
             Command,  # pyright: ignore[reportArgumentType]

@@ -1,4 +1,4 @@
-"""The command that evaluates."""
+"""The commands that evaluate, and that time it."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Literal
 from tyro.conf import OmitArgPrefixes, Positional
 
 from pipeline.errors import InputError
-from spatialviz.exits import FINE
+from spatialviz.exits import FINE, NO
 from spatialviz.options import print_json
 from spatialviz.source_options import SourceOptions
 
@@ -83,3 +83,41 @@ class Eval:
         else:
             print_run(report, self.show)
         return FINE
+
+
+@dataclass(frozen=True)
+class BenchEval:
+    """Time evaluation with recorded proposals, stage by stage and beside asking one by one, and training."""
+
+    dataset: Positional[str] = "demo"
+    """Dataset folder, or "demo"."""
+    labels: Path | None = None
+    """Its labels folder. Default: the dataset is labelled for the occasion."""
+    recording: Path | None = None
+    """Recorded proposals. Default: those of the simulated detector."""
+    workers: int = os.cpu_count() or 1
+    """Processes of the whole job."""
+    singly: int = 48
+    """Expressions that are also asked one by one."""
+    pairs: int = 75_000
+    """Training pairs; the labels' own are repeated until there are so many."""
+    json: bool = False
+    """Print one JSON object."""
+
+    def run(self) -> int:
+        from pipeline.evaluation.bench import bench_evaluation
+        from spatialviz.printing_bench import print_evaluation_bench
+
+        record = bench_evaluation(
+            self.dataset,
+            self.labels,
+            recording=self.recording,
+            workers=self.workers,
+            singly=self.singly,
+            pairs=self.pairs,
+        )
+        if self.json:
+            print_json(record)
+        else:
+            print_evaluation_bench(record)
+        return FINE if not record["asked_singly"]["differ"] else NO

@@ -20,7 +20,7 @@ class Dataset(Protocol):
     A dataset may have more to say, by methods that `pipeline.datasets.capabilities`
     asks for and that most do not have: `moves(frame_id)`, a dict of move to frame id;
     `given_expressions(frame_id)`, a tuple of GivenExpression; `splits()`, a dict of
-    split to frame ids.
+    split to frame ids; `load_picture(frame_id)`, the frame without its annotations.
 
     Attributes
     ----------

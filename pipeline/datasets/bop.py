@@ -80,6 +80,13 @@ class BopDataset:
 
     def load(self, frame_id: str) -> Frame:
         """Decode one frame; see `Dataset.load`."""
+        return self._load(frame_id, annotated=True)
+
+    def load_picture(self, frame_id: str) -> Frame:
+        """The same without annotations: their masks are most of what there is to decode."""
+        return self._load(frame_id, annotated=False)
+
+    def _load(self, frame_id: str, annotated: bool) -> Frame:
         if frame_id not in self._place:
             raise unknown_frame(self, frame_id)
         name, image = self._place[frame_id]
@@ -100,7 +107,7 @@ class BopDataset:
             notes.append(f"no camera pose: {error.what}")
         size = (pair[1].shape[0], pair[1].shape[1])
         camera = make_camera(K, size, pose, settings, table)
-        annotations = self._annotations(scene, image, size, notes)
+        annotations = self._annotations(scene, image, size, notes) if annotated else ()
         return make_frame(frame_id, pair, camera, depth, annotations, tuple(notes))
 
     def _scene(self, name: str) -> BopScene:

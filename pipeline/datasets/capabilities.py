@@ -1,4 +1,4 @@
-"""What only some datasets have: moves between frames, expressions of their own, and splits.
+"""What only some datasets have: moves between frames, expressions of their own, splits, frames without annotations.
 
 A dataset has one of them where it has the method of that name; the functions
 here ask for it, and give nothing for a dataset without it.
@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from pipeline.datasets.base import Dataset
+from pipeline.frame import Frame
 
 MOVES = ("rotate_ccw", "rotate_cw", "forward", "backward", "left", "right")
 """The moves of a robot from one frame to another, in the order in which they are always given:
@@ -77,6 +78,18 @@ def splits(dataset: Dataset) -> dict[str, tuple[str, ...]]:
         A split file that cannot be read, or must not be.
     """
     return _ask(dataset, "splits", {})
+
+
+def load_picture(dataset: Dataset, frame_id: str) -> Frame:
+    """A frame for those who need no annotations: without them where the dataset can leave them out, else whole.
+
+    Raises
+    ------
+    InputError
+        As `Dataset.load`.
+    """
+    method: Any = getattr(dataset, "load_picture", None)
+    return dataset.load(frame_id) if method is None else method(frame_id)
 
 
 def _ask(dataset: Dataset, capability: str, nothing: Any, *arguments: str) -> Any:

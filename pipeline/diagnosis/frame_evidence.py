@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
+from collections.abc import Sequence
 
 import numpy as np
 
-from pipeline.boxes import Box3D, iou_2d
+from pipeline.boxes import iou_2d
+from pipeline.diagnosis.true_objects import TrueObjects, needs_points
 from pipeline.evaluation.answering import FrameAnswers
-from pipeline.evaluation.cases import FrameCases
+from pipeline.evaluation.cases import Case, FrameCases
 from pipeline.evaluation.records import HIT
-from pipeline.lifting import LiftedObject, Quality
-from pipeline.objects import SAME_BOX_IOU, SceneObject
-from pipeline.proposals.annotations import AnnotationDetector, box_mask
-from pipeline.relations import PAIRWISE
+from pipeline.objects import SAME_BOX_IOU
+from pipeline.relations import DIRECTIONAL
 
 DEFAULT_CONFIDENCE = 0.5
 """Confidence of a recalled object where no right detection is known to take it from."""
@@ -26,10 +25,10 @@ class FrameEvidence:
     ----------
     truth : FrameCases
     answers : FrameAnswers
-    relations : collection of str
-        Those that expressions of the frame ask for.
     confidence : float
         Score of an object that the oracle RECALL adds, 0..1.
+    cases : sequence of Case, optional
+        The expressions that will be diagnosed; all of the frame by default.
 
     Attributes
     ----------
@@ -37,10 +36,7 @@ class FrameEvidence:
         IoU of the 2D boxes.
     match : (D,) int64
         The labelled object that each detection is, of whatever class: the best overlap of at least a half; -1 for none.
-    known : (N,) bool
-        Labelled objects whose true geometry is at hand.
-    pseudo : (N,) bool
-        Those of them whose geometry is the box of the label, because the dataset has no pixels of them.
+    objects : TrueObjects
     same : (D + N, D + N) bool
         One and the same thing.
     mask_sizes : (D + N,) int64
@@ -51,48 +47,62 @@ class FrameEvidence:
         self,
         truth: FrameCases,
         answers: FrameAnswers,
-        relations: Collection[str] = PAIRWISE,
         confidence: float = DEFAULT_CONFIDENCE,
+        cases: Sequence[Case] | None = None,
     ) -> None:
         self.truth, self.answers, self.confidence = truth, answers, confidence
-        self._relations = tuple(relations)
+        self._cases = truth.cases if cases is None else tuple(cases)
         self.detections, self.labelled = len(answers.objects), len(truth.labels)
         self.overlap = iou_2d(answers.boxes, truth.boxes)
-        best = self.overlap.argmax(axis=1) if self.labelled else np.zeros(self.detections, np.int64)
-        found = self.overlap[np.arange(self.detections), best] >= HIT if self.labelled else np.zeros(0, np.bool_)
-        self.match = np.where(found, best, -1) if self.labelled else np.full(self.detections, -1, np.int64)
-        self.true_objects, self.pseudo = _true_objects(truth, answers)
-        self.known = np.array([o is not None for o in self.true_objects], np.bool_)
+        self.match = np.full(self.detections, -1, np.int64)
+        if self.overlap.size:
+            best = self.overlap.argmax(axis=1)
+            found = self.overlap[np.arange(self.detections), best] >= HIT
+            self.match = np.where(found, best, -1)
+        self.objects = TrueObjects(truth, answers.context)
         d, n = self.detections, self.labelled
         self.same = np.zeros((d + n, d + n), np.bool_)
         self.same[:d, :d] = answers.same
         self.same[:d, d:] = self.overlap >= SAME_BOX_IOU
         self.same[d:, :d] = self.same[:d, d:].T
         self.same[d:, d:] = np.eye(n, dtype=np.bool_)
-        true_sizes = [0 if o is None else o.lifted.quality.mask_pixels for o in self.true_objects]
-        self.mask_sizes = np.concatenate([answers.mask_sizes, np.array(true_sizes, np.int64)])
+        sizes = truth.facts["mask_pixels"]
+        true_sizes = np.where(np.isfinite(sizes), sizes, 0).astype(np.int64)
+        self.mask_sizes = np.concatenate([answers.mask_sizes, true_sizes])
         self._probabilities: dict[str, np.ndarray] = {}
+
+    @property
+    def known(self) -> np.ndarray:
+        """(N,) bool: labelled objects whose true geometry is known."""
+        return self.objects.known
 
     def match_at(self, places: np.ndarray) -> np.ndarray:
         """(K,) int64: the labelled object, of whatever class, at each place of the list; -1 for none."""
-        return np.concatenate([self.match, np.arange(self.labelled)])[places]
+        return np.asarray(np.concatenate([self.match, np.arange(self.labelled)])[places], np.int64)
 
     def probabilities(self, relation: str) -> np.ndarray:
-        """(D + N, D + N) float64: the scorer's word on every ordered pair; NaN where geometry is not known.
+        """(D + N, D + N) float64: the scorer's word on every pair that the cases of this relation are about.
 
-        Among detections these are the very numbers of the answer.
+        Among detections these are the very numbers of the answer. NaN for other pairs, and where geometry is not known.
         """
-        if not self._probabilities:
-            self._score()
+        if relation not in self._probabilities:
+            asked = {case.relation for case in self._cases}
+            # The directions cost next to nothing; what looks at points is scored for the objects it is asked of.
+            together = [r for r in DIRECTIONAL if r in asked] if relation in DIRECTIONAL else [relation]
+            self._score(together or [relation])
         return self._probabilities[relation]
 
-    def _score(self) -> None:
-        d, total = self.detections, self.detections + self.labelled
-        objects = [*self.answers.objects, *(o for o in self.true_objects if o is not None)]
-        places = np.concatenate([np.arange(d), d + np.flatnonzero(self.known)]).astype(np.int64)
-        scores = self.answers.source.score(self.answers.context, objects, self._relations) if objects else None
-        for relation in self._relations:
-            table = np.full((total, total), np.nan)
+    def _score(self, relations: Sequence[str]) -> None:
+        source, d = self.answers.source, self.detections
+        points = any(needs_points(source.scorer, relation) for relation in relations)
+        places = self._involved(relations)
+        true = {k: self.objects.get(k, points) for k in (places[places >= d] - d).tolist()}
+        places = np.array([p for p in places.tolist() if p < d or true[p - d] is not None], np.int64)
+        objects = [self.answers.objects[p] if p < d else true[p - d] for p in places.tolist()]
+        present = [o for o in objects if o is not None]
+        scores = source.score(self.answers.context, present, relations) if present else None
+        for relation in relations:
+            table = np.full((d + self.labelled, d + self.labelled), np.nan)
             if scores is not None:
                 table[np.ix_(places, places)] = scores.of(relation)
             own = self.answers.probabilities(relation)
@@ -100,35 +110,18 @@ class FrameEvidence:
                 table[:d, :d] = own
             self._probabilities[relation] = table
 
-
-def _true_objects(truth: FrameCases, answers: FrameAnswers) -> tuple[tuple[SceneObject | None, ...], np.ndarray]:
-    """The labelled objects in 3D by their own pixels, else by the label's box; and which are of the second kind."""
-    context = answers.context
-    everything = AnnotationDetector().detect(context.frame, None)
-    place = {int(number): k for k, number in enumerate(everything.ids)}
-    here = [k for k in (place.get(int(number)) for number in truth.numbers) if k is not None]
-    lifted = iter(context.lift(everything.take(np.array(here, np.int64)), AnnotationDetector())) if here else iter(())
-    found: list[SceneObject | None] = []
-    pseudo = np.zeros(len(truth.numbers), np.bool_)
-    for k, number in enumerate(truth.numbers):
-        entry = next(lifted) if int(number) in place else None
-        if entry is not None and entry.lifted.box is not None and iou_2d(entry.bbox, truth.boxes[k])[0, 0] >= HIT:
-            found.append(entry)
-            continue
-        boxed = _from_label(truth, k, answers)
-        pseudo[k] = boxed is not None
-        found.append(boxed)
-    return tuple(found), pseudo
-
-
-def _from_label(truth: FrameCases, k: int, answers: FrameAnswers) -> SceneObject | None:
-    """A labelled object as its label has it: a box and extents, no points."""
-    row = {name: values[k] for name, values in truth.geometry.items()}
-    if not all(np.isfinite(values).all() for values in row.values()):
-        return None
-    frame = answers.context.frame
-    mask = box_mask(truth.boxes[k], frame.height, frame.width)
-    box = Box3D(row["center"], row["R"].reshape(3, 3), row["size"])
-    quality = Quality(int(mask.sum()), 0, 0.0, 0.0, False, float(row["center"][2]), False, "box")
-    lifted = LiftedObject(np.empty((0, 3), np.float32), box, 1.0, row["lo"], row["hi"], "box", None, quality)
-    return SceneObject(-1, truth.labels[k], 1.0, truth.boxes[k].astype(np.float32), mask, lifted)
+    def _involved(self, relations: Sequence[str]) -> np.ndarray:
+        """Places of the candidates and labelled objects that the cases of these relations are about, rising."""
+        candidates = [np.zeros(0, np.int64)]
+        labelled = np.zeros(self.labelled, np.bool_)
+        for case in self._cases:
+            if case.relation not in relations:
+                continue
+            for name, example in ((case.target, case.target_object), (case.reference, case.reference_object)):
+                index = self.answers.candidates[name].index
+                candidates.append(index)
+                labelled |= self.truth.alike[example]
+        places = np.unique(np.concatenate(candidates))
+        matched = self.match[places]
+        labelled[matched[matched >= 0]] = True
+        return np.concatenate([places, self.detections + np.flatnonzero(labelled)])

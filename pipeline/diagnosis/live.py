@@ -72,7 +72,7 @@ class Judgement:
     def labelled_boxes(self) -> dict[str, Box3D]:
         """The labelled target and reference in 3D, as far as their geometry is known."""
         ends = (("target", self.case.target_object), ("reference", self.case.reference_object))
-        found = ((name, self.evidence.true_objects[k]) for name, k in ends)
+        found = ((name, self.evidence.objects.get(k, points=False)) for name, k in ends)
         return {name: o.lifted.box for name, o in found if o is not None and o.lifted.box is not None}
 
 
@@ -197,7 +197,7 @@ def judge_trace(
     else:
         answers = FrameAnswers(source, context, tuple(names), (case.relation,))
     confidence = DEFAULT_CONFIDENCE if confidence is None else confidence
-    evidence = FrameEvidence(truth, answers, (case.relation,), confidence)
+    evidence = FrameEvidence(truth, answers, confidence, (case,))
     diagnosis = diagnose(
         evidence, case, parse_ok=gold, mark=mark, unfiltered=source.unfiltered_detector
     )

@@ -242,7 +242,7 @@ def _stand(found: Substituted, i: int, j: int) -> Stand:
 
 def _pseudo(evidence: FrameEvidence, found: Substituted, pairs: list[tuple[int, int]]) -> bool:
     def boxed(role: Role, k: int) -> bool:
-        return role.shape_of[k] >= 0 and bool(evidence.pseudo[role.shape_of[k]])
+        return role.shape_of[k] >= 0 and bool(evidence.objects.pseudo[role.shape_of[k]])
 
     return any(boxed(found.target, i) or boxed(found.reference, j) for i, j in pairs)
 

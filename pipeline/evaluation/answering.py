@@ -13,6 +13,7 @@ import numpy as np
 
 from pipeline.ask import Trace, merged, propose
 from pipeline.errors import InputError
+from pipeline.evaluation.stage_clock import StageClock
 from pipeline.jobs import Source
 from pipeline.objects import FrameContext, SceneObject, same_object
 from pipeline.proposals.base import Proposals
@@ -81,6 +82,8 @@ class FrameAnswers:
         All class names that will be asked for.
     relations : collection of str
         All relations that will be.
+    clock : StageClock, optional
+        Is told what each stage took.
 
     Attributes
     ----------
@@ -92,27 +95,31 @@ class FrameAnswers:
     """
 
     def __init__(
-        self, source: Source, context: FrameContext, names: Sequence[str], relations: Collection[str] = PAIRWISE
+        self,
+        source: Source,
+        context: FrameContext,
+        names: Sequence[str],
+        relations: Collection[str] = PAIRWISE,
+        clock: StageClock | None = None,
     ) -> None:
         detector = source.needed_detector()
         unknown: dict[str, str] = {}
         found: dict[str, Proposals] = {}
-        for name in names:
-            try:
-                found[name] = propose(context, detector, name, source.config.k)
-            except InputError as error:
-                unknown[name] = str(error)
+        self.clock = clock or StageClock()
+        with self.clock.stage("opm"):
+            for name in names:
+                try:
+                    found[name] = propose(context, detector, name, source.config.k)
+                except InputError as error:
+                    unknown[name] = str(error)
         calibration = None if detector.exact else source.config.score_calibration
-        objects, candidates = merged(context, detector, found, calibration)
+        with self.clock.stage("lift"):
+            objects, candidates = merged(context, detector, found, calibration)
+        with self.clock.stage("srm"):
+            scores = source.score(context, objects, relations) if objects else None
         nothing = Candidates(np.zeros(0, np.int64), np.zeros(0))
-        self._set(
-            source,
-            context,
-            objects,
-            {name: candidates.get(name, nothing) for name in names},
-            source.score(context, objects, relations) if objects else None,
-            unknown,
-        )
+        named = {name: candidates.get(name, nothing) for name in names}
+        self._set(source, context, objects, named, scores, unknown)
 
     def _set(
         self,
@@ -127,13 +134,15 @@ class FrameAnswers:
         self.unknown = unknown
         self.boxes = np.array([o.bbox for o in objects], np.float64).reshape(-1, 4)
         self.mask_sizes = np.array([o.lifted.quality.mask_pixels for o in objects], np.int64)
-        self.same = same_object(objects, source.needed_detector().exact)
+        with self.clock.stage("rank"):
+            self.same = same_object(objects, source.needed_detector().exact)
         self._scores = scores
 
     @classmethod
     def of_trace(cls, source: Source, context: FrameContext, trace: Trace) -> FrameAnswers:
         """The answers that a trace holds: its own objects, candidates and relations, edited or not."""
         found = cls.__new__(cls)
+        found.clock = StageClock()
         found._set(source, context, trace.objects, dict(trace.candidates), trace.scores, {})
         return found
 

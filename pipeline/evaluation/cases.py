@@ -73,6 +73,8 @@ class FrameCases:
         "lo", "hi", "center", "R" and "size" as labelled; NaN where there is none.
     facts : dict of str to (N,) float64
         "distance" (metres, NaN for unknown), "occluded" (share of the border), "mask_pixels".
+    masks : tuple of str or None
+        COCO's compressed run-length codes.
     """
 
     frame: str
@@ -87,6 +89,7 @@ class FrameCases:
     judged: np.ndarray
     geometry: dict[str, np.ndarray]
     facts: dict[str, np.ndarray]
+    masks: tuple[str | None, ...]
 
     def acceptable_pairs(self, case: Case) -> np.ndarray:
         """(N, N) bool: pairs of the asked classes of which the relation holds or may hold."""
@@ -96,7 +99,9 @@ class FrameCases:
 
 def read_cases(labels: Labels, first: int, stop: int) -> Iterator[FrameCases]:
     """The frames from index `first` up to `stop` that have expressions, in order."""
-    rows = {name: _part(labels.root, name, first, stop) for name in ("frames", "objects", "relations", "expressions")}
+    names = [r for r in PAIRWISE if r in labels.relation_names]
+    columns = {**_COLUMNS, "relations": ["frame_index", "a", "b", *names]}
+    rows = {table: _part(labels.root, table, chosen, first, stop) for table, chosen in columns.items()}
     scenes = dict(zip(*(rows["frames"].column(n).to_pylist() for n in ("frame_index", "scene")), strict=True))
     expressions = _by_frame(rows["expressions"])
     objects, relations = _by_frame(rows["objects"]), _by_frame(rows["relations"])
@@ -109,7 +114,7 @@ def read_cases(labels: Labels, first: int, stop: int) -> Iterator[FrameCases]:
             objects[index],
             relations.get(index, {}),
             found,
-            [r for r in PAIRWISE if r in labels.relation_names],
+            names,
         )
 
 
@@ -161,6 +166,7 @@ def frame_cases(
         judged,
         {name: _rows(objects[name], width) for name, width in _GEOMETRY.items()},
         {name: np.array([np.nan if v is None else v for v in objects[name]], np.float64) for name in _FACTS},
+        tuple(objects["mask"]),
     )
 
 
@@ -171,19 +177,21 @@ def _rows(values: list[Any], width: int) -> np.ndarray:
 
 _GEOMETRY = {"lo": 3, "hi": 3, "center": 3, "R": 9, "size": 3}
 _FACTS = ("distance", "occluded", "mask_pixels")
-_COLUMNS: dict[str, list[str] | None] = {
+_COLUMNS = {
     "frames": ["frame_index", "scene"],
-    "objects": ["frame_index", "object", "label", "bbox", *_GEOMETRY, *_FACTS],
-    "relations": None,
-    "expressions": None,
-}
+    "objects": ["frame_index", "object", "label", "bbox", "mask", *_GEOMETRY, *_FACTS],
+    "expressions": [
+        "frame", "frame_index", "id", "text", "target", "relation", "reference", "target_object", "reference_object",
+        "targets", "acceptable", "ambiguous", "margin",
+    ],
+}  # fmt: skip
 
 
-def _part(root: Path, name: str, first: int, stop: int) -> pa.Table:
+def _part(root: Path, name: str, columns: list[str], first: int, stop: int) -> pa.Table:
     import pyarrow.parquet as pq
 
     chosen = [("frame_index", ">=", first), ("frame_index", "<", stop)]
-    return pq.read_table(root / f"{name}.parquet", columns=_COLUMNS[name], filters=chosen)
+    return pq.read_table(root / f"{name}.parquet", columns=columns, filters=chosen)
 
 
 def _by_frame(table: pa.Table) -> dict[int, dict[str, list[Any]]]:

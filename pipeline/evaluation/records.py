@@ -83,22 +83,26 @@ def is_gold(query: Query, case: Case) -> bool:
     )
 
 
-def matched(boxes: np.ndarray, labels: np.ndarray, truth: FrameCases) -> np.ndarray:
+def matched(overlap: np.ndarray, labels: np.ndarray) -> np.ndarray:
     """(D,) int64: the labelled object that each detection is, by the best overlap of at least 0.5; -1 where none.
 
-    `labels` is (D, N) bool: which labelled objects are of the class that was asked.
+    `overlap` is (D, N) float64; `labels` (D, N) bool: which labelled objects are of the class that was asked.
     """
-    if not len(boxes) or not len(truth.boxes):
-        return np.full(len(boxes), -1, np.int64)
-    overlap = np.where(labels, iou_2d(boxes, truth.boxes), 0.0)
+    if not overlap.size:
+        return np.full(len(overlap), -1, np.int64)
+    overlap = np.where(labels, overlap, 0.0)
     best = overlap.argmax(axis=1)
-    return np.where(overlap[np.arange(len(boxes)), best] >= HIT, best, -1)
+    return np.where(overlap[np.arange(len(overlap)), best] >= HIT, best, -1)
 
 
 def record(
-    case: Case, truth: FrameCases, answers: FrameAnswers, parsed: tuple[Query | None, str | None]
+    case: Case,
+    truth: FrameCases,
+    answers: FrameAnswers,
+    parsed: tuple[Query | None, str | None],
+    overlap: np.ndarray,
 ) -> dict[str, Any]:
-    """The row of one expression."""
+    """The row of one expression; `overlap` is (D, N) float64, the IoU of each detection with each labelled object."""
     query, problem = parsed
     gold = query is not None and is_gold(query, case)
     row: dict[str, Any] = dict.fromkeys(COLUMNS)
@@ -111,37 +115,45 @@ def record(
         "label_margin": case.margin, "parse_ok": gold,
         "problem": problem or answers.unknown.get(case.target) or answers.unknown.get(case.reference),
     }  # fmt: skip
-    own = truth.boxes[case.target_object : case.target_object + 1]
-    sets = {"iou": own, "strict_iou": truth.boxes[case.strict], "set_iou": truth.boxes[case.acceptable]}
-    _opm(row, case, answers, sets)
-    scored = answers.score(case.target, case.relation, case.reference) if gold else None
-    covered = _coverage(row, case, truth, answers)
-    winner = None
-    if scored is not None:
-        place = answers.best(scored)
-        if place is not None:
-            winner = scored.pair(*place)
-            _right(row, scored, winner, covered, answers)
-    _winner(row, case, truth, answers, winner, sets)
+    pairs = truth.acceptable_pairs(case)
+    _opm(row, case, answers, overlap)
+    covered = _coverage(row, case, pairs, answers, overlap >= HIT)
+    winner = place = None
+    with answers.clock.stage("rank"):
+        scored = answers.score(case.target, case.relation, case.reference) if gold else None
+        if scored is not None:
+            place = answers.best(scored)
+    if scored is not None and place is not None:
+        winner = scored.pair(*place)
+        _right(row, scored, winner, covered, answers)
+    _winner(row, case, truth, answers, winner, pairs, overlap)
     return row
 
 
-def _opm(row: dict[str, Any], case: Case, answers: FrameAnswers, sets: dict[str, np.ndarray]) -> None:
+def _with_truth(detection: int | None, case: Case, overlap: np.ndarray) -> tuple[float, float, float]:
+    """The best overlap of a detection with the target, with a strict answer and with an acceptable one."""
+    if detection is None:
+        return 0.0, 0.0, 0.0
+    own = overlap[detection]
+    strict, acceptable = (float(own[k].max()) if len(k) else 0.0 for k in (case.strict, case.acceptable))
+    return float(own[case.target_object]), strict, acceptable
+
+
+def _opm(row: dict[str, Any], case: Case, answers: FrameAnswers, overlap: np.ndarray) -> None:
     """The detector's best target alone."""
     first = alone(answers.candidates[case.target])
-    box = None if first is None else answers.boxes[first]
-    row |= {f"opm_{name}": overlaps(box, boxes) for name, boxes in sets.items()}
-    if box is not None:
-        row["opm_box"] = box.tolist()
+    row["opm_iou"], row["opm_strict_iou"], row["opm_set_iou"] = _with_truth(first, case, overlap)
+    if first is not None:
+        row["opm_box"] = answers.boxes[first].tolist()
         row["opm_score"] = float(answers.candidates[case.target].scores.max())
 
 
-def _coverage(row: dict[str, Any], case: Case, truth: FrameCases, answers: FrameAnswers) -> np.ndarray:
+def _coverage(
+    row: dict[str, Any], case: Case, pairs: np.ndarray, answers: FrameAnswers, hit: np.ndarray
+) -> np.ndarray:
     """(T, R) bool: candidate pairs that are acceptable ones; how far up the right ones stand goes into the row."""
     targets, references = answers.candidates[case.target], answers.candidates[case.reference]
-    pairs = truth.acceptable_pairs(case)
-    hits = iou_2d(answers.boxes[targets.index], truth.boxes) >= HIT
-    other = iou_2d(answers.boxes[references.index], truth.boxes) >= HIT
+    hits, other = hit[targets.index], hit[references.index]
     covered = (hits.astype(np.int32) @ pairs.astype(np.int32) @ other.T.astype(np.int32)) > 0
     row |= {
         "targets_found": len(targets.index),
@@ -181,23 +193,23 @@ def _winner(
     truth: FrameCases,
     answers: FrameAnswers,
     winner: Pair | None,
-    sets: dict[str, np.ndarray],
+    pairs: np.ndarray,
+    overlap: np.ndarray,
 ) -> None:
-    box = None if winner is None else answers.boxes[winner.target]
-    row |= {name: overlaps(box, boxes) for name, boxes in sets.items()}
+    target = None if winner is None else winner.target
+    row["iou"], row["strict_iou"], row["set_iou"] = _with_truth(target, case, overlap)
     row |= {
         "correct": row["iou"] >= HIT, "strict_correct": row["strict_iou"] >= HIT, "set_correct": row["set_iou"] >= HIT,
         "reference_correct": False, "pair_correct": False,
     }  # fmt: skip
-    if winner is None or box is None:
+    if winner is None:
         return
-    pairs = truth.acceptable_pairs(case)
-    hits = iou_2d(answers.boxes[[winner.target, winner.reference]], truth.boxes) >= HIT
-    classes = truth.alike[[case.target_object, case.reference_object]]
-    a, b = matched(answers.boxes[[winner.target, winner.reference]], classes, truth)
+    both = overlap[[winner.target, winner.reference]]
+    hits = both >= HIT
+    a, b = matched(both, truth.alike[[case.target_object, case.reference_object]])
     lifted = answers.objects[winner.target].lifted
     row |= {
-        "box": box.tolist(), "reference_box": answers.boxes[winner.reference].tolist(),
+        "box": answers.boxes[winner.target].tolist(), "reference_box": answers.boxes[winner.reference].tolist(),
         "p_target": winner.p_target, "p_reference": winner.p_reference, "p_relation": winner.p_relation,
         "log_score": winner.log_score,
         "reference_correct": bool(hits[1][pairs.any(axis=0)].any()),

@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
+from pipeline.boxes import iou_2d
+from pipeline.datasets.capabilities import load_picture
 from pipeline.diagnosis.columns import diagnosis_columns
 from pipeline.diagnosis.frame_evidence import DEFAULT_CONFIDENCE, FrameEvidence
 from pipeline.diagnosis.verdict import diagnose
@@ -20,11 +22,13 @@ from pipeline.errors import InputError
 from pipeline.evaluation.answering import FrameAnswers
 from pipeline.evaluation.cases import Case, FrameCases, read_cases
 from pipeline.evaluation.records import COLUMNS, read_query, record, records_schema
+from pipeline.evaluation.stage_clock import StageClock
 from pipeline.evaluation.whole_expression import Referring, Vlm, VlmOptions, WholeExpression, record_whole
 from pipeline.expression import Query
 from pipeline.jobs import Source, open_source
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.objects import FrameContext
+from pipeline.proposals.base import reads_annotations
 from pipeline.threads import one_thread, threads_in_children
 
 if TYPE_CHECKING:
@@ -91,6 +95,7 @@ class Evaluator:
             if spec.vlm is None:
                 raise InputError("no model is named", expected="the address of a server and a model")
             self.whole = Vlm(spec.vlm)
+        self.clock = StageClock()
         self._chosen = chosen_ids(self.labels, spec.limit)
         self._parsed: dict[str, tuple[Query | None, str | None]] = {}
 
@@ -107,23 +112,37 @@ class Evaluator:
             truth = replace(truth, cases=kept)
         if not truth.cases:
             return []
-        frame = self.source.dataset.load(truth.frame)
+        with self.clock.stage("read"):
+            # Where nobody looks at the annotations, their masks are the most of what there would be to decode.
+            bare = self.whole is None and not reads_annotations(self.source.needed_detector())
+            dataset = self.source.dataset
+            frame = load_picture(dataset, truth.frame) if bare else dataset.load(truth.frame)
         if self.whole is not None:
             pointed = self.whole.point(frame, [case.text for case in truth.cases])
             return [record_whole(c, truth, p) for c, p in zip(truth.cases, pointed, strict=True)]
-        context = FrameContext(frame, self.source.config.lift)
+        # No answer depends on 3D boxes: features that are made of boxes fit them to the points themselves.
+        with self.clock.stage("lift"):
+            context = FrameContext(frame, self.source.config.lift, boxes=False)
         names = dict.fromkeys(name for case in truth.cases for name in (case.target, case.reference))
         relations = {case.relation for case in truth.cases}
-        answers = FrameAnswers(self.source, context, tuple(names), relations)
-        confidence = DEFAULT_CONFIDENCE if self.spec.confidence is None else self.spec.confidence
-        evidence = FrameEvidence(truth, answers, relations, confidence)
-        rows = []
-        for case in truth.cases:
-            if case.text not in self._parsed:
-                self._parsed[case.text] = read_query(case, self.class_names)
-            row = record(case, truth, answers, self._parsed[case.text])
-            rows.append(row | self._diagnosis(evidence, case, row))
-        return rows
+        answers = FrameAnswers(self.source, context, tuple(names), relations, self.clock)
+        with self.clock.stage("parse"):
+            for case in truth.cases:
+                if case.text not in self._parsed:
+                    self._parsed[case.text] = read_query(case, self.class_names)
+        with self.clock.stage("records"):
+            overlap = iou_2d(answers.boxes, truth.boxes)
+            rows = [record(case, truth, answers, self._parsed[case.text], overlap) for case in truth.cases]
+        with self.clock.stage("verdicts"):
+            confidence = DEFAULT_CONFIDENCE if self.spec.confidence is None else self.spec.confidence
+            evidence = FrameEvidence(truth, answers, confidence)
+            return [
+                row | self._diagnosis(evidence, case, row) for case, row in zip(truth.cases, rows, strict=True)
+            ]
+
+    def forget_sentences(self) -> None:
+        """Parse every sentence anew when it comes next."""
+        self._parsed.clear()
 
     def _diagnosis(self, evidence: FrameEvidence, case: Case, row: dict[str, Any]) -> dict[str, Any]:
         diagnosis = diagnose(
@@ -140,7 +159,11 @@ class Evaluator:
 
     def block(self, first: int, stop: int) -> pa.Table:
         """The records of the frames from index `first` up to `stop`."""
-        return table_of([row for truth in read_cases(self.labels, first, stop) for row in self.frame(truth)])
+        with self.clock.stage("read"):
+            frames = list(read_cases(self.labels, first, stop))
+        rows = [row for truth in frames for row in self.frame(truth)]
+        with self.clock.stage("records"):
+            return table_of(rows)
 
 
 def class_names_of(labels: Labels) -> tuple[str, ...]:
@@ -178,19 +201,23 @@ def frames_with_expressions(labels: Labels) -> np.ndarray:
     return np.unique(column.to_numpy())
 
 
-def blocks_of(labels: Labels, only: np.ndarray | None = None) -> tuple[tuple[int, int], ...]:
+def blocks_of(
+    labels: Labels, only: np.ndarray | None = None, frames: int = FRAMES_A_BLOCK
+) -> tuple[tuple[int, int], ...]:
     """Runs of frame indices that are evaluated together."""
     index = frames_with_expressions(labels)
     if only is not None:
         index = index[np.isin(index, only)]
-    parts = [index[k : k + FRAMES_A_BLOCK] for k in range(0, len(index), FRAMES_A_BLOCK)]
+    parts = [index[k : k + frames] for k in range(0, len(index), frames)]
     return tuple((int(p[0]), int(p[-1]) + 1) for p in parts)
 
 
-def evaluate_labels(spec: EvalSpec, *, workers: int = 1, progress: Progress | None = None) -> Iterator[pa.Table]:
+def evaluate_labels(
+    spec: EvalSpec, *, workers: int = 1, progress: Progress | None = None, frames_a_block: int = FRAMES_A_BLOCK
+) -> Iterator[pa.Table]:
     """The records of all expressions, block by block, in the labels' order.
 
-    The rows do not depend on the number of workers.
+    The rows do not depend on the number of workers, nor on how many frames make a block.
 
     Raises
     ------
@@ -198,7 +225,7 @@ def evaluate_labels(spec: EvalSpec, *, workers: int = 1, progress: Progress | No
         Nothing can be evaluated, a frame of the labels cannot be used, or a worker was killed.
     """
     _, labels = spec.open()
-    blocks = blocks_of(labels)
+    blocks = blocks_of(labels, frames=frames_a_block)
     if not blocks:
         raise InputError("these labels have no expressions", path=labels.root)
     total = min(labels.manifest.counts["expressions"], spec.limit or labels.manifest.counts["expressions"])

@@ -8,6 +8,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from pipeline.boxes import iou_2d
 from pipeline.errors import InputError
 from pipeline.evaluation.cases import Case, FrameCases
 from pipeline.evaluation.records import COLUMNS, HIT, matched, overlaps
@@ -143,6 +144,6 @@ def record_whole(case: Case, truth: FrameCases, pointed: Pointed) -> dict[str, A
         "correct": iou >= HIT, "strict_correct": strict >= HIT, "set_correct": lenient >= HIT,
     }  # fmt: skip
     if box is not None:
-        place = int(matched(box[None], truth.alike[[case.target_object]], truth)[0])
+        place = int(matched(iou_2d(box[None], truth.boxes), truth.alike[[case.target_object]])[0])
         row |= {"box": box.tolist(), "p_target": pointed.score, "matched_target": None if place < 0 else place}
     return row

@@ -141,6 +141,14 @@ class Detector(Protocol):
         ...
 
 
+def reads_annotations(detector: Detector) -> bool:
+    """Whether the frame's annotations bear on what a detector finds; those that look at the picture alone say so.
+
+    A detector says it by an attribute `reads_annotations`; without one it may read them.
+    """
+    return bool(getattr(detector, "reads_annotations", True))
+
+
 def unknown_class(label: str, names: Sequence[str], where: str) -> UnknownClass:
     """The error for a class name that a detector of limited vocabulary does not know."""
     from pipeline.naming import suggest

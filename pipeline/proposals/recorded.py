@@ -142,6 +142,7 @@ class RecordedDetector:
 
     name = "recorded"
     exact = False
+    reads_annotations = False
 
     def __init__(self, path: str | Path, *, synonyms: Synonyms | None = None, min_score: float = 0.0) -> None:
         self.path = Path(path)

@@ -10,7 +10,15 @@ import numpy as np
 
 from pipeline.arrangement import between_states, superlative_states
 from pipeline.lifting import LiftedObject
-from pipeline.relations import DIRECTIONAL, PAIRWISE, PROFILE, Indices, directional_states, pairwise_states
+from pipeline.relations import (
+    DIRECTIONAL,
+    PAIRWISE,
+    PROFILE,
+    Indices,
+    directional_states,
+    judged_relations,
+    pairwise_states,
+)
 from pipeline.srm.appearance import Appearance
 from pipeline.viewer import ViewerAxes
 
@@ -83,7 +91,8 @@ class RuleScorer:
             states, names = directional_states(lo, hi), DIRECTIONAL
         else:
             axes = viewer.matrix.T.astype(np.float32)
-            states, names = pairwise_states(lo, hi, [o.points @ axes for o in objects]), PAIRWISE
+            clouds = [o.points @ axes for o in objects]
+            states, names = pairwise_states(lo, hi, clouds, relations=relations), judged_relations(relations)
         return RelationScores(names, states, rule_probabilities(states), dict.fromkeys(names, self.name))
 
 
