@@ -16,6 +16,9 @@ from pipeline.errors import InputError
 from pipeline.evaluation.answering import FrameAnswers
 from pipeline.evaluation.cases import FrameCases, read_cases
 from pipeline.evaluation.records import COLUMNS, read_query, record, records_schema
+from pipeline.evaluation.relation_cases import frames_with_pairs
+from pipeline.evaluation.relation_records import RelationPass
+from pipeline.evaluation.relation_systems import RelationSpec
 from pipeline.evaluation.whole_expression import Referring, Vlm, VlmOptions, WholeExpression, record_whole
 from pipeline.expression import Query
 from pipeline.jobs import Source, open_source
@@ -48,6 +51,10 @@ class EvalSpec:
         The model behind the system "vlm".
     limit : int or None
         Only so many expressions, spread evenly over the frames.
+    grounding : bool
+        Answer the expressions.
+    relations : RelationSpec or None
+        Measure relations alone too, and how.
     """
 
     dataset: str
@@ -56,6 +63,8 @@ class EvalSpec:
     system: System = "pipeline"
     vlm: VlmOptions | None = None
     limit: int | None = None
+    grounding: bool = True
+    relations: RelationSpec | None = None
 
     def open(self) -> tuple[Source, Labels]:
         """The dataset with its models, and the labels."""
@@ -74,17 +83,24 @@ class Evaluator:
         self.source, self.labels = spec.open()
         self.class_names = class_names_of(self.labels)
         self.whole: WholeExpression | None = None
-        if spec.system == "referring":
+        if not spec.grounding:
+            pass
+        elif spec.system == "referring":
             self.whole = Referring(self.source.needed_detector())
         elif spec.system == "vlm":
             if spec.vlm is None:
                 raise InputError("no model is named", expected="the address of a server and a model")
             self.whole = Vlm(spec.vlm)
+        self.relations: RelationPass | None = None
+        if spec.relations is not None:
+            chosen = frames_with_pairs(self.labels, spec.relations.frames)
+            self.relations = RelationPass(spec.relations, spec.options, self.labels, chosen.tolist())
+        self._grounding = spec.grounding
         self._chosen = chosen_ids(self.labels, spec.limit)
         self._parsed: dict[str, tuple[Query | None, str | None]] = {}
 
-    def frame(self, truth: FrameCases) -> list[dict[str, Any]]:
-        """The records of a frame's expressions.
+    def frame(self, truth: FrameCases, context: FrameContext | None = None) -> list[dict[str, Any]]:
+        """The records of a frame's expressions; the frame is loaded where it is not given.
 
         Raises
         ------
@@ -96,11 +112,11 @@ class Evaluator:
             truth = replace(truth, cases=kept)
         if not truth.cases:
             return []
-        frame = self.source.dataset.load(truth.frame)
+        frame = self.source.dataset.load(truth.frame) if context is None else context.frame
         if self.whole is not None:
             pointed = self.whole.point(frame, [case.text for case in truth.cases])
             return [record_whole(c, truth, p) for c, p in zip(truth.cases, pointed, strict=True)]
-        context = FrameContext(frame, self.source.config.lift)
+        context = context or FrameContext(frame, self.source.config.lift)
         names = dict.fromkeys(name for case in truth.cases for name in (case.target, case.reference))
         relations = {case.relation for case in truth.cases}
         answers = FrameAnswers(self.source, context, tuple(names), relations)
@@ -111,9 +127,24 @@ class Evaluator:
             rows.append(record(case, truth, answers, self._parsed[case.text]))
         return rows
 
-    def block(self, first: int, stop: int) -> pa.Table:
-        """The records of the frames from index `first` up to `stop`."""
-        return table_of([row for truth in read_cases(self.labels, first, stop) for row in self.frame(truth)])
+    def block(self, first: int, stop: int) -> tuple[pa.Table, pa.Table | None]:
+        """The records of the frames from index `first` up to `stop`: of expressions, and of pairs where asked for."""
+        import pyarrow as pa
+
+        cases = {t.frame_index: t for t in read_cases(self.labels, first, stop)} if self._grounding else {}
+        pairs = {} if self.relations is None else self.relations.cases(first, stop)
+        rows: list[dict[str, Any]] = []
+        tables = []
+        for index in sorted(cases.keys() | pairs.keys()):
+            context = None
+            if self.relations is not None and index in pairs:
+                if self.relations.needs_frames:
+                    frame = self.source.dataset.load(pairs[index].key.frame)
+                    context = FrameContext(frame, self.source.config.lift)
+                tables.append(self.relations.table(self.source, pairs[index], context))
+            if index in cases:
+                rows += self.frame(cases[index], context)
+        return table_of(rows), pa.concat_tables(tables) if tables else None
 
 
 def class_names_of(labels: Labels) -> tuple[str, ...]:
@@ -151,41 +182,67 @@ def frames_with_expressions(labels: Labels) -> np.ndarray:
     return np.unique(column.to_numpy())
 
 
-def blocks_of(labels: Labels, only: np.ndarray | None = None) -> tuple[tuple[int, int], ...]:
-    """Runs of frame indices that are evaluated together."""
-    index = frames_with_expressions(labels)
-    if only is not None:
-        index = index[np.isin(index, only)]
+def blocks_of(index: np.ndarray) -> tuple[tuple[int, int], ...]:
+    """Runs of these frame indices (rising) that are evaluated together."""
     parts = [index[k : k + FRAMES_A_BLOCK] for k in range(0, len(index), FRAMES_A_BLOCK)]
     return tuple((int(p[0]), int(p[-1]) + 1) for p in parts)
 
 
-def evaluate_labels(spec: EvalSpec, *, workers: int = 1, progress: Progress | None = None) -> Iterator[pa.Table]:
+def evaluate_labels(
+    spec: EvalSpec,
+    *,
+    workers: int = 1,
+    progress: Progress | None = None,
+    relations: Callable[[pa.Table], None] | None = None,
+) -> Iterator[pa.Table]:
     """The records of all expressions, block by block, in the labels' order.
 
     The rows do not depend on the number of workers.
+
+    Parameters
+    ----------
+    spec : EvalSpec
+    workers : int
+    progress : callable, optional
+        Counts expressions; frames where no expression is asked.
+    relations : callable, optional
+        Is given the relation records (see `relation_records`), block by block. Without it there are none.
 
     Raises
     ------
     InputError
         Nothing can be evaluated, a frame of the labels cannot be used, or a worker was killed.
     """
+    spec = spec if relations is not None else replace(spec, relations=None)
     _, labels = spec.open()
-    blocks = blocks_of(labels)
-    if not blocks:
+    asked = frames_with_expressions(labels) if spec.grounding else np.zeros(0, np.int64)
+    if spec.grounding and not len(asked):
         raise InputError("these labels have no expressions", path=labels.root)
-    total = min(labels.manifest.counts["expressions"], spec.limit or labels.manifest.counts["expressions"])
+    paired = np.zeros(0, np.int64)
+    if spec.relations is not None:
+        paired = frames_with_pairs(labels, spec.relations.frames)
+        if not len(paired):
+            raise InputError("these labels have no pairs of objects", path=labels.root)
+    index = np.union1d(asked, paired)
+    total = len(index)
+    if spec.grounding:
+        total = min(labels.manifest.counts["expressions"], spec.limit or labels.manifest.counts["expressions"])
     # A server is asked by threads of one process.
     workers = 1 if spec.system == "vlm" else workers
     done = 0
-    for table in _tables(spec, blocks, workers):
-        done += table.num_rows
+    blocks = blocks_of(index)
+    for (first, stop), (table, pairs) in zip(blocks, _tables(spec, blocks, workers), strict=True):
+        if relations is not None and pairs is not None:
+            relations(pairs)
+        done += table.num_rows if spec.grounding else int(((index >= first) & (index < stop)).sum())
         if progress is not None:
             progress(done, total)
         yield table
 
 
-def _tables(spec: EvalSpec, blocks: Sequence[tuple[int, int]], workers: int) -> Iterator[pa.Table]:
+def _tables(
+    spec: EvalSpec, blocks: Sequence[tuple[int, int]], workers: int
+) -> Iterator[tuple[pa.Table, pa.Table | None]]:
     if workers <= 1 or len(blocks) <= 1:
         with one_thread():
             evaluator = Evaluator(spec)
@@ -219,7 +276,7 @@ def _start(spec: EvalSpec) -> None:
     _evaluator = Evaluator(spec)
 
 
-def _block(block: tuple[int, int]) -> pa.Table:
+def _block(block: tuple[int, int]) -> tuple[pa.Table, pa.Table | None]:
     assert _evaluator is not None
     return _evaluator.block(*block)
 
