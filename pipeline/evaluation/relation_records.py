@@ -126,7 +126,6 @@ def relation_schema(systems: Sequence[RelationSystem], labels: Labels) -> pa.Sch
     import pyarrow as pa
 
     relations = [r for r in PAIRWISE if r in labels.relation_names]
-    text = pa.dictionary(pa.int32(), pa.string())
     said = [pa.field(s.name, pa.struct([pa.field(r, pa.float32()) for r in s.relations])) for s in systems]
     about = [
         {"name": s.name, "title": s.title, "relations": s.relations, "prior": _prior_of(s)} for s in systems
@@ -138,8 +137,8 @@ def relation_schema(systems: Sequence[RelationSystem], labels: Labels) -> pa.Sch
             pa.field("scene", pa.string()),
             pa.field("a", pa.int32()),
             pa.field("b", pa.int32()),
-            pa.field("label_a", text),
-            pa.field("label_b", text),
+            pa.field("label_a", pa.string()),
+            pa.field("label_b", pa.string()),
             pa.field("state", pa.struct([pa.field(r, pa.int8()) for r in relations])),
             pa.field("p", pa.struct(said)),
             pa.field("learnt_from", pa.struct([pa.field(s.name, pa.string()) for s in systems])),
@@ -179,7 +178,7 @@ def _rows(
         pa.array([pairs.key.scene] * count, pa.string()),
         pa.array(pairs.numbers[pairs.a].astype(np.int32)),
         pa.array(pairs.numbers[pairs.b].astype(np.int32)),
-        *(pa.array(n, pa.string()).dictionary_encode() for n in names),
+        *(pa.array(n, pa.string()) for n in names),
         struct([pa.array(pairs.states[:, k]) for k in range(len(pairs.relations))], pairs.relations),
         struct(said, [s.name for s in systems]),
         struct([pa.array([part] * count, pa.string()) for part in learnt], [s.name for s in systems]),
