@@ -19,7 +19,7 @@ from pipeline.evaluation.relation_records import read_relation_records
 from pipeline.evaluation.relation_report import BY_RELATION, MEASURES, all_systems, counted_pairs
 from pipeline.evaluation.relation_systems import RelationSpec
 from pipeline.evaluation.run import EvalSpec
-from pipeline.evaluation.tables import Row
+from pipeline.evaluation.tables import Row, markdown
 from pipeline.evaluation.whole_expression import VlmOptions
 from pipeline.labels.reading import MANIFEST_FILE, Labels, open_labels
 from pipeline.relations import DIRECTIONAL, PHRASE, VOCABULARIES
@@ -253,19 +253,19 @@ def test_workers_and_shared_frames_change_nothing(
 ) -> None:
     import pyarrow.parquet as pq
 
-    monkeypatch.setattr("pipeline.evaluation.run.FRAMES_A_BLOCK", 3)
+    monkeypatch.setattr("pipeline.evaluation.run.FRAMES_A_BLOCK", 2)
     labels = label_sets["demo"].root
-    one = measured(labels, tmp_path / "one", networks["flat"], frames=5)
-    two = measured(labels, tmp_path / "two", networks["flat"], frames=5, workers=2)
-    how = RelationSpec(frames=5)
-    spec = EvalSpec("demo", str(labels), {"srm": networks["flat"]}, relations=how, limit=40)
+    one = measured(labels, tmp_path / "one", networks["flat"], frames=3)
+    two = measured(labels, tmp_path / "two", networks["flat"], frames=3, workers=2)
+    how = RelationSpec(frames=3)
+    spec = EvalSpec("demo", str(labels), {"srm": networks["flat"]}, relations=how, limit=10)
     both = evaluate_dataset(spec, tmp_path / "both", bootstrap=QUICK, plots=False)
     tables = [pq.read_table(tmp_path / name / "relation_records.parquet") for name in ("one", "two", "both")]
     assert tables[0].equals(tables[1])
     assert tables[0].equals(tables[2])
-    assert len(tables[0].column("frame").unique()) == 5
-    assert one.tables == two.tables == both.tables[-2:]
-    assert (one.expressions, both.expressions) == (0, 40)
+    assert len(tables[0].column("frame").unique()) == 3
+    assert markdown(one.tables) == markdown(two.tables) == markdown(both.tables[-2:])
+    assert (one.expressions, both.expressions) == (0, 10)
     assert not (tmp_path / "one" / "records.parquet").exists()
 
 
@@ -294,16 +294,18 @@ def test_what_cannot_be_measured_is_refused(
 ) -> None:
     demo = label_sets["demo"].root
     worlds = label_worlds(tmp_path / "worlds", 1, 1)
-    for labels, more, message in (
+    refused: tuple[tuple[Path, dict[str, Any], str], ...] = (
         (worlds.root, {"geometry": "lifted"}, "cannot be lifted again"),
         (label_sets["empty"].root, {}, "no pairs of objects"),
         (demo, {"vectors": str(networks["flat"])}, "none of the relation scorers uses class names"),
         (demo, {"others": (tmp_path / "absent.onnx",)}, "there is no relation network"),
-    ):
+    )
+    for labels, more, message in refused:
         with pytest.raises(InputError, match=message):
             measured(labels, tmp_path / "run", **more)
         assert not (tmp_path / "run").exists()
-    for wrong in ({"frames": 0}, {"vlm_pairs": 0}, {"seed": -1}):
+    wrongs: tuple[dict[str, Any], ...] = ({"frames": 0}, {"vlm_pairs": 0}, {"seed": -1})
+    for wrong in wrongs:
         with pytest.raises(InputError, match="at least"):
             RelationSpec(**wrong)
 
