@@ -86,7 +86,8 @@ def as_columns(path: Path, system: str, relations: tuple[str, ...]) -> tuple[np.
     import duckdb
 
     fields = [f'p."{system}"."{r}"' for r in relations] + [f'state."{r}"' for r in relations]
-    found = duckdb.connect().execute(f"select {', '.join(f'{f} as c{k}' for k, f in enumerate(fields))} from '{path}'").fetchnumpy()
+    query = f"select {', '.join(f'{f} as c{k}' for k, f in enumerate(fields))} from '{path}'"
+    found = duckdb.connect().execute(query).fetchnumpy()
     stacked = [np.asarray(found[f"c{k}"], np.float64) for k in range(len(fields))]
     k = len(relations)
     return np.stack(stacked[:k], axis=1), np.stack(stacked[k:], axis=1)
