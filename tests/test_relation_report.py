@@ -356,6 +356,7 @@ def test_a_vision_language_model_is_asked_about_a_sample(
     assert numbers(line, MEASURES)["micro-F1"] == pytest.approx(expected)
     assert any(name.endswith("on the VLM's pairs") for name in rows_of(report, "srm"))
     assert report.tables[0].rows == again.tables[0].rows
+    assert any(w.startswith("trained: it was the labels' second opinion") for w in report.warnings)
 
 
 def test_tables_and_plots_of_a_run_from_the_command_line(

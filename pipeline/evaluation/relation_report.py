@@ -23,6 +23,7 @@ from pipeline.evaluation.reported import reported_rows
 from pipeline.evaluation.single_label_metrics import true_ranks
 from pipeline.evaluation.tables import Cell, Row, Table
 from pipeline.relations import PHRASE, T
+from pipeline.srm import TRAINED
 from pipeline.srm.splits import DROPPED, TRAIN, VALIDATION
 
 if TYPE_CHECKING:
@@ -244,6 +245,12 @@ def leak_warnings(
             found.setdefault(text + ("; hence no Top-1" if system.prior else ""), []).append(system.name)
         if not system.recorded:
             text = "the file does not say what it was trained on, so these pairs may be among it"
+            found.setdefault(text, []).append(system.name)
+        if system.name == TRAINED == labels.manifest.config.get("second_opinion"):
+            text = (
+                "it was the labels' second opinion, so that cells on which it and the rule differ became U and do not "
+                "count: near 100 by construction; label with --second-opinion none to measure it"
+            )
             found.setdefault(text, []).append(system.name)
         learnt = system.trained_on
         if learnt is None or not learnt.same_dataset(labels):
