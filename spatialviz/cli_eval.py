@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import os
+import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional
 
@@ -13,6 +14,9 @@ from pipeline.errors import InputError
 from spatialviz.exits import FINE, NO
 from spatialviz.options import print_json
 from spatialviz.source_options import SourceOptions
+
+if TYPE_CHECKING:
+    from pipeline.evaluation.relation_systems import RelationSpec
 
 
 @dataclass(frozen=True)
@@ -34,6 +38,24 @@ class Eval:
     """The model's name on that server."""
     vlm_rate: float | None = None
     """Requests a minute at most."""
+    tables: Literal["grounding", "relations", "both"] | None = None
+    """grounding: expressions | relations: relations alone, pair by pair | both. Default: both for --system pipeline,
+    else grounding."""
+    relations_of: tuple[str, ...] = ()
+    """Further relation scorers to measure beside --srm: trained | rule | ONNX files. --vectors is for all of them."""
+    relation_frames: int | None = None
+    """Measure relations on so many frames, spread evenly. Default: all with labelled pairs."""
+    relation_boxes: Literal["lifted", "stored"] | None = None
+    """lifted: the labelled objects from the dataset's annotations and depth | stored: their boxes in the labels.
+    Default: lifted, where the labels were made of annotations."""
+    relation_pairs: Literal["all", "held-out"] = "all"
+    """held-out: without frames that any of the relation networks was trained or calibrated on."""
+    vlm_pairs: int = 200
+    """About how many pairs the vision-language model is asked, drawn at random."""
+    seed: int = 0
+    """Of that draw."""
+    verdicts: bool = True
+    """Say of each expression which module failed. Without, no diagnosis is written, and it is faster."""
     limit: int | None = None
     """Only so many expressions, spread evenly."""
     name: str | None = None
@@ -61,12 +83,28 @@ class Eval:
         from spatialviz.printing_eval import print_run, run_record
 
         vlm = None
-        if self.system == "vlm":
-            if self.vlm_url is None or self.vlm_model is None:
-                raise InputError("--system vlm needs a server and a model", expected="--vlm-url URL --vlm-model NAME")
+        if self.vlm_url is not None and self.vlm_model is not None:
             vlm = VlmOptions(self.vlm_url, self.vlm_model, self.vlm_rate)
-        spec = EvalSpec(self.dataset, str(self.labels), self.source.options(), self.system, vlm, self.limit)
-        with rate_bar("evaluating", "expressions") as advance:
+        elif self.system == "vlm":
+            raise InputError("--system vlm needs a server and a model", expected="--vlm-url URL --vlm-model NAME")
+        elif self.vlm_url is not None or self.vlm_model is not None:
+            raise InputError("a server and its model go together", expected="--vlm-url URL --vlm-model NAME")
+        tables = self._tables()
+        grounding = tables != "relations"
+        options = self.source.options()
+        relations = None if tables == "grounding" else self._relations(options)
+        spec = EvalSpec(
+            self.dataset,
+            str(self.labels),
+            options,
+            self.system,
+            vlm,
+            self.limit,
+            grounding=grounding,
+            relations=relations,
+            verdicts=self.verdicts,
+        )
+        with rate_bar("evaluating", "expressions" if grounding else "frames") as advance:
             report = evaluate_dataset(
                 spec,
                 self.out,
@@ -82,8 +120,40 @@ class Eval:
             print_json(run_record(report))
         else:
             print_run(report, self.show)
+        for warning in report.warnings:
+            print(f"spatialviz: {warning}", file=sys.stderr)
         return FINE
 
+    def _tables(self) -> Literal["grounding", "relations", "both"]:
+        """What is measured."""
+        chosen = self.tables or ("both" if self.system == "pipeline" else "grounding")
+        if chosen == "grounding" and self.tables != "grounding" and self.relations_of:
+            chosen = "both"
+        given = {"--relations-of": self.relations_of, "--relation-frames": self.relation_frames,
+                 "--relation-boxes": self.relation_boxes}  # fmt: skip
+        unused = [name for name, value in given.items() if value not in ((), None)]
+        if chosen == "grounding" and unused:
+            raise InputError(f"{unused[0]} belongs to relations alone", expected="--tables relations or both")
+        if chosen == "relations" and (self.compare is not None or self.others or self.limit is not None):
+            raise InputError("--compare, --others and --limit are about expressions", got="--tables relations")
+        return chosen
+
+    def _relations(self, options: dict[str, Any]) -> RelationSpec:
+        """How relations are measured; `options` lose the vectors that the run's own scorer has no use for."""
+        from pipeline.evaluation.relation_systems import RelationSpec, uses_language
+
+        vectors = options["vectors"]
+        if vectors is not None and self.relations_of and not uses_language(str(options["srm"])):
+            options["vectors"] = None
+        return RelationSpec(
+            others=self.relations_of,
+            vectors=None if vectors is None else str(vectors),
+            geometry=self.relation_boxes,
+            frames=self.relation_frames,
+            pairs=self.relation_pairs,
+            vlm_pairs=self.vlm_pairs,
+            seed=self.seed,
+        )
 
 @dataclass(frozen=True)
 class BenchEval:

@@ -17,6 +17,7 @@ _MEANING = {
     "srm": "relations of all pairs",
     "rank": "the best pair",
     "records": "what was right",
+    "verdicts": "which module failed",
     "tables": "tables with intervals, of 50,000 records",
 }
 

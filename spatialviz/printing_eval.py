@@ -26,8 +26,9 @@ def print_run(report: RunReport, show: int) -> None:
         console.print()
     if report.comparison is not None:
         print_comparison(report.comparison, show)
-    rate = report.expressions / report.seconds if report.seconds else 0.0
-    console.print(f"{report.expressions} expressions in {report.seconds:.1f} s, {rate:.0f} a second")
+    done = [f"{n} {what}" for n, what in ((report.expressions, "expressions"), (report.pairs, "pairs")) if n]
+    rate = (report.expressions or report.pairs) / report.seconds if report.seconds else 0.0
+    console.print(f"{' and '.join(done)} in {report.seconds:.1f} s, {rate:.0f} a second")
     console.print(Text(f"-> {report.folder}", "dim"))
 
 
@@ -69,6 +70,8 @@ def run_record(report: RunReport) -> dict[str, Any]:
     return {
         "run": str(report.folder),
         "expressions": report.expressions,
+        "pairs": report.pairs,
+        "warnings": list(report.warnings),
         "seconds": round(report.seconds, 2),
         "tables": {
             t.key: {row.name: dict(zip(t.columns, map(_plain, row.cells), strict=True)) for row in t.rows}

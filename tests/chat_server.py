@@ -16,7 +16,16 @@ from typing import Any
 import cv2
 import numpy as np
 
+from pipeline.vlm import ChatClient
+
 MODELS = ("llava-1.5-7b", "qwen-vl")
+Make = Callable[..., ChatClient]
+"""Makes a client; see the fixture `client_of`."""
+
+
+def flat(value: int = 90, height: int = 24, width: int = 32) -> np.ndarray:
+    """A picture of one grey."""
+    return np.full((height, width, 3), value, np.uint8)
 
 
 class Clock:

@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pytest
 
 if TYPE_CHECKING:
+    from chat_server import ChatServer, Clock, Make
+
     from pipeline.labels.reading import Labels
+    from pipeline.vlm import ChatClient
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -34,3 +39,51 @@ def label_sets(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Labels]:
         "hostile": hostile_labels(folder / "hostile"),
         "empty": write_labels(folder / "empty", {}),
     }
+
+
+@pytest.fixture(scope="session")
+def word_vectors(label_sets: dict[str, Labels], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A vector for every word of the demo's class names, and for a word that is none of them."""
+    path = tmp_path_factory.mktemp("vectors") / "words.npz"
+    names = label_sets["demo"].objects.column("label").unique().to_pylist()
+    words = sorted({w for n in names for w in n.lower().replace("_", " ").split()} | {"zebra"})
+    vectors = np.random.default_rng(0).normal(size=(len(words), 5)).astype(np.float32)
+    np.savez(path, words=np.array(words), vectors=vectors, kind=np.str_("word"))
+    return path
+
+
+@pytest.fixture
+def clock() -> Clock:
+    """Time that passes only where it is slept."""
+    from chat_server import Clock
+
+    return Clock()
+
+
+@pytest.fixture
+def server(clock: Clock) -> Iterator[ChatServer]:
+    """A chat server that speaks the real protocol."""
+    from chat_server import running
+
+    with running(clock) as found:
+        yield found
+        assert found.problems == []
+
+
+@pytest.fixture
+def client_of(server: ChatServer, clock: Clock, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Make:
+    """Makes clients of that server, with a cache of their own."""
+    from chat_server import MODELS
+
+    from pipeline.vlm import KEY_VARIABLE, ChatClient
+
+    monkeypatch.delenv(KEY_VARIABLE, raising=False)
+
+    def make(**options: Any) -> ChatClient:
+        return ChatClient(
+            options.pop("base_url", server.url),
+            options.pop("model", MODELS[0]),
+            **{"cache": tmp_path / "answers", "clock": clock, "sleep": clock.sleep, **options},
+        )
+
+    return make

@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 GOAL_EXPRESSIONS, GOAL_PAIRS = 50_000, 75_000
 GOAL_CLUSTERS = 500
-STAGES = ("read", "parse", "opm", "lift", "srm", "rank", "records", "tables")
+STAGES = ("read", "parse", "opm", "lift", "srm", "rank", "records", "verdicts", "tables")
 P_TOLERANCE = 1e-5
 """Records keep probabilities as float32, and a network's sums depend on how many pairs it is given at once."""
 
@@ -139,14 +139,14 @@ def _by_stages(spec: EvalSpec) -> tuple[Evaluator, dict[str, float], pa.Table]:
     import pyarrow as pa
 
     evaluator = Evaluator(spec)
-    blocks = blocks_of(evaluator.labels)
+    blocks = blocks_of(frames_with_expressions(evaluator.labels))
     if not blocks:
         raise InputError("these labels have no expressions", path=evaluator.labels.root)
     # The first frame pays for imports and for the network's own preparations.
     evaluator.block(blocks[0][0], blocks[0][0] + 1)
     evaluator.clock.seconds.clear()
     evaluator.forget_sentences()
-    records = pa.concat_tables([evaluator.block(*block) for block in blocks])
+    records = pa.concat_tables([evaluator.block(*block)[0] for block in blocks])
     stages = dict(evaluator.clock.seconds)
     start = process_time()
     make_tables({"system": _as_many(records, GOAL_EXPRESSIONS, GOAL_CLUSTERS)})

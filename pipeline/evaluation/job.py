@@ -23,6 +23,8 @@ from pipeline.evaluation.grounding_tables import (
     systems_table,
 )
 from pipeline.evaluation.intervals import BootstrapConfig
+from pipeline.evaluation.relation_cases import labelled_detector
+from pipeline.evaluation.relation_job import measure_relations, relation_sink
 from pipeline.evaluation.reported import reported_rows
 from pipeline.evaluation.run import EvalSpec, Progress, evaluate_labels, write_records
 from pipeline.evaluation.run_folder import RUN_FILE, spec_record
@@ -46,6 +48,9 @@ class RunReport:
     expressions : int
     seconds : float
     comparison : Comparison or None
+    pairs : int
+        On which relations were measured alone.
+    warnings : tuple of str
     """
 
     folder: Path
@@ -53,6 +58,8 @@ class RunReport:
     expressions: int
     seconds: float
     comparison: Comparison | None
+    pairs: int = 0
+    warnings: tuple[str, ...] = ()
 
 
 def evaluate_dataset(
@@ -74,7 +81,7 @@ def evaluate_dataset(
     ----------
     spec : EvalSpec
     out : Path
-        `tables.md`, `tables.tex`, `tables/*.csv`, `records.parquet`, `plots/`, `run.json`.
+        `tables.md`, `tables.tex`, `tables/*.csv`, `records.parquet`, `relation_records.parquet`, `plots/`, `run.json`.
     name : str, optional
         Of the system in the tables; by default detector and relation scorer.
     workers : int
@@ -98,10 +105,12 @@ def evaluate_dataset(
         from pipeline.evaluation.plots import need_plots
 
         need_plots()
+    if not spec.grounding and (against is not None or others or spec.relations is None):
+        raise InputError("runs are compared by their expressions, and this one answers none")
     source, labels = spec.open()
-    detector = source.needed_detector()
+    detector = source.needed_detector() if spec.grounding else labelled_detector(source)
     seen = 0
-    if spec.system == "pipeline" and spec.confidence is None:
+    if spec.system == "pipeline" and spec.grounding and spec.verdicts and spec.confidence is None:
         confidence, seen = median_confidence(source, labels)
         spec = replace(spec, confidence=confidence)
     if name is None:
@@ -111,13 +120,16 @@ def evaluate_dataset(
             "vlm": f"VLM {spec.vlm.model}" if spec.vlm else "VLM",
         }[spec.system]
     with staged_folder(out, overwrite=overwrite, mark=RUN_FILE) as folder:
-        count = write_records(
-            evaluate_labels(spec, workers=workers, progress=progress), folder / "records.parquet"
-        )
+        with relation_sink(spec, labels, folder) as sink:
+            count = write_records(
+                evaluate_labels(spec, workers=workers, progress=progress, relations=sink), folder / "records.parquet"
+            )
         evaluated = perf_counter() - start
         records = read_records(folder)
         systems = {name: records, **rows_of_others}
-        tables = make_tables(systems, bootstrap)
+        tables = make_tables(systems, bootstrap) if spec.grounding else []
+        relations = None if sink is None else measure_relations(spec, source, labels, folder, bootstrap)
+        tables += [] if relations is None else relations.tables
         (folder / "tables.md").write_text(markdown(tables), encoding="utf-8")
         (folder / "tables.tex").write_text(latex(tables), encoding="utf-8")
         (folder / "tables").mkdir()
@@ -128,8 +140,12 @@ def evaluate_dataset(
             write_json(folder / "comparison.json", comparison.record())
         if plots:
             from pipeline.evaluation.plots import draw
+            from pipeline.evaluation.relation_plots import draw_relations
 
-            draw(systems, tables, folder / "plots")
+            if spec.grounding:
+                draw(systems, tables, folder / "plots")
+            if relations is not None:
+                draw_relations(relations.figures, folder / "plots")
         config = {**asdict(source.config), "options": {k: str(v) for k, v in spec.options.items() if k != "config"}}
         plain = json.loads(json.dumps(config, default=str))
         write_json(
@@ -150,13 +166,17 @@ def evaluate_dataset(
                 "config": plain,
                 "config_hash": canonical_hash(plain),
                 "expressions": count,
-                "clusters": clusters_of(records)[1],
+                "clusters": clusters_of(records)[1] if spec.grounding else None,
+                "relations": None if relations is None else relations.record,
                 "seconds": {"evaluating": round(evaluated, 2), "in_all": round(perf_counter() - start, 2)},
                 "environment": environment(),
                 "created": datetime.now(timezone.utc).isoformat(timespec="seconds"),
             },
         )  # fmt: skip
-    return RunReport(out, tuple(tables), count, perf_counter() - start, comparison)
+        if not spec.grounding:
+            (folder / "records.parquet").unlink()
+    found = (0, ()) if relations is None else (relations.pairs, relations.warnings)
+    return RunReport(out, tuple(tables), count, perf_counter() - start, comparison, *found)
 
 
 def make_tables(systems: dict[str, pa.Table], bootstrap: BootstrapConfig | None = None) -> list[Table]:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from pipeline.errors import InputError
 from pipeline.evaluation.counts import f1_of, mean_of_defined, ratio
-from pipeline.evaluation.inputs import checked_names
+from pipeline.evaluation.inputs import checked_clusters, checked_names
 from pipeline.evaluation.intervals import BootstrapConfig, Estimate, bootstrap
 from pipeline.evaluation.relation_metrics import CellOutcomes
 from pipeline.relations import DIRECTIONAL
@@ -65,22 +65,43 @@ def relation_estimates(
     InputError
         Not one cluster a pair, or a scorer that was measured against another truth.
     """
-    rows = cells.stacked()
-    names = checked_names(relations, rows.shape[1])
-    second = None if other is None else other.stacked()
+    shape = cells.tp.shape
+    names = checked_names(relations, shape[1])
     if other is not None and not (
-        cells.tp.shape == other.tp.shape
+        shape == other.tp.shape
         and np.array_equal(cells.tp | cells.fn, other.tp | other.fn)
         and np.array_equal(cells.fp | cells.tn, other.fp | other.tn)
     ):
         raise InputError("two scorers can only be compared on the same pairs and the same truth")
+    # Sums by cluster first: a million pairs with four numbers for each relation would be hundreds of megabytes.
+    place, count = checked_clusters(clusters, shape[0])
     known = cells.tp | cells.fp | cells.fn | cells.tn
-    some = known.sum(axis=1, keepdims=True) > 0
-    counted = np.concatenate([known] * 3 + [some] * 3, axis=1)
-    found = bootstrap(rows, clusters, _figures, counted=counted, other=second, config=config)
+    by_relation = np.stack([_sums(known[..., k], place, count) for k in range(shape[1])], axis=1)
+    some = np.repeat(_sums(np.asarray(known.any(axis=1)), place, count)[:, None], 3, axis=1)
+    rows = np.concatenate([by_relation] * 3 + [some], axis=1)
+    found = bootstrap(
+        _by_cluster(cells, place, count),
+        np.arange(count),
+        _figures,
+        counted=rows > 0,
+        other=None if other is None else _by_cluster(other, place, count),
+        config=config,
+    )
+    found = [replace(e, n=int(n)) for e, n in zip(found, rows.sum(axis=0), strict=True)]
     r = len(names)
     precision, recall, f1 = (tuple(found[k * r : (k + 1) * r]) for k in range(3))
     return RelationEstimates(names, precision, recall, f1, *found[3 * r :])
+
+
+def _by_cluster(cells: CellOutcomes, place: np.ndarray, count: int) -> np.ndarray:
+    """(C, R, 4) float64: how many of tp, fp, fn, tn each cluster has."""
+    kinds = (cells.tp, cells.fp, cells.fn, cells.tn)
+    columns = [np.stack([_sums(kind[:, k], place, count) for kind in kinds], axis=1) for k in range(cells.tp.shape[1])]
+    return np.stack(columns, axis=1)
+
+
+def _sums(flags: np.ndarray, place: np.ndarray, count: int) -> np.ndarray:
+    return np.bincount(place[flags], minlength=count).astype(np.float64)
 
 
 def _figures(sums: np.ndarray) -> np.ndarray:

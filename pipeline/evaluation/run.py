@@ -22,6 +22,9 @@ from pipeline.errors import InputError
 from pipeline.evaluation.answering import FrameAnswers
 from pipeline.evaluation.cases import Case, FrameCases, read_cases
 from pipeline.evaluation.records import COLUMNS, read_query, record, records_schema
+from pipeline.evaluation.relation_cases import frames_with_pairs
+from pipeline.evaluation.relation_records import RelationPass
+from pipeline.evaluation.relation_systems import RelationSpec
 from pipeline.evaluation.stage_clock import StageClock
 from pipeline.evaluation.whole_expression import Referring, Vlm, VlmOptions, WholeExpression, record_whole
 from pipeline.expression import Query
@@ -56,8 +59,14 @@ class EvalSpec:
         The model behind the system "vlm".
     limit : int or None
         Only so many expressions, spread evenly over the frames.
+    grounding : bool
+        Answer the expressions.
+    relations : RelationSpec or None
+        Measure relations alone too, and how.
     confidence : float or None
         Score of an object that the oracle RECALL adds: the median of the run's right detections.
+    verdicts : bool
+        Say of each expression which module failed; without, the evaluation is a third cheaper.
     marks : dict
         Labels that a person marked: (frame, id of the expression) -> "BAD_LABEL" or "BAD_BOX".
     """
@@ -68,7 +77,10 @@ class EvalSpec:
     system: System = "pipeline"
     vlm: VlmOptions | None = None
     limit: int | None = None
+    grounding: bool = True
+    relations: RelationSpec | None = None
     confidence: float | None = None
+    verdicts: bool = True
     marks: dict[tuple[str, str], str] = field(default_factory=dict)
 
     def open(self) -> tuple[Source, Labels]:
@@ -89,18 +101,25 @@ class Evaluator:
         self.source, self.labels = spec.open()
         self.class_names = class_names_of(self.labels)
         self.whole: WholeExpression | None = None
-        if spec.system == "referring":
+        if not spec.grounding:
+            pass
+        elif spec.system == "referring":
             self.whole = Referring(self.source.needed_detector())
         elif spec.system == "vlm":
             if spec.vlm is None:
                 raise InputError("no model is named", expected="the address of a server and a model")
             self.whole = Vlm(spec.vlm)
         self.clock = StageClock()
+        self.relations: RelationPass | None = None
+        if spec.relations is not None:
+            chosen = frames_with_pairs(self.labels, spec.relations.frames)
+            self.relations = RelationPass(spec.relations, spec.options, self.labels, chosen.tolist())
+        self._grounding = spec.grounding
         self._chosen = chosen_ids(self.labels, spec.limit)
         self._parsed: dict[str, tuple[Query | None, str | None]] = {}
 
-    def frame(self, truth: FrameCases) -> list[dict[str, Any]]:
-        """The records of a frame's expressions.
+    def frame(self, truth: FrameCases, context: FrameContext | None = None) -> list[dict[str, Any]]:
+        """The records of a frame's expressions; the frame is loaded where it is not given.
 
         Raises
         ------
@@ -112,17 +131,21 @@ class Evaluator:
             truth = replace(truth, cases=kept)
         if not truth.cases:
             return []
-        with self.clock.stage("read"):
-            # Where nobody looks at the annotations, their masks are the most of what there would be to decode.
-            bare = self.whole is None and not reads_annotations(self.source.needed_detector())
-            dataset = self.source.dataset
-            frame = load_picture(dataset, truth.frame) if bare else dataset.load(truth.frame)
+        if context is not None:
+            frame = context.frame
+        else:
+            with self.clock.stage("read"):
+                # Where nobody looks at the annotations, their masks are the most of what there would be to decode.
+                bare = self.whole is None and not reads_annotations(self.source.needed_detector())
+                dataset = self.source.dataset
+                frame = load_picture(dataset, truth.frame) if bare else dataset.load(truth.frame)
         if self.whole is not None:
             pointed = self.whole.point(frame, [case.text for case in truth.cases])
             return [record_whole(c, truth, p) for c, p in zip(truth.cases, pointed, strict=True)]
-        # No answer depends on 3D boxes: features that are made of boxes fit them to the points themselves.
-        with self.clock.stage("lift"):
-            context = FrameContext(frame, self.source.config.lift, boxes=False)
+        if context is None:
+            # No answer depends on 3D boxes: features that are made of boxes fit them to the points themselves.
+            with self.clock.stage("lift"):
+                context = FrameContext(frame, self.source.config.lift, boxes=False)
         names = dict.fromkeys(name for case in truth.cases for name in (case.target, case.reference))
         relations = {case.relation for case in truth.cases}
         answers = FrameAnswers(self.source, context, tuple(names), relations, self.clock)
@@ -133,6 +156,8 @@ class Evaluator:
         with self.clock.stage("records"):
             overlap = iou_2d(answers.boxes, truth.boxes)
             rows = [record(case, truth, answers, self._parsed[case.text], overlap) for case in truth.cases]
+        if not self.spec.verdicts:
+            return rows
         with self.clock.stage("verdicts"):
             confidence = DEFAULT_CONFIDENCE if self.spec.confidence is None else self.spec.confidence
             evidence = FrameEvidence(truth, answers, confidence)
@@ -157,13 +182,26 @@ class Evaluator:
         )
         return diagnosis_columns(diagnosis, said, evidence, case)
 
-    def block(self, first: int, stop: int) -> pa.Table:
-        """The records of the frames from index `first` up to `stop`."""
+    def block(self, first: int, stop: int) -> tuple[pa.Table, pa.Table | None]:
+        """The records of the frames from index `first` up to `stop`: of expressions, and of pairs where asked for."""
+        import pyarrow as pa
+
         with self.clock.stage("read"):
-            frames = list(read_cases(self.labels, first, stop))
-        rows = [row for truth in frames for row in self.frame(truth)]
+            cases = {t.frame_index: t for t in read_cases(self.labels, first, stop)} if self._grounding else {}
+            pairs = {} if self.relations is None else self.relations.cases(first, stop)
+        rows: list[dict[str, Any]] = []
+        tables = []
+        for index in sorted(cases.keys() | pairs.keys()):
+            context = None
+            if self.relations is not None and index in pairs:
+                if self.relations.needs_frames:
+                    frame = self.source.dataset.load(pairs[index].key.frame)
+                    context = FrameContext(frame, self.source.config.lift)
+                tables.append(self.relations.table(self.source, pairs[index], context))
+            if index in cases:
+                rows += self.frame(cases[index], context)
         with self.clock.stage("records"):
-            return table_of(rows)
+            return table_of(rows), pa.concat_tables(tables) if tables else None
 
 
 def class_names_of(labels: Labels) -> tuple[str, ...]:
@@ -201,45 +239,68 @@ def frames_with_expressions(labels: Labels) -> np.ndarray:
     return np.unique(column.to_numpy())
 
 
-def blocks_of(
-    labels: Labels, only: np.ndarray | None = None, frames: int = FRAMES_A_BLOCK
-) -> tuple[tuple[int, int], ...]:
-    """Runs of frame indices that are evaluated together."""
-    index = frames_with_expressions(labels)
-    if only is not None:
-        index = index[np.isin(index, only)]
+def blocks_of(index: np.ndarray, frames: int = FRAMES_A_BLOCK) -> tuple[tuple[int, int], ...]:
+    """Runs of these frame indices (rising) that are evaluated together."""
     parts = [index[k : k + frames] for k in range(0, len(index), frames)]
     return tuple((int(p[0]), int(p[-1]) + 1) for p in parts)
 
 
 def evaluate_labels(
-    spec: EvalSpec, *, workers: int = 1, progress: Progress | None = None, frames_a_block: int = FRAMES_A_BLOCK
+    spec: EvalSpec,
+    *,
+    workers: int = 1,
+    progress: Progress | None = None,
+    relations: Callable[[pa.Table], None] | None = None,
+    frames_a_block: int = FRAMES_A_BLOCK,
 ) -> Iterator[pa.Table]:
     """The records of all expressions, block by block, in the labels' order.
 
     The rows do not depend on the number of workers, nor on how many frames make a block.
+
+    Parameters
+    ----------
+    spec : EvalSpec
+    workers : int
+    progress : callable, optional
+        Counts expressions; frames where no expression is asked.
+    relations : callable, optional
+        Is given the relation records (see `relation_records`), block by block. Without it there are none.
 
     Raises
     ------
     InputError
         Nothing can be evaluated, a frame of the labels cannot be used, or a worker was killed.
     """
+    spec = spec if relations is not None else replace(spec, relations=None)
     _, labels = spec.open()
-    blocks = blocks_of(labels, frames=frames_a_block)
-    if not blocks:
+    asked = frames_with_expressions(labels) if spec.grounding else np.zeros(0, np.int64)
+    if spec.grounding and not len(asked):
         raise InputError("these labels have no expressions", path=labels.root)
-    total = min(labels.manifest.counts["expressions"], spec.limit or labels.manifest.counts["expressions"])
+    paired = np.zeros(0, np.int64)
+    if spec.relations is not None:
+        paired = frames_with_pairs(labels, spec.relations.frames)
+        if not len(paired):
+            raise InputError("these labels have no pairs of objects", path=labels.root)
+    index = np.union1d(asked, paired)
+    total = len(index)
+    if spec.grounding:
+        total = min(labels.manifest.counts["expressions"], spec.limit or labels.manifest.counts["expressions"])
     # A server is asked by threads of one process.
     workers = 1 if spec.system == "vlm" else workers
     done = 0
-    for table in _tables(spec, blocks, workers):
-        done += table.num_rows
+    blocks = blocks_of(index, frames_a_block)
+    for (first, stop), (table, pairs) in zip(blocks, _tables(spec, blocks, workers), strict=True):
+        if relations is not None and pairs is not None:
+            relations(pairs)
+        done += table.num_rows if spec.grounding else int(((index >= first) & (index < stop)).sum())
         if progress is not None:
             progress(done, total)
         yield table
 
 
-def _tables(spec: EvalSpec, blocks: Sequence[tuple[int, int]], workers: int) -> Iterator[pa.Table]:
+def _tables(
+    spec: EvalSpec, blocks: Sequence[tuple[int, int]], workers: int
+) -> Iterator[tuple[pa.Table, pa.Table | None]]:
     if workers <= 1 or len(blocks) <= 1:
         with one_thread():
             evaluator = Evaluator(spec)
@@ -273,7 +334,7 @@ def _start(spec: EvalSpec) -> None:
     _evaluator = Evaluator(spec)
 
 
-def _block(block: tuple[int, int]) -> pa.Table:
+def _block(block: tuple[int, int]) -> tuple[pa.Table, pa.Table | None]:
     assert _evaluator is not None
     return _evaluator.block(*block)
 

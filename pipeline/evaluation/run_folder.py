@@ -165,8 +165,7 @@ def _read_spec(record: Mapping[str, Any], folder: Path) -> EvalSpec:
         found(str(record["labels"])),
         options,
         record["system"],
-        None,
-        record["limit"],
-        record["confidence"],
-        {(frame, expression): mark for frame, expression, mark in record["marks"]},
+        limit=record["limit"],
+        confidence=record["confidence"],
+        marks={(frame, expression): mark for frame, expression, mark in record["marks"]},
     )

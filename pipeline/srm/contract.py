@@ -14,6 +14,7 @@ from pipeline.errors import InputError
 from pipeline.relations import INVERSE, PAIRWISE
 from pipeline.srm.calibration import Platt
 from pipeline.srm.features import FEATURES, FeatureSet, feature_set, geometry_of
+from pipeline.srm.trained_on import TrainedOn
 from pipeline.text_vectors.contract import LanguageContract
 
 CONTRACT = "spatialviz-srm-1"
@@ -51,6 +52,8 @@ class Contract:
         The text vectors behind a "+lang" contract.
     classes : str
         Hash of the class vectors beside the file, see `class_vectors`; "" without language.
+    trained_on : TrainedOn or None
+        The scenes or frames of labels that it learnt from; None for rendered rooms.
     """
 
     features: str
@@ -65,6 +68,7 @@ class Contract:
     prior: tuple[float, ...] = ()
     language: LanguageContract | None = None
     classes: str = ""
+    trained_on: TrainedOn | None = None
 
     @property
     def feature_set(self) -> FeatureSet:
@@ -88,6 +92,8 @@ class Contract:
             values |= {"output": self.output, "prior": json.dumps(self.prior)}
         if self.classes:
             values["classes"] = self.classes
+        if self.trained_on is not None:
+            values["trained_on"] = self.trained_on.to_json()
         said = {PREFIX + key: value for key, value in values.items()}
         return said if self.language is None else {**said, **self.language.to_metadata()}
 
@@ -130,6 +136,7 @@ class Contract:
                 prior=tuple(float(p) for p in json.loads(metadata.get(PREFIX + "prior", "[]"))),
                 language=language,
                 classes=metadata.get(PREFIX + "classes", ""),
+                trained_on=TrainedOn.from_json(learnt) if (learnt := metadata.get(PREFIX + "trained_on")) else None,
             )
         except (KeyError, ValueError, TypeError, AttributeError) as error:
             raise InputError(

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 _LENGTHS = {"bbox": 4, "lo": 3, "hi": 3, "pca_center": 3, "pca_R": 9, "pca_size": 3, "center": 3, "R": 9, "size": 3}
-_NEEDED: dict[str, tuple[str, ...]] = {
+GEOMETRY_COLUMNS: dict[str, tuple[str, ...]] = {
     "rel14": ("lo", "hi"),
     "geom2d8": ("bbox",),
     "paper30": ("pca_center", "pca_R", "pca_size", "center", "R", "size"),
@@ -116,7 +116,7 @@ def read_label_data(labels: Labels, features: str, vocabulary: Sequence[str]) ->
         )
     frames = _columns(labels, "frames", ("frame", "frame_index", "scene", "ok", "width", "height", "up",
                                          "T_world_camera"))  # fmt: skip
-    wanted = ("frame_index", "object", "label", "usable", *_NEEDED[features])
+    wanted = ("frame_index", "object", "label", "usable", *GEOMETRY_COLUMNS[features])
     objects = _columns(labels, "objects", wanted)
     objects = {k: v[objects["usable"]] for k, v in objects.items()}
     relations = _columns(labels, "relations", ("frame_index", "a", "b", *vocabulary))
@@ -125,17 +125,17 @@ def read_label_data(labels: Labels, features: str, vocabulary: Sequence[str]) ->
     found = []
     for place in order:
         index = int(frames["frame_index"][place])
-        mine = _slice(objects["frame_index"], index)
+        mine = rows_of_frame(objects["frame_index"], index)
         if not frames["ok"][place] or mine.stop - mine.start < 2:
             continue
         pose = frames["T_world_camera"][place]
         position = None if pose is None else (float(pose[3]), float(pose[7]), float(pose[11]))
         key = FrameKey(str(frames["frame"][place]), str(frames["scene"][place]), index, position)
-        rows = _rows(features, objects, mine, {name: frames[name][place] for name in ("width", "height", "up")})
+        rows = object_rows(features, objects, mine, {name: frames[name][place] for name in ("width", "height", "up")})
         known = np.isfinite(rows).all(axis=1)
         if known.sum() < 2:
             continue
-        states = _states(relations, vocabulary, index, objects["object"][mine][known])
+        states = pair_states(relations, vocabulary, index, objects["object"][mine][known])
         found.append(LabelledFrame(key, rows[known], classes[mine][known].astype(np.int32), states))
     if not found:
         raise InputError("these labels hold no frame with two usable objects", path=labels.root)
@@ -201,9 +201,12 @@ def _learnable(frames: Sequence[LabelledFrame], output: str) -> Iterator[np.ndar
 
 
 def _columns(labels: Labels, table: str, names: Sequence[str]) -> dict[str, np.ndarray]:
-    """Columns as arrays; vectors of numbers are (rows, length) float64 with NaN where they are null."""
-    found = read_table(labels.root / f"{table}.parquet", table, names)
-    return {name: _array(found.column(name), name) for name in names}
+    return column_arrays(read_table(labels.root / f"{table}.parquet", table, names))
+
+
+def column_arrays(table: pa.Table) -> dict[str, np.ndarray]:
+    """The columns of a table of labels as arrays; vectors of numbers are (rows, length) float64 with NaN for null."""
+    return {name: _array(table.column(name), name) for name in table.column_names}
 
 
 def _array(column: pa.ChunkedArray, name: str) -> np.ndarray:
@@ -230,16 +233,16 @@ def _objects(values: list[Any]) -> np.ndarray:
     return found
 
 
-def _slice(sorted_index: np.ndarray, value: int) -> slice:
+def rows_of_frame(sorted_index: np.ndarray, value: int) -> slice:
     """Where a value stands in a sorted column."""
     return slice(int(np.searchsorted(sorted_index, value)), int(np.searchsorted(sorted_index, value, side="right")))
 
 
-def _states(
+def pair_states(
     relations: dict[str, np.ndarray], vocabulary: Sequence[str], index: int, numbers: np.ndarray
 ) -> np.ndarray:
     """(N, N, R) states of the pairs of these objects (sorted numbers)."""
-    mine = _slice(relations["frame_index"], index)
+    mine = rows_of_frame(relations["frame_index"], index)
     states = np.full((len(numbers), len(numbers), len(vocabulary)), U, np.int8)
     a, b = relations["a"][mine], relations["b"][mine]
     i, j = (np.minimum(np.searchsorted(numbers, x), len(numbers) - 1) for x in (a, b))
@@ -249,7 +252,7 @@ def _states(
     return states
 
 
-def _rows(features: str, objects: dict[str, np.ndarray], mine: slice, frame: dict[str, Any]) -> np.ndarray:
+def object_rows(features: str, objects: dict[str, np.ndarray], mine: slice, frame: dict[str, Any]) -> np.ndarray:
     """(N, K) float64 description of the objects; see `features`."""
     if features == "rel14":
         return np.concatenate([objects["lo"][mine], objects["hi"][mine]], axis=1)

@@ -26,6 +26,7 @@ from pipeline.srm.model import OnnxScorer
 from pipeline.srm.onnx_file import save_onnx
 from pipeline.srm.splits import PARTS, TEST, TRAIN, VALIDATION, SplitKind, SplitPlan, split_frames
 from pipeline.srm.train import Epoch, TrainConfig, TrainedModel, require_training, train_pairs
+from pipeline.srm.trained_on import TrainedOn
 from pipeline.text_vectors import LanguageContract, open_vectors
 from pipeline.threads import one_thread
 
@@ -129,7 +130,7 @@ def train_on_labels(
         made = Path(folder) / out.name
         save_onnx(made, model)
         calibration = _calibrate(OnnxScorer(made), validation, data)
-        save_onnx(made, model, calibration)
+        save_onnx(made, model, calibration, TrainedOn.of(labels, plan))
         card = {
             "name": config.features,
             "command": _command(job, out),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -14,6 +15,7 @@ from pipeline.srm.class_vectors import vectors_beside
 
 if TYPE_CHECKING:
     from pipeline.srm.train import TrainedModel
+    from pipeline.srm.trained_on import TrainedOn
 
 OPSET = 13
 IR_VERSION = 8
@@ -76,8 +78,13 @@ def write_onnx(
     path.write_bytes(model.SerializeToString(deterministic=True))
 
 
-def save_onnx(path: Path, model: TrainedModel, calibration: dict[str, Platt] | None = None) -> None:
+def save_onnx(
+    path: Path,
+    model: TrainedModel,
+    calibration: dict[str, Platt] | None = None,
+    trained_on: TrainedOn | None = None,
+) -> None:
     """The trained network with its contract, as `OnnxScorer` reads it, and its class vectors beside it."""
-    write_onnx(path, model.layers, model.contract(calibration).metadata())
+    write_onnx(path, model.layers, replace(model.contract(calibration), trained_on=trained_on).metadata())
     if model.vectors is not None:
         vectors_beside(path).write_bytes(model.vectors.content())

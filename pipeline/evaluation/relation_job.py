@@ -1,0 +1,162 @@
+"""The part of an evaluation run that measures relations alone: its records, its tables, and what it warns of."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.errors import InputError
+from pipeline.evaluation.intervals import BootstrapConfig
+from pipeline.evaluation.relation_records import (
+    FILE,
+    RelationRecords,
+    RelationWriter,
+    read_relation_records,
+    relation_schema,
+    relation_writer,
+)
+from pipeline.evaluation.relation_report import (
+    SystemFigures,
+    all_systems,
+    always_no,
+    counted_pairs,
+    leak_warnings,
+    relation_tables,
+    system_figures,
+)
+from pipeline.evaluation.relation_systems import RelationSystem, geometry_of_labels, open_systems
+from pipeline.evaluation.relation_vlm import FILE as VLM_FILE
+from pipeline.evaluation.relation_vlm import ask_relations, sample_pairs
+from pipeline.evaluation.run import EvalSpec
+from pipeline.evaluation.tables import Table
+from pipeline.jobs import Source
+from pipeline.labels.reading import Labels
+
+
+@dataclass(frozen=True, eq=False)
+class RelationRun:
+    """Relations alone, measured.
+
+    Attributes
+    ----------
+    figures : tuple of SystemFigures
+        A scorer each, then the vision-language model.
+    tables : tuple of Table
+    warnings : tuple of str
+    record : dict
+        For the manifest.
+    pairs : int
+        That were measured.
+    """
+
+    figures: tuple[SystemFigures, ...]
+    tables: tuple[Table, ...]
+    warnings: tuple[str, ...]
+    record: dict[str, Any]
+    pairs: int
+
+
+@contextmanager
+def relation_sink(spec: EvalSpec, labels: Labels, folder: Path) -> Iterator[RelationWriter | None]:
+    """Where relation records go while frames are evaluated; None where relations are not measured."""
+    if spec.relations is None:
+        yield None
+        return
+    geometry_of_labels(spec.relations, labels)
+    systems = open_systems(spec.options, spec.relations, labels)
+    with relation_writer(folder / FILE, relation_schema(systems, labels)) as writer:
+        yield writer
+
+
+def measure_relations(
+    spec: EvalSpec, source: Source, labels: Labels, folder: Path, bootstrap: BootstrapConfig | None = None
+) -> RelationRun:
+    """The tables of a run's relation records.
+
+    Raises
+    ------
+    InputError
+        No pair is left to be measured.
+    """
+    how = spec.relations
+    assert how is not None
+    held_out = how.pairs == "held-out"
+    systems = open_systems(spec.options, how, labels)
+    records = read_relation_records(folder / FILE)
+    counted = counted_pairs(records, held_out)
+    if not counted.any():
+        raise InputError(
+            "no pair is left to measure relations on",
+            got=f"{len(records)} pairs, all of frames that a network was trained or calibrated on",
+            expected="labels of other scenes, or --relation-pairs all",
+            path=labels.root,
+        )
+    warnings = leak_warnings(records, systems, labels, held_out)
+    figures = all_systems(records, held_out=held_out, config=bootstrap)
+    clusters, unit = records.clusters(counted)
+    geometry = geometry_of_labels(how, labels)
+    notes = [_said(records, counted, geometry, held_out)]
+    asked: dict[str, Any] | None = None
+    if spec.vlm is not None:
+        rows = sample_pairs(records, counted, how.vlm_pairs, how.seed)
+        first = records.systems[0]
+        found = ask_relations(
+            spec.vlm, source.dataset, labels, records, rows, first.relations, folder / VLM_FILE
+        )
+        same = replace(
+            first, title=f"{first.title}, on the VLM's pairs", p=first.p[rows], part=first.part[rows]
+        )
+        for system in (same, found.system):
+            truth = records.truth(system.relations)[rows]
+            figures.append(
+                system_figures(system, truth, clusters[rows], np.ones(len(rows), np.bool_), bootstrap)
+            )
+        unknown = sum(found.unknown.values())
+        notes.append(
+            f"The VLM was asked about {len(rows)} pairs drawn at random (seed {how.seed}), {unknown} of "
+            f"{found.system.p.size} answers are not known and count as no."
+        )
+        asked = {"pairs": len(rows), "answers": int(found.system.p.size), "unknown": found.unknown,
+                 "requests": found.requests}  # fmt: skip
+    notes += [f"Warning: {warning}." for warning in warnings]
+    tables = relation_tables(figures, always_no(records, held_out=held_out), unit, notes)
+    record = {
+        **asdict(how),
+        "geometry": geometry,
+        "measured_pairs": int(counted.sum()),
+        "frames_measured": len(np.unique(records.frame_index[counted])),
+        "unit": unit,
+        "systems": [_system_record(s) for s in systems],
+        "vlm": asked,
+        "warnings": warnings,
+    }
+    return RelationRun(tuple(figures), tuple(tables), tuple(warnings), record, int(counted.sum()))
+
+
+def _said(records: RelationRecords, counted: np.ndarray, geometry: str, held_out: bool) -> str:
+    frames, scenes = len(np.unique(records.frame_index[counted])), len(np.unique(records.scene[counted]))
+    where = "lifted from the dataset's annotations" if geometry == "lifted" else "with boxes as the labels store them"
+    left = f", without {int((~counted).sum())} of frames that a network learnt from" if held_out else ""
+    return (
+        f"{int(counted.sum())} ordered pairs of labelled objects, {where}, in {frames} frames of "
+        f"{scenes} scene{'s' if scenes > 1 else ''}{left}. Auto-labels are the rule's own verdicts: the rule and "
+        "networks that imitate it are flattered by them."
+    )
+
+
+def _system_record(system: RelationSystem) -> dict[str, Any]:
+    from pipeline.srm.model import OnnxScorer
+
+    found: dict[str, Any] = {"name": system.name, "title": system.title, "relations": list(system.relations)}
+    if isinstance(system.scorer, OnnxScorer):
+        contract = system.scorer.contract
+        found |= {"features": contract.features, "output": contract.output, "seed": contract.seed,
+                  "data": contract.data}  # fmt: skip
+    if system.trained_on is not None:
+        found["trained_on"] = asdict(system.trained_on)
+    return found

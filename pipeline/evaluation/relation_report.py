@@ -1,0 +1,272 @@
+"""Tables of relations alone: each relation scorer against the labelled states of pairs (the paper's SRM table)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pipeline.evaluation.calibration_metrics import CalibrationMetrics, calibration_metrics
+from pipeline.evaluation.intervals import BootstrapConfig, Estimate, mean_estimate
+from pipeline.evaluation.relation_intervals import RelationEstimates, relation_estimates
+from pipeline.evaluation.relation_metrics import (
+    RelationMetrics,
+    cell_outcomes,
+    multi_label_metrics,
+    tuned_thresholds,
+)
+from pipeline.evaluation.relation_records import RelationRecords, SystemRecords
+from pipeline.evaluation.relation_systems import RelationSystem
+from pipeline.evaluation.reported import reported_rows
+from pipeline.evaluation.single_label_metrics import true_ranks
+from pipeline.evaluation.tables import Cell, Row, Table
+from pipeline.relations import PHRASE, T
+from pipeline.srm import TRAINED
+from pipeline.srm.splits import DROPPED, TRAIN, VALIDATION
+
+if TYPE_CHECKING:
+    from pipeline.labels.reading import Labels
+
+SHOWN_SCENES = 5
+MEASURES = (
+    "micro-F1", "macro-F1", "element accuracy", "mean AP", "Brier", "ECE", "Top-1", "Top-2", "relations", "pairs",
+    "masked U cells",
+)  # fmt: skip
+BY_RELATION = ("precision", "recall", "F1", "F1, tuned threshold", "AP", "positives", "U cells")
+
+
+@dataclass(frozen=True, eq=False)
+class SystemFigures:
+    """Every figure of one scorer.
+
+    Attributes
+    ----------
+    title : str
+    metrics : RelationMetrics
+    estimates : RelationEstimates
+        The same with intervals.
+    calibration : CalibrationMetrics
+    top1, top2 : Estimate or None
+        Where it says which one relation fits, and all it can say was labelled.
+    tuned : (R,) float64
+        F1 at the thresholds that are best on the network's validation frames, on the pairs of frames that it has
+        not seen at all; NaN without either.
+    """
+
+    title: str
+    metrics: RelationMetrics
+    estimates: RelationEstimates
+    calibration: CalibrationMetrics
+    top1: Estimate | None
+    top2: Estimate | None
+    tuned: np.ndarray
+
+
+def counted_pairs(records: RelationRecords, held_out: bool) -> np.ndarray:
+    """(P,) bool: all pairs, or those of frames that no scorer was trained or calibrated on."""
+    counted = np.ones(len(records), np.bool_)
+    if held_out:
+        for system in records.systems:
+            counted &= system.part == DROPPED
+    return counted
+
+
+def system_figures(
+    system: SystemRecords,
+    states: np.ndarray,
+    clusters: np.ndarray,
+    counted: np.ndarray,
+    config: BootstrapConfig | None = None,
+) -> SystemFigures:
+    """The figures of one scorer.
+
+    Parameters
+    ----------
+    system : SystemRecords
+        Of P pairs.
+    states : (P, R_k) int8
+        Of its relations.
+    clusters : (P,) int
+    counted : (P,) bool
+        The pairs that are measured; the others only serve to find thresholds.
+    config : BootstrapConfig, optional
+    """
+    p, truth, names = system.p[counted].astype(np.float64), states[counted], system.relations
+    own = clusters[counted]
+    metrics = multi_label_metrics(p, truth, relations=names)
+    top1, top2 = _top(system, p, truth, own, config)
+    return SystemFigures(
+        system.title,
+        metrics,
+        relation_estimates(cell_outcomes(p, truth), own, relations=names, config=config),
+        calibration_metrics(p, truth, names),
+        top1,
+        top2,
+        _tuned(system, states, counted),
+    )
+
+
+def _top(
+    system: SystemRecords, p: np.ndarray, truth: np.ndarray, clusters: np.ndarray, config: BootstrapConfig | None
+) -> tuple[Estimate | None, Estimate | None]:
+    """Share of pairs whose one relation is the most probable, is among the two most probable."""
+    if not system.prior:
+        return None, None
+    holds = truth == T
+    one = holds.sum(axis=1) == 1
+    # What ranks pairs has the prior divided out; what the network says of one pair has not.
+    likely = p[one] * np.array(system.prior)
+    likely /= np.maximum(likely.sum(axis=1, keepdims=True), 1e-12)
+    ranks = true_ranks(likely, holds[one].argmax(axis=1))
+    first, second = (mean_estimate((ranks < k).astype(np.float64), clusters[one], config=config) for k in (1, 2))
+    return first, second
+
+
+def _tuned(system: SystemRecords, states: np.ndarray, counted: np.ndarray) -> np.ndarray:
+    validation, unseen = system.part == VALIDATION, (system.part == DROPPED) & counted
+    if not validation.any() or not unseen.any():
+        return np.full(len(system.relations), np.nan)
+    cut = tuned_thresholds(system.p[validation], states[validation])
+    return multi_label_metrics(system.p[unseen], states[unseen], cut, system.relations).f1
+
+
+def all_systems(
+    records: RelationRecords, *, held_out: bool = False, config: BootstrapConfig | None = None
+) -> list[SystemFigures]:
+    """The figures of all scorers, in the order of the run."""
+    counted = counted_pairs(records, held_out)
+    clusters, _ = records.clusters(counted)
+    return [system_figures(s, records.truth(s.relations), clusters, counted, config) for s in records.systems]
+
+
+def always_no(records: RelationRecords, *, held_out: bool = False) -> list[Row]:
+    """The row of a scorer that always says no, one for each set of relations that scorers are measured on."""
+    counted = counted_pairs(records, held_out)
+    sets = list(dict.fromkeys(s.relations for s in records.systems))
+    rows = []
+    for relations in sets:
+        truth = records.truth(relations)[counted]
+        zeros = np.zeros(truth.shape)
+        metrics = multi_label_metrics(zeros, truth, relations=relations)
+        calibration = calibration_metrics(zeros, truth, relations)
+        name = "always no" if len(sets) == 1 else f"always no ({', '.join(PHRASE[r] for r in relations)})"
+        cells: list[Cell] = [metrics.micro_f1, metrics.macro_f1, metrics.all_negative_accuracy]
+        rows.append(Row(name, (*cells, *_rest(metrics, calibration, None, None))))
+    return rows
+
+
+def _rest(
+    metrics: RelationMetrics, calibration: CalibrationMetrics, top1: Estimate | None, top2: Estimate | None
+) -> tuple[Cell, ...]:
+    return (
+        metrics.mean_average_precision, calibration.pooled_brier, calibration.pooled_ece, top1, top2,
+        len(metrics.relations), metrics.pairs, int(metrics.doubtful.sum()),
+    )  # fmt: skip
+
+
+def system_row(found: SystemFigures) -> Row:
+    """A scorer's line of the table of scorers."""
+    e = found.estimates
+    cells = (e.micro_f1, e.macro_f1, e.element_accuracy)
+    return Row(found.title, (*cells, *_rest(found.metrics, found.calibration, found.top1, found.top2)))
+
+
+def relation_rows(found: SystemFigures) -> list[Row]:
+    """A scorer's lines of the table by relation."""
+    m, e = found.metrics, found.estimates
+    rows = []
+    for k, relation in enumerate(m.relations):
+        shares = (e.precision[k], e.recall[k], e.f1[k], float(found.tuned[k]), float(m.average_precision[k]))
+        cells = (*shares, int(m.positives[k]), int(m.doubtful[k]))
+        rows.append(Row(f"{found.title}: {PHRASE[relation]}", cells))
+    return rows
+
+
+def relation_tables(
+    figures: Sequence[SystemFigures], no_rows: Sequence[Row], unit: str, notes: Sequence[str] = ()
+) -> list[Table]:
+    """The table of relation scorers, and the one by relation.
+
+    Parameters
+    ----------
+    figures : sequence of SystemFigures
+    no_rows : sequence of Row
+        Those of `always_no`.
+    unit : str
+        What the intervals are drawn over, "scene" or "frame".
+    notes : sequence of str
+        What else a reader must know: of what pairs, and what was learnt from them.
+    """
+    said = " ".join(notes)
+    rows = (*map(system_row, figures), *no_rows, *reported_rows("srm", MEASURES))
+    return [
+        Table(
+            "srm",
+            "Relations alone",
+            MEASURES,
+            rows,
+            "Percent; Brier score and ECE times 100. A relation is said to hold above 0.5. Each scorer is measured on "
+            "the relations that it judges and that were labelled: only rows with the same relations can be compared, "
+            "and beside each stands what always saying no gets. U cells count neither way. Top-1 and Top-2: of the "
+            "pairs of which exactly one relation holds, for networks that choose one. Brackets: 95 % bootstrap "
+            f"intervals over {unit}s. {said}".strip(),
+        ),
+        Table(
+            "srm_relations",
+            "Relations alone, one by one",
+            BY_RELATION,
+            tuple(row for found in figures for row in relation_rows(found)),
+            "Percent. Tuned threshold: the best one on the network's own validation frames, F1 on the pairs of frames "
+            "that it has never seen. Pairs and warnings as above.",
+        ),
+    ]
+
+
+def leak_warnings(
+    records: RelationRecords, systems: Sequence[RelationSystem], labels: Labels, held_out: bool
+) -> list[str]:
+    """What a reader must be warned of: pairs and scenes that a scorer has learnt from, and relations it lacks.
+
+    Parameters
+    ----------
+    records : RelationRecords
+    systems : sequence of RelationSystem
+        In the order of the records.
+    labels : Labels
+    held_out : bool
+        Pairs that were learnt from are left out.
+    """
+    found: dict[str, list[str]] = {}
+    for said, system in zip(records.systems, systems, strict=True):
+        if system.unlabelled:
+            text = f"measured without {', '.join(system.unlabelled)}, which were not labelled"
+            found.setdefault(text + ("; hence no Top-1" if system.prior else ""), []).append(system.name)
+        if not system.recorded:
+            text = "the file does not say what it was trained on, so these pairs may be among it"
+            found.setdefault(text, []).append(system.name)
+        if system.name == TRAINED == labels.manifest.config.get("second_opinion"):
+            text = (
+                "it was the labels' second opinion, so that cells on which it and the rule differ became U and do not "
+                "count: near 100 by construction; label with --second-opinion none to measure it"
+            )
+            found.setdefault(text, []).append(system.name)
+        learnt = system.trained_on
+        if learnt is None or not learnt.same_dataset(labels):
+            continue
+        seen = said.part != DROPPED
+        shared = sorted(set(records.scenes) & set(learnt.scenes))
+        if seen.any() and not held_out:
+            train = int((said.part == TRAIN).sum())
+            text = (
+                f"{train} of {len(seen)} pairs are ones it was trained on and {int(seen.sum()) - train} "
+                f"ones it was calibrated on, in {len(shared)} of {len(records.scenes)} scenes "
+                f"({', '.join(shared[:SHOWN_SCENES])}{', ...' if len(shared) > SHOWN_SCENES else ''}): the figures say "
+                "how well it remembers; --relation-pairs held-out leaves these pairs out"
+            )
+            found.setdefault(text, []).append(system.name)
+        elif shared and learnt.split != "scene":
+            text = "the pairs are of other frames than it learnt from, but of the same scenes"
+            found.setdefault(text, []).append(system.name)
+    return [f"{', '.join(names)}: {text}" for text, names in found.items()]
