@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from typing import Any
 
 from rich.table import Table as RichTable
@@ -29,6 +30,8 @@ def print_run(report: RunReport, show: int) -> None:
     rate = report.expressions / report.seconds if report.seconds else 0.0
     console.print(f"{report.expressions} expressions in {report.seconds:.1f} s, {rate:.0f} a second")
     console.print(Text(f"-> {report.folder}", "dim"))
+    for warning in report.warnings:
+        print(f"spatialviz: {warning}", file=sys.stderr)
 
 
 def _rich(table: Table) -> RichTable:
@@ -74,6 +77,7 @@ def run_record(report: RunReport) -> dict[str, Any]:
             t.key: {row.name: dict(zip(t.columns, map(_plain, row.cells), strict=True)) for row in t.rows}
             for t in report.tables
         },
+        "warnings": list(report.warnings),
         "comparison": None if report.comparison is None else report.comparison.record(),
     }
 

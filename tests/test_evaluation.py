@@ -18,7 +18,7 @@ from pipeline.evaluation.cases import read_cases
 from pipeline.evaluation.compare import compare, read_records
 from pipeline.evaluation.intervals import BootstrapConfig, Estimate
 from pipeline.evaluation.job import evaluate_dataset, make_tables
-from pipeline.evaluation.records import COLUMNS, HIT, overlaps, records_schema
+from pipeline.evaluation.records import COLUMNS, DETECTIONS, HIT, overlaps, records_schema
 from pipeline.evaluation.reported import read_reported, reported_rows
 from pipeline.evaluation.run import EvalSpec, Evaluator, evaluate_labels, table_of
 from pipeline.evaluation.tables import Row, Table, as_csv, latex, markdown
@@ -31,6 +31,7 @@ from pipeline.objects import FrameContext
 from pipeline.relations import PHRASE
 
 FRAMES = 4
+OF_CALIBRATED = {f"{end}_{what}" for end in ("target", "reference") for what in DETECTIONS}
 QUICK = BootstrapConfig(resamples=200)
 
 
@@ -285,7 +286,7 @@ def test_tables_of_a_run_hold_every_system(labels: Path, recording: Path) -> Non
 def test_columns_are_all_filled(labels: Path) -> None:
     (table, *_) = evaluate_labels(spec_of(labels, None))
     empty = [name for name in COLUMNS if table.column(name).null_count == table.num_rows]
-    assert empty == ["problem"]
+    assert empty == ["problem", *(name for name in COLUMNS if name.startswith("raw_") or name in OF_CALIBRATED)]
     assert table_of([]).schema.equals(records_schema())
 
 

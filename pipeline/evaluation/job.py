@@ -4,24 +4,28 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from datetime import datetime, timezone
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING
 
 from pipeline import __version__
-from pipeline.errors import InputError
+from pipeline.evaluation.calibration_tables import calibration_table, calibration_warnings, recorded_config
 from pipeline.evaluation.compare import Comparison, compare, read_records
 from pipeline.evaluation.grounding_tables import (
+    OPM_ONLY,
     clusters_of,
     full_row,
+    has_opm,
     opm_row,
     relation_table,
     stages_table,
     systems_table,
 )
 from pipeline.evaluation.intervals import BootstrapConfig
+from pipeline.evaluation.other_runs import RUN_FILE, other_systems
+from pipeline.evaluation.raw_scores import is_calibrated, raw_records
 from pipeline.evaluation.reported import reported_rows
 from pipeline.evaluation.run import EvalSpec, Progress, evaluate_labels, write_records
 from pipeline.evaluation.tables import Table, as_csv, latex, markdown
@@ -31,9 +35,6 @@ from pipeline.labels.profiles import canonical_hash
 
 if TYPE_CHECKING:
     import pyarrow as pa
-
-RUN_FILE = "run.json"
-"""The manifest of a run; a folder that holds it may be overwritten by another run."""
 
 
 @dataclass(frozen=True)
@@ -47,6 +48,8 @@ class RunReport:
     expressions : int
     seconds : float
     comparison : Comparison or None
+    warnings : tuple of str
+        Why figures say less than they seem to.
     """
 
     folder: Path
@@ -54,6 +57,7 @@ class RunReport:
     expressions: int
     seconds: float
     comparison: Comparison | None
+    warnings: tuple[str, ...] = ()
 
 
 def evaluate_dataset(
@@ -94,7 +98,6 @@ def evaluate_dataset(
     start = perf_counter()
     out = Path(out)
     before = None if against is None else read_records(against)
-    rows_of_others = {run_name(run): read_records(run) for run in others}
     if plots:
         from pipeline.evaluation.plots import need_plots
 
@@ -107,6 +110,8 @@ def evaluate_dataset(
             "referring": f"{detector.name}, whole expression",
             "vlm": f"VLM {spec.vlm.model}" if spec.vlm else "VLM",
         }[spec.system]
+    asked = labels.manifest.tables["expressions"].content_hash
+    rows_of_others = other_systems(others, name, asked)
     with staged_folder(out, overwrite=overwrite, mark=RUN_FILE) as folder:
         count = write_records(
             evaluate_labels(spec, workers=workers, progress=progress), folder / "records.parquet"
@@ -127,7 +132,8 @@ def evaluate_dataset(
             from pipeline.evaluation.plots import draw
 
             draw(systems, tables, folder / "plots")
-        config = {**asdict(source.config), "options": {k: str(v) for k, v in spec.options.items() if k != "config"}}
+        warnings = calibration_warnings(source, labels, records)
+        config = {**recorded_config(source.config), "options": {k: str(v) for k, v in spec.options.items() if k != "config"}}
         plain = json.loads(json.dumps(config, default=str))
         write_json(
             folder / RUN_FILE,
@@ -137,7 +143,7 @@ def evaluate_dataset(
                 "name": name,
                 "dataset": spec.dataset,
                 "labels": {"path": spec.labels, "config_hash": labels.manifest.config_hash,
-                           "content_hash": labels.manifest.tables["expressions"].content_hash},
+                           "content_hash": asked},
                 "detector": f"{detector.name}: {detector.fingerprint()}",
                 "scorer": source.scorer.name,
                 "system": spec.system,
@@ -146,13 +152,14 @@ def evaluate_dataset(
                 "config": plain,
                 "config_hash": canonical_hash(plain),
                 "expressions": count,
+                "warnings": list(warnings),
                 "clusters": clusters_of(records)[1],
                 "seconds": {"evaluating": round(evaluated, 2), "in_all": round(perf_counter() - start, 2)},
                 "environment": environment(),
                 "created": datetime.now(timezone.utc).isoformat(timespec="seconds"),
             },
         )  # fmt: skip
-    return RunReport(out, tuple(tables), count, perf_counter() - start, comparison)
+    return RunReport(out, tuple(tables), count, perf_counter() - start, comparison, warnings)
 
 
 def make_tables(systems: dict[str, pa.Table], bootstrap: BootstrapConfig | None = None) -> list[Table]:
@@ -160,26 +167,12 @@ def make_tables(systems: dict[str, pa.Table], bootstrap: BootstrapConfig | None 
     first = next(iter(systems.values()))
     rows = []
     for name, records in systems.items():
-        if records.column("opm_iou").null_count < records.num_rows:
-            rows.append(opm_row(f"{name}: OPM only", records, bootstrap))
+        if has_opm(records):
+            rows.append(opm_row(f"{name}{OPM_ONLY}", records, bootstrap))
+        if is_calibrated(records):
+            rows.append(full_row(f"{name}, raw scores", raw_records(records), bootstrap))
         rows.append(full_row(name, records, bootstrap))
     unit = clusters_of(first)[1]
-    grounding = systems_table([*rows, *reported_rows()], unit)
-    return [grounding, relation_table(systems, bootstrap), stages_table(systems)]
-
-
-def run_name(run: Path) -> str:
-    """The name of a run's system.
-
-    Raises
-    ------
-    InputError
-        There is no run.
-    """
-    path = Path(run) / RUN_FILE
-    try:
-        return str(json.loads(path.read_text(encoding="utf-8"))["name"])
-    except FileNotFoundError as error:
-        raise InputError("no evaluation run here", expected="a folder that `eval` wrote", path=run) from error
-    except (ValueError, KeyError) as error:
-        raise InputError("the run's manifest cannot be read", got=str(error), path=path) from error
+    tables = [systems_table([*rows, *reported_rows()], unit), relation_table(systems, bootstrap), stages_table(systems)]
+    calibration = calibration_table(systems, bootstrap)
+    return tables if calibration is None else [*tables, calibration]

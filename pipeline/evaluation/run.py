@@ -15,6 +15,7 @@ import numpy as np
 from pipeline.errors import InputError
 from pipeline.evaluation.answering import FrameAnswers
 from pipeline.evaluation.cases import FrameCases, read_cases
+from pipeline.evaluation.raw_scores import by_raw_scores, raw_columns
 from pipeline.evaluation.records import COLUMNS, read_query, record, records_schema
 from pipeline.evaluation.whole_expression import Referring, Vlm, VlmOptions, WholeExpression, record_whole
 from pipeline.expression import Query
@@ -104,11 +105,14 @@ class Evaluator:
         names = dict.fromkeys(name for case in truth.cases for name in (case.target, case.reference))
         relations = {case.relation for case in truth.cases}
         answers = FrameAnswers(self.source, context, tuple(names), relations)
+        raw = by_raw_scores(answers)
         rows = []
         for case in truth.cases:
             if case.text not in self._parsed:
                 self._parsed[case.text] = read_query(case, self.class_names)
             rows.append(record(case, truth, answers, self._parsed[case.text]))
+            if raw is not None:
+                rows[-1] |= raw_columns(case, truth, answers, raw, self._parsed[case.text])
         return rows
 
     def block(self, first: int, stop: int) -> pa.Table:
