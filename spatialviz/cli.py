@@ -16,6 +16,7 @@ from tyro.conf import OmitArgPrefixes, Positional, subcommand
 
 from pipeline import __version__
 from pipeline.errors import InputError, MissingExtra
+from spatialviz.cli_bench_srm import BenchSrm
 from spatialviz.cli_detect import Calibrate, Detect
 from spatialviz.cli_eval import Eval
 from spatialviz.cli_labels import BenchLabel, Check, Export, Label, Merge
@@ -290,6 +291,7 @@ Command = Union[
     Annotated[Eval, subcommand("eval")],
     Annotated[Bench, subcommand("bench")],
     Annotated[BenchLabel, subcommand("bench-label")],
+    Annotated[BenchSrm, subcommand("bench-srm")],
 ]
 
 
@@ -307,6 +309,8 @@ def main(argv: Sequence[str] | None = None) -> int:
         arguments = ["view", *arguments]
     if arguments[:2] == ["bench", "label"]:
         arguments = ["bench-label", *arguments[2:]]
+    if arguments[:2] == ["bench", "srm"]:
+        arguments = ["bench-srm", *arguments[2:]]
     try:
         command = tyro.cli(
             Command,  # pyright: ignore[reportArgumentType]

@@ -20,10 +20,7 @@ def print_run(report: RunReport, show: int) -> None:
     """The tables, the comparison, and where everything lies."""
     console = make_console()
     for table in report.tables:
-        console.print(Text(table.title, "bold"))
-        console.print(_rich(table))
-        if table.note:
-            console.print(Text(table.note, "dim"))
+        print_table(table)
         console.print()
     if report.comparison is not None:
         print_comparison(report.comparison, show)
@@ -32,6 +29,20 @@ def print_run(report: RunReport, show: int) -> None:
     console.print(Text(f"-> {report.folder}", "dim"))
     for warning in report.warnings:
         print(f"spatialviz: {warning}", file=sys.stderr)
+
+
+def print_table(table: Table) -> None:
+    """A table under its title, and what must be known of it."""
+    console = make_console()
+    console.print(Text(table.title, "bold"))
+    console.print(_rich(table))
+    if table.note:
+        console.print(Text(table.note, "dim"))
+
+
+def table_record(table: Table) -> dict[str, Any]:
+    """A table as JSON: by row and column; an estimate as {value, low, high, n, clusters, note}."""
+    return {row.name: dict(zip(table.columns, map(_plain, row.cells), strict=True)) for row in table.rows}
 
 
 def _rich(table: Table) -> RichTable:
@@ -73,10 +84,7 @@ def run_record(report: RunReport) -> dict[str, Any]:
         "run": str(report.folder),
         "expressions": report.expressions,
         "seconds": round(report.seconds, 2),
-        "tables": {
-            t.key: {row.name: dict(zip(t.columns, map(_plain, row.cells), strict=True)) for row in t.rows}
-            for t in report.tables
-        },
+        "tables": {t.key: table_record(t) for t in report.tables},
         "warnings": list(report.warnings),
         "comparison": None if report.comparison is None else report.comparison.record(),
     }

@@ -271,7 +271,7 @@ def test_published_figures_name_their_source(tmp_path: Path) -> None:
 
 def test_tables_of_a_run_hold_every_system(labels: Path, recording: Path) -> None:
     (poor, *_), (exact, *_) = evaluate_labels(spec_of(labels, recording)), evaluate_labels(spec_of(labels, None))
-    grounding, relations, stages = make_tables({"poor": poor, "exact": exact}, QUICK)
+    grounding, relations, stages, *_ = make_tables({"poor": poor, "exact": exact}, QUICK)
     assert [r.name for r in grounding.rows[:4]] == ["poor: OPM only", "poor", "exact: OPM only", "exact"]
     best = grounding.rows[3].cells[2]
     assert isinstance(best, Estimate)

@@ -44,7 +44,7 @@ def draw_reliability(diagrams: Diagrams, path: Path) -> Path:
         )  # fmt: skip
         for k, (system, kinds) in enumerate(diagrams.items()):
             upper, lower = axes[:, k]
-            upper.plot([0, 1], [0, 1], color=QUIET, linewidth=0.8, linestyle=":", label="as likely as it says")
+            upper.plot([0, 1], [0, 100], color=QUIET, linewidth=0.8, linestyle=":", label="as likely as it says")
             for n, (kind, diagram) in enumerate(kinds.items()):
                 there = diagram.count > 0
                 said, happened = diagram.confidence[there], 100 * diagram.frequency[there]
@@ -57,7 +57,7 @@ def draw_reliability(diagrams: Diagrams, path: Path) -> Path:
             upper.set_ylim(0, 105)
             upper.set_ylabel("hits, IoU of at least 0.5 (%)")
             upper.grid(axis="y")
-            upper.legend(loc="upper left")
+            upper.legend(loc="lower right")
             lower.set_xlabel("score")
             lower.set_ylabel("detections")
         figure.savefig(path)

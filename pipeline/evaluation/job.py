@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 from pipeline import __version__
 from pipeline.evaluation.calibration_tables import calibration_table, calibration_warnings, recorded_config
 from pipeline.evaluation.compare import Comparison, compare, read_records
+from pipeline.evaluation.gain_tables import gain_table
 from pipeline.evaluation.grounding_tables import (
     OPM_ONLY,
     clusters_of,
@@ -174,5 +175,5 @@ def make_tables(systems: dict[str, pa.Table], bootstrap: BootstrapConfig | None 
         rows.append(full_row(name, records, bootstrap))
     unit = clusters_of(first)[1]
     tables = [systems_table([*rows, *reported_rows()], unit), relation_table(systems, bootstrap), stages_table(systems)]
-    calibration = calibration_table(systems, bootstrap)
-    return tables if calibration is None else [*tables, calibration]
+    more = (gain_table(systems, bootstrap), calibration_table(systems, bootstrap))
+    return [*tables, *(table for table in more if table is not None)]
