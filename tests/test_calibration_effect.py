@@ -88,7 +88,8 @@ def test_every_detection_is_counted_once(labels: Path, calibrated: pa.Table) -> 
     expected = []
     for truth in read_cases(open_labels(labels), 0, FRAMES):
         frame = source.dataset.load(truth.frame)
-        asked = {c.target: c.target_object for c in truth.cases} | {c.reference: c.reference_object for c in truth.cases}
+        asked = {c.target: c.target_object for c in truth.cases}
+        asked |= {c.reference: c.reference_object for c in truth.cases}
         for name, labelled in asked.items():
             found = top_k(detector.detect(frame, [name]), 10)
             overlap = iou_2d(found.boxes, truth.boxes[truth.alike[labelled]]).max(axis=1, initial=0)
@@ -128,7 +129,9 @@ def test_the_table_says_what_changed(plain: pa.Table, calibrated: pa.Table) -> N
     assert [c.value for c in (raw, own, difference) if isinstance(c, Estimate)] == pytest.approx(
         [right["raw"].mean(), right["own"].mean(), right["own"].mean() - right["raw"].mean()]
     )
-    assert (gained, lost, n) == ((right["own"] & ~right["raw"]).sum(), (right["raw"] & ~right["own"]).sum(), len(right["own"]))
+    assert gained == (right["own"] & ~right["raw"]).sum()
+    assert lost == (right["raw"] & ~right["own"]).sum()
+    assert n == len(right["own"])
     scores = detector_scores(calibrated)
     brier = rows["Brier score of detections"]
     assert isinstance(brier[2], Estimate)

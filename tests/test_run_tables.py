@@ -34,7 +34,8 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("runs")
     label_dataset(SourceSpec("demo"), out / "labels", limit=FRAMES)
     source = open_source("demo", detector="simulated", srm="rule")
-    record_detections(source, out / "found.json", source.dataset.class_names, frame_ids=source.dataset.frame_ids[:FRAMES])
+    names, frames = source.dataset.class_names, source.dataset.frame_ids[:FRAMES]
+    record_detections(source, out / "found.json", names, frame_ids=frames)
     for name in ("annotations", "simulated"):
         evaluated(out, name, detector=name)
     whole = EvalSpec("demo", str(out / "labels"), {"detector": "simulated", "srm": "rule"}, system="referring")
@@ -42,12 +43,15 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     with pytest.MonkeyPatch.context() as patch, running(Clock()) as server:
         patch.setenv("SPATIALVIZ_CACHE", str(out / "cache"))
         server.answer = lambda _: "[0.25, 0.25, 0.75, 0.75]"
-        asked = EvalSpec("demo", str(out / "labels"), {"srm": "rule"}, "vlm", VlmOptions(server.url, MODELS[0]), limit=9)
+        vlm = VlmOptions(server.url, MODELS[0])
+        asked = EvalSpec("demo", str(out / "labels"), {"srm": "rule"}, "vlm", vlm, limit=9)
         evaluate_dataset(asked, out / "vlm", plots=False, bootstrap=QUICK)
     return out
 
 
-def evaluated(folder: Path, name: str, others: tuple[str, ...] = (), plots: bool = False, **options: object) -> RunReport:
+def evaluated(
+    folder: Path, name: str, others: tuple[str, ...] = (), plots: bool = False, **options: object
+) -> RunReport:
     spec = EvalSpec("demo", str(folder / "labels"), {"srm": "rule", **options})
     return evaluate_dataset(
         spec, folder / name, others=[folder / o for o in others], plots=plots, bootstrap=QUICK, overwrite=True

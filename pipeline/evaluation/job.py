@@ -134,7 +134,8 @@ def evaluate_dataset(
 
             draw(systems, tables, folder / "plots")
         warnings = calibration_warnings(source, labels, records)
-        config = {**recorded_config(source.config), "options": {k: str(v) for k, v in spec.options.items() if k != "config"}}
+        options = {k: str(v) for k, v in spec.options.items() if k != "config"}
+        config = {**recorded_config(source.config), "options": options}
         plain = json.loads(json.dumps(config, default=str))
         write_json(
             folder / RUN_FILE,

@@ -156,7 +156,9 @@ def _draw_lines(curves: Mapping[str, Lines], title: str, x_label: str, y_label: 
     return path
 
 
-def _page(bars: Bars, sweeps: Mapping[str, Lines], rivals: Mapping[str, Lines], more: Sequence[Any], path: Path) -> Path:
+def _page(
+    bars: Bars, sweeps: Mapping[str, Lines], rivals: Mapping[str, Lines], more: Sequence[Any], path: Path
+) -> Path:
     """One page that needs no network: the library stands in it."""
     import plotly.graph_objects as go
     from plotly.offline import get_plotlyjs

@@ -23,7 +23,7 @@ RAW = (
     "box", "reference_box", "iou", "strict_iou", "set_iou", "correct", "strict_correct", "set_correct",
     "reference_correct", "pair_correct", "matched_target", "matched_reference",
 )  # fmt: skip
-"""Columns that stand a second time, as raw_..., where scores are calibrated: the answer by the detector's own scores."""
+"""Columns that stand a second time, as raw_…, where scores are calibrated: the answer by the detector's own."""
 DETECTIONS = {"scores": "numbers", "calibrated": "numbers", "hits": "flags"}
 """Of all detections of the target's and of the reference's name, where scores are calibrated."""
 
