@@ -16,6 +16,7 @@ from tyro.conf import OmitArgPrefixes, Positional, arg, subcommand
 
 from pipeline import __version__
 from pipeline.errors import InputError, MissingExtra
+from spatialviz.cli_bench_srm import BenchSrm
 from spatialviz.cli_detect import Calibrate, Detect
 from spatialviz.cli_eval import BenchEval, Eval
 from spatialviz.cli_labels import BenchLabel, Check, Export, Label, Merge
@@ -309,6 +310,7 @@ Command = Union[
     Annotated[Bench, subcommand("bench")],
     Annotated[BenchLabel, subcommand("bench-label")],
     Annotated[BenchEval, subcommand("bench-eval")],
+    Annotated[BenchSrm, subcommand("bench-srm")],
 ]
 
 
@@ -324,7 +326,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return FINE
     if not arguments or (arguments[0].startswith("-") and arguments[0] not in ("-h", "--help")):
         arguments = ["view", *arguments]
-    if arguments[:2] in (["bench", "label"], ["bench", "eval"]):
+    if arguments[:2] in (["bench", "label"], ["bench", "eval"], ["bench", "srm"]):
         arguments = [f"bench-{arguments[1]}", *arguments[2:]]
     try:
         command = tyro.cli(

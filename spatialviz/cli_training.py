@@ -5,13 +5,16 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from tyro.conf import Positional
 
 from pipeline.errors import InputError
 from spatialviz.exits import FINE
 from spatialviz.options import print_json
+
+if TYPE_CHECKING:
+    from pipeline.srm.train import TrainConfig
 
 ROOMS = "rooms"
 
@@ -32,6 +35,8 @@ class Train:
     one fits (cross entropy; the class prior is divided out in ranking)."""
     epochs: int = 10
     """The learning rate, 1e-3, is halved every 3."""
+    batch: int | None = None
+    """Pairs in a step. Default: 256, less where there are few pairs, so that there are at least 290 steps an epoch."""
     seed: int = 0
     """The same seed gives the same network."""
     vectors: Path | None = None
@@ -68,28 +73,32 @@ class Train:
             print_label_training(card, self.out)
         return FINE
 
-    def _on_labels(self) -> dict:
+    def _config(self) -> TrainConfig:
         from pipeline.srm.features import CLI_FEATURES
-        from pipeline.srm.label_training import LabelTraining, train_on_labels
         from pipeline.srm.train import TrainConfig
+
+        return TrainConfig(
+            CLI_FEATURES[self.features], self.vocabulary, batch=self.batch, epochs=self.epochs, seed=self.seed
+        )
+
+    def _on_labels(self) -> dict:
+        from pipeline.srm.label_training import LabelTraining, train_on_labels
         from spatialviz.printing_training import epoch_bar
 
         self._refuse("the word rooms", ("rooms", "views", "width", "height"))
-        config = TrainConfig(CLI_FEATURES[self.features], self.vocabulary, epochs=self.epochs, seed=self.seed)
+        config = self._config()
         job = LabelTraining(Path(self.labels), config, self.split, self.vectors, self.normalised, self.pairs)
         with epoch_bar(self.epochs) as tell:
             return train_on_labels(job, self.out, tell)
 
     def _on_rooms(self) -> dict:
         from pipeline.srm.card import RoomConfig, train_on_rooms
-        from pipeline.srm.features import CLI_FEATURES
-        from pipeline.srm.train import TrainConfig
         from spatialviz.printing import progress_bars
 
         self._refuse("a labels folder", ("vectors", "split", "pairs", "normalised"))
         names = ("rooms", "views", "width", "height")
         given = {name: getattr(self, name) for name in names if getattr(self, name) is not None}
-        config = TrainConfig(CLI_FEATURES[self.features], self.vocabulary, epochs=self.epochs, seed=self.seed)
+        config = self._config()
         with progress_bars() as advance:
             return train_on_rooms(
                 self.out, RoomConfig(**given, seed=self.seed), config, workers=self.workers, progress=advance

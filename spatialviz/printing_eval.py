@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from typing import Any
 
 from rich.table import Table as RichTable
@@ -19,10 +20,7 @@ def print_run(report: RunReport, show: int) -> None:
     """The tables, the comparison, and where everything lies."""
     console = make_console()
     for table in report.tables:
-        console.print(Text(table.title, "bold"))
-        console.print(_rich(table))
-        if table.note:
-            console.print(Text(table.note, "dim"))
+        print_table(table)
         console.print()
     if report.comparison is not None:
         print_comparison(report.comparison, show)
@@ -30,6 +28,22 @@ def print_run(report: RunReport, show: int) -> None:
     rate = (report.expressions or report.pairs) / report.seconds if report.seconds else 0.0
     console.print(f"{' and '.join(done)} in {report.seconds:.1f} s, {rate:.0f} a second")
     console.print(Text(f"-> {report.folder}", "dim"))
+    for warning in report.warnings:
+        print(f"spatialviz: {warning}", file=sys.stderr)
+
+
+def print_table(table: Table) -> None:
+    """A table under its title, and what must be known of it."""
+    console = make_console()
+    console.print(Text(table.title, "bold"))
+    console.print(_rich(table))
+    if table.note:
+        console.print(Text(table.note, "dim"))
+
+
+def table_record(table: Table) -> dict[str, Any]:
+    """A table as JSON: by row and column; an estimate as {value, low, high, n, clusters, note}."""
+    return {row.name: dict(zip(table.columns, map(_plain, row.cells), strict=True)) for row in table.rows}
 
 
 def _rich(table: Table) -> RichTable:
@@ -73,10 +87,7 @@ def run_record(report: RunReport) -> dict[str, Any]:
         "pairs": report.pairs,
         "warnings": list(report.warnings),
         "seconds": round(report.seconds, 2),
-        "tables": {
-            t.key: {row.name: dict(zip(t.columns, map(_plain, row.cells), strict=True)) for row in t.rows}
-            for t in report.tables
-        },
+        "tables": {t.key: table_record(t) for t in report.tables},
         "comparison": None if report.comparison is None else report.comparison.record(),
     }
 

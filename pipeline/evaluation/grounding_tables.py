@@ -19,6 +19,14 @@ MEASURES = (
     "Acc@0.5 single truth", "strict set", "set-valued", "mean IoU", "mean IoU over set", "reference", "pair", "n",
 )  # fmt: skip
 
+OPM_ONLY = ": OPM only"
+"""Ends the name of a row of the detector's best target alone."""
+
+
+def has_opm(records: pa.Table) -> bool:
+    """Whether the records tell of the detector's best target alone: systems that take whole expressions have none."""
+    return records.column("opm_iou").null_count < records.num_rows
+
 
 def column(records: pa.Table, name: str) -> np.ndarray:
     """A column of records as float64; null is NaN."""
@@ -79,10 +87,10 @@ def relation_table(systems: Mapping[str, pa.Table], config: BootstrapConfig | No
         clusters, _ = clusters_of(records)
         relation = np.array(records.column("relation").to_pylist(), object)
         for label, right in (
-            (f"{name}, OPM only", (column(records, "opm_set_iou") >= HIT).astype(np.float64)),
+            (f"{name}{OPM_ONLY}", (column(records, "opm_set_iou") >= HIT).astype(np.float64)),
             (name, column(records, "set_correct")),
         ):
-            if label != name and records.column("opm_iou").null_count == records.num_rows:
+            if label != name and not has_opm(records):
                 continue
             cells: list[Estimate] = []
             for r in relations:
@@ -103,7 +111,7 @@ def stages_table(systems: Mapping[str, pa.Table]) -> Table:
     """How many expressions get how far: what the next stage still could get right."""
     rows = []
     for name, records in systems.items():
-        if records.column("opm_iou").null_count == records.num_rows:
+        if not has_opm(records):
             continue
         found = column(records, "target_rank")
         reference = column(records, "reference_rank")

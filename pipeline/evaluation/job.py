@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from pathlib import Path
 from time import perf_counter
@@ -13,16 +13,22 @@ from typing import TYPE_CHECKING
 from pipeline import __version__
 from pipeline.diagnosis.confidence import median_confidence
 from pipeline.errors import InputError
+from pipeline.evaluation.calibration_tables import calibration_table, calibration_warnings, recorded_config
 from pipeline.evaluation.compare import Comparison, compare, read_records
+from pipeline.evaluation.gain_tables import gain_table
 from pipeline.evaluation.grounding_tables import (
+    OPM_ONLY,
     clusters_of,
     full_row,
+    has_opm,
     opm_row,
     relation_table,
     stages_table,
     systems_table,
 )
 from pipeline.evaluation.intervals import BootstrapConfig
+from pipeline.evaluation.other_runs import other_systems
+from pipeline.evaluation.raw_scores import is_calibrated, raw_records
 from pipeline.evaluation.relation_cases import labelled_detector
 from pipeline.evaluation.relation_job import measure_relations, relation_sink
 from pipeline.evaluation.reported import reported_rows
@@ -51,6 +57,7 @@ class RunReport:
     pairs : int
         On which relations were measured alone.
     warnings : tuple of str
+        Why figures say less than they seem to.
     """
 
     folder: Path
@@ -100,7 +107,6 @@ def evaluate_dataset(
     start = perf_counter()
     out = Path(out)
     before = None if against is None else read_records(against)
-    rows_of_others = {run_name(run): read_records(run) for run in others}
     if plots:
         from pipeline.evaluation.plots import need_plots
 
@@ -119,6 +125,8 @@ def evaluate_dataset(
             "referring": f"{detector.name}, whole expression",
             "vlm": f"VLM {spec.vlm.model}" if spec.vlm else "VLM",
         }[spec.system]
+    asked = labels.manifest.tables["expressions"].content_hash
+    rows_of_others = other_systems(others, name, asked)
     with staged_folder(out, overwrite=overwrite, mark=RUN_FILE) as folder:
         with relation_sink(spec, labels, folder) as sink:
             count = write_records(
@@ -146,7 +154,10 @@ def evaluate_dataset(
                 draw(systems, tables, folder / "plots")
             if relations is not None:
                 draw_relations(relations.figures, folder / "plots")
-        config = {**asdict(source.config), "options": {k: str(v) for k, v in spec.options.items() if k != "config"}}
+        warnings = calibration_warnings(source, labels, records) if spec.grounding else ()
+        warnings = (*warnings, *(() if relations is None else relations.warnings))
+        options = {k: str(v) for k, v in spec.options.items() if k != "config"}
+        config = {**recorded_config(source.config), "options": options}
         plain = json.loads(json.dumps(config, default=str))
         write_json(
             folder / RUN_FILE,
@@ -154,8 +165,7 @@ def evaluate_dataset(
                 "tool": "spatialviz",
                 "version": __version__,
                 "name": name,
-                "labels": {"config_hash": labels.manifest.config_hash,
-                           "content_hash": labels.manifest.tables["expressions"].content_hash},
+                "labels": {"config_hash": labels.manifest.config_hash, "content_hash": asked},
                 "detector": f"{detector.name}: {detector.fingerprint()}",
                 "scorer": source.scorer.name,
                 "system": spec.system,
@@ -166,6 +176,7 @@ def evaluate_dataset(
                 "config": plain,
                 "config_hash": canonical_hash(plain),
                 "expressions": count,
+                "warnings": list(warnings),
                 "clusters": clusters_of(records)[1] if spec.grounding else None,
                 "relations": None if relations is None else relations.record,
                 "seconds": {"evaluating": round(evaluated, 2), "in_all": round(perf_counter() - start, 2)},
@@ -175,8 +186,8 @@ def evaluate_dataset(
         )  # fmt: skip
         if not spec.grounding:
             (folder / "records.parquet").unlink()
-    found = (0, ()) if relations is None else (relations.pairs, relations.warnings)
-    return RunReport(out, tuple(tables), count, perf_counter() - start, comparison, *found)
+    pairs = 0 if relations is None else relations.pairs
+    return RunReport(out, tuple(tables), count, perf_counter() - start, comparison, pairs, warnings)
 
 
 def make_tables(systems: dict[str, pa.Table], bootstrap: BootstrapConfig | None = None) -> list[Table]:
@@ -184,26 +195,12 @@ def make_tables(systems: dict[str, pa.Table], bootstrap: BootstrapConfig | None 
     first = next(iter(systems.values()))
     rows = []
     for name, records in systems.items():
-        if records.column("opm_iou").null_count < records.num_rows:
-            rows.append(opm_row(f"{name}: OPM only", records, bootstrap))
+        if has_opm(records):
+            rows.append(opm_row(f"{name}{OPM_ONLY}", records, bootstrap))
+        if is_calibrated(records):
+            rows.append(full_row(f"{name}, raw scores", raw_records(records), bootstrap))
         rows.append(full_row(name, records, bootstrap))
     unit = clusters_of(first)[1]
-    grounding = systems_table([*rows, *reported_rows()], unit)
-    return [grounding, relation_table(systems, bootstrap), stages_table(systems)]
-
-
-def run_name(run: Path) -> str:
-    """The name of a run's system.
-
-    Raises
-    ------
-    InputError
-        There is no run.
-    """
-    path = Path(run) / RUN_FILE
-    try:
-        return str(json.loads(path.read_text(encoding="utf-8"))["name"])
-    except FileNotFoundError as error:
-        raise InputError("no evaluation run here", expected="a folder that `eval` wrote", path=run) from error
-    except (ValueError, KeyError) as error:
-        raise InputError("the run's manifest cannot be read", got=str(error), path=path) from error
+    tables = [systems_table([*rows, *reported_rows()], unit), relation_table(systems, bootstrap), stages_table(systems)]
+    more = (gain_table(systems, bootstrap), calibration_table(systems, bootstrap))
+    return [*tables, *(table for table in more if table is not None)]

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.errors import MissingExtra
-from pipeline.evaluation.grounding_tables import column
+from pipeline.evaluation.calibration_plots import draw_reliability, reliability_figures, score_diagrams
+from pipeline.evaluation.grounding_tables import OPM_ONLY, column, has_opm
 from pipeline.evaluation.intervals import Estimate
 from pipeline.evaluation.tables import Table
 from pipeline.labels.report.style import house_style, need_matplotlib
@@ -33,7 +34,7 @@ def need_plots() -> None:
 
 
 def draw(systems: Mapping[str, pa.Table], tables: Sequence[Table], out: Path) -> list[Path]:
-    """Write `relations.png`, `overlap.png`, `classes.png` and `plots.html`.
+    """Write `relations.png`, `overlap.png`, `classes.png`, `plots.html`, and `calibration.png` where scores are.
 
     Parameters
     ----------
@@ -59,7 +60,10 @@ def draw(systems: Mapping[str, pa.Table], tables: Sequence[Table], out: Path) ->
             "set-valued accuracy (%)", out / "classes.png",
         ),
     ]  # fmt: skip
-    written.append(_page(bars, sweeps, rivals, out / "plots.html"))
+    diagrams = score_diagrams(systems)
+    if diagrams:
+        written.append(draw_reliability(diagrams, out / "calibration.png"))
+    written.append(_page(bars, sweeps, rivals, reliability_figures(diagrams), out / "plots.html"))
     return written
 
 
@@ -78,7 +82,8 @@ def relation_bars(table: Table) -> Bars:
 def overlap_sweep(records: pa.Table) -> Lines:
     """Share of expressions whose answer overlaps an acceptable target by at least x."""
     curves = {}
-    for label, name in (("pipeline", "set_iou"), ("OPM only", "opm_set_iou")):
+    names = {"pipeline": "set_iou", "OPM only": "opm_set_iou"} if has_opm(records) else {"whole expression": "set_iou"}
+    for label, name in names.items():
         curves[label] = (column(records, name)[None] >= SWEEP[:, None]).mean(axis=1)
     return SWEEP, curves
 
@@ -88,12 +93,19 @@ def by_rivals(records: pa.Table) -> Lines:
     number = np.minimum(column(records, "same_class").astype(int), 6)
     x = np.unique(number)
     curves = {}
-    for label, right in (
-        ("pipeline", column(records, "set_correct")),
-        ("OPM only", (column(records, "opm_set_iou") >= 0.5).astype(float)),
-    ):
+    answers = {"pipeline" if has_opm(records) else "whole expression": column(records, "set_correct")}
+    if has_opm(records):
+        answers["OPM only"] = (column(records, "opm_set_iou") >= 0.5).astype(float)
+    for label, right in answers.items():
         curves[label] = np.array([right[number == k].mean() for k in x])
     return x.astype(float), curves
+
+
+def _tones(rows: Mapping[str, Any]) -> dict[str, str]:
+    """A colour for each row of the relation table: the detector alone is pale, each system has its own."""
+    systems = [name for name in rows if not name.endswith(OPM_ONLY)]
+    own = {name: TONES[k % len(TONES)] for k, name in enumerate(systems)}
+    return {name: own.get(name, PALE_TONE) for name in rows}
 
 
 def _draw_bars(bars: Bars, path: Path) -> Path:
@@ -103,11 +115,11 @@ def _draw_bars(bars: Bars, path: Path) -> Path:
     with house_style():
         figure, axes = plt.subplots(figsize=(8, 3.4), dpi=200, layout="constrained")
         width = 0.8 / max(len(systems), 1)
+        tones = _tones(systems)
         for k, (name, cells) in enumerate(systems.items()):
             x = np.arange(len(relations)) + (k - (len(systems) - 1) / 2) * width
             value = np.array([100 * c.value for c in cells])
-            color = PALE_TONE if name.endswith("OPM only") else TONES[k // 2 % len(TONES)]
-            axes.bar(x, value, width * 0.92, label=name, color=color)
+            axes.bar(x, value, width * 0.92, label=name, color=tones[name])
             low, high = (np.array([100 * getattr(c, n) for c in cells]) for n in ("low", "high"))
             known = np.isfinite(low)
             if known.any():
@@ -144,18 +156,21 @@ def _draw_lines(curves: Mapping[str, Lines], title: str, x_label: str, y_label: 
     return path
 
 
-def _page(bars: Bars, sweeps: Mapping[str, Lines], rivals: Mapping[str, Lines], path: Path) -> Path:
+def _page(
+    bars: Bars, sweeps: Mapping[str, Lines], rivals: Mapping[str, Lines], more: Sequence[Any], path: Path
+) -> Path:
     """One page that needs no network: the library stands in it."""
     import plotly.graph_objects as go
     from plotly.offline import get_plotlyjs
 
     relations, systems = bars
     figures: list[Any] = [go.Figure()]
-    for k, (name, cells) in enumerate(systems.items()):
+    tones = _tones(systems)
+    for name, cells in systems.items():
         value = [100 * c.value for c in cells]
         figures[0].add_bar(
             x=list(relations), y=value, name=name,
-            marker_color=PALE_TONE if name.endswith("OPM only") else TONES[k // 2 % len(TONES)],
+            marker_color=tones[name],
             error_y={"type": "data", "array": [100 * c.high - v for c, v in zip(cells, value, strict=True)],
                      "arrayminus": [v - 100 * c.low for c, v in zip(cells, value, strict=True)]},
         )  # fmt: skip
@@ -173,6 +188,7 @@ def _page(bars: Bars, sweeps: Mapping[str, Lines], rivals: Mapping[str, Lines], 
                 )
         figure.update_layout(title=title, xaxis_title=x_label, yaxis_title="set-valued accuracy (%)")
         figures.append(figure)
+    figures += more
     parts = []
     for figure in figures:
         figure.update_layout(template="plotly_white", font={"family": "Arial, sans-serif", "size": 13})

@@ -20,6 +20,14 @@ if TYPE_CHECKING:
 HIT = 0.5
 """A box is found where its overlap (IoU) is at least this."""
 
+RAW = (
+    "box", "reference_box", "iou", "strict_iou", "set_iou", "correct", "strict_correct", "set_correct",
+    "reference_correct", "pair_correct", "matched_target", "matched_reference",
+)  # fmt: skip
+"""Columns that stand a second time, as raw_…, where scores are calibrated: the answer by the detector's own."""
+DETECTIONS = {"scores": "numbers", "calibrated": "numbers", "hits": "flags"}
+"""Of all detections of the target's and of the reference's name, where scores are calibrated."""
+
 COLUMNS: dict[str, str] = {
     "id": "string", "frame": "string", "frame_index": "int32", "scene": "string", "text": "string",
     "target": "string", "relation": "string", "reference": "string",
@@ -42,9 +50,12 @@ COLUMNS: dict[str, str] = {
     "target_points": "int32", "target_depth_missing": "float32", "target_distance": "float32",
     **DIAGNOSIS_COLUMNS,
 }  # fmt: skip
+COLUMNS |= {f"raw_{name}": COLUMNS[name] for name in RAW}
+COLUMNS |= {f"{end}_{what}": kind for end in ("target", "reference") for what, kind in DETECTIONS.items()}
 """The columns of `records.parquet`. Places of objects are those of the labels, ranks count from 1 and are null where
-nothing fits; `right_…` is the best-scoring acceptable pair among the candidates; overlaps are 0 without an answer. The
-last columns are those of the diagnosis, null for systems that are not the pipeline."""
+nothing fits; `right_…` is the best-scoring acceptable pair among the candidates; overlaps are 0 without an answer.
+`raw_…`, `target_scores` and so on are null where scores are not calibrated: see `pipeline.evaluation.raw_scores`; the
+columns of the diagnosis for systems that are not the pipeline."""
 
 
 def records_schema() -> pa.Schema:
@@ -54,6 +65,7 @@ def records_schema() -> pa.Schema:
     kinds = {
         "string": pa.string(), "int32": pa.int32(), "int8": pa.int8(), "bool": pa.bool_(), "float32": pa.float32(),
         "box": pa.list_(pa.float32(), 4), "strings": pa.list_(pa.string()),
+        "numbers": pa.list_(pa.float64()), "flags": pa.list_(pa.bool_()),
     }  # fmt: skip
     return pa.schema([pa.field(name, kinds[kind]) for name, kind in COLUMNS.items()])
 

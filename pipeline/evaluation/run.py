@@ -21,6 +21,7 @@ from pipeline.diagnosis.words import explain
 from pipeline.errors import InputError
 from pipeline.evaluation.answering import FrameAnswers
 from pipeline.evaluation.cases import Case, FrameCases, read_cases
+from pipeline.evaluation.raw_scores import by_raw_scores, raw_columns
 from pipeline.evaluation.records import COLUMNS, read_query, record, records_schema
 from pipeline.evaluation.relation_cases import frames_with_pairs
 from pipeline.evaluation.relation_records import RelationPass
@@ -156,6 +157,10 @@ class Evaluator:
         with self.clock.stage("records"):
             overlap = iou_2d(answers.boxes, truth.boxes)
             rows = [record(case, truth, answers, self._parsed[case.text], overlap) for case in truth.cases]
+            raw = by_raw_scores(answers)
+            if raw is not None:
+                for case, row in zip(truth.cases, rows, strict=True):
+                    row |= raw_columns(case, truth, answers, raw, self._parsed[case.text], overlap)
         if not self.spec.verdicts:
             return rows
         with self.clock.stage("verdicts"):

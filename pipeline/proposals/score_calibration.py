@@ -11,7 +11,7 @@ from __future__ import annotations
 import json
 import os
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -39,6 +39,22 @@ ClassNames = Callable[[Frame], Sequence[str]]
 
 
 @dataclass(frozen=True)
+class FittedFrame:
+    """A frame that a calibration was fitted on.
+
+    Attributes
+    ----------
+    frame, scene : str
+    rgb_hash : str
+        `Frame.content_hash`: the picture, under whatever name and path it is met again.
+    """
+
+    frame: str
+    scene: str
+    rgb_hash: str
+
+
+@dataclass(frozen=True)
 class ScoreCalibration:
     """A fitted sigmoid, and whose scores it is for.
 
@@ -52,6 +68,10 @@ class ScoreCalibration:
         Hits and other detections that it was fitted on.
     k : int
         Proposals of each name among them.
+    dataset : str or None
+        Folder name of the dataset it was fitted on.
+    frames : tuple of FittedFrame
+        What it was fitted on; empty where that is not known.
     """
 
     detector: str | None
@@ -60,6 +80,8 @@ class ScoreCalibration:
     positives: int
     negatives: int
     k: int
+    dataset: str | None = None
+    frames: tuple[FittedFrame, ...] = field(default=(), repr=False)
 
     def __post_init__(self) -> None:
         if not (np.isfinite([self.a, self.b]).all() and self.a > 0):
@@ -97,6 +119,15 @@ class ScoreCalibration:
         return replace(self, detector=None)
 
 
+class _FittedFrame(BaseModel):
+    """An entry of the file's frames."""
+
+    model_config = ConfigDict(extra="ignore")
+    frame: str
+    scene: str
+    rgb_hash: str
+
+
 class _File(BaseModel):
     """A score calibration as JSON; what else the file says is not looked at."""
 
@@ -108,6 +139,8 @@ class _File(BaseModel):
     positives: int = Field(ge=0)
     negatives: int = Field(ge=0)
     k: int = Field(ge=1)
+    dataset: str | None = None
+    frames: tuple[_FittedFrame, ...] = ()
 
 
 def save_calibration(calibration: ScoreCalibration, path: str | Path, report: dict[str, Any] | None = None) -> None:
@@ -140,7 +173,8 @@ def load_calibration(path: str | Path) -> ScoreCalibration:
         first = error.errors()[0]
         place = ".".join(str(p) for p in first["loc"]) or "the top"
         raise InputError(f"this is no score calibration, by its {place}", got=first["msg"], path=path) from error
-    return ScoreCalibration(**content.model_dump(exclude={"format"}))
+    frames = tuple(FittedFrame(f.frame, f.scene, f.rgb_hash) for f in content.frames)
+    return ScoreCalibration(**content.model_dump(exclude={"format", "frames"}), frames=frames)
 
 
 def score_logit(scores: np.ndarray) -> np.ndarray:
@@ -173,6 +207,7 @@ def collect_hits(
     *,
     progress: Callable[[int, int], None] | None = None,
     skipped: Callable[[str, str], None] | None = None,
+    used: Callable[[Frame], None] | None = None,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Detections as `ask` gets them, and which of them are hits.
 
@@ -186,6 +221,8 @@ def collect_hits(
         The names to be asked for in a frame, each by itself; names that the detector does not know are left out.
     progress : callable, optional
         Called with (frames done, frames in all).
+    used : callable, optional
+        Called with each frame that was not left out.
 
     Returns
     -------
@@ -210,6 +247,8 @@ def collect_hits(
         try:
             frame = source.dataset.load(frame_id)
             parts += [(*pair, n) for pair in _of_frame(frame, detector, truth, class_names(frame), source.config.k)]
+            if used is not None:
+                used(frame)
         except InputError as error:
             if skipped is not None:
                 skipped(frame_id, str(error))
@@ -256,12 +295,24 @@ def calibrate_scores(
         `frames`, `detections`, `hits`, `fitted` (False for the identity), `before` and `after`: each with `brier`,
         `ece` (15 bins), `log_loss` and `reliability`, a list of {low, high, count, score, hits} by bin of score.
     """
-    scores, hits, frames = collect_hits(source, frame_ids, class_names, progress=progress, skipped=skipped)
+    # The labels import the jobs, which import this.
+    from pipeline.labels.shard import scene_of
+
+    fitted_on: list[FittedFrame] = []
+    dataset = source.dataset
+
+    def note(frame: Frame) -> None:
+        fitted_on.append(FittedFrame(frame.id, scene_of(dataset, frame.id), frame.content_hash))
+
+    scores, hits, frames = collect_hits(source, frame_ids, class_names, progress=progress, skipped=skipped, used=note)
     if not len(scores):
         raise InputError("the detector found nothing in these frames", cause="are they the right ones?")
     a, b = fit_scores(scores, hits)
     fingerprint = source.needed_detector().fingerprint()
-    calibration = ScoreCalibration(fingerprint, a, b, int(hits.sum()), int((~hits).sum()), source.config.k)
+    calibration = ScoreCalibration(
+        fingerprint, a, b, int(hits.sum()), int((~hits).sum()), source.config.k, dataset.root.resolve().name,
+        tuple(fitted_on),
+    )  # fmt: skip
     first = frames < (len(frame_ids) + 1) // 2
     after = scores.astype(np.float64)
     for fold in (first, ~first):

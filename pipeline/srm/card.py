@@ -163,7 +163,7 @@ def _command(out: Path, rooms: RoomConfig, config: TrainConfig) -> str:
     return (
         f"spatialviz train rooms --out {out.name} --rooms {rooms.rooms} --views {rooms.views} --seed {rooms.seed} "
         f"--features {cli_features(config.features)} --width {rooms.width} --height {rooms.height} "
-        f"--epochs {config.epochs}"
+        f"--epochs {config.epochs}" + ("" if config.batch is None else f" --batch {config.batch}")
     )
 
 

@@ -250,6 +250,8 @@ def _command(job: LabelTraining, out: Path) -> str:
         words += ["--vectors", job.vectors.name, *(["--normalised"] if job.normalised else [])]
     if job.split is not None:
         words += ["--split", job.split]
+    if config.batch is not None:
+        words += ["--batch", str(config.batch)]
     if job.pairs is not None:
         words += ["--pairs", str(job.pairs)]
     return " ".join(words)

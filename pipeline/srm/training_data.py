@@ -210,7 +210,7 @@ def _room_samples(job: tuple[int, int, int, int, bool]) -> tuple[FrameSamples, .
     cameras = choose_views(room, views, np.random.default_rng([seed, 11]), width, height)
     if varied:
         cameras = [varied_camera(camera, rng) for camera in cameras]
-    return tuple(_view_samples(room, camera, rng) for camera in cameras)
+    return tuple(view_samples(room, camera, rng) for camera in cameras)
 
 
 def varied_camera(camera: Camera, rng: np.random.Generator) -> Camera:
@@ -227,7 +227,8 @@ def varied_camera(camera: Camera, rng: np.random.Generator) -> Camera:
     return replace(camera, K=K, T_world_camera=T, up=T[:3, :3].T @ np.array([0.0, 0.0, 1.0]))
 
 
-def _view_samples(room: Room, camera: Camera, rng: np.random.Generator) -> FrameSamples:
+def view_samples(room: Room, camera: Camera, rng: np.random.Generator) -> FrameSamples:
+    """One view as a sensor and a segmenter give it; the camera has a pose and knows what is up."""
     assert camera.up is not None
     depth, instances = sense_view(room, camera, rng)
     viewer = viewer_axes(camera.up)
