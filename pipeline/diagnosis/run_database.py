@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import tempfile
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -127,7 +127,9 @@ def open_run(run: Path) -> Iterator[RunDatabase]:
                 views.append(f"{LABELS}{name}")
             for setting in ("python_enable_replacements", "autoinstall_known_extensions", "autoload_known_extensions",
                             "enable_external_access"):  # fmt: skip
-                connection.execute(f"SET {setting} = false")
+                # Not every version has each of them; the last one, which they all have, is what shuts the door.
+                with suppress(duckdb.CatalogException):
+                    connection.execute(f"SET {setting} = false")
             connection.execute("SET lock_configuration = true")
             yield RunDatabase(connection, views, None if root is None else str(root))
         finally:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from pipeline import __version__
 from pipeline.diagnosis.confidence import median_confidence
+from pipeline.diagnosis.report import diagnose_run
 from pipeline.errors import InputError
 from pipeline.evaluation.compare import Comparison, compare, read_records
 from pipeline.evaluation.grounding_tables import (
@@ -76,7 +77,8 @@ def evaluate_dataset(
     ----------
     spec : EvalSpec
     out : Path
-        `tables.md`, `tables.tex`, `tables/*.csv`, `records.parquet`, `plots/`, `run.json`.
+        `tables.md`, `tables.tex`, `tables/*.csv`, `slices.md`, `records.parquet`, `diagnosis.json`, `plots/`,
+        `run.json`.
     name : str, optional
         Of the system in the tables; by default detector and relation scorer.
     workers : int
@@ -119,7 +121,8 @@ def evaluate_dataset(
         evaluated = perf_counter() - start
         records = read_records(folder)
         systems = {name: records, **rows_of_others}
-        tables = make_tables(systems, bootstrap)
+        diagnosis = diagnose_run(systems, labels, folder, bootstrap)
+        tables = make_tables(systems, bootstrap) + diagnosis.tables
         (folder / "tables.md").write_text(markdown(tables), encoding="utf-8")
         (folder / "tables.tex").write_text(latex(tables), encoding="utf-8")
         (folder / "tables").mkdir()
@@ -132,6 +135,7 @@ def evaluate_dataset(
             from pipeline.evaluation.plots import draw
 
             draw(systems, tables, folder / "plots")
+        diagnosis.write(folder, plots)
         config = {**asdict(source.config), "options": {k: str(v) for k, v in spec.options.items() if k != "config"}}
         plain = json.loads(json.dumps(config, default=str))
         write_json(
