@@ -19,6 +19,7 @@ from pipeline.errors import InputError, MissingExtra
 from spatialviz.cli_detect import Calibrate, Detect
 from spatialviz.cli_eval import Eval
 from spatialviz.cli_labels import BenchLabel, Check, Export, Label, Merge
+from spatialviz.cli_runs import Failures, Query
 from spatialviz.cli_training import Train
 from spatialviz.exits import BAD, FINE, INTERRUPTED, NO
 from spatialviz.options import four_numbers, print_json, warn_skipped
@@ -288,6 +289,8 @@ Command = Union[
     Annotated[Detect, subcommand("detect")],
     Annotated[Calibrate, subcommand("calibrate")],
     Annotated[Eval, subcommand("eval")],
+    Annotated[Failures, subcommand("failures")],
+    Annotated[Query, subcommand("query")],
     Annotated[Bench, subcommand("bench")],
     Annotated[BenchLabel, subcommand("bench-label")],
 ]

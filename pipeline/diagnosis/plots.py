@@ -141,9 +141,10 @@ def _oracles(name: str, summary: RunSummary, path: Path) -> Path:
             )  # fmt: skip
     least = min(100 * min(s, s + e.value) for _, s, e in bars[1:])
     alone = min((100 * (summary.deltas.value[0] + e.value) for e in summary.deltas.single.values()), default=least)
-    axes.set_ylim(max(0.0, min(least, alone) - 10), 104)
+    start = max(0.0, min(least, alone) - 10)
+    axes.set_ylim(start, 104)
     axes.set_xticks(range(len(bars)), ["as answered", *(k for k, _, _ in bars[1:])])
-    axes.set_ylabel("set-valued accuracy (%)")
+    axes.set_ylabel(f"set-valued accuracy (%){f', from {start:.0f} on' if start else ''}")
     axes.grid(axis="y")
     save_figure(figure, path)
     return path
