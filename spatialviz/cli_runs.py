@@ -51,7 +51,8 @@ class Failures:
     run_folder: Positional[Path]
     """Run folder of `spatialviz eval`."""
     search: Positional[str] = ""
-    """Words, such as "verdict:SRM relation:behind class:chair margin<0.1 -lucky sort:margin"."""
+    """Words, such as "verdict:SRM relation:behind class:chair margin<0.1 -lucky sort:margin". One that begins with "-"
+    goes after all options and a "--"."""
     limit: int = 20
     """Expressions shown at most."""
     slices: str = "relation"

@@ -103,7 +103,8 @@ def print_failures(
 ) -> None:
     """Verdicts, deltas and slices of the run, then the expressions that were found."""
     console = make_console()
-    for table in (verdict_table({name: summary}), oracle_table({name: summary}), *map(slice_table, slices)):
+    cuts = [slice_table(s, intervals=False) for s in slices]
+    for table in (verdict_table({name: summary}), oracle_table({name: summary}), *cuts):
         console.print(Text(table.title, "bold"))
         console.print(rich_table(table))
         if table.note:

@@ -112,9 +112,7 @@ def answer_confusion(records: pa.Table, labels: Labels, content_hash: str | None
     )
 
 
-def stands_in(
-    states: np.ndarray, margins: np.ndarray, meant: np.ndarray, doubt: int, nothing: int
-) -> np.ndarray:
+def stands_in(states: np.ndarray, margins: np.ndarray, meant: np.ndarray, doubt: int, nothing: int) -> np.ndarray:
     """The column of each pair: the meant relation where it holds, `doubt` where it may, else the clearest other one.
 
     Parameters
@@ -231,7 +229,7 @@ def _taken_for(state: Any, said: Any, names: tuple[str, ...]) -> np.ndarray:
     p = np.stack([said.field(n).to_numpy(zero_copy_only=False) for n in names], axis=1).astype(np.float64)
     known = np.isfinite(p).any(axis=1)
     top = np.where(np.isfinite(p), p, -np.inf).argmax(axis=1)
-    pair, relation = np.nonzero(holds & known[:, None])
+    pair, relation = np.nonzero(holds & np.asarray(known)[:, None])
     right = holds[pair, top[pair]]
     counts = np.zeros((len(names),) * 2, np.int64)
     np.add.at(counts, (relation, np.where(right, relation, top[pair])), 1)

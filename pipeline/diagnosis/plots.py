@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -132,12 +133,11 @@ def _oracles(name: str, summary: RunSummary, path: Path) -> Path:
             base = 100 * float(summary.deltas.value[0])
             axes.bar(x + 0.2, 100 * single.value, 0.3, base, fill=False, edgecolor=LOSS_COLORS[key], linewidth=1.4)
             low, high = interval(single)
-            axes.errorbar(
-                x + 0.2, base + 100 * single.value, [[low], [high]], ecolor=QUIET, elinewidth=0.8, fmt="none"
-            )
+            axes.errorbar(x + 0.2, base + 100 * single.value, [[low], [high]], ecolor=QUIET, elinewidth=0.8, fmt="none")
             axes.text(
                 x + 0.2, base + 100 * max(single.value, 0) + high + 0.4,
-                f"alone {single.formatted(signed=True).split(' [')[0]}", ha="center", va="bottom", fontsize=8, color=QUIET,
+                f"alone {single.formatted(signed=True).split(' [')[0]}", ha="center", va="bottom", fontsize=8,
+                color=QUIET,
             )  # fmt: skip
     least = min(100 * min(s, s + e.value) for _, s, e in bars[1:])
     alone = min((100 * (summary.deltas.value[0] + e.value) for e in summary.deltas.single.values()), default=least)
@@ -158,7 +158,7 @@ def _slices(system: str, slices: Sequence[Slices], path: Path) -> Path:
         "Shares of each part sum to 100 %. The number of expressions stands beside its bar; LABEL is mostly another "
         "right answer.",
     )  # fmt: skip
-    seen: dict[str, object] = {}
+    seen: dict[str, Any] = {}
     for place, cut in enumerate(chosen):
         axes = figure.add_subplot((len(chosen) + 1) // 2, 2, place + 1)
         rows = [s for s in cut.slices if s.system == system][:MOST_SHOWN]
@@ -202,5 +202,3 @@ def _confusion(found: Confusion, path: Path) -> Path:
     axes.spines[:].set_visible(False)
     save_figure(figure, path)
     return path
-
-

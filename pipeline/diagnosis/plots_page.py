@@ -120,7 +120,8 @@ def _slices(system: str, cut: Slices) -> Any:
             x=[_plain(s.name) for s in rows], y=[100 * s.verdicts[verdict].value for s in rows], name=verdict,
             marker_color=VERDICT_COLORS[verdict],
             customdata=[
-                [s.counts[verdict], s.n, _plain(q), s.set_correct.formatted()] for s, q in zip(rows, search, strict=True)
+                [s.counts[verdict], s.n, _plain(q), s.set_correct.formatted()]
+                for s, q in zip(rows, search, strict=True)
             ],
             hovertemplate="%{x}: %{y:.1f} % " + verdict + "<br>%{customdata[0]} of %{customdata[1]} expressions"
             "<br>set-valued accuracy %{customdata[3]}<br>search: %{customdata[2]}",

@@ -91,9 +91,5 @@ def diagnose_run(
     if folder is not None:
         confusions += network_confusion(folder / RELATION_RECORDS)
     summaries = {name: summarise_run(r, config) for name, r in systems.items() if has_verdicts(r)}
-    cuts = [
-        d for d in DIMENSIONS.values() if all(not d.column or d.column in r.column_names for r in systems.values())
-    ]
-    return RunDiagnosis(
-        summaries, tuple(slice_by(systems, d, config, most=MOST) for d in cuts), tuple(confusions)
-    )
+    cuts = [d for d in DIMENSIONS.values() if all(not d.column or d.column in r.column_names for r in systems.values())]
+    return RunDiagnosis(summaries, tuple(slice_by(systems, d, config, most=MOST) for d in cuts), tuple(confusions))

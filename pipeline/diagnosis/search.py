@@ -12,7 +12,7 @@ quotes, must stand in the expression. `sort:margin`, `sort:-margin`: rows withou
 from __future__ import annotations
 
 import difflib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -80,12 +80,15 @@ class Search:
         Columns to sort by; True for descending.
     columns : tuple of str
         All that are read.
+    about_right : bool
+        A term asks for a verdict or for what is right, and not for its complement.
     """
 
     where: str
     parameters: tuple[Any, ...]
     order: tuple[tuple[str, bool], ...]
     columns: tuple[str, ...]
+    about_right: bool = False
 
 
 def fields_of(schema: pa.Schema) -> dict[str, Field]:
@@ -118,6 +121,7 @@ def compile_search(query: str, schema: pa.Schema) -> Search:
 
     fields = fields_of(schema)
     parts, parameters, order, columns = [], [], [], []
+    about_right = False
     for term in read_terms(query):
         if term.field is not None and term.field.lower() == SORT:
             if term.negated or term.operator != ":":
@@ -131,11 +135,14 @@ def compile_search(query: str, schema: pa.Schema) -> Search:
         condition, values = _CONDITIONS[field.kind](field, term, single)
         if (term.operator == "!=") != term.negated:
             condition = f"NOT {condition}"
+        else:
+            about_right |= field.column in _ABOUT_RIGHT
         parts.append(condition)
         parameters += values
         columns.append(field.column)
     columns += [name for name, _ in order]
-    return Search(" AND ".join(parts) or "true", tuple(parameters), tuple(order), tuple(dict.fromkeys(columns)))
+    where = " AND ".join(parts) or "true"
+    return Search(where, tuple(parameters), tuple(order), tuple(dict.fromkeys(columns)), about_right)
 
 
 def find(source: str | Path | pa.Table, query: str) -> pa.Table:
@@ -163,7 +170,7 @@ def find_rows(records: pa.Table, query: str) -> np.ndarray:
 
 
 def find_failures(source: str | Path | pa.Table, query: str = "") -> pa.Table:
-    """Like `find`, but without what is CORRECT, unless the search asks for a verdict or for what is right.
+    """Like `find`, but without what is CORRECT, unless the search asks for a verdict or for what is right (`lucky`).
 
     Raises
     ------
@@ -173,7 +180,7 @@ def find_failures(source: str | Path | pa.Table, query: str = "") -> pa.Table:
     records = records_of(source)
     need_verdicts(records)
     search = compile_search(query, records.schema)
-    if not _ABOUT_RIGHT & set(search.columns):
+    if not search.about_right:
         search = compile_search(f"-verdict:{','.join(RIGHT)} {query}", records.schema)
     return _take(records, _rows(records, search))
 

@@ -188,9 +188,8 @@ def slice_by(
     unit = "scene"
     for system, records in systems.items():
         if cut.column and cut.column not in records.column_names:
-            raise InputError(
-                f"the run {system} cannot be cut by {cut.name}", cause="it was made by an older release; run `eval` again"
-            )
+            cause = "it was made by an older release; run `eval` again"
+            raise InputError(f"the run {system} cannot be cut by {cut.name}", cause=cause)
         clusters, unit = clusters_of(records)
         found += _sliced(system, records, clusters, cut, config, most)
     return Slices(cut, tuple(found), unit)
@@ -218,9 +217,7 @@ def _sliced(
         counts = sums.sum(axis=0)
         names, queries = [*names, f"{len(rest)} others"], [*queries, None]
         order = [*kept, len(names) - 1]
-    return [
-        _slice(system, names[k], queries[k], counts[k], _estimates(sums[:, k], config), judged) for k in order
-    ]
+    return [_slice(system, names[k], queries[k], counts[k], _estimates(sums[:, k], config), judged) for k in order]
 
 
 def _sums(
@@ -265,7 +262,7 @@ def _name(cut: Dimension, key: Any, system: str) -> str:
     if key is None or (cut.edges and key < 0):
         return UNKNOWN
     if not cut.edges:
-        return PHRASE.get(key, key) if cut.order == "relation" else str(key)
+        return str(PHRASE.get(key, key)) if cut.order == "relation" else str(key)
     unit = f" {cut.unit}" if cut.unit else ""
     if key == 0:
         return f"< {cut.edges[0]:g}{unit}"
@@ -310,9 +307,7 @@ def _estimates(sums: np.ndarray, config: BootstrapConfig | None) -> list[Estimat
     return [replace(e, n=int(own[:, 0].sum())) for e in found]
 
 
-def _slice(
-    system: str, name: str, query: str | None, counts: np.ndarray, own: list[Estimate], judged: bool
-) -> Slice:
+def _slice(system: str, name: str, query: str | None, counts: np.ndarray, own: list[Estimate], judged: bool) -> Slice:
     first = len(MEASURES)
     return Slice(
         system,
@@ -327,14 +322,15 @@ def _slice(
     )
 
 
-def slice_table(found: Slices) -> Table:
-    """Slices as a table: accuracies, and the share of every verdict that occurs."""
+def slice_table(found: Slices, intervals: bool = True) -> Table:
+    """Slices as a table: accuracies, and the share of every verdict that occurs, without `intervals` as bare shares."""
     shown = [v for v in VERDICTS if any(s.counts.get(v) for s in found.slices)]
     several = len({s.system for s in found.slices}) > 1 and found.dimension.column
     rows = []
     for s in found.slices:
         cells: list[Cell] = [s.n, s.set_correct, s.correct]
-        cells += [s.verdicts.get(v) for v in shown]
+        shares = [s.verdicts.get(v) for v in shown]
+        cells += shares if intervals else [None if e is None else e.value for e in shares]
         rows.append(Row(f"{s.system}: {s.name}" if several else s.name, tuple(cells)))
     d = found.dimension
     edges = f"Bins begin at {', '.join(f'{e:g}' for e in d.edges)}{f' {d.unit}' if d.unit else ''}. " if d.edges else ""

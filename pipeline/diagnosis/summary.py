@@ -157,7 +157,7 @@ def summarise_run(records: pa.Table, config: BootstrapConfig | None = None) -> R
         [*(verdict == v for v in VERDICTS), *((verdict == v) & (detail == d) for v, d in pairs), lucky], axis=1
     )
     shares = _shares(member, clusters, config)
-    verdicts = dict(zip(VERDICTS, shares, strict=False))
+    verdicts: dict[str, Share] = dict(zip(VERDICTS, shares, strict=False))
     total = sum(s.estimate.value for s in verdicts.values())
     if sum(s.count for s in verdicts.values()) != len(verdict) or abs(total - 1) > EXACT:
         raise AssertionError(f"shares of verdicts sum to {total}, not to one")
