@@ -135,7 +135,10 @@ def test_transitions_between_runs() -> None:
     verdicts = before.column("verdict").to_pylist()
     changed = ["SRM" if v == "PRM" else v for v in verdicts]
     after = before.set_column(before.column_names.index("verdict"), "verdict", pa.array(changed))
-    found = compare(before, after).verdicts
+    both = compare(before, after)
+    # What is the same in both runs did not become right for another reason, labelled or not.
+    assert both.fixed == both.broken == both.other_reason == ()
+    found = both.verdicts
     assert found is not None
     assert found["PRM"] == {"SRM": verdicts.count("PRM")}
     assert sum(n for line in found.values() for n in line.values()) == before.num_rows

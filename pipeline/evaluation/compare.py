@@ -119,8 +119,11 @@ def compare(before: pa.Table, after: pa.Table, measure: str = "set_correct") -> 
         differences[name] = mean_estimate(b, clusters, other=a)
         tests[name] = mcnemar(b > 0, a > 0)
     was, now = column(first, measure) > 0, column(second, measure) > 0
-    same_target = column(first, "matched_target") == column(second, "matched_target")
-    same_reference = column(first, "matched_reference") == column(second, "matched_reference")
+    same_target, same_reference = (
+        # An object that is no labelled one has no place: two of them count as the same.
+        np.nan_to_num(column(first, name), nan=-1) == np.nan_to_num(column(second, name), nan=-1)
+        for name in ("matched_target", "matched_reference")
+    )
     pair = (column(first, "pair_correct") > 0) == (column(second, "pair_correct") > 0)
     other = was & now & ~(same_target & same_reference & pair)
     return Comparison(
