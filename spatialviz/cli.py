@@ -20,6 +20,7 @@ from spatialviz.cli_bench_srm import BenchSrm
 from spatialviz.cli_detect import Calibrate, Detect
 from spatialviz.cli_eval import BenchEval, Eval
 from spatialviz.cli_labels import BenchLabel, Check, Export, Label, Merge
+from spatialviz.cli_runs import Failures, Query
 from spatialviz.cli_training import Train
 from spatialviz.exits import BAD, FINE, INTERRUPTED, NO
 from spatialviz.options import four_numbers, print_json, warn_skipped
@@ -307,6 +308,8 @@ Command = Union[
     Annotated[Detect, subcommand("detect")],
     Annotated[Calibrate, subcommand("calibrate")],
     Annotated[Eval, subcommand("eval")],
+    Annotated[Failures, subcommand("failures")],
+    Annotated[Query, subcommand("query")],
     Annotated[Bench, subcommand("bench")],
     Annotated[BenchLabel, subcommand("bench-label")],
     Annotated[BenchEval, subcommand("bench-eval")],

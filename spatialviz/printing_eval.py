@@ -9,6 +9,7 @@ from typing import Any
 from rich.table import Table as RichTable
 from rich.text import Text
 
+from pipeline.diagnosis.verdict import VERDICTS
 from pipeline.evaluation.compare import Comparison
 from pipeline.evaluation.intervals import Estimate
 from pipeline.evaluation.job import RunReport
@@ -36,7 +37,7 @@ def print_table(table: Table) -> None:
     """A table under its title, and what must be known of it."""
     console = make_console()
     console.print(Text(table.title, "bold"))
-    console.print(_rich(table))
+    console.print(rich_table(table))
     if table.note:
         console.print(Text(table.note, "dim"))
 
@@ -46,7 +47,8 @@ def table_record(table: Table) -> dict[str, Any]:
     return {row.name: dict(zip(table.columns, map(_plain, row.cells), strict=True)) for row in table.rows}
 
 
-def _rich(table: Table) -> RichTable:
+def rich_table(table: Table) -> RichTable:
+    """A table of figures for the terminal."""
     found = RichTable(box=None, pad_edge=False, header_style="dim")
     found.add_column("")
     for name in table.columns:
@@ -68,6 +70,9 @@ def print_comparison(found: Comparison, show: int) -> None:
         test = found.tests[name]
         table.add_row(name, estimate.formatted(signed=True), str(test.b), str(test.c), f"{test.p_value:.2g}")
     console.print(table)
+    if found.verdicts is not None:
+        console.print(Text("verdicts: before in rows, after in columns", "bold"))
+        console.print(_transitions(found.verdicts))
     for title, entries in (
         ("fixed", found.fixed),
         ("broken", found.broken),
@@ -77,6 +82,17 @@ def print_comparison(found: Comparison, show: int) -> None:
         for entry in entries[:show]:
             console.print(Text(f"  {entry['frame']}  {entry['text']}  ({entry['id']})", "dim"))
     console.print()
+
+
+def _transitions(verdicts: dict[str, dict[str, int]]) -> RichTable:
+    after = [v for v in VERDICTS if any(v in line for line in verdicts.values())]
+    table = RichTable(box=None, pad_edge=False, header_style="dim")
+    table.add_column("")
+    for name in after:
+        table.add_column(name, justify="right")
+    for name, line in verdicts.items():
+        table.add_row(name, *(Text(str(line.get(b, "·")), "dim" if b == name else "") for b in after))
+    return table
 
 
 def run_record(report: RunReport) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -38,6 +39,9 @@ class Comparison:
         right both times with another target, reference, or one that is only now (or no longer) acceptable.
     measure : str
         The measure by which they are sorted into these.
+    verdicts : dict of str to dict of str to int, or None
+        How many expressions went from which verdict to which: [before][after], all of them, those that stayed too;
+        None where a run has no verdicts.
     """
 
     shared: int
@@ -49,6 +53,7 @@ class Comparison:
     broken: tuple[dict[str, Any], ...]
     other_reason: tuple[dict[str, Any], ...]
     measure: str
+    verdicts: dict[str, dict[str, int]] | None = None
 
     def record(self) -> dict[str, Any]:
         """As JSON."""
@@ -62,6 +67,7 @@ class Comparison:
             "fixed": list(self.fixed),
             "broken": list(self.broken),
             "other_reason": list(self.other_reason),
+            "verdicts": self.verdicts,
         }
 
 
@@ -113,8 +119,11 @@ def compare(before: pa.Table, after: pa.Table, measure: str = "set_correct") -> 
         differences[name] = mean_estimate(b, clusters, other=a)
         tests[name] = mcnemar(b > 0, a > 0)
     was, now = column(first, measure) > 0, column(second, measure) > 0
-    same_target = column(first, "matched_target") == column(second, "matched_target")
-    same_reference = column(first, "matched_reference") == column(second, "matched_reference")
+    same_target, same_reference = (
+        # An object that is no labelled one has no place: two of them count as the same.
+        np.nan_to_num(column(first, name), nan=-1) == np.nan_to_num(column(second, name), nan=-1)
+        for name in ("matched_target", "matched_reference")
+    )
     pair = (column(first, "pair_correct") > 0) == (column(second, "pair_correct") > 0)
     other = was & now & ~(same_target & same_reference & pair)
     return Comparison(
@@ -127,7 +136,21 @@ def compare(before: pa.Table, after: pa.Table, measure: str = "set_correct") -> 
         _named(second, was & ~now),
         _named(second, other),
         measure,
+        verdict_transitions(first, second),
     )
+
+
+def verdict_transitions(before: pa.Table, after: pa.Table) -> dict[str, dict[str, int]] | None:
+    """How many of the same expressions, row by row, went from which verdict to which; None without verdicts."""
+    from pipeline.diagnosis.summary import has_verdicts
+    from pipeline.diagnosis.verdict import VERDICTS
+
+    if not (has_verdicts(before) and has_verdicts(after)):
+        return None
+    pairs = zip(before.column("verdict").to_pylist(), after.column("verdict").to_pylist(), strict=True)
+    counts = Counter((a, b) for a, b in pairs if a is not None and b is not None)
+    found = {a: {b: counts[a, b] for b in VERDICTS if counts[a, b]} for a in VERDICTS}
+    return {a: line for a, line in found.items() if line}
 
 
 def _named(records: pa.Table, chosen: np.ndarray) -> tuple[dict[str, Any], ...]:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING
 
 from pipeline import __version__
 from pipeline.diagnosis.confidence import median_confidence
+from pipeline.diagnosis.report import diagnose_run
 from pipeline.errors import InputError
 from pipeline.evaluation.calibration_tables import calibration_table, calibration_warnings, recorded_config
 from pipeline.evaluation.compare import Comparison, compare, read_records
@@ -88,7 +89,8 @@ def evaluate_dataset(
     ----------
     spec : EvalSpec
     out : Path
-        `tables.md`, `tables.tex`, `tables/*.csv`, `records.parquet`, `relation_records.parquet`, `plots/`, `run.json`.
+        `tables.md`, `tables.tex`, `tables/*.csv`, `slices.md`, `records.parquet`, `relation_records.parquet`,
+        `diagnosis.json`, `plots/`, `run.json`.
     name : str, optional
         Of the system in the tables; by default detector and relation scorer.
     workers : int
@@ -138,6 +140,10 @@ def evaluate_dataset(
         tables = make_tables(systems, bootstrap) if spec.grounding else []
         relations = None if sink is None else measure_relations(spec, source, labels, folder, bootstrap)
         tables += [] if relations is None else relations.tables
+        # After the relations' records, of which it makes confusion matrices.
+        diagnosed = spec.grounding and spec.verdicts and spec.system == "pipeline"
+        diagnosis = diagnose_run(systems, labels, folder, bootstrap) if diagnosed else None
+        tables += [] if diagnosis is None else diagnosis.tables
         (folder / "tables.md").write_text(markdown(tables), encoding="utf-8")
         (folder / "tables.tex").write_text(latex(tables), encoding="utf-8")
         (folder / "tables").mkdir()
@@ -154,6 +160,8 @@ def evaluate_dataset(
                 draw(systems, tables, folder / "plots")
             if relations is not None:
                 draw_relations(relations.figures, folder / "plots")
+        if diagnosis is not None:
+            diagnosis.write(folder, plots)
         warnings = calibration_warnings(source, labels, records) if spec.grounding else ()
         warnings = (*warnings, *(() if relations is None else relations.warnings))
         options = {k: str(v) for k, v in spec.options.items() if k != "config"}

@@ -1,0 +1,93 @@
+"""The commands that look into a run of `eval`: SQL, and failures by words."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from tyro.conf import Positional
+
+from pipeline.errors import InputError
+from spatialviz.exits import FINE, NO
+from spatialviz.options import print_json
+
+MOST_SHOWN = 1000
+
+
+@dataclass(frozen=True)
+class Query:
+    """Ask a run in SQL: the view records, and labels_frames, labels_objects, labels_relations, labels_expressions."""
+
+    run_folder: Positional[Path]
+    """Run folder of `spatialviz eval`."""
+    sql: Positional[str]
+    """One SELECT, such as "SELECT verdict, count(*) FROM records GROUP BY ALL". It can read nothing else."""
+    json: bool = False
+    """Print one JSON object for each row."""
+    csv: bool = False
+    """Print CSV."""
+
+    def run(self) -> int:
+        from pipeline.diagnosis.run_database import open_run
+        from spatialviz.printing_runs import print_answer, print_csv, print_rows
+
+        if self.json and self.csv:
+            raise InputError("--json and --csv exclude each other")
+        with open_run(self.run_folder) as database:
+            answer = database.select(self.sql)
+            if self.json:
+                rows = print_rows(answer)
+            elif self.csv:
+                rows = print_csv(answer)
+            else:
+                rows = print_answer(answer, MOST_SHOWN)
+        return FINE if rows else NO
+
+
+@dataclass(frozen=True)
+class Failures:
+    """What a run got wrong: verdicts, what each module costs, slices, and the failing expressions with the reason."""
+
+    run_folder: Positional[Path]
+    """Run folder of `spatialviz eval`."""
+    search: Positional[str] = ""
+    """Words, such as "verdict:SRM relation:behind class:chair margin<0.1 -lucky sort:margin". One that begins with "-"
+    goes after all options and a "--"."""
+    limit: int = 20
+    """Expressions shown at most."""
+    slices: str = "relation"
+    """By what the run is cut, with commas: relation, class, reference, distance, size, occlusion, same_class,
+    label_margin, scene, frame."""
+    json: bool = False
+    """Print one JSON object."""
+
+    def run(self) -> int:
+        from pipeline.diagnosis.search import find_failures
+        from pipeline.diagnosis.slices import dimension_named, slice_by
+        from pipeline.diagnosis.summary import need_verdicts, summarise_run
+        from pipeline.evaluation.compare import read_records
+        from spatialviz.printing_runs import failures_record, print_failures
+
+        if self.limit < 0:
+            raise InputError("--limit is a count", got=self.limit, expected="0 or more")
+        dimensions = [dimension_named(name) for name in self.slices.split(",") if name.strip()]
+        records = read_records(self.run_folder)
+        need_verdicts(records)
+        found = find_failures(records, self.search)
+        summary = summarise_run(records)
+        name = _name_of(self.run_folder)
+        slices = [slice_by({name: records}, d, most=None if self.json else MOST_ROWS) for d in dimensions]
+        if self.json:
+            print_json(failures_record(name, summary, slices, found, self.limit, self.search))
+        else:
+            print_failures(name, summary, slices, found, self.limit, self.search)
+        return FINE if found.num_rows else NO
+
+
+MOST_ROWS = 15
+
+
+def _name_of(run: Path) -> str:
+    from pipeline.diagnosis.run_database import manifest_of
+
+    return str(manifest_of(run).get("name") or run.name)
