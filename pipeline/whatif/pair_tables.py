@@ -107,7 +107,7 @@ def score_pairs(
         scores = _by_any(objects, viewer, frame, scorer, lo, hi, clouds, profile)
     elif before is None or len(first) > _WHOLE * n * (n - 1) / 2:
         states = pairwise_states(lo, hi, clouds, profile)
-        scores = _scores(states, scorer.probabilities(rows) if isinstance(scorer, OnnxScorer) else None, scorer)
+        scores = combined(states, scorer.probabilities(rows) if isinstance(scorer, OnnxScorer) else None, scorer)
     else:
         scores = _renewed(old, first, second, (lo, hi), clouds, rows, scorer, profile, before)
     place = {one: at for at, one in enumerate(identities)}
@@ -140,8 +140,8 @@ def describe(objects: Sequence[SceneObject], viewer: ViewerAxes, frame: Frame, s
     return scorer.with_words(scorer.features.describe(lifted, viewer, appearance), appearance.labels)
 
 
-def _scores(states: np.ndarray, network: np.ndarray | None, scorer: RelationScorer) -> RelationScores:
-    """Scores of PAIRWISE, as the scorer itself puts them together."""
+def combined(states: np.ndarray, network: np.ndarray | None, scorer: RelationScorer) -> RelationScores:
+    """Scores of PAIRWISE, as the scorer itself puts them together; states (..., N, N, 9), network (..., N, N, V)."""
     probabilities = rule_probabilities(states)
     scored_by = dict.fromkeys(PAIRWISE, RuleScorer.name)
     if network is not None and isinstance(scorer, OnnxScorer):
@@ -222,7 +222,7 @@ def of_pairs(
             share[at, side, 1 - side] = enclosed_share(lo[one], hi[one], clouds[one], lo[b[at]], hi[b[at]], profile)
     measures = measure_pairs(lo[pair], hi[pair], profile)
     states = measured_states(measures, known[pair], surface, share, profile)
-    return _scores(states, scorer.probabilities(rows[pair]) if isinstance(scorer, OnnxScorer) else None, scorer)
+    return combined(states, scorer.probabilities(rows[pair]) if isinstance(scorer, OnnxScorer) else None, scorer)
 
 
 def _grouped(places: np.ndarray) -> list[tuple[int, np.ndarray]]:

@@ -138,6 +138,16 @@ class Baseline:
         name: str | Path = spec if spec in ("rule", "trained") else Path(spec)
         return self.kept("scorer", spec, lambda: make_scorer(name))
 
+    def same(self, objects: tuple[SceneObject, ...]) -> np.ndarray:
+        """Which are one thing; that depends on ids, 2D boxes and masks, and not on where a box was dragged to."""
+        marks = tuple((o.id, o.bbox.tobytes(), id(o.mask), o.lifted.quality.mask_source) for o in objects)
+        before = self.last("same", len(objects))
+        if before is not None and before[0] == marks:
+            return before[2]
+        # The masks are kept too, so that their numbers stay their own.
+        kept = marks, tuple(o.mask for o in objects), same_object(objects, self.detector.exact)
+        return self.keep("same", len(objects), kept)[2]
+
 
 def apply(baseline: Baseline, edits: Edits) -> Trace:
     """The trace that the whole pipeline gives with these edits; see `rerun`."""
@@ -194,8 +204,8 @@ def _rerun(baseline: Baseline, edits: Edits) -> Outcome:
     missing = tuple(name for name in baseline.query.labels if not len(candidates[name].index))
     ranking = None
     if not missing:
-        same = _same(baseline, objects)
-        lookup = _with_superlatives(relation_lookup(scores, objects, same), object_keys, edits)
+        same = baseline.same(objects)
+        lookup = with_superlatives(relation_lookup(scores, objects, same), object_keys, edits)
         sizes = np.array([o.lifted.quality.mask_pixels for o in objects])
         rank_config = replace(config.rank, **edits.rank)
         ranking = rank(baseline.query.readings, candidates, lookup, same, sizes, rank_config)
@@ -347,18 +357,6 @@ def _tables(
     return tables
 
 
-def _same(baseline: Baseline, objects: tuple[SceneObject, ...]) -> np.ndarray:
-    """Which are one thing; that depends on ids, 2D boxes and masks, and not on where a box was dragged to."""
-    marks = tuple((o.id, o.bbox.tobytes(), id(o.mask), o.lifted.quality.mask_source) for o in objects)
-    before = baseline.last("same", len(objects))
-    if before is not None and before[0] == marks:
-        return before[2]
-    same = same_object(objects, baseline.detector.exact)
-    # The masks are kept too, so that their numbers stay their own.
-    baseline.keep("same", len(objects), (marks, tuple(o.mask for o in objects), same))
-    return same
-
-
 def _with_relations(scores: RelationScores, keys: tuple[str, ...], edits: Edits) -> RelationScores:
     for relation, _, _ in edits.relations:
         if relation not in (*PAIRWISE, "closest", "farthest"):
@@ -382,7 +380,7 @@ def _with_relations(scores: RelationScores, keys: tuple[str, ...], edits: Edits)
     return replace(scores, probabilities=probabilities)
 
 
-def _with_superlatives(lookup: RelationLookup, keys: tuple[str, ...], edits: Edits) -> RelationLookup:
+def with_superlatives(lookup: RelationLookup, keys: tuple[str, ...], edits: Edits) -> RelationLookup:
     """The lookup with the edited probabilities of closest and farthest, which stand in no table."""
     given = {k: p for k, p in edits.relations.items() if k[0] in ("closest", "farthest")}
     if not given:
