@@ -2,8 +2,9 @@
 
 States are three-valued: T (+1) the relation holds, F (-1) it does not, U (0)
 it is too close to call. All pairs of a scene are judged at once. "A RELATION B"
-is entry [a, b]; extents with leading dimensions are a batch of scenes. Every relation is judged in the viewer's level axes
-(right, up, forward) of `pipeline.viewer`; nothing here knows an object's own front.
+is entry [a, b]; extents with leading dimensions are a batch of scenes. Every
+relation is judged in the viewer's level axes (right, up, forward) of
+`pipeline.viewer`; nothing here knows an object's own front.
 
 The profile: left, right, front (nearer) and behind (farther) are cones of 45
 degrees with a doubtful band to 67.5 degrees around the axis, on signed gaps

@@ -41,7 +41,8 @@ def what_changed(
         pair only), `entropy`, `reason` where there is no answer, `verdict`;
         `factors`: what became of the pair that won before and of the one that
         wins now, as logs {before, after}; `moved`: the pairs with another
-        rank, best first after the edit; `objects`: keys that came and went.
+        rank, best first after the edit; `candidates`: keys of objects that
+        `came` and `went`.
     """
     first, last = _winner(before), _winner(after)
     told = verdicts or (None, None)
@@ -54,7 +55,7 @@ def what_changed(
             "winner_after": None if last is None else _factors(before, after, last),
         },
         "moved": _moved(before, after, most),
-        "objects": {
+        "candidates": {
             "came": sorted(set(after.keys) - set(before.keys)),
             "went": sorted(set(before.keys) - set(after.keys)),
         },

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from time import perf_counter
+from typing import Any
 
 import numpy as np
 
@@ -192,8 +193,11 @@ def _pair_probabilities(
             surface[:, 1, 0] = surface_heights(*seen, cloud, hi[moved, 1], profile)
             share[:, 0, 1] = enclosed_share(lo[moved], hi[moved], cloud, *seen, profile)
             share[:, 1, 0] = enclosed_share(other_lo, other_hi, points, *own, profile)
-        both = [np.stack([e[moved] + shift, np.broadcast_to(o, (count, 3))], 1) for e, o in ((lo, other_lo), (hi, other_hi))]
-        measures = measure_pairs(both[0], both[1], profile)
+        both_lo, both_hi = (
+            np.stack([e[moved] + shift, np.broadcast_to(o, (count, 3))], axis=1)
+            for e, o in ((lo, other_lo), (hi, other_hi))
+        )
+        measures = measure_pairs(both_lo, both_hi, profile)
         states = measured_states(measures, np.broadcast_to([True, known], (count, 2)), surface, share, profile)
         network = None
         if isinstance(scorer, OnnxScorer):
@@ -348,3 +352,22 @@ def _one_by_one(
         if pair.reference is not None:
             found[c] = pair.target, pair.reference, ranking.margin
     return found[:, 0].astype(np.int64), found[:, 1].astype(np.int64), np.maximum(found[:, 2], 0.0)
+
+
+def map_record(found: DecisionMap) -> dict[str, Any]:
+    """A map as a JSON object: the grid, and who wins how much of it."""
+    winners, counts = np.unique(found.winner, return_counts=True)
+    return {
+        "key": found.key,
+        "cells": len(found.right),
+        "right": [round(float(found.right[k]), 4) for k in (0, -1)],
+        "forward": [round(float(found.forward[k]), 4) for k in (0, -1)],
+        "keys": list(found.keys),
+        "winner": found.winner.tolist(),
+        "margin": np.round(found.margin, 4).tolist(),
+        "share": {
+            found.keys[w] if w >= 0 else "none": round(int(n) / found.winner.size, 6)
+            for w, n in zip(winners.tolist(), counts.tolist(), strict=True)
+        },
+        "seconds": round(found.seconds, 3),
+    }

@@ -143,7 +143,7 @@ def describe(objects: Sequence[SceneObject], viewer: ViewerAxes, frame: Frame, s
 def combined(states: np.ndarray, network: np.ndarray | None, scorer: RelationScorer) -> RelationScores:
     """Scores of PAIRWISE, as the scorer itself puts them together; states (..., N, N, 9), network (..., N, N, V)."""
     probabilities = rule_probabilities(states)
-    scored_by = dict.fromkeys(PAIRWISE, RuleScorer.name)
+    scored_by: dict[str, str] = {relation: RuleScorer.name for relation in PAIRWISE}
     if network is not None and isinstance(scorer, OnnxScorer):
         own = np.eye(states.shape[-2], dtype=np.bool_)
         kept = probabilities[..., own, :]

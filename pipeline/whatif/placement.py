@@ -173,7 +173,7 @@ def _vertical(pairs: PairMeasures, relation: str, profile: Profile) -> tuple[Mea
             return f"Its centre lies on the other side, by {-offset:.2f} m"
         if not resting:
             return f"{end} bottom is {-clearance:.2f} m below the other's top, more than {sink:.2f} m"
-        holds = plan >= profile.plan_overlap or raised and elevation >= profile.elevation
+        holds = plan >= profile.plan_overlap or (raised and elevation >= profile.elevation)
         if state == 0 and holds:
             return f"Only {offset:.2f} m between the centres, within the dead zone of {profile.dead_zone:.2f} m"
         if plan >= (profile.plan_overlap if state > 0 else profile.plan_overlap_doubtful):

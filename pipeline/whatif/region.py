@@ -10,6 +10,7 @@ outlines at several heights.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -137,6 +138,7 @@ def plane_states(
 
 
 _Line = tuple[float, float]
+_Level = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
 
 def _plane(
@@ -239,7 +241,7 @@ def _merged(
     return found
 
 
-def _walls(a: np.ndarray, b: np.ndarray, edges: np.ndarray, level) -> np.ndarray:  # noqa: ANN001
+def _walls(a: np.ndarray, b: np.ndarray, edges: np.ndarray, level: _Level) -> np.ndarray:
     """Outline between strips: where exactly one of two neighbouring strips has the verdict."""
     found = []
     for s in np.unique(np.concatenate([a, b])):

@@ -6,6 +6,7 @@ Places are those of the target's centre, along (right, up, forward), metres.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import pairwise
 
 import numpy as np
 
@@ -157,7 +158,7 @@ def _loft(middle: np.ndarray, rings: Sequence[np.ndarray], heights: Sequence[flo
     triangles, lines = [], []
     for points in levels:
         lines.append(np.stack([points, np.roll(points, -1, axis=0)], axis=1))
-    for low, high in zip(levels[:-1], levels[1:], strict=True):
+    for low, high in pairwise(levels):
         next_low, next_high = np.roll(low, -1, axis=0), np.roll(high, -1, axis=0)
         triangles += [np.stack([low, next_low, high], axis=1), np.stack([next_low, next_high, high], axis=1)]
         lines.append(np.stack([low, high], axis=1)[:: max(1, len(low) // 4)])

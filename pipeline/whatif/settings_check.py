@@ -89,7 +89,8 @@ def _checked(kind: type, values: Mapping[str, Any], where: str) -> dict[str, Any
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(p) for p in first["loc"])
-        raise InputError(f"{where}: {place} cannot be this", got=repr(first["input"])[:80], expected=first["msg"]) from error
+        got = repr(first["input"])[:80]
+        raise InputError(f"{where}: {place} cannot be this", got=got, expected=first["msg"]) from error
     except (TypeError, ValueError) as error:
         raise InputError(f"{where}: a value is no finite number", got=str(error)) from error
     return {name: getattr(whole, name) for name in values}
