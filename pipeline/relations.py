@@ -50,6 +50,9 @@ PHRASE = {
 Indices = Sequence[int] | np.ndarray
 """Places in a list of objects."""
 
+_BEYOND_EXTENTS = 0.1
+"""Of 20 points or more, never so large a share lies beyond the extents to one side: 1st and 99th percentiles."""
+
 _LETTER = {T: "T", U: "U", F: "F"}
 
 
@@ -380,6 +383,16 @@ def in_measures(
 
 def _below_rim(pairs: PairMeasures) -> np.ndarray:
     return (pairs.hi[..., None, :, 1] - pairs.lo[..., :, None, 1]) / pairs.extent[..., :, None, 1]
+
+
+def points_decide(pairs: PairMeasures, profile: Profile) -> tuple[np.ndarray, np.ndarray]:
+    """Where `on`, and where `in`, look at points: elsewhere extents alone say F. Both (..., N, N) bool."""
+    covered, area_ratio, _ = _on_surfaces(pairs, np.zeros(pairs.delta.shape[:-1]))
+    surface = (covered >= profile.on_overlap) & (area_ratio < profile.on_area_ratio)
+    share = _below_rim(pairs) >= profile.in_below_rim
+    if profile.in_share_doubtful > _BEYOND_EXTENTS:
+        share &= (np.abs(pairs.gap) <= profile.in_inflation).all(axis=-1)
+    return surface, share
 
 
 def enclosed_shares(pairs: PairMeasures, clouds: Sequence[np.ndarray] | None, profile: Profile) -> np.ndarray:

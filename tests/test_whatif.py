@@ -86,7 +86,7 @@ def test_without_edits_it_is_the_answer_itself(text: str, scorer: str, detector:
     [
         (Edits().with_k(2), AskConfig(k=2), "trained"),
         (Edits().with_rank(relation_weight=0.3, aggregate="marginal"), None, "trained"),
-        (Edits().with_lift(erode=0.0, edge=0.1, part=0.5), AskConfig(lift=LiftConfig(erode=0.0, edge=0.1, part=0.5)), "trained"),
+        (Edits().with_lift(erode=0.0, part=0.5), AskConfig(lift=LiftConfig(erode=0.0, part=0.5)), "trained"),
         (Edits().with_lift(box="pca"), AskConfig(lift=LiftConfig(box="pca")), "trained"),
         (Edits().with_scorer("rule"), AskConfig(), "rule"),
     ],
@@ -110,7 +110,8 @@ def some_edits(draw: st.DrawFn) -> Edits:
         angle = draw(st.floats(-3, 3))
         R = np.array([[np.cos(angle), 0, np.sin(angle)], [0, 1, 0], [-np.sin(angle), 0, np.cos(angle)]])
         center = [draw(st.floats(-1, 1)), draw(st.floats(-0.5, 0.8)), draw(st.floats(0.8, 2.5))]
-        edits = edits.with_box(key, Box3D(np.array(center), R, np.array([draw(st.floats(0.01, 0.5)) for _ in range(3)])))
+        size = [draw(st.floats(0.01, 0.5)) for _ in range(3)]
+        edits = edits.with_box(key, Box3D(np.array(center), R, np.array(size)))
     for key in draw(st.lists(st.sampled_from(keys), max_size=1)):
         mask = np.zeros((FRAME.height, FRAME.width), np.bool_)
         x, y = draw(st.integers(0, 250)), draw(st.integers(0, 200))
@@ -145,7 +146,7 @@ def test_a_moved_box_is_scored_as_the_scorer_scores_it(scorer: str, profile: dic
     key = baseline.outcome.keys[1]
     entry = baseline.trace.objects[1]
     assert entry.lifted.box is not None
-    box = Box3D(entry.lifted.box.center + [0.2, -0.1, 0.3], entry.lifted.box.R, entry.lifted.box.size * 1.5)
+    box = Box3D([*entry.lifted.box.center, 0.2, -0.1, 0.3], entry.lifted.box.R, entry.lifted.box.size * 1.5)
     outcome = rerun(baseline, Edits().with_box(key, box).with_profile(**profile))
     found = outcome.trace
     objects = list(baseline.trace.objects)
@@ -160,7 +161,8 @@ def test_a_moved_box_is_scored_as_the_scorer_scores_it(scorer: str, profile: dic
         np.testing.assert_allclose(found.scores.probabilities, expected.probabilities, atol=1e-9)
     else:
         scored = [k for k, r in enumerate(PAIRWISE) if expected.scored_by[r] != "rule"]
-        np.testing.assert_allclose(found.scores.probabilities[..., scored], expected.probabilities[..., scored], atol=1e-9)
+        own, told = found.scores.probabilities[..., scored], expected.probabilities[..., scored]
+        np.testing.assert_allclose(own, told, atol=1e-9)
     if not profile:
         # Only the pairs of the moved one were scored.
         assert outcome.pairs_scored == len(objects) - 1
@@ -180,7 +182,7 @@ def test_a_slider_does_not_lift_or_score_again(monkeypatch: pytest.MonkeyPatch) 
 
 def test_keys_outlast_k_threshold_and_hiding() -> None:
     baseline = Baseline(source(ScoringDetector()), context_of(FRAME), "mug left of the laptop")
-    known = {key: o for key, o in zip(baseline.outcome.keys, baseline.trace.objects, strict=True)}
+    known = dict(zip(baseline.outcome.keys, baseline.trace.objects, strict=True))
     assert all("/" in key for key in known)
     best = max(known, key=lambda key: known[key].score)
     for edits in (Edits().with_k(2), Edits().with_min_score(0.5), Edits().with_hidden(best)):
@@ -192,7 +194,8 @@ def test_keys_outlast_k_threshold_and_hiding() -> None:
                 assert _thing(entry) == _thing(known[key])
     assert best not in rerun(baseline, Edits().with_hidden(best)).keys
     scores = [o.score for o in apply(baseline, Edits().with_min_score(0.5)).objects]
-    assert scores and min(scores) >= 0.5
+    assert scores
+    assert min(scores) >= 0.5
 
 
 def _thing(entry: SceneObject) -> tuple[str, float, bytes]:
@@ -218,18 +221,22 @@ def test_confidence_and_relation_decide_the_answer() -> None:
     won = baseline.outcome.keys[baseline.trace.ranking.pairs[0].target]
     doubted = rerun(baseline, Edits().with_confidence("mug", won, 0.01))
     change = what_changed(baseline.outcome, doubted, verdicts=("CORRECT", "OPM-CONF"))
-    assert change["changed"] and change["before"]["target"]["key"] == won != change["after"]["target"]["key"]
+    assert change["changed"]
+    assert change["before"]["target"]["key"] == won != change["after"]["target"]["key"]
     assert (change["before"]["verdict"], change["after"]["verdict"]) == ("CORRECT", "OPM-CONF")
     assert change["factors"]["winner_before"]["after"]["target"] == pytest.approx(np.log(0.01))
     assert change["moved"]
-    forced = rerun(baseline, Edits().with_relation("left", "#4", "#3", 1.0).with_confidence("mug", "#0", 0.1).with_confidence("mug", "#2", 0.1))  # fmt: skip
+    edits = Edits().with_confidence("mug", "#0", 0.1).with_confidence("mug", "#2", 0.1)
+    forced = rerun(baseline, edits.with_relation("left", "#4", "#3", 1.0))
     assert what_changed(baseline.outcome, forced)["after"]["target"]["key"] == "#4"
     nothing = what_changed(baseline.outcome, rerun(baseline, Edits()))
-    assert not nothing["changed"] and not nothing["moved"]
+    assert not nothing["changed"]
+    assert not nothing["moved"]
     json.dumps([change, nothing], allow_nan=False)
     closest = Baseline(source(), context_of(FRAME), "mug closest to the book")
     edited = apply(closest, Edits().with_relation("closest", "#4", "#1", 1.0))
-    assert edited.ranking is not None and edited.objects[edited.ranking.pairs[0].target].id == 4
+    assert edited.ranking is not None
+    assert edited.objects[edited.ranking.pairs[0].target].id == 4
     with pytest.raises(InputError, match="no probability"):
         apply(baseline, Edits().with_relation("between", "#4", "#3", 1.0))
 
@@ -237,40 +244,68 @@ def test_confidence_and_relation_decide_the_answer() -> None:
 def test_everything_hidden_is_nothing_found() -> None:
     baseline = Baseline(source(), context_of(FRAME), "mug left of the laptop")
     outcome = rerun(baseline, Edits(hidden=frozenset(baseline.all_keys)))
-    assert outcome.trace.missing == ("mug", "laptop") and outcome.trace.ranking is None
+    assert outcome.trace.missing == ("mug", "laptop")
+    assert outcome.trace.ranking is None
     assert what_changed(baseline.outcome, outcome)["after"]["reason"].startswith("no 'mug'")
     assert foreign_keys(baseline, Edits().with_hidden("#77").with_hidden("#0")) == ("#77",)
 
 
 def test_edits_are_taken_back() -> None:
     box = Box3D(np.zeros(3), np.eye(3), np.ones(3))
-    edits = Edits().with_box("#1", box).with_hidden("#1").with_confidence("mug", "#1", 0.5).with_relation("on", "#1", "#2", 0)
-    assert edits and not Edits()
+    edits = Edits().with_box("#1", box).with_hidden("#1").with_confidence("mug", "#1", 0.5)
+    edits = edits.with_relation("on", "#1", "#2", 0)
+    assert edits
+    assert not Edits()
     assert edits.without("#1") == Edits() == Edits().with_hidden("#1").with_shown("#1")
     assert edits.keys == {"#1", "#2"}
 
 
 HOSTILE = [
-    "", "[]", "null", "{", '"x"', "[" * 100_000, '{"k": 0}', '{"k": 1.5}', '{"k": true}', '{"k": 1e999}', '{"min_score": -1}',
-    '{"unknown": 1}', '{"format": "spatialviz-edits-9"}', '{"boxes": {"#1": {}}}', '{"hidden": [1]}', '{"hidden": [""]}',
+    "",
+    "[]",
+    "null",
+    "{",
+    '"x"',
+    "[" * 100_000,
+    '{"k": 0}',
+    '{"k": 1.5}',
+    '{"k": true}',
+    '{"k": 1e999}',
+    '{"min_score": -1}',
+    '{"unknown": 1}',
+    '{"format": "spatialviz-edits-9"}',
+    '{"boxes": {"#1": {}}}',
+    '{"hidden": [1]}',
+    '{"hidden": [""]}',
     '{"boxes": {"#1": {"center": [0,0,0], "R": [[1,0,0],[0,1,0],[0,0,-1]], "size": [1,1,1]}}}',
     '{"boxes": {"#1": {"center": [0,0,0], "R": [[1,0,0],[0,1,0],[0,0,1]], "size": [1,1,-1]}}}',
     '{"boxes": {"#1": {"center": [0,0,NaN], "R": [[1,0,0],[0,1,0],[0,0,1]], "size": [1,1,1]}}}',
     '{"boxes": {"#1": {"center": [0,0,"1"], "R": [[1,0,0],[0,1,0],[0,0,1]], "size": [1,1,1]}}}',
-    '{"masks": {"#1": {"size": [1000000, 1000000], "counts": "0"}}}', '{"confidences": [{"name": "a", "object": "#1", "p": 2}]}',
+    '{"masks": {"#1": {"size": [1000000, 1000000], "counts": "0"}}}',
+    '{"confidences": [{"name": "a", "object": "#1", "p": 2}]}',
     '{"relations": [{"relation": "on", "a": "#1", "b": "#1", "p": 1}]}',
     '{"confidences": [{"name": "a", "object": "#1", "p": 1}, {"name": "a", "object": "#1", "p": 0}]}',
-    '{"rank": {"target_weight": -1}}', '{"rank": {"aggregate": "sum"}}', '{"profile": {"cone": 91}}', '{"profile": {"cone": 70}}',
-    '{"profile": {"gap_switch_band": [0.04, 0.02]}}', '{"profile": {"min_extent": 0}}', '{"profile": {"__class__": 1}}',
-    '{"lift": {"near": 11}}', '{"lift": {"erode": 1e9}}', '{"lift": {"max_points": 0}}', '{"lift": {"box": "x"}}', '{"scorer": ""}',
-]  # fmt: skip
+    '{"rank": {"target_weight": -1}}',
+    '{"rank": {"aggregate": "sum"}}',
+    '{"profile": {"cone": 91}}',
+    '{"profile": {"cone": 70}}',
+    '{"profile": {"gap_switch_band": [0.04, 0.02]}}',
+    '{"profile": {"min_extent": 0}}',
+    '{"profile": {"__class__": 1}}',
+    '{"lift": {"near": 11}}',
+    '{"lift": {"erode": 1e9}}',
+    '{"lift": {"max_points": 0}}',
+    '{"lift": {"box": "x"}}',
+    '{"scorer": ""}',
+]
 
 
 @pytest.mark.parametrize("text", HOSTILE)
 def test_what_are_no_edits_is_refused_in_one_line(text: str, tmp_path: Path) -> None:
     with pytest.raises(InputError) as error:
         read_edits(text)
-    assert "\n" not in str(error.value) and len(str(error.value)) < 600
+    assert "\n" not in str(error.value)
+    assert len(str(error.value)) < 600
     path = tmp_path / "edits.json"
     path.write_text(text, encoding="utf-8")
     with pytest.raises(InputError, match=r"edits\.json"):
@@ -284,3 +319,23 @@ def test_a_scorer_that_is_none_is_refused(spec: str) -> None:
         apply(baseline, Edits().with_scorer(spec))
     with pytest.raises(InputError):
         Edits().with_confidence("mug", "#1", float("nan"))
+
+
+def test_the_command_shows_before_and_after(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    from spatialviz.cli import main
+
+    edits = tmp_path / "edits.json"
+    edits.write_text(json.dumps(edits_record(Edits().with_k(3).with_scorer("rule"))), encoding="utf-8")
+    picture = tmp_path / "map.png"
+    command = ["whatif", "demo", "3", "book left of basket", "--edits", str(edits)]
+    assert main([*command, "--json", "--decision-map", str(picture), "--cells", "5"]) == 0
+    record = json.loads(capsys.readouterr().out)
+    assert record["edits"]["k"] == 3
+    assert record["after"]["p_relation"] in (0.05, 0.5, 0.95)
+    assert len(record["decision_map"]["winner"]) == 5
+    assert picture.is_file()
+    assert main(command) == 0
+    assert "before" in capsys.readouterr().out
+    edits.write_text(json.dumps(edits_record(Edits().with_hidden("#999"))), encoding="utf-8")
+    assert main(command) == 2
+    assert "#999" in capsys.readouterr().err

@@ -23,6 +23,7 @@ from pipeline.relations import (
     measure_pairs,
     measured_states,
     pairwise_states,
+    points_decide,
     surface_heights,
 )
 from pipeline.srm.appearance import appearance_of
@@ -32,6 +33,8 @@ from pipeline.viewer import ViewerAxes
 
 _WHOLE = 0.5
 """From this share of new pairs on everything is scored anew, as one scene."""
+
+_FEW_POINTS = 20
 
 _Identity = tuple[int, str, bytes]
 
@@ -143,7 +146,7 @@ def describe(objects: Sequence[SceneObject], viewer: ViewerAxes, frame: Frame, s
 def combined(states: np.ndarray, network: np.ndarray | None, scorer: RelationScorer) -> RelationScores:
     """Scores of PAIRWISE, as the scorer itself puts them together; states (..., N, N, 9), network (..., N, N, V)."""
     probabilities = rule_probabilities(states)
-    scored_by: dict[str, str] = {relation: RuleScorer.name for relation in PAIRWISE}
+    scored_by: dict[str, str] = dict.fromkeys(PAIRWISE, RuleScorer.name)
     if network is not None and isinstance(scorer, OnnxScorer):
         own = np.eye(states.shape[-2], dtype=np.bool_)
         kept = probabilities[..., own, :]
@@ -213,21 +216,25 @@ def of_pairs(
     known = known_extents(*extents)
     lo, hi = (np.where(known[:, None], e, 0.0) for e in extents)
     surface, share = (np.zeros((len(pair), 2, 2)) for _ in range(2))
+    measures = measure_pairs(lo[pair], hi[pair], profile)
+    seen, held = points_decide(measures, profile)
+    # Of a few points one is more than extents can leave out.
+    held |= np.array([len(cloud) < _FEW_POINTS for cloud in clouds], np.bool_)[pair][:, :, None]
     for side in (0, 1):
         a, b = pair[:, side], pair[:, 1 - side]
-        for one, at in _grouped(b):
+        for one, at in _grouped(b, seen[:, side, 1 - side]):
             heights = surface_heights(lo[a[at]], hi[a[at]], clouds[one], hi[one, 1], profile)
             surface[at, side, 1 - side] = heights
-        for one, at in _grouped(a):
+        for one, at in _grouped(a, held[:, side, 1 - side]):
             share[at, side, 1 - side] = enclosed_share(lo[one], hi[one], clouds[one], lo[b[at]], hi[b[at]], profile)
-    measures = measure_pairs(lo[pair], hi[pair], profile)
     states = measured_states(measures, known[pair], surface, share, profile)
     return combined(states, scorer.probabilities(rows[pair]) if isinstance(scorer, OnnxScorer) else None, scorer)
 
 
-def _grouped(places: np.ndarray) -> list[tuple[int, np.ndarray]]:
-    """Each object with the pairs in which it stands."""
-    order = np.argsort(places, kind="stable")
+def _grouped(places: np.ndarray, wanted: np.ndarray) -> list[tuple[int, np.ndarray]]:
+    """Each object ((P,) places) with those of the wanted pairs ((P,) bool) in which it stands."""
+    order = np.flatnonzero(wanted)
+    order = order[np.argsort(places[order], kind="stable")]
     if not len(order):
         return []
     cuts = np.flatnonzero(np.diff(places[order])) + 1
