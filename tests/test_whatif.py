@@ -146,7 +146,8 @@ def test_a_moved_box_is_scored_as_the_scorer_scores_it(scorer: str, profile: dic
     key = baseline.outcome.keys[1]
     entry = baseline.trace.objects[1]
     assert entry.lifted.box is not None
-    box = Box3D([*entry.lifted.box.center, 0.2, -0.1, 0.3], entry.lifted.box.R, entry.lifted.box.size * 1.5)
+    center = entry.lifted.box.center + np.array([0.2, -0.1, 0.3])
+    box = Box3D(center, entry.lifted.box.R, entry.lifted.box.size * 1.5)
     outcome = rerun(baseline, Edits().with_box(key, box).with_profile(**profile))
     found = outcome.trace
     objects = list(baseline.trace.objects)
