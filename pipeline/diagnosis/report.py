@@ -12,8 +12,8 @@ from pipeline.diagnosis.slices import DIMENSIONS, Slices, slice_by, slice_table
 from pipeline.diagnosis.summary import RunSummary, has_verdicts, oracle_table, summarise_run, verdict_table
 from pipeline.evaluation.intervals import BootstrapConfig
 from pipeline.evaluation.tables import Table, as_csv, markdown
-from pipeline.labels.exports.staging import write_json
 from pipeline.labels.reading import Labels
+from pipeline.staging import write_json
 
 if TYPE_CHECKING:
     import pyarrow as pa
