@@ -11,6 +11,7 @@ from pipeline.datasets import (
     bop,
     folder,
     redwood,
+    saved_case,
     scannet,
     semantic_abstraction,
     seven_scenes,
@@ -23,6 +24,7 @@ from pipeline.datasets.settings import read_settings
 from pipeline.errors import InputError, UnknownFormat
 
 FORMATS: tuple[DatasetFormat, ...] = (
+    saved_case.FORMAT,
     bop.FORMAT,
     seven_scenes.FORMAT,
     scannet.FORMAT,
