@@ -16,6 +16,7 @@ from tyro.conf import OmitArgPrefixes, Positional, subcommand
 
 from pipeline import __version__
 from pipeline.errors import InputError, MissingExtra
+from spatialviz.cli_cases import Replay, Report, SaveCase
 from spatialviz.cli_detect import Calibrate, Detect
 from spatialviz.cli_eval import Eval
 from spatialviz.cli_labels import BenchLabel, Check, Export, Label, Merge
@@ -288,6 +289,9 @@ Command = Union[
     Annotated[Detect, subcommand("detect")],
     Annotated[Calibrate, subcommand("calibrate")],
     Annotated[Eval, subcommand("eval")],
+    Annotated[SaveCase, subcommand("save-case")],
+    Annotated[Replay, subcommand("replay")],
+    Annotated[Report, subcommand("report")],
     Annotated[Bench, subcommand("bench")],
     Annotated[BenchLabel, subcommand("bench-label")],
 ]
