@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -58,11 +58,10 @@ class SaveCase:
 
     def run(self) -> int:
         from pipeline.failure_case import answer_record, save_case
-        from pipeline.jobs import contexts
         from spatialviz.printing_cases import print_saved
 
         source = self.source.open(self.dataset)
-        context = _one_context(contexts, source, self.frame)
+        context = _one_context(source, self.frame)
         edits = None
         if self.edits is not None:
             from pipeline.whatif import edits_record, load_edits
@@ -79,12 +78,22 @@ class SaveCase:
         return FINE
 
 
-def _one_context(contexts, source, frame: str):  # noqa: ANN001, ANN202
-    from pipeline.jobs import ALL_FRAMES
+def _one_context(source: Source, frame: str) -> FrameContext:
+    from pipeline.jobs import ALL_FRAMES, contexts
 
     if frame == ALL_FRAMES:
         raise InputError("one frame is needed", got="all")
     return next(contexts(source, frame))
+
+
+def _arguments(options: SourceOptions) -> list[str]:
+    """The options that are not as they are by default, as words of a command line."""
+    words: list[str] = []
+    for field in fields(options):
+        value = getattr(options, field.name)
+        if value != field.default:
+            words += [f"--{field.name.replace('_', '-')}", *([] if value is True else [str(value)])]
+    return words
 
 
 @dataclass(frozen=True)
@@ -163,7 +172,6 @@ class Report:
         from pipeline.datasets.saved_case import MANIFEST
         from pipeline.failure_case import answer, open_case
         from pipeline.failure_report import Subject, failure_page, write_page
-        from pipeline.jobs import contexts
         from spatialviz.report_scene import scene_html
 
         if self.out.is_dir() or (self.out.exists() and not self.overwrite):
@@ -179,9 +187,9 @@ class Report:
             if self.expression is None:
                 raise InputError("EXPRESSION is missing", expected='for example "mug left of the laptop"')
             source = self.source.open(self.dataset)
-            context = _one_context(contexts, source, self.frame)
+            context = _one_context(source, self.frame)
             answered = answer(source, context, self.expression, truth=truth_of(source, context, self.labels))
-            subject = Subject.of_dataset(self.dataset, source, context, self.expression)
+            subject = Subject.of_dataset(self.dataset, source, context, self.expression, _arguments(self.source))
         page = failure_page(
             answered, source, context, subject, scene_html(answered, context) if self.scene else None
         )

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from contextlib import redirect_stdout
+from io import StringIO
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,6 +16,7 @@ from pipeline.failure_report.cast import Cast, cast_of
 from pipeline.lifting import flying_pixels
 from pipeline.objects import FrameContext
 from pipeline.palette import RGB, Role, palette
+from spatialviz.app.origin import checked_origins
 from spatialviz.app.scene import BAND_RATIO, CUBE, CUBE_FACES, FACE_OPACITY, FAR, LINE_WIDTH
 
 if TYPE_CHECKING:
@@ -29,11 +32,17 @@ def scene_html(answered: Answered, context: FrameContext) -> str:
     """The scene as one HTML page of about 1.5 MB, drawn in the viewer's level frame, dark."""
     import viser
 
-    server = viser.ViserServer(host="127.0.0.1", port=0, verbose=False)
+    # The server says where it listens; nobody is to go there.
+    with checked_origins(), redirect_stdout(StringIO()):
+        return _with_server(viser.ViserServer(host="127.0.0.1", port=0, verbose=False), answered, context)
+
+
+def _with_server(server: viser.ViserServer, answered: Answered, context: FrameContext) -> str:
     try:
         axes = context.viewer
         to_show = np.stack([axes.right, axes.forward, axes.up])
         server.scene.set_up_direction("+z")
+        server.scene.world_axes.visible = False
         server.scene.configure_environment_map(hdri=None)
         server.scene.configure_default_lights(cast_shadow=False)
         points = _draw_cloud(server.scene, context, to_show)

@@ -84,8 +84,9 @@ def saved_frame(frame: Frame) -> tuple[SavedFrame, dict[str, bytes]]:
     """A frame as what is written: its record, and its files by name."""
     camera = frame.camera
     found_again = resolve_up(frame.depth, Camera(camera.K, camera.width, camera.height, camera.T_world_camera))
-    computed = camera.up is not None and found_again.up is not None and camera.up_source in ("plane", "assumed")
-    if computed and found_again.up_source == camera.up_source and np.array_equal(found_again.up, camera.up):
+    ups = (found_again.up, camera.up)
+    computed = camera.up_source in ("plane", "assumed") and found_again.up_source == camera.up_source
+    if computed and ups[0] is not None and ups[1] is not None and np.array_equal(ups[0], ups[1]):
         camera = Camera(camera.K, camera.width, camera.height, camera.T_world_camera)
     depth_file, units, depth = _depth_bytes(frame.depth)
     record = SavedFrame.model_validate(
@@ -215,7 +216,8 @@ def _annotation(saved: SavedAnnotation, shape: tuple[int, ...]) -> Annotation:
     mask = None
     if saved.mask is not None:
         if saved.mask.size != tuple(shape):
-            raise InputError(f"the mask of annotation {saved.index} has another size", got=saved.mask.size, expected=shape)
+            what = f"the mask of annotation {saved.index} has another size"
+            raise InputError(what, got=saved.mask.size, expected=shape)
         mask = decode_run_length(saved.mask.size, saved.mask.counts, f"annotation {saved.index}")
     box = saved.box
     return Annotation(

@@ -109,8 +109,9 @@ def replay_case(opened: OpenedCase, tolerance: float = TOLERANCE, *, live: bool 
     after = checked_expected(record, opened.root)
     changes, warnings = _compare(opened.expected, after, tolerance, live)
     return Replay(
-        opened.root, opened.manifest.name, opened.expected, after, tuple(changes), (*opened.notes, *warnings), record, now
-    )
+        opened.root, opened.manifest.name, opened.expected, after, tuple(changes), (*opened.notes, *warnings), record,
+        now,
+    )  # fmt: skip
 
 
 def update_case(opened: OpenedCase, replay: Replay) -> None:

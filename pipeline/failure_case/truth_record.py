@@ -107,7 +107,8 @@ def read_truth(record: Any, frame_id: str, path: Path) -> tuple[FrameCases, Case
     n, e = len(saved.objects), saved.expression
     places = [e.target_object, e.reference_object, *e.strict, *e.acceptable]
     if not all(0 <= p < n for p in places):
-        raise InputError("the case is damaged at truth.expression", got=places, expected=f"objects 0 to {n - 1}", path=path)
+        among = f"objects 0 to {n - 1}"
+        raise InputError("the case is damaged at truth.expression", got=places, expected=among, path=path)
     if e.relation not in saved.states or not set(saved.states) <= set(PAIRWISE):
         raise InputError("the case is damaged at truth.states", got=list(saved.states), path=path)
     if any(o.R is not None and len(o.R) != 9 for o in saved.objects):
@@ -117,9 +118,8 @@ def read_truth(record: Any, frame_id: str, path: Path) -> tuple[FrameCases, Case
         np.array(e.strict, np.int64), np.array(e.acceptable, np.int64), e.ambiguous, _float(e.margin),
     )  # fmt: skip
     judged = _table(saved.judged, n, "judged", {"0": 0, "1": 1}, path).astype(np.bool_)
-    states = {
-        name: _table(rows, n, f"states.{name}", {**_STATES, NOT_JUDGED: -1}, path) for name, rows in saved.states.items()
-    }
+    known = {**_STATES, NOT_JUDGED: -1}
+    states = {name: _table(rows, n, f"states.{name}", known, path) for name, rows in saved.states.items()}
     geometry = {
         name: np.array([[np.nan] * width if (v := getattr(o, name)) is None else v for o in saved.objects], np.float64)
         .reshape(-1, width)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 from html import escape
 from pathlib import Path
 
@@ -107,10 +108,12 @@ def _header(answered: Answered, subject: Subject) -> str:
         d = judged.diagnosis
         said = " · ".join(x for x in (d.verdict, d.detail, "LUCKY" if d.lucky else None) if x)
         chip = f'<span class="verdict{" correct" if d.correct else ""}">{escape(said)}</span>'
+    first, *rest = re.split(r"(?<=[.!]) +(?=[A-Z])", headline(answered), maxsplit=1)
+    lead = f'<p class="lead">{escape(rest[0])}</p>' if rest else ""
     return (
         f'<header><div class="eyebrow">{chip}<span class="asked-for">{_expression(answered)}</span>'
         f"<span>{escape(subject.dataset)} · frame {escape(subject.frame)}</span></div>"
-        f"<h1>{escape(headline(answered))}</h1></header>"
+        f"<h1>{escape(first)}</h1>{lead}</header>"
     )
 
 
@@ -128,17 +131,22 @@ def _expression(answered: Answered) -> str:
 
 
 def _views(answered: Answered, context: FrameContext, cast: Cast, scene: str | None) -> str:
-    keys = '<span class="key" style="--c:var(--target)">target</span><span class="key" style="--c:var(--reference)">reference</span>'
-    truth = '<span class="key dashed" style="--c:var(--truth)">true</span>' if cast.true_masks else ""
+    keys = _key("target", "target") + _key("reference", "reference")
+    truth = _key("truth", "true", " dashed") if cast.true_masks else ""
     picture = f'<figure>{picture_svg(context.frame, cast)}<figcaption>{keys}{truth}</figcaption></figure>'
     if scene is None:
         return f'<div class="views one">{picture}</div>'
-    ghost = '<span class="key" style="--c:var(--truth)">true box</span>' if cast.true_boxes else ""
+    ghost = _key("truth", "true box") if cast.true_boxes else ""
     frame = (
-        f'<figure class="scene"><iframe title="The scene in 3D" sandbox="allow-scripts" srcdoc="{escape(scene)}"></iframe>'
+        '<figure class="scene"><iframe title="The scene in 3D" sandbox="allow-scripts" '
+        f'srcdoc="{escape(scene)}"></iframe>'
         f"<figcaption>{keys}{ghost}<span>drag to turn, wheel to zoom, right button to move</span></figcaption></figure>"
     )
     return f'<div class="views">{picture}{frame}</div>'
+
+
+def _key(color: str, what: str, kind: str = "") -> str:
+    return f'<span class="key{kind}" style="--c:var(--{color})">{what}</span>'
 
 
 def _card(title: str, content: str) -> str:

@@ -100,6 +100,9 @@ def _tag(
         y = y + high + 2 * unit if y + 2 * high < frame.height else 0.0
     taken.append((x, y, x + wide, y + high))
     return (
-        f'<g class="tag {role}"><rect x="{x:.1f}" y="{y:.1f}" width="{wide:.1f}" height="{high:.1f}" rx="{3 * unit:.1f}"/>'
-        f'<text x="{x + wide / 2:.1f}" y="{y + high * 0.70:.1f}" font-size="{size:.1f}" text-anchor="middle">{escape(text)}</text></g>'
+        f'<g class="tag {role}"><rect x="{x:.1f}" y="{y:.1f}" width="{wide:.1f}" height="{high:.1f}" '
+        f'rx="{3 * unit:.1f}"/>'
+        f'<text x="{x + wide / 2:.1f}" y="{y + high * 0.70:.1f}" font-size="{size:.1f}" '
+        'text-anchor="middle" '
+        f'textLength="{wide - 12 * unit:.1f}" lengthAdjust="spacingAndGlyphs">{escape(text)}</text></g>'
     )

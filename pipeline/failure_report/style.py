@@ -20,7 +20,7 @@ STYLE = f"""
 @media screen and (prefers-color-scheme: dark) {{ :root {{ {_DARK} }} }}
 * {{ box-sizing: border-box; }}
 body {{ margin: 0; background: var(--page); color: var(--ink); -webkit-font-smoothing: antialiased;
-  font: 14px/1.5 Inter, "Segoe UI", system-ui, -apple-system, "Helvetica Neue", Arial, "Liberation Sans", sans-serif; }}
+  font: 14px/1.5 Inter, "Segoe UI", -apple-system, "Helvetica Neue", "Liberation Sans", Arial, system-ui, sans-serif; }}
 main {{ max-width: 1400px; margin: 0 auto; padding: 28px 32px 56px; }}
 header {{ padding: 0 2px 18px; }}
 .eyebrow {{ display: flex; flex-wrap: wrap; gap: 8px 12px; align-items: center; color: var(--quiet); font-size: 13px; }}
@@ -28,14 +28,16 @@ header {{ padding: 0 2px 18px; }}
   background: var(--fail-soft); color: var(--fail); white-space: nowrap; }}
 .verdict.correct {{ color: var(--truth); background: var(--soft); }}
 .verdict.none {{ color: var(--quiet); background: var(--soft); }}
-h1 {{ font-size: 24px; line-height: 1.32; font-weight: 620; letter-spacing: -.012em; margin: 12px 0 0; max-width: 58em;
+h1 {{ font-size: 25px; line-height: 1.28; font-weight: 620; letter-spacing: -.012em; margin: 12px 0 0; max-width: 58em;
   text-wrap: pretty; overflow-wrap: anywhere; }}
+.lead {{ font-size: 15.5px; color: var(--quiet); margin: 6px 0 0; max-width: 70em; overflow-wrap: anywhere; }}
 .asked-for {{ color: var(--ink); font-weight: 550; overflow-wrap: anywhere; }}
 .asked-for .target, td.name.target {{ color: var(--target); }}
 .asked-for .reference, td.name.reference {{ color: var(--reference); }}
 h2 {{ font-size: 13px; font-weight: 620; margin: 0 0 12px; }}
 h3 {{ font-size: 13px; font-weight: 600; margin: 18px 0 4px; }}
-.card {{ background: var(--card); border: 1px solid var(--line); border-radius: 10px; padding: 16px 18px 18px; min-width: 0; }}
+.card {{ background: var(--card); border: 1px solid var(--line); border-radius: 10px; padding: 16px 18px 18px;
+  min-width: 0; }}
 .views, .columns {{ display: grid; grid-template-columns: minmax(0, 1fr) minmax(0, 1fr); gap: 16px; margin-top: 16px; }}
 .views.one {{ grid-template-columns: minmax(0, 1fr); }}
 .views.one .picture {{ max-height: 70vh; }}
@@ -90,14 +92,15 @@ tr.asked > * {{ background: var(--soft); font-weight: 620; }}
 .meter span {{ display: block; height: 100%; background: var(--quiet); }}
 .asked .meter span, .winner .meter span {{ background: var(--ink); }}
 .number {{ display: inline-block; min-width: 3em; }}
-td.wide {{ width: 38%; }}
+.wide {{ width: 38%; min-width: 150px; }}
 .axis {{ display: block; position: relative; height: 14px;
   background: linear-gradient(var(--line), var(--line)) 50% 0 / 1px 100% no-repeat; }}
 .bar {{ position: absolute; top: 2px; height: 10px; border-radius: 2px; min-width: 2px; }}
 .bar.ours {{ left: 50%; background: var(--fail); }} .bar.theirs {{ right: 50%; background: var(--truth); }}
 tr.sum > * {{ font-weight: 620; }}
-td.hint {{ font-size: 11px; font-weight: 400; color: var(--quiet); text-align: left; }}
-td.hint span {{ display: inline-block; width: 50%; }} td.hint span + span {{ text-align: right; }}
+th.hint {{ font-size: 11.5px; text-align: center; }} th.hint span {{ display: inline-block; width: 50%; }}
+th.hint span:first-child {{ text-align: right; padding-right: 6px; }}
+th.hint span + span {{ text-align: left; padding-left: 6px; }}
 .needed {{ margin: 0; padding-left: 18px; }} .needed li::marker {{ color: var(--quiet); }}
 .quiet {{ color: var(--quiet); font-size: 12.5px; margin: 10px 0 0; }}
 dl.facts {{ display: grid; grid-template-columns: max-content 1fr; gap: 4px 20px; margin: 0; }}

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from pipeline.errors import InputError
+from pipeline.failure_case.manifest import PROPOSALS
 from pipeline.failure_case.opening import OpenedCase
 from pipeline.jobs import Source
 from pipeline.objects import FrameContext
@@ -45,9 +46,13 @@ class Subject:
         facts += [(str(key), str(value)) for key, value in m.run.items()]
         facts += [("note", note) for note in opened.notes]
         dataset = m.dataset.get("name", "")
+        recording = str(opened.root / PROPOSALS)
+        commands = (
+            shlex.join(["spatialviz", "replay", root]),
+            shlex.join(["spatialviz", "view", root, "--detector", "recorded", "--model", recording]),
+        )
         return Subject(
-            dataset, m.frame.id, (shlex.join(["spatialviz", "replay", root]), shlex.join(["spatialviz", "view", root])),
-            view_state(dataset, m.frame.id, m.text, m.edits), tuple(facts),
+            dataset, m.frame.id, commands, view_state(dataset, m.frame.id, m.text, m.edits), tuple(facts),
         )  # fmt: skip
 
     @staticmethod

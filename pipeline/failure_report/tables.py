@@ -18,6 +18,9 @@ _MODULES = (
     ("SRM", "relations", ("srm",)), ("PRM", "ranking", ("prm",)), ("LABEL", "the label", ()),
 )  # fmt: skip
 _ORACLE_MODULE = {"RECALL": "OPM", "LIFT": "LIFT", "SRM": "SRM", "CONF": "PRM"}
+_MODULE_WORDS = {
+    "RECALL": "the missing objects", "LIFT": "true geometry", "SRM": "true relations", "CONF": "true confidences",
+}  # fmt: skip
 _FACTORS = (("target", "p_target"), ("reference", "p_reference"), ("relation", "p_relation"))
 
 
@@ -56,7 +59,8 @@ def decomposition_html(judged: Judgement, cast: Cast) -> str:
     for factor, attribute in _FACTORS:
         ours, theirs, share = getattr(d.winner, attribute), getattr(d.right, attribute), d.contributions[factor]
         side = "ours" if share >= 0 else "theirs"
-        bar = f'<span class="bar {side}" style="width:{50 * abs(share) / widest:.1f}%"></span>'
+        drawn = abs(share) >= 5e-4
+        bar = f'<span class="bar {side}" style="width:{50 * abs(share) / widest:.1f}%"></span>' if drawn else ""
         name = factor if factor != "relation" else f"relation “{escape(PHRASE[judged.case.relation])}”"
         rows.append(
             f'<tr><th scope="row">{name}</th><td>{ours:.3f}</td><td>{theirs:.3f}</td>'
@@ -65,13 +69,15 @@ def decomposition_html(judged: Judgement, cast: Cast) -> str:
     total = d.winner.log_score - d.right.log_score
     rows.append(
         f'<tr class="sum"><th scope="row">log score</th><td>{d.winner.log_score:.2f}</td>'
-        f'<td>{d.right.log_score:.2f}</td><td class="wide hint"><span>← favours the right pair</span>'
-        f"<span>favours the answer →</span></td><td>{total:+.2f}</td></tr>"
+        f'<td>{d.right.log_score:.2f}</td><td class="wide"></td><td>{total:+.2f}</td></tr>'
     )
     head = (
-        f'<tr><th scope="col">factor</th><th scope="col">answer<small>{_pair(cast, d.winner.target, d.winner.reference)}'
-        f'</small></th><th scope="col">best right pair<small>{_pair(cast, d.right.target, d.right.reference)}</small></th>'
-        '<th scope="col" class="wide"></th><th scope="col">Δ log</th></tr>'
+        '<tr><th scope="col">factor</th><th scope="col">answer'
+        f"<small>{_pair(cast, d.winner.target, d.winner.reference)}</small></th>"
+        '<th scope="col">best right pair'
+        f"<small>{_pair(cast, d.right.target, d.right.reference)}</small></th>"
+        '<th scope="col" class="wide hint"><span>← right pair</span><span>answer →</span></th>'
+        '<th scope="col">Δ log</th></tr>'
     )
     return f'<table class="decomposition"><thead>{head}</thead><tbody>{"".join(rows)}</tbody></table>{_needed(judged)}'
 
@@ -86,11 +92,11 @@ def _needed(judged: Judgement) -> str:
             ways.append(f"of the answer below <b>{n.winner_below:.3g}</b> (is {n.winner:.3g})")
         if ways:
             lines.append(f"<li>{n.factor} {', or '.join(ways)}</li>")
-    repair = " + ".join(judged.diagnosis.repair)
-    mended = f"<li>true values of <b>{escape(repair)}</b></li>" if repair else ""
+    repair = " and ".join(_MODULE_WORDS[name] for name in judged.diagnosis.repair)
+    mended = f"<li>{repair}</li>" if repair else ""
     if not lines and not mended:
         return ""
-    return f'<h3>Any one of these alone makes it right</h3><ul class="needed">{"".join(lines)}{mended}</ul>'
+    return f'<h3>Each of these alone makes it right</h3><ul class="needed">{"".join(lines)}{mended}</ul>'
 
 
 def _missed_html(judged: Judgement) -> str:
@@ -102,7 +108,7 @@ def _missed_html(judged: Judgement) -> str:
         ("best overlap with a right one", f"{missed.overlap:.2f} (.50 is asked)"),
         ("its score", "–" if missed.score is None else f"{missed.score:.3f}"),
         ("its place by score", "–" if missed.rank is None else str(missed.rank)),
-        ("mended by true", escape(" + ".join(d.repair)) or "nothing"),
+        ("mended by", " and ".join(_MODULE_WORDS[name] for name in d.repair) or "nothing"),
     ]  # fmt: skip
     return '<dl class="facts">' + "".join(f"<dt>{k}</dt><dd>{v}</dd>" for k, v in rows) + "</dl>"
 
@@ -142,7 +148,10 @@ def pairs_html(answered: Answered, cast: Cast) -> str:
     )
     more = len(pairs) - len(places)
     note = f'<p class="quiet">and {more} more pairs</p>' if more > 0 else ""
-    return f'<div class="scroll"><table class="pairs"><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table></div>{note}'
+    return (
+        f'<div class="scroll"><table class="pairs"><thead><tr>{head}</tr></thead>'
+        f"<tbody>{''.join(rows)}</tbody></table></div>{note}"
+    )
 
 
 def relations_html(answered: Answered, cast: Cast) -> str:
@@ -162,7 +171,8 @@ def relations_html(answered: Answered, cast: Cast) -> str:
                 i, j = cast.labelled.get(a), cast.labelled.get(b)
                 if i is not None and j is not None and judged.truth.judged[i, j]:
                     said = letter(judged.truth.states[relation][i, j])
-            cells.append(f'<td>{_meter(float(trace.scores.probabilities[a, b, n]))}</td><td class="state">{said or "–"}</td>')
+            p = float(trace.scores.probabilities[a, b, n])
+            cells.append(f'<td>{_meter(p)}</td><td class="state">{said or "–"}</td>')
         mark = ' class="asked"' if relation == trace.asked.relation else ""
         rows.append(f'<tr{mark}><th scope="row">{escape(PHRASE[relation])}</th>{"".join(cells)}</tr>')
     head = "".join(
