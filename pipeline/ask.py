@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from time import perf_counter
@@ -163,7 +163,7 @@ def ask(
             ranking = rank(
                 query.readings,
                 candidates,
-                _lookup(scores, objects, same),
+                relation_lookup(scores, objects, same),
                 same,
                 np.array([o.lifted.quality.mask_pixels for o in objects]),
                 config.rank,
@@ -202,12 +202,19 @@ def merged(
     context: FrameContext, detector: Detector, found: dict[str, Proposals], calibration: ScoreCalibration | None
 ) -> tuple[tuple[SceneObject, ...], dict[str, Candidates]]:
     """All proposals as one list in which a detection that several names found stands once."""
+    return joined({name: (p, context.lift(p, detector)) for name, p in found.items()}, calibration)
+
+
+def joined(
+    found: Mapping[str, tuple[Proposals, Sequence[SceneObject]]], calibration: ScoreCalibration | None
+) -> tuple[tuple[SceneObject, ...], dict[str, Candidates]]:
+    """`merged` of proposals that are lifted already, each name's in the order of its proposals."""
     objects: list[SceneObject] = []
     place: dict[int, int] = {}
     candidates: dict[str, Candidates] = {}
-    for name, proposals in found.items():
+    for name, (proposals, lifted) in found.items():
         index = []
-        for entry in context.lift(proposals, detector):
+        for entry in lifted:
             at = place.get(entry.id) if entry.id >= 0 else None
             if at is None:
                 at = len(objects)
@@ -222,7 +229,8 @@ def merged(
     return tuple(objects), candidates
 
 
-def _lookup(scores: RelationScores, objects: Sequence[SceneObject], same: np.ndarray) -> RelationLookup:
+def relation_lookup(scores: RelationScores, objects: Sequence[SceneObject], same: np.ndarray) -> RelationLookup:
+    """The relation probabilities of a list of objects as the ranking asks for them."""
     lifted = [o.lifted for o in objects]
 
     def lookup(attachment: Attachment, heads: np.ndarray, ends: Sequence[np.ndarray]) -> np.ndarray:

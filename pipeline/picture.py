@@ -85,7 +85,12 @@ def answer_picture(trace: Trace) -> np.ndarray:
 
 
 def save_picture(trace: Trace, path: Path) -> None:
-    """Write the picture of an answer; the format follows the file's ending.
+    """Write the picture of an answer; raises as `write_picture`."""
+    write_picture(answer_picture(trace), path)
+
+
+def write_picture(image: np.ndarray, path: Path) -> None:
+    """Write a picture ((H, W, 3) uint8 RGB), whole or not at all; the format follows the file's ending.
 
     Raises
     ------
@@ -95,7 +100,7 @@ def save_picture(trace: Trace, path: Path) -> None:
     if not path.parent.is_dir():
         raise InputError("the folder for the picture does not exist", path=path.parent)
     try:
-        ok, data = cv2.imencode(path.suffix or ".", answer_picture(trace)[..., ::-1])
+        ok, data = cv2.imencode(path.suffix or ".", image[..., ::-1])
     except cv2.error:
         ok, data = False, np.zeros(0, np.uint8)
     if not ok:

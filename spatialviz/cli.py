@@ -21,6 +21,7 @@ from spatialviz.cli_detect import Calibrate, Detect
 from spatialviz.cli_eval import Eval
 from spatialviz.cli_labels import BenchLabel, Check, Export, Label, Merge
 from spatialviz.cli_training import Train
+from spatialviz.cli_whatif import WhatIf
 from spatialviz.exits import BAD, FINE, INTERRUPTED, NO
 from spatialviz.options import four_numbers, print_json, warn_skipped
 from spatialviz.source_options import SourceOptions
@@ -277,6 +278,7 @@ class Bench:
 Command = Union[
     Annotated[View, subcommand("view")],
     Annotated[Ask, subcommand("ask")],
+    Annotated[WhatIf, subcommand("whatif")],
     Annotated[Relations, subcommand("relations")],
     Annotated[Frames, subcommand("frames")],
     Annotated[Render, subcommand("render")],

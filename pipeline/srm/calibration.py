@@ -21,7 +21,7 @@ def antisymmetric(logits: np.ndarray, vocabulary: Sequence[str]) -> np.ndarray:
 
     Parameters
     ----------
-    logits : (N, N, R) float
+    logits : (..., N, N, R) float
         In the order of `vocabulary`; relations without their inverse in it stay as they are.
     """
     result = logits.copy()
@@ -30,8 +30,8 @@ def antisymmetric(logits: np.ndarray, vocabulary: Sequence[str]) -> np.ndarray:
         if inverse in vocabulary:
             other = vocabulary.index(inverse)
             if k < other:
-                mean = (logits[..., k] + logits[..., other].T) / 2
-                result[..., k], result[..., other] = mean, mean.T
+                mean = (logits[..., k] + logits[..., other].swapaxes(-1, -2)) / 2
+                result[..., k], result[..., other] = mean, mean.swapaxes(-1, -2)
     return result
 
 

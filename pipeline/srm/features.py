@@ -59,7 +59,7 @@ class FeatureSet:
         (objects, viewer, appearance) -> (N, K) float64, one row an object; NaN for an
         object without points and box. With language, its geometry alone.
     pair : callable
-        (N, K + language) -> (N, N, D) float64: the features of "a to b" at [a, b].
+        (N, K + language) -> (N, N, D) float64: the features of "a to b" at [a, b]. Leading dimensions are a batch.
     lengths : tuple of int
         Columns of the description that are lengths: they grow with the scene, the others do not.
     boxes : bool
@@ -116,8 +116,8 @@ def geometry_of(name: str) -> str:
 
 def _with_language(base: FeatureSet, dimension: int) -> FeatureSet:
     def pair(rows: np.ndarray) -> np.ndarray:
-        split = rows.shape[1] - dimension
-        return np.concatenate([base.pair(rows[:, :split]), pair_side_by_side(rows[:, split:])], axis=2)
+        split = rows.shape[-1] - dimension
+        return np.concatenate([base.pair(rows[..., :split]), pair_side_by_side(rows[..., split:])], axis=-1)
 
     words = tuple(f"{which}_word{k}" for which in ("a", "b") for k in range(dimension))
     return replace(base, name=base.name + LANGUAGE, columns=base.columns + words, pair=pair, language=dimension)
@@ -189,28 +189,29 @@ def pair_relative(rows: np.ndarray) -> np.ndarray:
     ratio of extents (a over b), each along (right, up, forward); the forward
     coordinates of both centres. Metres.
     """
-    n = len(rows)
-    measured = measure_pairs(rows[:, :3], rows[:, 3:])
+    measured = measure_pairs(rows[..., :3], rows[..., 3:])
     size = np.log(measured.extent)
-    depth = measured.center[:, 2]
+    depth = measured.center[..., 2]
+    shape = (*measured.delta.shape[:-1], 1)
     return np.concatenate(
         [
             measured.delta,
             measured.gap,
             measured.overlap_share,
-            size[:, None] - size[None, :],
-            np.broadcast_to(depth[:, None, None], (n, n, 1)),
-            np.broadcast_to(depth[None, :, None], (n, n, 1)),
+            size[..., :, None, :] - size[..., None, :, :],
+            np.broadcast_to(depth[..., :, None, None], shape),
+            np.broadcast_to(depth[..., None, :, None], shape),
         ],
-        axis=2,
+        axis=-1,
     )
 
 
 def pair_side_by_side(rows: np.ndarray) -> np.ndarray:
     """The row of a, then the row of b: (N, K) -> (N, N, 2K)."""
-    n, k = rows.shape
-    first, second = np.broadcast_to(rows[:, None], (n, n, k)), np.broadcast_to(rows[None], (n, n, k))
-    return np.concatenate([first, second], axis=2)
+    *batch, n, k = rows.shape
+    shape = (*batch, n, n, k)
+    first, second = np.broadcast_to(rows[..., :, None, :], shape), np.broadcast_to(rows[..., None, :, :], shape)
+    return np.concatenate([first, second], axis=-1)
 
 
 def _box_columns() -> tuple[str, ...]:

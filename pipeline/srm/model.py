@@ -127,16 +127,18 @@ class OnnxScorer:
     def logits(self, rows: np.ndarray) -> np.ndarray:
         """(N, N, R) float64 logits, antisymmetric, of all ordered pairs of objects described by (N, K) rows.
 
+        Rows with leading dimensions are a batch of scenes.
         Those of a softmax network are logarithms of probabilities.
         """
-        n, vocabulary = len(rows), self.contract.vocabulary
-        if n == 0:
-            return np.zeros((0, 0, len(vocabulary)))
+        vocabulary = self.contract.vocabulary
+        shape = (*rows.shape[:-1], rows.shape[-2], len(vocabulary))
+        if 0 in shape:
+            return np.zeros(shape)
         features = (self.features.pair(rows) - self.contract.mean) / self.contract.std
-        flat = features.reshape(n * n, -1).astype(np.float32)
+        flat = features.reshape(-1, features.shape[-1]).astype(np.float32)
         (found,) = self._session.run(None, {self._input: flat})
         mirrored = antisymmetric if self.contract.output == "sigmoid" else antisymmetric_log_softmax
-        return mirrored(found.astype(np.float64).reshape(n, n, len(vocabulary)), vocabulary)
+        return mirrored(found.astype(np.float64).reshape(shape), vocabulary)
 
     def probabilities(self, rows: np.ndarray) -> np.ndarray:
         """(N, N, R) calibrated probabilities; 0.5 where either object is not known (NaN).
@@ -145,11 +147,11 @@ class OnnxScorer:
         them. What ranks pairs is P(relation | pair) / prior(relation), made
         to sum to 1 again: the answer as if all relations were equally frequent.
         """
-        known = np.logical_and.reduce(np.isfinite(rows), axis=1)
-        scaled = self._calibrated(np.where(known[:, None], rows, 0.0))
+        known = np.logical_and.reduce(np.isfinite(rows), axis=-1)
+        scaled = self._calibrated(np.where(known[..., None], rows, 0.0))
         softened = self.contract.output == "softmax"
         result = softmax(scaled - np.log(self.contract.prior)) if softened else sigmoid(scaled)
-        result[~(known[:, None] & known[None, :])] = 0.5
+        result[~(known[..., :, None] & known[..., None, :])] = 0.5
         return result
 
     def class_probabilities(self, rows: np.ndarray) -> np.ndarray:

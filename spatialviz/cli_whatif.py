@@ -1,0 +1,112 @@
+"""The command that answers under edits."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tyro.conf import OmitArgPrefixes, Positional
+
+from pipeline.errors import InputError
+from spatialviz.exits import FINE, NO
+from spatialviz.options import print_json
+from spatialviz.source_options import SourceOptions
+
+if TYPE_CHECKING:
+    from pipeline.whatif import Baseline, Edits, Outcome
+
+
+@dataclass(frozen=True)
+class WhatIf:
+    """Answer an expression with and without edits: moved boxes, other masks, confidences, thresholds."""
+
+    dataset: Positional[str]
+    """Dataset folder, or "demo"."""
+    frame: Positional[str]
+    """Frame id, or its index."""
+    expression: Positional[str]
+    """TARGET RELATION REFERENCE, in quotes."""
+    source: OmitArgPrefixes[SourceOptions] = SourceOptions()
+    edits: Path | None = None
+    """JSON file of edits. Without it the objects are listed with the keys that edits name them by."""
+    decision_map: Path | None = None
+    """Write a picture (.png or .jpg): the floor, coloured by which answer wins if one object stands there."""
+    move: str | None = None
+    """Key of the object that the decision map moves. Default: the target of the answer."""
+    cells: int = 48
+    """Cells of the decision map on each side."""
+    json: bool = False
+    """Print one JSON object."""
+
+    def run(self) -> int:
+        from pipeline.datasets import resolve_frame
+        from pipeline.objects import FrameContext
+        from pipeline.records import why_no_answer
+        from pipeline.whatif import Baseline, Edits, load_edits, rerun
+        from pipeline.whatif.rerun import foreign_keys
+        from spatialviz.printing_whatif import print_change
+
+        edits = Edits() if self.edits is None else load_edits(self.edits)
+        source = self.source.open(self.dataset)
+        context = FrameContext(source.dataset.load(resolve_frame(source.dataset, self.frame)), source.config.lift)
+        baseline = Baseline(source, context, self.expression)
+        unknown = foreign_keys(baseline, edits)
+        if unknown:
+            known = ", ".join(sorted(baseline.all_keys)[:30])
+            raise InputError("edits of objects that are not there", got=", ".join(unknown), expected=known)
+        after = rerun(baseline, edits)
+        record = whatif_record(baseline, after, edits)
+        if self.decision_map is not None:
+            record["decision_map"] = self._map(baseline, after, edits)
+        if self.json:
+            print_json(record)
+        else:
+            print_change(record)
+        return FINE if why_no_answer(after.trace) is None else NO
+
+    def _map(self, baseline: Baseline, after: Outcome, edits: Edits) -> dict[str, Any]:
+        from pipeline.picture import write_picture
+        from pipeline.whatif.decision_map import decision_map, map_record
+        from pipeline.whatif.map_picture import map_picture
+
+        assert self.decision_map is not None
+        ranking = after.trace.ranking
+        key = self.move or ("" if ranking is None else after.keys[ranking.pairs[0].target])
+        found = decision_map(baseline, edits, key, self.cells)
+        write_picture(map_picture(found, after), self.decision_map)
+        return map_record(found)
+
+
+def whatif_record(baseline: Baseline, after: Outcome, edits: Edits) -> dict[str, Any]:
+    """The whole of `whatif --json`."""
+    from pipeline.relations import PAIRWISE, Profile
+    from pipeline.whatif import edits_record, what_changed
+    from pipeline.whatif.placement import place_in_region
+
+    trace = after.trace
+    record: dict[str, Any] = {
+        "frame": trace.frame.id,
+        "expression": baseline.text,
+        "edits": edits_record(edits),
+        "objects": [
+            {"key": key, "label": o.label, "score": round(float(o.score), 6)}
+            for key, o in zip(after.keys, trace.objects, strict=True)
+        ],
+        **what_changed(baseline.outcome, after),
+        "timings_ms": {stage: round(seconds * 1000, 3) for stage, seconds in trace.timings.items()},
+        "pairs_scored": after.pairs_scored,
+    }
+    relation = trace.asked.relation
+    if trace.ranking is not None and trace.ranking.pairs[0].reference is not None and relation in PAIRWISE:
+        pair = trace.ranking.pairs[0]
+        ends = [trace.objects[k].lifted for k in (pair.target, pair.reference) if k is not None]
+        first, second = ends[::-1] if trace.asked.inverse else ends
+        placed = place_in_region(first, second, relation, trace.viewer, Profile(**edits.profile))
+        record["placement"] = {
+            "relation": relation,
+            "state": placed.letter,
+            "why": placed.why,
+            "measures": {name: round(value, 6) for name, value in placed.measures.items()},
+        }
+    return record
