@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import re
+from contextlib import suppress
 from html import escape
 from pathlib import Path
 
@@ -86,7 +87,8 @@ def write_page(page: str, path: Path) -> None:
     except OSError as error:
         raise InputError("the report cannot be written", got=error.strerror, path=path) from error
     finally:
-        temporary.unlink(missing_ok=True)
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
 
 
 def headline(answered: Answered) -> str:

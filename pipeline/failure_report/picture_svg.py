@@ -19,7 +19,7 @@ WIDEST = 1280
 QUALITY = 86
 SMALLEST_PART = 6
 """Pixels of outline below which a part of a mask is not drawn."""
-_GLYPH = 0.56
+_GLYPH = 0.53
 """Mean width of a letter over the size of the type."""
 
 
@@ -87,13 +87,15 @@ def _edges(box: Box3D, camera: Camera) -> str:
 def _tag(
     text: str, role: Role, bbox: np.ndarray, frame: Frame, taken: list[tuple[float, float, float, float]]
 ) -> str:
-    """A name above its object, moved down where another tag already stands."""
+    """A name at its object, moved down where another tag already stands."""
     text = text if len(text) <= 40 else text[:39] + "…"
     unit = frame.width / 640
     size, high = 11.5 * unit, 18 * unit
     wide = len(text) * size * _GLYPH + 12 * unit
     x = float(np.clip(bbox[0], 0, max(frame.width - wide, 0)))
-    y = float(np.clip(bbox[1] - high - 2 * unit, 0, frame.height - high))
+    # What is true has its name below, so that neither hides the other's object.
+    above = bbox[3] + 2 * unit if role == "truth" else bbox[1] - high - 2 * unit
+    y = float(np.clip(above, 0, frame.height - high))
     for _ in range(8):
         if not any(x < r and x + wide > left and y < b and y + high > t for left, t, r, b in taken):
             break

@@ -63,7 +63,8 @@ figcaption {{ padding: 9px 14px; color: var(--quiet); font-size: 12.5px; display
 .picture .tag text {{ fill: #14171c; font-weight: 600; }}
 .modules {{ list-style: none; display: grid; grid-template-columns: repeat(6, 1fr); gap: 1px; margin: 0; padding: 0;
   background: var(--line); border: 1px solid var(--line); border-radius: 10px; overflow: hidden; }}
-.modules li {{ background: var(--card); padding: 10px 14px; display: grid; grid-template-columns: 1fr auto; gap: 0 8px; }}
+.modules li {{ background: var(--card); padding: 10px 14px; display: grid; gap: 0 8px;
+  grid-template-columns: 1fr auto; }}
 .modules b {{ font-weight: 620; }} .modules span {{ color: var(--quiet); grid-row: 2; font-size: 12.5px; }}
 .modules em {{ font-style: normal; font-variant-numeric: tabular-nums; color: var(--quiet); }}
 .modules .blamed {{ background: var(--fail-soft); box-shadow: inset 0 3px 0 var(--fail); }}
@@ -87,7 +88,8 @@ tr.gap td {{ text-align: center; color: var(--quiet); padding: 0; }}
   padding: 0 7px; margin-left: 6px; }}
 tr.asked > * {{ background: var(--soft); font-weight: 620; }}
 .state {{ text-align: center; color: var(--quiet); }}
-.meter {{ display: inline-block; width: 64px; height: 6px; border-radius: 3px; background: var(--track); overflow: hidden;
+.meter {{ display: inline-block; width: 64px; height: 6px; border-radius: 3px; overflow: hidden;
+  background: var(--track);
   vertical-align: middle; margin-right: 8px; }}
 .meter span {{ display: block; height: 100%; background: var(--quiet); }}
 .asked .meter span, .winner .meter span {{ background: var(--ink); }}
