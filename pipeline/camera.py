@@ -80,7 +80,8 @@ class Camera:
             norm = float(np.linalg.norm(up))
             if up.shape != (3,) or not np.isfinite(norm) or norm < 1e-9:
                 raise InputError("the up vector must be three finite numbers", got=self.up)
-            object.__setattr__(self, "up", up / norm)
+            # A unit vector stays as it is to the last bit, so that what was written is what is read.
+            object.__setattr__(self, "up", up if abs(norm - 1) < 1e-15 else up / norm)
 
     @property
     def fx(self) -> float:

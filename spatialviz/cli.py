@@ -17,6 +17,7 @@ from tyro.conf import OmitArgPrefixes, Positional, arg, subcommand
 from pipeline import __version__
 from pipeline.errors import InputError, MissingExtra
 from spatialviz.cli_bench_srm import BenchSrm
+from spatialviz.cli_cases import Replay, Report, SaveCase
 from spatialviz.cli_detect import Calibrate, Detect
 from spatialviz.cli_eval import BenchEval, Eval
 from spatialviz.cli_labels import BenchLabel, Check, Export, Label, Merge
@@ -312,6 +313,9 @@ Command = Union[
     Annotated[Eval, subcommand("eval")],
     Annotated[Failures, subcommand("failures")],
     Annotated[Query, subcommand("query")],
+    Annotated[SaveCase, subcommand("save-case")],
+    Annotated[Replay, subcommand("replay")],
+    Annotated[Report, subcommand("report")],
     Annotated[Bench, subcommand("bench")],
     Annotated[BenchLabel, subcommand("bench-label")],
     Annotated[BenchEval, subcommand("bench-eval")],

@@ -30,8 +30,8 @@ class Dataset(Protocol):
         scan, which may stand one folder up.
     format : str
         Name of the on-disk format: "bop", "7-scenes", "scannet", "tum", "sunrgbd",
-        "sunrgbd-votenet", "redwood", "avd", "semantic-abstraction", "folder", or a
-        plugin's.
+        "sunrgbd-votenet", "redwood", "avd", "semantic-abstraction", "case" (a saved one),
+        "folder", or a plugin's.
     frame_ids : tuple of str
         Every frame the dataset lists, broken ones too, in order.
     class_names : tuple of str

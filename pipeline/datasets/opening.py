@@ -9,6 +9,7 @@ from pipeline.datasets import (
     bop,
     folder,
     redwood,
+    saved_case,
     scannet,
     semantic_abstraction,
     seven_scenes,
@@ -22,6 +23,7 @@ from pipeline.errors import InputError, UnknownFormat
 from pipeline.plugins import load_plugins
 
 FORMATS: tuple[DatasetFormat, ...] = (
+    saved_case.FORMAT,
     bop.FORMAT,
     seven_scenes.FORMAT,
     scannet.FORMAT,

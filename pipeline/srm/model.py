@@ -41,6 +41,8 @@ class OnnxScorer:
     ----------
     name : str
         That of its feature contract.
+    path : Path
+        Its file.
     contract : Contract
 
     Raises
@@ -56,6 +58,7 @@ class OnnxScorer:
         session = open_session(path, threads=1)
         self.contract = Contract.read(session.get_modelmeta().custom_metadata_map, path)
         self.name = self.contract.features
+        self.path = path
         self.features = self.contract.feature_set
         self._session: Any = session
         inputs, outputs = session.get_inputs(), session.get_outputs()

@@ -1,0 +1,253 @@
+"""The frame of a saved case: colour and depth without loss, the camera, the annotations.
+
+`pipeline.failure_case` writes the folder and reads all of it; here its frame is
+a dataset of one. The files have fixed names, so that a case can name none
+outside its folder, and the sha256 of each stands in `spatialviz-case.json`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+
+from pipeline.boxes import Box3D
+from pipeline.camera import Camera
+from pipeline.datasets.assembly import make_frame, read_pair
+from pipeline.datasets.base import DatasetFormat, unknown_frame
+from pipeline.datasets.files import read_json
+from pipeline.datasets.settings import Settings
+from pipeline.errors import InputError
+from pipeline.frame import Annotation, Frame
+from pipeline.run_length import RunLength, decode_run_length, encode_run_length
+from pipeline.viewer import resolve_up
+
+MANIFEST = "spatialviz-case.json"
+CASE_FORMAT = "spatialviz-case-1"
+COLOR = "rgb.png"
+UNITS = (1000.0, 10_000.0, 5000.0, 4000.0, 2000.0, 8000.0, 256.0, 1.0)
+"""Depth units in one metre that are tried, so that depth is 16-bit integers to the last bit."""
+
+Three = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
+Four = tuple[FiniteFloat, FiniteFloat, FiniteFloat, FiniteFloat]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid")
+
+
+class SavedBox(_Strict):
+    """A 3D box in the camera frame, metres."""
+
+    center: Three
+    R: tuple[Three, Three, Three]
+    size: Three
+
+
+class SavedAnnotation(_Strict):
+    """`pipeline.frame.Annotation`, its mask as COCO run lengths."""
+
+    index: int
+    label: str
+    bbox: Four
+    mask: RunLength | None = None
+    box: SavedBox | None = None
+    visible: FiniteFloat | None = None
+    instance: int | None = None
+    difficulty: int | None = None
+
+
+class SavedFrame(_Strict):
+    """A frame but for its pixels. `units` is the depth units in one metre, None where depth.npy holds float32 metres.
+
+    `up` is null where it is found from the depth.
+    """
+
+    id: str = Field(min_length=1)
+    width: int = Field(ge=1)
+    height: int = Field(ge=1)
+    depth: Literal["depth.png", "depth.npy"]
+    units: FiniteFloat | None = Field(gt=0)
+    K: tuple[Three, Three, Three]
+    T_world_camera: tuple[Four, Four, Four, Four] | None
+    up: Three | None
+    up_source: Literal["declared", "imu", "plane", "assumed"] | None
+    annotations: tuple[SavedAnnotation, ...]
+    notes: tuple[str, ...] = ()
+
+
+def saved_frame(frame: Frame) -> tuple[SavedFrame, dict[str, bytes]]:
+    """A frame as what is written: its record, and its files by name."""
+    camera = frame.camera
+    found_again = resolve_up(frame.depth, Camera(camera.K, camera.width, camera.height, camera.T_world_camera))
+    ups = (found_again.up, camera.up)
+    computed = camera.up_source in ("plane", "assumed") and found_again.up_source == camera.up_source
+    if computed and ups[0] is not None and ups[1] is not None and np.array_equal(ups[0], ups[1]):
+        camera = Camera(camera.K, camera.width, camera.height, camera.T_world_camera)
+    depth_file, units, depth = _depth_bytes(frame.depth)
+    record = SavedFrame.model_validate(
+        {
+            "id": frame.id, "width": frame.width, "height": frame.height, "depth": depth_file, "units": units,
+            "K": camera.K.tolist(),
+            "T_world_camera": None if camera.T_world_camera is None else camera.T_world_camera.tolist(),
+            "up": None if camera.up is None else camera.up.tolist(), "up_source": camera.up_source,
+            "annotations": [_annotation_record(a) for a in frame.annotations], "notes": frame.notes,
+        }
+    )  # fmt: skip
+    return record, {COLOR: _png(np.ascontiguousarray(frame.rgb[..., ::-1])), depth_file: depth}
+
+
+def _annotation_record(a: Annotation) -> dict[str, Any]:
+    return {
+        "index": a.index, "label": a.label, "bbox": [float(v) for v in a.bbox],
+        "mask": None if a.mask is None else {"size": a.mask.shape, "counts": encode_run_length(a.mask)},
+        "box": None if a.box is None
+        else {"center": a.box.center.tolist(), "R": a.box.R.tolist(), "size": a.box.size.tolist()},
+        "visible": a.visible, "instance": a.instance, "difficulty": a.difficulty,
+    }  # fmt: skip
+
+
+def _depth_bytes(depth: np.ndarray) -> tuple[str, float | None, bytes]:
+    """The depth's file, its units in one metre, and its bytes: integers where they give every pixel back."""
+    import io
+
+    for units in UNITS:
+        stored = np.round(depth.astype(np.float64) * units)
+        if stored.max(initial=0) < 65536:
+            whole = stored.astype(np.uint16)
+            if np.array_equal(np.divide(whole, np.float32(units), dtype=np.float32, casting="same_kind"), depth):
+                return "depth.png", units, _png(whole)
+    buffer = io.BytesIO()
+    np.save(buffer, depth)
+    return "depth.npy", None, buffer.getvalue()
+
+
+def _png(image: np.ndarray) -> bytes:
+    return cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 6])[1].tobytes()
+
+
+def read_manifest(root: Path) -> dict[str, Any]:
+    """What stands in the manifest, of this program's format.
+
+    Raises
+    ------
+    InputError
+        No manifest, one that is damaged, or one of another version.
+    """
+    path = root / MANIFEST
+    table = read_json(path)
+    if table.get("format") != CASE_FORMAT:
+        raise InputError("a case of another format", got=table.get("format"), expected=CASE_FORMAT, path=path)
+    return table
+
+
+def checked_file(root: Path, manifest: dict[str, Any], name: str) -> Path:
+    """A file of a case, the one that was written with it.
+
+    Raises
+    ------
+    InputError
+        It is missing, was changed, or is a link out of the folder.
+    """
+    path = root / name
+    files = manifest.get("files")
+    wanted = files.get(name) if isinstance(files, dict) else None
+    if not isinstance(wanted, str):
+        raise InputError(f"the case does not list {name}", path=root / MANIFEST)
+    if not path.is_file():
+        raise InputError("a file of the case is missing", path=path)
+    if not path.resolve().is_relative_to(root.resolve()):
+        raise InputError("a file of the case is a link out of its folder", path=path)
+    try:
+        found = hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError as error:
+        raise InputError("a file of the case cannot be read", got=error.strerror, path=path) from error
+    if found != wanted:
+        raise InputError("a file of the case was changed", got=f"sha256 {found[:12]}", expected=wanted[:12], path=path)
+    return path
+
+
+def read_saved_frame(root: Path, manifest: dict[str, Any]) -> Frame:
+    """The frame of a case.
+
+    Raises
+    ------
+    InputError
+        A damaged case: the file and the reason.
+    """
+    path = root / MANIFEST
+    saved = _frame_part(manifest, path)
+    depth_path = checked_file(root, manifest, saved.depth)
+    rgb, depth = read_pair(checked_file(root, manifest, COLOR), depth_path, saved.units)
+    if depth.shape != (saved.height, saved.width):
+        raise InputError(
+            "the pictures have another size than the case says",
+            got=f"{depth.shape[1]}x{depth.shape[0]}", expected=f"{saved.width}x{saved.height}", path=depth_path,
+        )  # fmt: skip
+    try:
+        pose = None if saved.T_world_camera is None else np.array(saved.T_world_camera)
+        up = None if saved.up is None else np.array(saved.up)
+        camera = Camera(np.array(saved.K), saved.width, saved.height, pose, up, saved.up_source)
+        annotations = tuple(_annotation(a, depth.shape) for a in saved.annotations)
+    except InputError as error:
+        raise InputError(str(error), path=path) from error
+    return make_frame(saved.id, (rgb, depth), camera, depth_path, annotations, saved.notes)
+
+
+def _frame_part(manifest: dict[str, Any], path: Path) -> SavedFrame:
+    try:
+        return SavedFrame.model_validate(manifest.get("frame"))
+    except ValidationError as error:
+        raise damaged(error, path, "frame") from error
+
+
+def damaged(error: ValidationError, path: Path, *inside: str) -> InputError:
+    """The first fault of a record, and where it stands."""
+    first = error.errors()[0]
+    place = ".".join(str(p) for p in (*inside, *first["loc"])) or "the top"
+    return InputError(f"the case is damaged at {place}", got=first["msg"], path=path)
+
+
+def _annotation(saved: SavedAnnotation, shape: tuple[int, ...]) -> Annotation:
+    mask = None
+    if saved.mask is not None:
+        if saved.mask.size != tuple(shape):
+            what = f"the mask of annotation {saved.index} has another size"
+            raise InputError(what, got=saved.mask.size, expected=shape)
+        mask = decode_run_length(saved.mask.size, saved.mask.counts, f"annotation {saved.index}")
+    box = saved.box
+    return Annotation(
+        saved.index, saved.label, np.array(saved.bbox, np.float32), mask,
+        None if box is None else Box3D(np.array(box.center), np.array(box.R), np.array(box.size)),
+        saved.visible, saved.instance, saved.difficulty,
+    )  # fmt: skip
+
+
+class SavedCaseDataset:
+    """The one frame of a saved case, with the class names of the dataset that it is from."""
+
+    format = "case"
+
+    def __init__(self, root: Path, settings: Settings) -> None:
+        self.root = root
+        self._manifest = read_manifest(root)
+        self.frame_ids = (_frame_part(self._manifest, root / MANIFEST).id,)
+        names = self._manifest.get("class_names", [])
+        if not isinstance(names, list) or not all(isinstance(n, str) for n in names):
+            raise InputError("the case is damaged at class_names", expected="a list of names", path=root / MANIFEST)
+        self.class_names = tuple(names)
+
+    def load(self, frame_id: str) -> Frame:
+        """Decode the frame; see `Dataset.load`."""
+        if frame_id not in self.frame_ids:
+            raise unknown_frame(self, frame_id)
+        return read_saved_frame(self.root, self._manifest)
+
+
+FORMAT = DatasetFormat(
+    "case", f"case: {MANIFEST}", lambda root: (root / MANIFEST).is_file(), SavedCaseDataset
+)

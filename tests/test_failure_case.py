@@ -1,0 +1,333 @@
+"""Cases that are kept: what comes back from the folder, what counts as changed, and what a damaged folder says."""
+
+from __future__ import annotations
+
+import builtins
+import json
+import os
+import shutil
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from whatif_scenes import RowDataset, ScoringDetector, context_of, row, source
+
+from pipeline.camera import Camera
+from pipeline.datasets import open_dataset
+from pipeline.datasets.saved_case import MANIFEST
+from pipeline.diagnosis.live import annotated_truth
+from pipeline.errors import InputError
+from pipeline.failure_case import answer_record, find_cases, open_case, replay_case, save_case
+from pipeline.failure_case.suite import replay_all
+from pipeline.jobs import Source
+from pipeline.objects import FrameContext
+from pipeline.whatif import Edits, edits_record
+
+TEXT = "mug left of the laptop"
+
+
+class NamedDataset(RowDataset):
+    format = "row"
+
+
+def made(detector: object = None, **config: Any) -> Source:
+    return replace(source(detector, **config), dataset=NamedDataset())  # pyright: ignore
+
+
+def keep(folder: Path, detector: object = None, context: FrameContext | None = None, **options: Any) -> Path:
+    used = made(detector)
+    context = context or context_of()
+    truth = annotated_truth(context, used)
+    save_case(folder, used, context, options.pop("text", TEXT), truth=truth, **options)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def scored(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A case of a detector without identities; not to be changed."""
+    return keep(tmp_path_factory.mktemp("cases") / "scored", ScoringDetector())
+
+
+@pytest.mark.parametrize("detector", [None, ScoringDetector()], ids=["annotations", "scoring"])
+@pytest.mark.parametrize("scorer", ["rule", "trained"])
+def test_the_folder_gives_the_answer_to_the_last_digit(tmp_path: Path, detector: object, scorer: str) -> None:
+    used, context = made(detector, scorer=scorer), context_of()
+    truth = annotated_truth(context, used)
+    kept = save_case(tmp_path / "case", used, context, TEXT, truth=truth, name="ünïcode", run={"id": 7})
+    again = open_case(tmp_path / "case").answer()
+    assert answer_record(again) == answer_record(kept)
+    assert kept.trace is not None
+    assert again.trace is not None
+    assert kept.judgement is not None
+    assert again.judgement is not None
+    np.testing.assert_array_equal(again.trace.scores.probabilities, kept.trace.scores.probabilities)
+    for a, b in zip(again.trace.objects, kept.trace.objects, strict=True):
+        np.testing.assert_array_equal(a.lifted.points, b.lifted.points)
+        np.testing.assert_array_equal(a.mask, b.mask)
+    np.testing.assert_array_equal(again.judgement.diagnosis.margins, kept.judgement.diagnosis.margins)
+    replayed = replay_case(open_case(tmp_path / "case"), tolerance=0.0)
+    assert replayed.same
+    assert not replayed.warnings
+
+
+def test_the_frame_is_a_dataset_and_comes_back_whole(tmp_path: Path) -> None:
+    pose = np.eye(4)
+    pose[:3, 3] = (0.1, -2.0, 1 / 3)
+    frame = row()
+    up = frame.camera.up
+    camera = Camera(frame.camera.K, frame.width, frame.height, pose, up, "imu")
+    frame = replace(frame, camera=camera, notes=("odd <b>",))
+    folder = keep(tmp_path / "case", context=FrameContext(frame))
+    dataset = open_dataset(folder)
+    found = dataset.load(dataset.frame_ids[0])
+    assert (dataset.format, found.id, found.notes, found.camera.up_source) == ("case", frame.id, frame.notes, "imu")
+    for a, b in ((found.rgb, frame.rgb), (found.depth, frame.depth), (found.camera.up, up), (found.camera.K, camera.K)):
+        np.testing.assert_array_equal(a, b)
+    np.testing.assert_array_equal(found.camera.T_world_camera, pose)
+    for a, b in zip(found.annotations, frame.annotations, strict=True):
+        assert (a.index, a.label, a.visible, a.instance) == (b.index, b.label, b.visible, b.instance)
+        np.testing.assert_array_equal(a.mask, b.mask)
+        np.testing.assert_array_equal(a.bbox, b.bbox)
+        assert a.box is not None
+        assert b.box is not None
+        np.testing.assert_array_equal(a.box.corners, b.box.corners)
+
+
+@pytest.mark.parametrize(("units", "file"), [(1000.0, "depth.png"), (5000.0, "depth.png"), (None, "depth.npy")])
+def test_depth_is_kept_in_its_own_units_and_exactly_where_it_has_none(
+    tmp_path: Path, units: float | None, file: str
+) -> None:
+    frame = row()
+    if units is not None:
+        stored = np.round(frame.depth * units).astype(np.uint16)
+        frame = replace(frame, depth=np.divide(stored, np.float32(units), dtype=np.float32, casting="same_kind"))
+    folder = keep(tmp_path / "case", context=FrameContext(frame))
+    assert (folder / file).is_file()
+    np.testing.assert_array_equal(open_dataset(folder).load(frame.id).depth, frame.depth)
+
+
+def test_an_up_vector_that_the_depth_gives_is_found_again_from_it(tmp_path: Path) -> None:
+    frame = row()
+    context = FrameContext(replace(frame, camera=replace(frame.camera, up=None, up_source=None)))
+    assert context.viewer.up_source == "plane"
+    folder = keep(tmp_path / "case", context=context)
+    assert json.loads((folder / MANIFEST).read_text())["frame"]["up"] is None
+    np.testing.assert_array_equal(open_case(folder).context.viewer.up, context.viewer.up)
+
+
+def test_detections_below_k_and_suppressed_ones_are_kept(scored: Path) -> None:
+    kept = json.loads((scored / "proposals.json").read_text())
+    assert len(kept["asked"]["mug"]["given"]) == 6
+    opened = open_case(scored)
+    assert len(opened.source.needed_detector().detect(opened.context.frame, ["mug"])) == 6
+    assert opened.answer().trace is not None
+
+
+def test_edits_are_part_of_a_case(tmp_path: Path) -> None:
+    plain = keep(tmp_path / "plain")
+    edits = edits_record(Edits().with_hidden("#0").with_relation("left", "#2", "#3", 0.25))
+    edited = keep(tmp_path / "edited", edits=edits)
+    assert open_case(plain).expected.answer != open_case(edited).expected.answer
+    assert replay_case(open_case(edited), tolerance=0.0).same
+    table = json.loads((edited / MANIFEST).read_text())
+    table["edits"]["scorer"] = "/etc/passwd"
+    (edited / MANIFEST).write_text(json.dumps(table))
+    with pytest.raises(InputError, match="name a relation network by its path"):
+        replay_case(open_case(edited))
+
+
+def test_another_network_changes_the_answer_and_update_takes_it(tmp_path: Path, scored: Path) -> None:
+    folder = tmp_path / "case"
+    shutil.copytree(scored, folder)
+
+    class Reversed:
+        """The network's word turned round."""
+
+        name = "reversed"
+
+        def score(self, *args: Any) -> Any:
+            found = made(scorer="trained").scorer.score(*args)
+            return replace(found, probabilities=1 - found.probabilities)
+
+    changed = replay_case(open_case(folder, scorer=Reversed()))  # pyright: ignore
+    assert not changed.same
+    assert any(c.startswith(("target", "verdict")) for c in changed.changes)
+    rule = replay_case(open_case(folder, srm="rule"))
+    assert any("scored by rule" in w for w in rule.warnings)
+    assert any(w.startswith("p_relation") for w in rule.warnings)
+    table = json.loads((folder / MANIFEST).read_text())
+    table["expected"]["answer"]["target"]["id"] = 99
+    (folder / MANIFEST).write_text(json.dumps(table))
+    assert [r.status for r in replay_all([folder])] == ["changed"]
+    assert [r.status for r in replay_all([folder], update=True)] == ["updated"]
+    assert [r.status for r in replay_all([folder])] == ["same"]
+
+
+def test_small_moves_of_probabilities_are_warnings_by_tolerance(tmp_path: Path, scored: Path) -> None:
+    folder = tmp_path / "case"
+    shutil.copytree(scored, folder)
+    table = json.loads((folder / MANIFEST).read_text())
+    table["expected"]["answer"]["probability"] -= 0.01
+    (folder / MANIFEST).write_text(json.dumps(table))
+    strict, loose = (replay_case(open_case(folder), tolerance=t) for t in (0.005, 0.02))
+    assert strict.same
+    assert loose.same
+    assert [w.split(":")[0] for w in strict.warnings] == ["probability"]
+    assert not loose.warnings
+
+
+def test_a_network_file_is_copied_on_request_and_else_asked_for(tmp_path: Path) -> None:
+    from pipeline.srm import make_scorer, shipped_network
+
+    file = tmp_path / "mine.onnx"
+    shutil.copyfile(shipped_network(), file)
+    used, context = replace(made(), scorer=make_scorer(file)), context_of()
+    save_case(tmp_path / "copied", used, context, TEXT, copy_network=True)
+    save_case(tmp_path / "named", used, context, TEXT)
+    file.unlink()
+    assert replay_case(open_case(tmp_path / "copied")).same
+    with pytest.raises(InputError, match=r"'mine.onnx' is not in the case; expected --srm FILE"):
+        open_case(tmp_path / "named")
+    given = replay_case(open_case(tmp_path / "named", srm=shipped_network()))
+    assert given.same
+    assert not given.warnings
+    assert str(tmp_path) not in (tmp_path / "named" / MANIFEST).read_text()
+
+
+def test_a_case_that_cannot_be_asked_is_kept_with_its_verdict(tmp_path: Path) -> None:
+    used, context = made(), context_of()
+    plain = keep(tmp_path / "plain")
+    truth, case = open_case(plain).truth, open_case(plain).case
+    assert case is not None
+    odd = "mug abov the laptop"
+    now = save_case(tmp_path / "odd", used, context, odd, truth=truth, case=replace(case, text=odd))
+    assert now.judgement is not None
+    assert now.judgement.diagnosis.verdict == "PARSE"
+    assert replay_case(open_case(tmp_path / "odd")).same
+
+
+def test_nothing_is_written_where_it_fails(tmp_path: Path) -> None:
+    (tmp_path / "used").mkdir()
+    (tmp_path / "used" / "file").touch()
+    with pytest.raises(InputError, match="not empty"):
+        keep(tmp_path / "used")
+
+    class Moody(ScoringDetector):
+        calls: list[int] = []  # noqa: RUF012
+
+        def detect(self, frame: Any, labels: Any) -> Any:
+            self.calls.append(1)
+            found = super().detect(frame, labels)
+            return replace(found, scores=found.scores * np.float32(0.9 ** len(self.calls)))
+
+    with pytest.raises(InputError, match="does not come back"):
+        save_case(tmp_path / "moody", made(Moody()), context_of(), TEXT)
+    with pytest.raises(InputError, match="cannot be written as JSON"):
+        keep(tmp_path / "nan", run={"x": float("nan")})
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["used"]
+
+
+def _cut(path: Path) -> None:
+    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+
+
+def _set(table: dict[str, Any], keys: tuple[Any, ...], value: Any) -> None:
+    for key in keys[:-1]:
+        table = table[key]
+    table[keys[-1]] = value
+
+
+DAMAGES: dict[str, Any] = {
+    "no manifest": lambda f: (f / MANIFEST).unlink(),
+    "cut manifest": lambda f: _cut(f / MANIFEST),
+    "manifest of zeros": lambda f: (f / MANIFEST).write_bytes(b"\0" * 100),
+    "manifest a list": lambda f: (f / MANIFEST).write_text("[]"),
+    "deep manifest": lambda f: (f / MANIFEST).write_text("[" * 100_000),
+    "no rgb": lambda f: (f / "rgb.png").unlink(),
+    "cut rgb": lambda f: _cut(f / "rgb.png"),
+    "no depth": lambda f: [p.unlink() for p in f.glob("depth.*")],
+    "cut proposals": lambda f: _cut(f / "proposals.json"),
+    "changed proposals": lambda f: (f / "proposals.json").write_text(
+        (f / "proposals.json").read_text().replace("mug", "mub")
+    ),
+    "link out": lambda f: ((f / "rgb.png").unlink(), os.symlink("/etc/hostname", f / "rgb.png")),
+    "format": (("format",), "spatialviz-case-9"),
+    "other file": (("files",), {"../../etc/passwd": "0"}),
+    "depth elsewhere": (("frame", "depth"), "../depth.png"),
+    "K": (("frame", "K"), [[1, 0, 0], [0, 1, 0]]),
+    "negative focal": (("frame", "K", 0, 0), -5.0),
+    "size": (("frame", "width"), 17),
+    "pose": (("frame", "T_world_camera"), [[2, 0, 0, 0], [0, 2, 0, 0], [0, 0, 2, 0], [0, 0, 0, 1]]),
+    "mask": (("frame", "annotations", 0, "mask", "counts"), "0"),
+    "annotation box": (("frame", "annotations", 0, "bbox"), [0, 0, "x", 1]),
+    "k": (("config", "k"), 0),
+    "lift": (("config", "lift", "box"), "sphere"),
+    "truth index": (("truth", "expression", "target_object"), 55),
+    "truth table": (("truth", "alike"), ["1"]),
+    "truth letters": (("truth", "states", "left", 0), "TTTXTT"),
+    "truth relation": (("truth", "expression", "relation"), "inside-out"),
+    "answer": (("expected", "answer"), {"target": 5}),
+    "text": (("text",), 5),
+    "edits": (("edits",), {"k": "many"}),
+}
+
+
+@pytest.mark.parametrize("damage", DAMAGES)
+def test_a_damaged_case_says_so_in_one_line(tmp_path: Path, damage: str, scored: Path) -> None:
+    folder = tmp_path / "case"
+    shutil.copytree(scored, folder)
+    how = DAMAGES[damage]
+    if isinstance(how, tuple):
+        table = json.loads((folder / MANIFEST).read_text())
+        _set(table, *how)
+        (folder / MANIFEST).write_text(json.dumps(table))
+    else:
+        how(folder)
+    (result,) = replay_all([folder])
+    assert result.status == "damaged"
+    assert result.problem
+    assert "\n" not in result.problem
+    assert len(result.problem) < 600
+
+
+def test_a_suite_goes_on_past_a_damaged_case(tmp_path: Path, scored: Path) -> None:
+    for name in ("a", "b/c", ".half"):
+        shutil.copytree(scored, tmp_path / name)
+    (tmp_path / "a" / "rgb.png").unlink()
+    found = find_cases(tmp_path)
+    assert [p.relative_to(tmp_path).as_posix() for p in found] == ["a", "b/c"]
+    assert [r.status for r in replay_all(found)] == ["damaged", "same"]
+    (tmp_path / "empty").mkdir()
+    with pytest.raises(InputError, match="holds no saved case"):
+        find_cases(tmp_path / "empty")
+
+
+def test_only_files_of_the_case_are_read(scored: Path, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    folder = tmp_path / "case"
+    shutil.copytree(scored, folder)
+    table = json.loads((folder / MANIFEST).read_text())
+    table["scorer"] = {"kind": "rule", "name": "rule"}
+    table["run"] = {"file": "/etc/passwd"}
+    (folder / MANIFEST).write_text(json.dumps(table))
+    read: list[Path] = []
+    plain_open, plain_bytes = builtins.open, Path.read_bytes
+    assets = Path(__file__).resolve().parent.parent
+
+    def watched(file: Any, *args: Any, **kwargs: Any) -> Any:
+        if isinstance(file, (str, Path)):
+            read.append(Path(file).resolve())
+        return plain_open(file, *args, **kwargs)
+
+    def watched_bytes(path: Path) -> bytes:
+        read.append(path.resolve())
+        return plain_bytes(path)
+
+    monkeypatch.setattr(builtins, "open", watched)
+    monkeypatch.setattr(Path, "read_bytes", watched_bytes)
+    replay_case(open_case(folder))
+    inside = {p.name for p in read if p.is_relative_to(folder)}
+    assert {MANIFEST, "rgb.png", "proposals.json"} <= inside
+    strangers = [p for p in read if not p.is_relative_to(folder) and not p.is_relative_to(assets)]
+    assert not [p for p in strangers if p.suffix not in (".py", ".pyc", ".pyi", ".so", ".json", ".txt")]
