@@ -1,4 +1,7 @@
-"""What one client looks at, in the fragment of the page's address: a reload or a link brings it back."""
+"""What one client looks at, in the fragment of the page's address: a reload or a link brings it back.
+
+viser 1.1 drops the fragment of an address that has a query; the tab's session storage keeps it, too.
+"""
 
 from __future__ import annotations
 

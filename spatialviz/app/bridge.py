@@ -98,7 +98,7 @@ class Bridge:
     def show_address(self, fragment: str) -> None:
         """Write a fragment into the page's address, where the page is known to run our script."""
         if self._address is not None and self.alive.is_set():
-            call = html.escape(f"history.replaceState(history.state,'',{json.dumps('#' + fragment)})", quote=True)
+            call = html.escape(f"window.svAddress&&svAddress({json.dumps('#' + fragment)})", quote=True)
             self._address.content = f'<img src="" style="display:none" onerror="{call}">'
 
     def _work(self) -> None:

@@ -199,12 +199,13 @@ class Session:
         text = self.state.text if asking is None else asking
         if self._source().detector is None:
             text = ""
-            self.page.expression.value = ""
         elif first and asking is None and not self._can_ask(loaded, text):
             text = self._suggestions[0] if self._suggestions else ""
         self.state = replace(self.state, text=text)
         if text:
             self._ask(text, draw=False)
+        else:
+            self.page.expression.value = ""
         self._draw()
         self._browse()
 
@@ -257,11 +258,11 @@ class Session:
         loaded = self.state.loaded
         if loaded is None:
             return
+        self._show_working("answering")
         self.state = replace(self.state, text=text, error="", trace=None, pair=None)
         if str(self.page.expression.value) != text:
             self.page.expression.value = text
         exact = self._exact()
-        self._show_working("answering")
         try:
             trace = self._source().ask(loaded.context, text)
         except InputError as error:
