@@ -20,7 +20,6 @@ from pipeline.records import why_no_answer
 from pipeline.relations import PHRASE
 from pipeline.suggestions import suggest_expressions
 from spatialviz.app import bottom, left, right
-from spatialviz.app.address import Address
 from spatialviz.app.bridge import HELLO_SECONDS, Bridge
 from spatialviz.app.fallback import Fallback
 from spatialviz.app.filling import fill_page
@@ -29,6 +28,7 @@ from spatialviz.app.inputs import forward_inputs
 from spatialviz.app.keys import HelpDialog, add_keys
 from spatialviz.app.layout import build, listed
 from spatialviz.app.paint import frame_colors
+from spatialviz.app.place import Place
 from spatialviz.app.scene import SceneView
 from spatialviz.app.state import NOTHING, CameraMode, ColorMode, State, shown_objects
 from spatialviz.app.text import safe
@@ -108,7 +108,7 @@ class Session:
             "focus": self._focus,
             "flag": lambda: self._toggle(argument),
             "open": lambda: self._open_frame(argument),
-            "data": lambda: self._go(Address(argument)),
+            "data": lambda: self._go(Place(argument)),
             "frame": lambda: self._open_number(number),
             "next-frame": lambda: self._step_frame(number),
             "move": lambda: self._move(argument),
@@ -117,7 +117,6 @@ class Session:
             "clear": self._clear,
             "begin": self._begin,
             "hello": lambda: self._begin(argument),
-            "go": lambda: self._go(Address.read(argument, self._store.sources)),
             "help": self._help.toggle,
             "close-help": self._help.close,
         }
@@ -131,22 +130,22 @@ class Session:
         detector = self._source().detector
         return detector is not None and detector.exact
 
-    # ---- where the page is ----------------------------------------------------------
+    # ---- places ---------------------------------------------------------------------
 
-    def _begin(self, fragment: str = "") -> None:
-        """Open the first frame: the one the page's address says, else the first of the dataset."""
-        if fragment.lstrip("#"):
-            self._go(Address.read(fragment, self._store.sources))
+    def _begin(self, kept: str = "") -> None:
+        """Open the first frame: the one the browser's tab has kept, else the first of the dataset."""
+        if kept:
+            self._go(Place.read(kept, self._store.sources))
         elif not self._begun:
             self._open_frame(self.state.frame_id, first=True)
-        self.bridge.show_address(self.state.address.fragment())
+        self.bridge.remember(self.state.at_place.said())
 
-    def _go(self, address: Address) -> None:
-        """Look at what an address says; what it does not say stays as it is."""
+    def _go(self, place: Place) -> None:
+        """Look at a place; what it does not say stays as it is."""
         here = self.state
-        source = address.source or here.source
+        source = place.source or here.source
         ids = self._store.sources[source].dataset.frame_ids
-        frame, text = address.frame, address.text
+        frame, text = place.frame, place.text
         if frame not in ids:
             # A question belongs to its frame.
             text = text if frame is None else None
@@ -438,7 +437,7 @@ class Session:
             )
             self.bridge.show_tags(tags)
         self.fallback.update(state)
-        self.bridge.show_address(state.address.fragment())
+        self.bridge.remember(state.at_place.said())
 
     def _check_bridge(self) -> None:
         if not self.bridge.alive.is_set() and not self._closed.is_set():

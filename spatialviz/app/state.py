@@ -10,8 +10,8 @@ from pipeline.ask import Trace
 from pipeline.objects import SceneObject
 from pipeline.palette import Role
 from pipeline.ranking import RankedPair
-from spatialviz.app.address import Address
 from spatialviz.app.frames import LoadedFrame
+from spatialviz.app.place import Place
 from spatialviz.app.scene import SceneFlags
 
 ColorMode = Literal["rgb", "objects", "depth", "evidence"]
@@ -126,9 +126,9 @@ class State:
         return (self.source, self.frame_id, self.colors, self.dark, roles)
 
     @property
-    def address(self) -> Address:
-        """Where the page is, for its own address."""
-        return Address(self.source, self.frame_id, self.text)
+    def at_place(self) -> Place:
+        """What a reload brings back."""
+        return Place(self.source, self.frame_id, self.text)
 
 
 def shown_objects(loaded: LoadedFrame, trace: Trace | None, exact: bool) -> Shown:

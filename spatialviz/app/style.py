@@ -137,11 +137,6 @@ if (!window.svTags) {
     requestAnimationFrame(place);
   };
   place();
-  window.svAddress = a => {
-    history.replaceState(history.state, '', a);
-    sessionStorage.setItem('sv', a);
-  };
-  window.addEventListener('hashchange', () => window.sv('go:' + location.hash));
   window.addEventListener('keydown', e => {
     const a = document.activeElement;
     if (e.key === 'Enter' && a && a.tagName === 'INPUT' && a.closest('form')) window.sv('ask:' + a.value);
@@ -155,7 +150,7 @@ if (!window.svTags) {
     }
   });
 }
-const hello = n => { const m = window.__viserMutable; if (m && m.sendMessage) { window.sv('hello:' + (location.hash || sessionStorage.getItem('sv') || '')); } else if (n < 40) { setTimeout(() => hello(n + 1), 250); } };
+const hello = n => { const m = window.__viserMutable; if (m && m.sendMessage) { window.sv('hello:' + (sessionStorage.getItem('sv') || '')); } else if (n < 40) { setTimeout(() => hello(n + 1), 250); } };
 hello(0);
 })()
 """
