@@ -56,7 +56,6 @@ class Bridge:
         self._tags: viser.GuiHtmlHandle | None = None
         self._shown_tags = ""
         self._memory: viser.GuiHtmlHandle | None = None
-        threading.Thread(target=self._work, daemon=True, name=f"session-{client.client_id}").start()
 
     def install(self) -> None:
         """Put the bus, the style and the script into the page. Call inside the main panel."""
@@ -78,6 +77,10 @@ class Bridge:
                     self.post(lambda: self._on_message(message))
             else:
                 self.post(lambda: self._on_message(message))
+
+    def start(self) -> None:
+        """Begin to handle messages. The page may say hello while it is still being built; until now that waits."""
+        threading.Thread(target=self._work, daemon=True, name=f"session-{self._client.client_id}").start()
 
     def post(self, job: Callable[[], None]) -> None:
         """Run something after everything that waits already."""

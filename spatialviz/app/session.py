@@ -76,6 +76,7 @@ class Session:
         self.fallback = Fallback(client, self.post)
         forward_inputs(self.page, self.post, self.bridge.alive)
         add_keys(client, self.post, moving)
+        self.bridge.start()
         threading.Timer(PATIENCE_SECONDS, lambda: self.post("begin")).start()
         threading.Timer(HELLO_SECONDS, self._check_bridge).start()
 
