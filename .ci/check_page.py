@@ -79,6 +79,11 @@ def drive() -> dict:
         other.keyboard.press("n")
         other.wait_for_function("before => window.frameOf() !== before", arg=before, timeout=30_000)
         assert frame_of(page) == before, "one client's frame moved another's"
+        moved = frame_of(other)
+        kept = "moved => (sessionStorage.getItem('sv') || '').includes(moved)"
+        other.wait_for_function(kept, arg=moved, timeout=30_000)
+        other.reload()
+        other.wait_for_function("moved => window.frameOf() === moved", arg=moved, timeout=30_000)
         browser.close()
         assert not problems, problems
         return {"rows": rows}

@@ -116,9 +116,8 @@ def _unasked(
     """The verdict on an expression that could not be asked."""
     query, unread = read_query(case, source.dataset.class_names)
     names = tuple(dict.fromkeys((case.target, case.reference)))
-    evidence = FrameEvidence(
-        truth, FrameAnswers(source, context, names, (case.relation,)), (case.relation,), DEFAULT_CONFIDENCE
-    )
+    answers = FrameAnswers(source, context, names, (case.relation,))
+    evidence = FrameEvidence(truth, answers, DEFAULT_CONFIDENCE, (case,))
     gold = query is not None and is_gold(query, case)
     diagnosis = diagnose(evidence, case, parse_ok=gold, mark=mark, unfiltered=source.unfiltered_detector)
     said = explain(diagnosis, case, source.config.rank, query=query, problem=unread or problem)

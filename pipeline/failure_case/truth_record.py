@@ -30,6 +30,7 @@ class TrueObject(_Strict):
     number: int
     label: str
     bbox: Four
+    mask: str | None = None
     lo: Three | None
     hi: Three | None
     center: Three | None
@@ -73,7 +74,7 @@ class TruthRecord(_Strict):
 def truth_record(truth: FrameCases, case: Case, mark: str | None, confidence: float | None) -> dict[str, Any]:
     """The truth of one expression as JSON; reading it gives the same numbers."""
     objects = [
-        {"number": int(truth.numbers[k]), "label": label, "bbox": truth.boxes[k].tolist()}
+        {"number": int(truth.numbers[k]), "label": label, "bbox": truth.boxes[k].tolist(), "mask": truth.masks[k]}
         | {name: _row(truth.geometry[name][k]) for name in _GEOMETRY}
         | {name: _number(truth.facts[name][k]) for name in _FACTS}
         for k, label in enumerate(truth.labels)
@@ -131,6 +132,7 @@ def read_truth(record: Any, frame_id: str, path: Path) -> tuple[FrameCases, Case
         _table(saved.alike, n, "alike", {"0": 0, "1": 1}, path).astype(np.bool_), states, (case,),
         np.array([o.number for o in saved.objects], np.int64), judged, geometry,
         {name: np.array([_float(getattr(o, name)) for o in saved.objects], np.float64) for name in _FACTS},
+        tuple(o.mask for o in saved.objects),
     )  # fmt: skip
     return truth, case, saved.mark, saved.confidence
 

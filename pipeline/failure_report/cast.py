@@ -82,7 +82,7 @@ def cast_of(answered: Answered) -> Cast:
             labelled = {place: int(k) for place, k in enumerate(evidence.match) if k >= 0}
         ends: tuple[tuple[Role, int], ...] = (("target", case.target_object), ("reference", case.reference_object))
         for role, k in ends:
-            entry = evidence.true_objects[k]
+            entry = evidence.objects.get(k, points=True)
             if entry is None:
                 continue
             masks.append((judged.truth.labels[k], role, entry.mask))

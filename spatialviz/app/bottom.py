@@ -34,7 +34,9 @@ def image_html(state: State) -> str:
     step = max(1, round(frame.width / IMAGE_WIDTH))
     url = jpeg_url(picture[::step, ::step])
     return panel(
-        f'<div class="pic" onclick="{safe(CLICK)}"><img src="{url}">{_overlay(state)}</div>', style="padding-top:.6em"
+        f'<div class="pic" style="--wh:{frame.width / frame.height:.3f}" onclick="{safe(CLICK)}">'
+        f'<img src="{url}">{_overlay(state)}</div>',
+        style="padding-top:.6em",
     )
 
 

@@ -55,8 +55,7 @@ class Bridge:
         self.alive = threading.Event()
         self._tags: viser.GuiHtmlHandle | None = None
         self._shown_tags = ""
-        self._address: viser.GuiHtmlHandle | None = None
-        threading.Thread(target=self._work, daemon=True, name=f"session-{client.client_id}").start()
+        self._memory: viser.GuiHtmlHandle | None = None
 
     def install(self) -> None:
         """Put the bus, the style and the script into the page. Call inside the main panel."""
@@ -66,7 +65,7 @@ class Bridge:
         script = html.escape(SCRIPT.replace("BUS_UUID", uuid).replace("\n", " "), quote=True)
         gui.add_html(f'{CSS}<img src="" style="display:none" onerror="{script}">', order=-1000)
         self._tags = gui.add_html("", order=1000)
-        self._address = gui.add_html("", order=1001)
+        self._memory = gui.add_html("", order=1001)
 
         @bus.on_update
         async def _(event: viser.GuiEvent) -> None:
@@ -78,6 +77,10 @@ class Bridge:
                     self.post(lambda: self._on_message(message))
             else:
                 self.post(lambda: self._on_message(message))
+
+    def start(self) -> None:
+        """Begin to handle messages. The page may say hello while it is still being built; until now that waits."""
+        threading.Thread(target=self._work, daemon=True, name=f"session-{self._client.client_id}").start()
 
     def post(self, job: Callable[[], None]) -> None:
         """Run something after everything that waits already."""
@@ -95,11 +98,11 @@ class Bridge:
         call = html.escape(f"window.svTags&&svTags({data})", quote=True)
         self._tags.content = f'<img src="" style="display:none" onerror="{call}">'
 
-    def show_address(self, fragment: str) -> None:
-        """Write a fragment into the page's address, where the page is known to run our script."""
-        if self._address is not None and self.alive.is_set():
-            call = html.escape(f"history.replaceState(history.state,'',{json.dumps('#' + fragment)})", quote=True)
-            self._address.content = f'<img src="" style="display:none" onerror="{call}">'
+    def remember(self, place: str) -> None:
+        """Have the browser's tab keep a place; its next hello says it again. Waits until the page has said hello."""
+        if self._memory is not None and self.alive.is_set():
+            call = html.escape(f"sessionStorage.setItem('sv',{json.dumps(place)})", quote=True)
+            self._memory.content = f'<img src="" style="display:none" onerror="{call}">'
 
     def _work(self) -> None:
         while (job := self._queue.get()) is not None:

@@ -178,16 +178,13 @@ def object_html(state: State) -> str:
         width, height, depth = lifted.box.size
         facts += [
             ("size", f"{width:.2f} wide × {height:.2f} high × {depth:.2f} deep m"),
-            ("distance", f"{quality.distance:.2f} m"),
-            ("yaw", f"confidence {lifted.yaw_confidence:.2f}"),
+            ("distance", f"{quality.distance:.2f} m · yaw confidence {lifted.yaw_confidence:.2f}"),
         ]
-    facts.append(("points", f"{quality.points:,} of {quality.mask_pixels:,} mask pixels ({quality.kept:.0%})"))
+    made = " by a segmenter" if quality.mask_source == "segmenter" else ""
+    facts.append(("points", f"{quality.points:,} of {quality.mask_pixels:,} mask pixels{made} ({quality.kept:.0%})"))
     rows = "".join(f"<span>{k}</span><span>{v}</span>" for k, v in facts)
     score = "" if entry.score >= 0.9995 else f"score {entry.score:.2f}"
-    parts = [
-        heading(f"<b>{dot(color)}{safe(state.shown.names[i])}</b>", score),
-        f'<div class="facts">{rows}</div>',
-    ]
+    parts = [heading(f"<b>{dot(color)}{safe(state.shown.names[i])}</b>", score)]
     if lifted.evidence is not None and quality.mask_pixels:
         counts = lifted.evidence.counts()
         pieces = [
@@ -201,6 +198,7 @@ def object_html(state: State) -> str:
             if share
         )
         parts.append(f'<div class="stack">{bar}</div><div class="legend">{legend}</div>')
+    parts.append(f'<div class="facts">{rows}</div>')
     if quality.concerns:
         parts.append('<div style="height:.4em"></div>' + note("; ".join(quality.concerns), DOUBT))
     return panel(*parts)

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from pipeline.evaluation.run_folder import Run
-from spatialviz.app.address import Address
 from spatialviz.app.failures import listing_html, search_html
 from spatialviz.app.frames import FrameStore
 from spatialviz.app.layout import Page
+from spatialviz.app.place import Place
 from spatialviz.app.run_browser import Listing, RunBrowser
 from spatialviz.app.state import State
 
@@ -30,7 +30,7 @@ class RunPanel:
     show : callable
         Takes a new listing into it.
     go : callable
-        Looks at an address.
+        Looks at a place.
     post : callable
         Runs something later, on the client's own thread.
     """
@@ -42,7 +42,7 @@ class RunPanel:
         page: Page,
         state: Callable[[], State],
         show: Callable[[Listing | None], None],
-        go: Callable[[Address], None],
+        go: Callable[[Place], None],
         post: Callable[[Callable[[], None]], None],
     ) -> None:
         self._browsers = {name: RunBrowser(run) for name, run in runs.items()}
@@ -95,7 +95,7 @@ class RunPanel:
         opened = browser.opened(listing, place)
         self._set(opened)
         row = next(r for r in opened.rows if (r["frame"], r["id"]) == opened.at)
-        self._go(Address(self._state().source, row["frame"], row["text"]))
+        self._go(Place(self._state().source, row["frame"], row["text"]))
 
     def step(self, step: int) -> None:
         """Look at the next or the previous one of the list."""

@@ -21,7 +21,6 @@ from pipeline.records import why_no_answer
 from pipeline.relations import PHRASE
 from pipeline.suggestions import suggest_expressions
 from spatialviz.app import bottom, left, right
-from spatialviz.app.address import Address
 from spatialviz.app.bridge import HELLO_SECONDS, Bridge
 from spatialviz.app.fallback import Fallback
 from spatialviz.app.filling import fill_page
@@ -31,6 +30,7 @@ from spatialviz.app.judging import Judge
 from spatialviz.app.keys import HelpDialog, add_keys
 from spatialviz.app.layout import build, listed
 from spatialviz.app.paint import frame_colors
+from spatialviz.app.place import Place
 from spatialviz.app.run_browser import Listing
 from spatialviz.app.run_panel import RunPanel
 from spatialviz.app.scene import SceneView
@@ -86,6 +86,7 @@ class Session:
         )
         forward_inputs(self.page, self.post, self.bridge.alive)
         add_keys(client, self.post, moving)
+        self.bridge.start()
         threading.Timer(PATIENCE_SECONDS, lambda: self.post("begin")).start()
         threading.Timer(HELLO_SECONDS, self._check_bridge).start()
 
@@ -118,7 +119,7 @@ class Session:
             "focus": self._focus,
             "flag": lambda: self._toggle(argument),
             "open": lambda: self._open_frame(argument),
-            "data": lambda: self._go(Address(argument)),
+            "data": lambda: self._go(Place(argument)),
             "frame": lambda: self._open_number(number),
             "next-frame": lambda: self._step_frame(number),
             "move": lambda: self._move(argument),
@@ -127,7 +128,6 @@ class Session:
             "clear": self._clear,
             "begin": self._begin,
             "hello": lambda: self._begin(argument),
-            "go": lambda: self._go(Address.read(argument, self._store.sources)),
             "find": lambda: self._runs.search(argument),
             "find-page": lambda: self._runs.turn(number),
             "failure": lambda: self._runs.open(number),
@@ -145,22 +145,22 @@ class Session:
         detector = self._source().detector
         return detector is not None and detector.exact
 
-    # ---- where the page is ----------------------------------------------------------
+    # ---- places ---------------------------------------------------------------------
 
-    def _begin(self, fragment: str = "") -> None:
-        """Open the first frame: the one the page's address says, else the first of the dataset."""
-        if fragment.lstrip("#"):
-            self._go(Address.read(fragment, self._store.sources))
+    def _begin(self, kept: str = "") -> None:
+        """Open the first frame: the one the browser's tab has kept, else the first of the dataset."""
+        if kept:
+            self._go(Place.read(kept, self._store.sources))
         elif not self._begun:
             self._open_frame(self.state.frame_id, first=True)
-        self.bridge.show_address(self.state.address.fragment())
+        self.bridge.remember(self.state.at_place.said())
 
-    def _go(self, address: Address) -> None:
-        """Look at what an address says; what it does not say stays as it is."""
+    def _go(self, place: Place) -> None:
+        """Look at a place; what it does not say stays as it is."""
         here = self.state
-        source = address.source or here.source
+        source = place.source or here.source
         ids = self._store.sources[source].dataset.frame_ids
-        frame, text = address.frame, address.text
+        frame, text = place.frame, place.text
         if frame not in ids:
             # A question belongs to its frame.
             text = text if frame is None else None
@@ -213,12 +213,13 @@ class Session:
         text = self.state.text if asking is None else asking
         if self._source().detector is None:
             text = ""
-            self.page.expression.value = ""
         elif first and asking is None and not self._can_ask(loaded, text):
             text = self._suggestions[0] if self._suggestions else ""
         self.state = replace(self.state, text=text)
         if text:
             self._ask(text, draw=False)
+        else:
+            self.page.expression.value = ""
         self._draw()
         self._browse()
 
@@ -271,11 +272,11 @@ class Session:
         loaded = self.state.loaded
         if loaded is None:
             return
+        self._show_working("answering")
         self.state = replace(self.state.unasked, text=text, selected=self.state.selected)
         if str(self.page.expression.value) != text:
             self.page.expression.value = text
         exact = self._exact()
-        self._show_working("answering")
         try:
             trace = self._source().ask(loaded.context, text)
         except InputError as error:
@@ -456,7 +457,7 @@ class Session:
             self.bridge.show_tags(tags)
         self.fallback.update(state)
         self._runs.follow()
-        self.bridge.show_address(state.address.fragment())
+        self.bridge.remember(state.at_place.said())
 
     def _set_listing(self, listing: Listing | None) -> None:
         self.state = replace(self.state, listing=listing)

@@ -11,8 +11,8 @@ from pipeline.diagnosis.live import Judgement
 from pipeline.objects import SceneObject
 from pipeline.palette import Role
 from pipeline.ranking import RankedPair
-from spatialviz.app.address import Address
 from spatialviz.app.frames import LoadedFrame
+from spatialviz.app.place import Place
 from spatialviz.app.run_browser import Listing
 from spatialviz.app.scene import Ghost, SceneFlags
 
@@ -184,9 +184,9 @@ class State:
         return (self.source, self.frame_id, self.colors, self.dark, roles)
 
     @property
-    def address(self) -> Address:
-        """Where the page is, for its own address."""
-        return Address(self.source, self.frame_id, self.text)
+    def at_place(self) -> Place:
+        """What a reload brings back."""
+        return Place(self.source, self.frame_id, self.text)
 
 
 def shown_objects(loaded: LoadedFrame, trace: Trace | None, exact: bool) -> Shown:

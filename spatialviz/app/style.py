@@ -34,7 +34,7 @@ CSS = """<style>
 .sv .busy .strip{animation:svdim 0s .15s forwards}
 .sv .busy>span{position:absolute;inset:0;display:flex;align-items:center;justify-content:center;gap:7px;font-weight:600;opacity:0;animation:svshow 0s .15s forwards}
 .sv .busy>span:before{content:"";width:11px;height:11px;border-radius:50%;border:2px solid var(--mantine-color-dimmed);border-top-color:transparent;animation:svturn .9s linear infinite}
-@keyframes svdim{to{opacity:.22;filter:grayscale(1)}}
+@keyframes svdim{to{opacity:.12;filter:grayscale(1)}}
 @keyframes svshow{to{opacity:1}}
 @keyframes svturn{to{transform:rotate(1turn)}}
 .sv .row{display:flex;align-items:center;gap:8px;margin-bottom:5px}
@@ -77,7 +77,7 @@ CSS = """<style>
 .sv .legend{display:flex;flex-wrap:wrap;gap:2px 10px;font-size:11px}
 .sv .facts{display:grid;grid-template-columns:auto 1fr;gap:1px 10px}
 .sv .facts span:nth-child(odd){color:var(--mantine-color-dimmed)}
-.sv .pic{position:relative;width:100%;border-radius:5px;overflow:hidden;cursor:crosshair;line-height:0}
+.sv .pic{position:relative;width:100%;max-width:max(220px,calc((50vh - 210px)*var(--wh)));margin:0 auto;border-radius:5px;overflow:hidden;cursor:crosshair;line-height:0}
 .sv .pic img{width:100%;display:block}
 .sv .pic svg{position:absolute;inset:0;width:100%;height:100%;pointer-events:none}
 .sv .grid{display:grid;grid-template-columns:repeat(3,1fr);gap:6px}
@@ -169,7 +169,6 @@ if (!window.svTags) {
     requestAnimationFrame(place);
   };
   place();
-  window.addEventListener('hashchange', () => window.sv('go:' + location.hash));
   window.addEventListener('keydown', e => {
     const a = document.activeElement;
     if (e.key === 'Enter' && a && a.tagName === 'INPUT' && a.closest('form')) window.sv('ask:' + a.value);
@@ -183,7 +182,7 @@ if (!window.svTags) {
     }
   });
 }
-const hello = n => { const m = window.__viserMutable; if (m && m.sendMessage) { window.sv('hello:' + location.hash); } else if (n < 40) { setTimeout(() => hello(n + 1), 250); } };
+const hello = n => { const m = window.__viserMutable; if (m && m.sendMessage) { window.sv('hello:' + (sessionStorage.getItem('sv') || '')); } else if (n < 40) { setTimeout(() => hello(n + 1), 250); } };
 hello(0);
 })()
 """

@@ -1,4 +1,8 @@
-"""What one client looks at, in the fragment of the page's address: a reload or a link brings it back."""
+"""What one client looks at, kept by the browser's tab: a reload brings it back.
+
+It cannot stand in the page's address: viser 1.1 takes a fragment for a part of
+its server's name, and writes the values of a query back without escaping them.
+"""
 
 from __future__ import annotations
 
@@ -7,12 +11,12 @@ from dataclasses import dataclass
 from urllib.parse import parse_qs, urlencode
 
 LONGEST = 2000
-"""A fragment of more characters is none of ours."""
+"""A text of more characters is none of ours."""
 
 
 @dataclass(frozen=True)
-class Address:
-    """A place to look at; None is what the address does not say.
+class Place:
+    """A place to look at; None is what is not said.
 
     Attributes
     ----------
@@ -26,18 +30,18 @@ class Address:
     text: str | None = None
 
     @classmethod
-    def read(cls, fragment: str, sources: Collection[str]) -> Address:
-        """The address that a fragment says. One of a dataset that is not open says nothing."""
-        if len(fragment) > LONGEST:
+    def read(cls, said: str, sources: Collection[str]) -> Place:
+        """The place that a text says. One of a dataset that is not open says nothing."""
+        if len(said) > LONGEST:
             return cls()
         try:
-            said = parse_qs(fragment.lstrip("#"), keep_blank_values=True, max_num_fields=8)
+            fields = parse_qs(said, keep_blank_values=True, max_num_fields=8)
         except ValueError:
             return cls()
-        source, frame, text = (said.get(key, [None])[0] for key in ("data", "frame", "ask"))
+        source, frame, text = (fields.get(key, [None])[0] for key in ("data", "frame", "ask"))
         return cls() if source is not None and source not in sources else cls(source, frame, text)
 
-    def fragment(self) -> str:
-        """The fragment that says this address, without the "#"."""
+    def said(self) -> str:
+        """The text that says this place."""
         said = {"data": self.source, "frame": self.frame, "ask": self.text}
         return urlencode({key: value for key, value in said.items() if value is not None}, safe="/")
