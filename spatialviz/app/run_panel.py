@@ -50,6 +50,15 @@ class RunPanel:
         self._thumbs: dict[str, str] = {}
         self._source: str | None = None
 
+    def commands(self) -> dict[str, Callable[[str], None]]:
+        """What the page may ask for, by the first word of its message."""
+        return {
+            "find": self.search,
+            "find-page": lambda page: self.turn(int(page)),
+            "failure": lambda place: self.open(int(place)),
+            "next-failure": lambda step: self.step(int(step)),
+        }
+
     @property
     def _browser(self) -> RunBrowser | None:
         return self._browsers.get(self._state().source)

@@ -10,6 +10,7 @@ from typing import Any
 
 import viser
 
+from pipeline.ask import Trace
 from pipeline.boxes import Box3D
 from pipeline.context import fuse_context
 from pipeline.datasets import has_moves, moves
@@ -84,6 +85,7 @@ class Session:
         self._runs = RunPanel(
             runs or {}, store, self.page, lambda: self.state, self._set_listing, self._go, self.bridge.post
         )
+        self._more: dict[str, Callable[[str], None]] = {**self._runs.commands()}
         forward_inputs(self.page, self.post, self.bridge.alive)
         add_keys(client, self.post, moving)
         self.bridge.start()
@@ -128,15 +130,13 @@ class Session:
             "clear": self._clear,
             "begin": self._begin,
             "hello": lambda: self._begin(argument),
-            "find": lambda: self._runs.search(argument),
-            "find-page": lambda: self._runs.turn(number),
-            "failure": lambda: self._runs.open(number),
-            "next-failure": lambda: self._runs.step(number),
             "help": self._help.toggle,
             "close-help": self._help.close,
         }
         if kind in handlers:
             handlers[kind]()
+        elif kind in self._more:
+            self._more[kind](argument)
 
     def _source(self) -> Source:
         return self._store.sources[self.state.source]
@@ -285,18 +285,26 @@ class Session:
             )
             self._note(f"“{text}”: {error}")
         else:
-            shown = shown_objects(loaded, trace, exact)
-            self._thumbs = {}
-            name, expression = self.state.source, self._runs.expression(self.state.frame_id, text)
-            judged = self._judge.judge(name, self._source(), loaded.context, trace, expression)
-            other = self._judge.other(name, loaded.context, text, expression)
-            self.state = replace(self.state, trace=trace, shown=shown, judged=judged, other=other)
-            ranked = self.state.ranked
-            pair = self.state.at(ranked[0]) if ranked else None
-            self.state = replace(self.state, pair=pair, selected=None if pair is None else pair[0])
+            self._answered(loaded, trace)
             self._note(right.answer_in_words(self.state))
         if draw:
             self._draw()
+
+    def _answered(self, loaded: LoadedFrame, trace: Trace) -> None:
+        """Take an answer into the state, with its verdict and what the other run says."""
+        self._thumbs = {}
+        name, text = self.state.source, trace.query.text
+        expression = self._runs.expression(self.state.frame_id, text)
+        self.state = replace(
+            self.state,
+            trace=trace,
+            shown=shown_objects(loaded, trace, trace.exact),
+            judged=self._judge.judge(name, self._source(), loaded.context, trace, expression),
+            other=self._judge.other(name, loaded.context, text, expression),
+        )
+        ranked = self.state.ranked
+        pair = self.state.at(ranked[0]) if ranked else None
+        self.state = replace(self.state, pair=pair, selected=None if pair is None else pair[0])
 
     def _ask_relation(self, number: int) -> None:
         """Ask the same two names with another relation."""
