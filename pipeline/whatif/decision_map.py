@@ -13,19 +13,12 @@ from typing import Any
 import numpy as np
 
 from pipeline.ask import relation_lookup
+from pipeline.contact import enclosed_share, surface_heights
 from pipeline.errors import InputError
 from pipeline.expression import Node
 from pipeline.objects import SceneObject
 from pipeline.ranking import MIN_RELATION, MIN_SCORE, TIE, Candidates, RankConfig, rank
-from pipeline.relations import (
-    DIRECTIONAL,
-    PAIRWISE,
-    Profile,
-    enclosed_share,
-    measure_pairs,
-    measured_states,
-    surface_heights,
-)
+from pipeline.relations import DIRECTIONAL, PAIRWISE, Profile, measure_pairs, measured_states
 from pipeline.srm.model import OnnxScorer
 from pipeline.srm.scorer import RuleScorer, stacked_extents
 from pipeline.whatif.edits import Edits

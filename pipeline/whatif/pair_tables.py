@@ -12,20 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.contact import enclosed_share, points_decide, surface_heights
 from pipeline.frame import Frame
 from pipeline.lifting import LiftedObject
 from pipeline.objects import SceneObject
-from pipeline.relations import (
-    PAIRWISE,
-    Profile,
-    enclosed_share,
-    known_extents,
-    measure_pairs,
-    measured_states,
-    pairwise_states,
-    points_decide,
-    surface_heights,
-)
+from pipeline.relations import PAIRWISE, Profile, known_extents, measure_pairs, measured_states, pairwise_states
 from pipeline.srm.appearance import appearance_of
 from pipeline.srm.model import OnnxScorer
 from pipeline.srm.scorer import RelationScorer, RelationScores, RuleScorer, rule_probabilities, stacked_extents

@@ -7,20 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.contact import in_measures, near_measures, on_measures
 from pipeline.errors import InputError
 from pipeline.lifting import LiftedObject
-from pipeline.relations import (
-    PAIRWISE,
-    PairMeasures,
-    Profile,
-    in_measures,
-    known_extents,
-    letter,
-    measure_pairs,
-    near_measures,
-    on_measures,
-    pairwise_states,
-)
+from pipeline.relations import PAIRWISE, PairMeasures, Profile, known_extents, letter, measure_pairs, pairwise_states
 from pipeline.srm.scorer import stacked_extents
 from pipeline.viewer import ViewerAxes
 

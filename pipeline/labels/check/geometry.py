@@ -26,6 +26,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.contact import near_measures
 from pipeline.labels.check.findings import Finding
 from pipeline.labels.check.stream import UNKNOWN
 from pipeline.labels.check.view import FrameView, pairs_where, state_letter
@@ -43,7 +44,6 @@ from pipeline.relations import (
     known_extents,
     letter,
     measure_pairs,
-    near_measures,
 )
 
 SURFACE_SLACK = 0.10
