@@ -223,12 +223,13 @@ def contexts(source: Source, key: str | int | None, skipped: Skipped | None = No
         try:
             context = FrameContext(source.dataset.load(frame_id), source.config.lift)
         except InputError as error:
-            _skip_or_raise(error, key, frame_id, skipped)
+            skip_or_raise(error, key, frame_id, skipped)
             continue
         yield context
 
 
-def _skip_or_raise(error: InputError, key: str | int | None, frame_id: str, skipped: Skipped | None) -> None:
+def skip_or_raise(error: InputError, key: str | int | None, frame_id: str, skipped: Skipped | None) -> None:
+    """Raise the error where the frame was asked for by name; among all frames, tell of it and go on."""
     if key is not None and key != ALL_FRAMES:
         raise error
     if skipped is not None:
@@ -245,7 +246,7 @@ def ask_frames(
             for text in expressions:
                 yield source.ask(context, text)
         except FrameUnusable as error:
-            _skip_or_raise(error, key, context.frame.id, skipped)
+            skip_or_raise(error, key, context.frame.id, skipped)
 
 
 @dataclass(frozen=True)
@@ -265,7 +266,7 @@ def relate_frames(source: Source, key: str | int | None, skipped: Skipped | None
         try:
             objects = all_objects(context, detector)
         except FrameUnusable as error:
-            _skip_or_raise(error, key, context.frame.id, skipped)
+            skip_or_raise(error, key, context.frame.id, skipped)
             continue
         scores = source.score(context, objects)
         yield FrameRelations(context.frame.id, objects, scores, detector.exact)

@@ -97,26 +97,33 @@ class Ask:
     """Print one JSON object for each answer."""
     save: Path | None = None
     """Write the answer as a picture."""
+    labels: Path | None = None
+    """Labels that say what is true. Default: the frame's annotations."""
 
     def run(self) -> int:
-        from pipeline.jobs import ALL_FRAMES, ask_frames
+        from pipeline.diagnosis.asking import ask_and_judge, judged_record
+        from pipeline.jobs import ALL_FRAMES
+        from pipeline.labels.reading import open_labels
         from pipeline.picture import save_picture
-        from pipeline.records import trace_record, why_no_answer
-        from spatialviz.printing import print_trace
+        from pipeline.records import why_no_answer
+        from spatialviz.printing import print_trace, print_verdict
 
         if not self.expressions:
             raise InputError("an expression is missing", expected='for example "mug left of the laptop"')
         if self.save is not None and (self.frame == ALL_FRAMES or len(self.expressions) > 1):
             raise InputError("--save takes one frame and one expression", path=self.save)
+        labels = None if self.labels is None else open_labels(self.labels)
         answered = 0
-        for trace in ask_frames(self.source.open(self.dataset), self.frame, self.expressions, warn_skipped):
-            answered += why_no_answer(trace) is None
+        source = self.source.open(self.dataset)
+        for answer in ask_and_judge(source, self.frame, self.expressions, labels, warn_skipped):
+            answered += why_no_answer(answer.trace) is None
             if self.json:
-                print_json(trace_record(trace))
+                print_json(judged_record(answer))
             else:
-                print_trace(trace)
+                print_trace(answer.trace)
+                print_verdict(answer)
             if self.save is not None:
-                save_picture(trace, self.save)
+                save_picture(answer.trace, self.save)
         return FINE if answered else NO
 
 

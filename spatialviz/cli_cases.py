@@ -21,15 +21,10 @@ if TYPE_CHECKING:
 
 def truth_of(source: Source, context: FrameContext, labels: Path | None) -> FrameCases | None:
     """What is true of a frame: by labels where they are named, else by its annotations."""
-    from pipeline.diagnosis.live import annotated_truth, labelled_truth
+    from pipeline.diagnosis.asking import known_truth
     from pipeline.labels.reading import open_labels
 
-    if labels is None:
-        return annotated_truth(context, source)
-    truth = labelled_truth(context.frame.id, source, open_labels(labels))
-    if truth is None:
-        raise InputError(f"the labels say nothing of frame {context.frame.id}", path=labels)
-    return truth
+    return known_truth(source, context, None if labels is None else open_labels(labels))
 
 
 @dataclass(frozen=True)

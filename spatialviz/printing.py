@@ -14,6 +14,7 @@ from rich.text import Text
 
 from pipeline.ask import Trace
 from pipeline.datasets import Dataset, FrameReport
+from pipeline.diagnosis.asking import JudgedAnswer
 from pipeline.jobs import FrameRelations
 from pipeline.lexicon import wording
 from pipeline.objects import SceneObject
@@ -96,6 +97,17 @@ def print_trace(trace: Trace) -> None:
     console.print(
         Text(f"{stages} · detector {trace.detector} · relations by {trace.scorer} · up {trace.viewer.up_source}", "dim")
     )
+
+
+def print_verdict(answer: JudgedAnswer) -> None:
+    """What the frame's truth says of the answer: a line, or nothing where no truth is known."""
+    if answer.judgement is not None:
+        found = answer.judgement.diagnosis
+        name = " ".join(word for word in (found.verdict, found.detail, "LUCKY" if found.lucky else None) if word)
+        style = "bold green" if found.correct else "bold yellow"
+        make_console().print(Text.assemble(("verdict ", "dim"), (name, style), f"  {answer.judgement.said}"))
+    elif answer.unjudged is not None:
+        make_console().print(Text(f"no verdict: {answer.unjudged}", "dim"))
 
 
 def _at(trace: Trace, place: int) -> str:

@@ -5,10 +5,13 @@ from __future__ import annotations
 import csv
 import io
 import json
+import shutil
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyarrow.parquet as pq
 import pytest
 
 from pipeline.ask import AskConfig
@@ -22,7 +25,7 @@ from pipeline.evaluation.records import COLUMNS, DETECTIONS, HIT, overlaps, reco
 from pipeline.evaluation.reported import read_reported, reported_rows
 from pipeline.evaluation.run import EvalSpec, Evaluator, evaluate_labels, table_of
 from pipeline.evaluation.tables import Row, Table, as_csv, latex, markdown
-from pipeline.evaluation.whole_expression import VlmOptions
+from pipeline.evaluation.whole_expression import VlmOptions, whole_warnings
 from pipeline.jobs import open_source
 from pipeline.labels.job import label_dataset
 from pipeline.labels.plan import SourceSpec
@@ -209,6 +212,42 @@ def test_a_run_folder_and_its_comparison(labels: Path, recording: Path, tmp_path
     with pytest.raises(InputError, match="not empty"):
         evaluate_dataset(spec_of(labels, recording), tmp_path / "rule", plots=False)
     assert first.expressions == before.num_rows
+
+
+def test_labels_of_another_picture_are_refused(labels: Path, recording: Path, tmp_path: Path) -> None:
+    other = tmp_path / "labels"
+    shutil.copytree(labels, other)
+    table = pq.read_table(other / "frames.parquet")
+    place = table.column_names.index("rgb_hash")
+    table = table.set_column(place, table.schema.field(place), [["0" * 32] * table.num_rows])
+    pq.write_table(table, other / "frames.parquet")
+    for system in ("pipeline", "referring"):
+        spec = replace(spec_of(other, recording), system=system)
+        with pytest.raises(InputError, match="another picture than the one that was labelled"):
+            evaluate_dataset(spec, tmp_path / "run", workers=1, plots=False)
+    assert [p.name for p in tmp_path.iterdir()] == ["labels"]
+
+
+@pytest.mark.parametrize(("limit", "workers"), [(0, 1), (-3, 1), (None, 0)])
+def test_counts_are_at_least_one(
+    labels: Path, recording: Path, tmp_path: Path, limit: int | None, workers: int
+) -> None:
+    with pytest.raises(InputError, match="at least 1"):
+        evaluate_dataset(replace(spec_of(labels, recording), limit=limit), tmp_path / "run", workers=workers)
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_baseline_that_answers_nothing_says_so(labels: Path, recording: Path, tmp_path: Path) -> None:
+    spec = replace(spec_of(labels, recording), system="referring", limit=6)
+    report = evaluate_dataset(spec, tmp_path / "run", workers=1, plots=False, bootstrap=QUICK)
+    (warning,) = report.warnings
+    assert "none of the 6 expressions was answered" in warning
+    records = read_records(tmp_path / "run")
+    assert whole_warnings(records) == (warning,)
+    some = records.set_column(
+        place := records.column_names.index("problem"), records.schema.field(place), [[None] + ["x"] * 5]
+    )
+    assert whole_warnings(some) == ()
 
 
 def test_runs_on_other_labels_are_not_compared(labels: Path) -> None:

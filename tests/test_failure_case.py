@@ -50,6 +50,18 @@ def scored(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return keep(tmp_path_factory.mktemp("cases") / "scored", ScoringDetector())
 
 
+def test_a_name_that_the_dataset_lacks_is_the_reason_not_to_keep_a_case(tmp_path: Path) -> None:
+    used, context = made(), context_of()
+    with pytest.raises(InputError, match=r"cannot be asked.*'zebra'"):
+        save_case(tmp_path / "case", used, context, "zebra left of the laptop")
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_missing_network_damages_no_case(scored: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no relation network"):
+        list(replay_all([scored], srm=tmp_path / "none.onnx"))
+
+
 @pytest.mark.parametrize("detector", [None, ScoringDetector()], ids=["annotations", "scoring"])
 @pytest.mark.parametrize("scorer", ["rule", "trained"])
 def test_the_folder_gives_the_answer_to_the_last_digit(tmp_path: Path, detector: object, scorer: str) -> None:

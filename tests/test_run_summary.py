@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import re
+import shutil
 from pathlib import Path
 from typing import Any
 
@@ -219,3 +221,15 @@ def test_sql_reads_a_run_and_nothing_else(run: Path, tmp_path: Path) -> None:
     assert objects.read_bytes() == before
     with pytest.raises(InputError, match="no evaluation run"), open_run(tmp_path):
         pass
+
+
+def test_sql_finds_labels_that_moved_with_the_run(run: Path, tmp_path: Path) -> None:
+    shutil.copytree(run, tmp_path / "run")
+    with open_run(tmp_path / "run") as database:
+        assert database.views == ("records",)
+        with pytest.raises(InputError, match=f"are not at {re.escape(str(tmp_path / 'labels'))}"):
+            database.select("SELECT * FROM labels_objects")
+    shutil.copytree(run.parent / "labels", tmp_path / "labels")
+    with open_run(tmp_path / "run") as database:
+        found = list(database.select("SELECT count(*) FROM labels_objects").rows)
+    assert found == [(pq.read_metadata(tmp_path / "labels" / "objects.parquet").num_rows,)]

@@ -340,3 +340,10 @@ def test_the_command_shows_before_and_after(tmp_path: Path, capsys: pytest.Captu
     edits.write_text(json.dumps(edits_record(Edits().with_hidden("#999"))), encoding="utf-8")
     assert main(command) == 2
     assert "#999" in capsys.readouterr().err
+
+
+def test_an_unknown_field_of_edits_is_named_with_the_known_ones() -> None:
+    with pytest.raises(InputError, match=r"there is no field 'objects'; expected format, boxes, .*hidden"):
+        read_edits({"objects": {}})
+    with pytest.raises(InputError, match=r"there is no field 'boxes\.a\.angle'"):
+        read_edits({"boxes": {"a": {"center": [0, 0, 1], "R": np.eye(3).tolist(), "size": [1, 1, 1], "angle": 3}}})

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.ask import Trace
-from pipeline.boxes import Box3D
+from pipeline.boxes import Box3D, iou_2d
 from pipeline.diagnosis.frame_evidence import DEFAULT_CONFIDENCE, FrameEvidence
 from pipeline.diagnosis.oracles import names_of
 from pipeline.diagnosis.repair import Needed, needed_changes
@@ -19,8 +19,7 @@ from pipeline.diagnosis.verdict import Diagnosis, Stand, diagnose
 from pipeline.diagnosis.words import explain
 from pipeline.evaluation.answering import FrameAnswers
 from pipeline.evaluation.cases import Case, FrameCases, frame_cases, read_cases
-from pipeline.evaluation.records import is_gold
-from pipeline.expression import Query
+from pipeline.evaluation.records import HIT, is_gold
 from pipeline.jobs import Source
 from pipeline.labels.config import LabelConfig
 from pipeline.labels.labelling import label_objects
@@ -122,11 +121,13 @@ def labelled_case(truth: FrameCases, text: str) -> Case | None:
     return next((c for c in truth.cases if " ".join(c.text.casefold().split()) == wanted), None)
 
 
-def case_of(truth: FrameCases, query: Query, source: Source) -> tuple[FrameCases, Case] | str:
+def case_of(truth: FrameCases, trace: Trace, source: Source) -> tuple[FrameCases, Case] | str:
     """A typed expression with its truth by the relations of the frame, or why there is none.
 
-    The labelled pair is, of those of which it is true beyond doubt, the first in the order of the objects.
+    Nobody has labelled one pair as meant: of those of which it is true beyond doubt, it is the one that was answered,
+    else the one with the answered target, else with the answered reference, else the first in the order of the objects.
     """
+    query = trace.query
     e = query.expression
     if len(query.readings) > 1 or len(query.labels) > 2 or e.second_reference is not None or e.inverse:
         return "the truth of expressions with several relations, or of “holding”, is not worked out"
@@ -140,7 +141,7 @@ def case_of(truth: FrameCases, query: Query, source: Source) -> tuple[FrameCases
     sure = np.argwhere(states == T)
     if not len(sure):
         return "in this frame the expression is true of nothing beyond doubt"
-    a, b = (int(x) for x in sure[0])
+    a, b = (int(x) for x in sure[_closest(sure, trace, truth)])
     # Only the rows of the two ends are read: whatever the names mean here is of the asked class.
     alike = np.eye(len(truth.labels), dtype=np.bool_)
     alike[a], alike[b] = ends
@@ -150,6 +151,17 @@ def case_of(truth: FrameCases, query: Query, source: Source) -> tuple[FrameCases
         reference_object=b, strict=strict, acceptable=acceptable, ambiguous=len(acceptable) > 1, margin=float("nan"),
     )  # fmt: skip
     return replace(truth, alike=alike, cases=(case,)), case
+
+
+def _closest(pairs: np.ndarray, trace: Trace, truth: FrameCases) -> int:
+    """Which of the pairs was answered: by the overlap with the target, and of equal ones with the reference."""
+    if trace.ranking is None or not trace.ranking.pairs:
+        return 0
+    best = trace.ranking.pairs[0]
+    places = (best.target, best.target if best.reference is None else best.reference)
+    overlap = iou_2d(np.array([trace.objects[k].bbox for k in places], np.float64), truth.boxes)
+    overlap[overlap < HIT] = 0
+    return int(np.lexsort((-overlap[1, pairs[:, 1]], -overlap[0, pairs[:, 0]]))[0])
 
 
 def judge_trace(
@@ -184,7 +196,7 @@ def judge_trace(
     """
     case = case or labelled_case(truth, trace.query.text)
     if case is None:
-        made = case_of(truth, trace.query, source)
+        made = case_of(truth, trace, source)
         if isinstance(made, str):
             return made
         truth, case = made

@@ -120,7 +120,9 @@ def need_verdicts(records: pa.Table) -> None:
     if not has_verdicts(records):
         raise InputError(
             "this run has no verdicts",
-            cause="it has no expressions" if not records.num_rows else "only the pipeline's own runs are diagnosed",
+            cause="only the pipeline's own runs have, without --no-verdicts"
+            if records.num_rows
+            else "it has no expressions",
         )
 
 

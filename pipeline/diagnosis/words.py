@@ -43,7 +43,7 @@ def explain(
 def _correct(d: Diagnosis, case: Case) -> str:
     if not d.lucky:
         return "Right." if d.winner is None else f"Right: relation {_p(d.winner.p_relation)}."
-    return f"The right {case.target}, but with a {case.reference} of which the expression is not true: luck."
+    return f"The right {case.target}, but its {case.reference} matches none of which the expression is true: luck."
 
 
 def _parse(case: Case, query: Query | None, problem: str | None) -> str:
@@ -84,18 +84,20 @@ def _missed(d: Diagnosis) -> str:
 
 def _flipped(d: Diagnosis, case: Case) -> str:
     winner, right = d.winner, d.right
-    if winner is None or right is None:
+    if winner is None:
         return "All candidates of the two names count as one thing: there is no pair to answer with. Verdict: PRM."
+    if right is None:
+        return "Every right pair counts as one thing seen twice, and no answer may be that. Verdict: PRM."
     relation = PHRASE[case.relation]
     if d.verdict == "LIFT":
         boxed = " (of some objects the label's box)" if d.pseudo else ""
         return (
-            f"A 3D box is off: the network gave the right pair {_p(right.p_relation)} for “{relation}” and the answer "
+            f"A 3D box is off: for “{relation}” the right pair had {_p(right.p_relation)} and the answer "
             f"{_p(winner.p_relation)}. With true geometry{boxed} the right pair wins. Verdict: LIFT."
         )
     if d.verdict == "SRM":
         return (
-            f"The relation network gave the answer {_p(winner.p_relation)} for “{relation}” and the right pair "
+            f"For “{relation}” the answer had {_p(winner.p_relation)} and the right pair "
             f"{_p(right.p_relation)}. With the labelled relations the right pair wins. Verdict: SRM."
         )
     if d.verdict in ("OPM-CONF", "PRM") and d.detail != "DEGENERATE":
@@ -108,15 +110,16 @@ def _flipped(d: Diagnosis, case: Case) -> str:
 def _confidences(d: Diagnosis, winner: Stand, right: Stand, case: Case) -> str:
     if d.verdict == "OPM-CONF":
         false = [
-            f"no {name} ({_p(p)})"
+            f"{name} ({_p(p)})"
             for name, wrong, p in (
                 (case.target, d.false_target, winner.p_target),
                 (case.reference, d.false_reference, winner.p_reference),
             )
             if wrong
         ]
+        what = "are false positives" if len(false) > 1 else "is a false positive"
         return (
-            f"The answer holds what is {' and what is '.join(false)}; the right pair had {_p(right.p_target)} and "
+            f"The answer's {' and '.join(false)} {what}; the right pair had {_p(right.p_target)} and "
             f"{_p(right.p_reference)}. With true confidences the right pair wins. Verdict: OPM-CONF."
         )
     parts = [

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pipeline.errors import InputError
+from pipeline.frame import Frame
 from pipeline.labels.expressions import same_names
 from pipeline.labels.reading import Labels
 from pipeline.relations import PAIRWISE, U
@@ -75,6 +77,8 @@ class FrameCases:
         "distance" (metres, NaN for unknown), "occluded" (share of the border), "mask_pixels".
     masks : tuple of str or None
         COCO's compressed run-length codes.
+    rgb_hash : str or None
+        Content hash of the picture that was labelled; None where it is the one at hand.
     """
 
     frame: str
@@ -90,6 +94,21 @@ class FrameCases:
     geometry: dict[str, np.ndarray]
     facts: dict[str, np.ndarray]
     masks: tuple[str | None, ...]
+    rgb_hash: str | None = None
+
+    def check_picture(self, frame: Frame) -> None:
+        """Refuse a frame whose picture is not the one that was labelled.
+
+        Raises
+        ------
+        InputError
+            Another dataset has a frame of the same name, or the dataset has changed.
+        """
+        if self.rgb_hash is not None and frame.content_hash != self.rgb_hash:
+            raise InputError(
+                f"frame {self.frame}: another picture than the one that was labelled",
+                cause="has the dataset changed, or are these the labels of another one?",
+            )
 
     def acceptable_pairs(self, case: Case) -> np.ndarray:
         """(N, N) bool: pairs of the asked classes of which the relation holds or may hold."""
@@ -102,7 +121,7 @@ def read_cases(labels: Labels, first: int, stop: int) -> Iterator[FrameCases]:
     names = [r for r in PAIRWISE if r in labels.relation_names]
     columns = {**_COLUMNS, "relations": ["frame_index", "a", "b", *names]}
     rows = {table: _part(labels.root, table, chosen, first, stop) for table, chosen in columns.items()}
-    scenes = dict(zip(*(rows["frames"].column(n).to_pylist() for n in ("frame_index", "scene")), strict=True))
+    frames = {row["frame_index"]: row for row in rows["frames"].to_pylist()}
     expressions = _by_frame(rows["expressions"])
     objects, relations = _by_frame(rows["objects"]), _by_frame(rows["relations"])
     for index in sorted(expressions):
@@ -110,11 +129,12 @@ def read_cases(labels: Labels, first: int, stop: int) -> Iterator[FrameCases]:
         yield frame_cases(
             found["frame"][0],
             index,
-            scenes[index],
+            frames[index]["scene"],
             objects[index],
             relations.get(index, {}),
             found,
             names,
+            frames[index]["rgb_hash"],
         )
 
 
@@ -126,6 +146,7 @@ def frame_cases(
     relations: Mapping[str, Any],
     expressions: Mapping[str, Any],
     names: Sequence[str],
+    rgb_hash: str | None = None,
 ) -> FrameCases:
     """One frame's rows of the tables of labels, as columns, made ready; `names` are the relations that were judged."""
     numbers = list(objects["object"])
@@ -167,6 +188,7 @@ def frame_cases(
         {name: _rows(objects[name], width) for name, width in _GEOMETRY.items()},
         {name: np.array([np.nan if v is None else v for v in objects[name]], np.float64) for name in _FACTS},
         tuple(objects["mask"]),
+        rgb_hash,
     )
 
 
@@ -178,7 +200,7 @@ def _rows(values: list[Any], width: int) -> np.ndarray:
 _GEOMETRY = {"lo": 3, "hi": 3, "center": 3, "R": 9, "size": 3}
 _FACTS = ("distance", "occluded", "mask_pixels")
 _COLUMNS = {
-    "frames": ["frame_index", "scene"],
+    "frames": ["frame_index", "scene", "rgb_hash"],
     "objects": ["frame_index", "object", "label", "bbox", "mask", *_GEOMETRY, *_FACTS],
     "expressions": [
         "frame", "frame_index", "id", "text", "target", "relation", "reference", "target_object", "reference_object",

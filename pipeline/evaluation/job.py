@@ -36,6 +36,7 @@ from pipeline.evaluation.reported import reported_rows
 from pipeline.evaluation.run import EvalSpec, Progress, evaluate_labels, write_records
 from pipeline.evaluation.run_folder import RUN_FILE, spec_record
 from pipeline.evaluation.tables import Table, as_csv, latex, markdown
+from pipeline.evaluation.whole_expression import whole_warnings
 from pipeline.labels.merge import environment
 from pipeline.labels.profiles import canonical_hash
 from pipeline.staging import staged_folder, write_json
@@ -108,6 +109,9 @@ def evaluate_dataset(
     """
     start = perf_counter()
     out = Path(out)
+    for name_of, count_of in (("--limit", spec.limit), ("--workers", workers)):
+        if count_of is not None and count_of < 1:
+            raise InputError(f"{name_of} is a count", got=count_of, expected="at least 1")
     before = None if against is None else read_records(against)
     if plots:
         from pipeline.evaluation.plots import need_plots
@@ -163,6 +167,7 @@ def evaluate_dataset(
         if diagnosis is not None:
             diagnosis.write(folder, plots)
         warnings = calibration_warnings(source, labels, records) if spec.grounding else ()
+        warnings = (*warnings, *(() if spec.system == "pipeline" else whole_warnings(records)))
         warnings = (*warnings, *(() if relations is None else relations.warnings))
         options = {k: str(v) for k, v in spec.options.items() if k != "config"}
         config = {**recorded_config(source.config), "options": options}

@@ -140,6 +140,7 @@ class Evaluator:
                 bare = self.whole is None and not reads_annotations(self.source.needed_detector())
                 dataset = self.source.dataset
                 frame = load_picture(dataset, truth.frame) if bare else dataset.load(truth.frame)
+        truth.check_picture(frame)
         if self.whole is not None:
             pointed = self.whole.point(frame, [case.text for case in truth.cases])
             return [record_whole(c, truth, p) for c, p in zip(truth.cases, pointed, strict=True)]
@@ -224,7 +225,7 @@ def chosen_ids(labels: Labels, limit: int | None) -> set[tuple[int, str]] | None
     if limit is None:
         return None
     rows = pq.read_table(labels.root / "expressions.parquet", columns=["frame_index", "id"])
-    at = np.unique(np.linspace(0, rows.num_rows - 1, min(max(limit, 1), rows.num_rows)).astype(int))
+    at = np.unique(np.linspace(0, rows.num_rows - 1, min(limit, rows.num_rows)).astype(int))
     chosen = rows.take(at)
     return set(zip(chosen.column("frame_index").to_pylist(), chosen.column("id").to_pylist(), strict=True))
 

@@ -105,6 +105,11 @@ def written_path(path: str | Path, folder: Path) -> str:
     return absolute if nearby.startswith(os.path.join("..", "..")) else Path(nearby).as_posix()
 
 
+def resolved_path(written: str, folder: Path) -> str:
+    """What `written_path` wrote into the manifest of a run in `folder`."""
+    return os.path.normpath(folder / written)
+
+
 def _files(options: Mapping[str, Any]) -> tuple[str, ...]:
     return tuple(k for k in _PATHS if options.get(k) is not None and str(options[k]) not in _WORDS)
 
@@ -149,20 +154,17 @@ def open_run(folder: str | Path, *, dataset: str | None = None, labels: str | No
 
 
 def _read_spec(record: Mapping[str, Any], folder: Path) -> EvalSpec:
-    def found(path: str) -> str:
-        return os.path.normpath(folder / path)
-
     options: dict[str, Any] = dict(record["options"])
     for name in _files(options):
-        options[name] = Path(found(options[name]))
+        options[name] = Path(resolved_path(options[name], folder))
     if isinstance(options.get("intrinsics"), list):
         options["intrinsics"] = tuple(options["intrinsics"])
     if record["config"] is not None:
         options["config"] = TypeAdapter(AskConfig).validate_python(record["config"])
     dataset = str(record["dataset"])
     return EvalSpec(
-        dataset if dataset == DEMO_NAME else found(dataset),
-        found(str(record["labels"])),
+        dataset if dataset == DEMO_NAME else resolved_path(dataset, folder),
+        resolved_path(str(record["labels"]), folder),
         options,
         record["system"],
         limit=record["limit"],

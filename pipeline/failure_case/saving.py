@@ -142,6 +142,8 @@ def _write_whole(folder: Path, files: dict[str, bytes], source: Source, record: 
         opened = open_case(partial, scorer=source.scorer)
         again = answer_record(opened.answer())
         if again != record:
+            if "proposals" not in record:
+                raise InputError("an expression that cannot be asked cannot be kept", got=record["reason"])
             which = next((k for k in record if record[k] != again.get(k)), "a part")
             raise InputError(
                 "the answer does not come back from what was kept", got=f"another {which}",

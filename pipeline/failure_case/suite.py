@@ -10,6 +10,7 @@ from typing import Literal
 from pipeline.errors import InputError
 from pipeline.failure_case.opening import open_case
 from pipeline.failure_case.replay import TOLERANCE, Replay, replay_case, update_case
+from pipeline.srm import make_scorer
 
 Status = Literal["same", "changed", "updated", "damaged"]
 
@@ -59,7 +60,15 @@ def replay_all(
         Take the answers of now as the expected ones.
     detector, model, min_score
         A detector that looks at the pictures now; None for the kept detections.
+
+    Raises
+    ------
+    InputError
+        The relation scorer that was asked for cannot be used with any case.
     """
+    if srm is not None:
+        # Said once, and not of every case: none of them is damaged by it.
+        make_scorer(srm, vectors)
     for folder in folders:
         try:
             opened = open_case(folder, srm=srm, vectors=vectors)

@@ -168,7 +168,8 @@ def load_calibration(path: str | Path) -> ScoreCalibration:
     try:
         content = _File.model_validate(json.loads(path.read_text(encoding="utf-8")))
     except (OSError, UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
-        raise InputError("the score calibration cannot be read", got=str(error), path=path) from error
+        reason = error.strerror if isinstance(error, OSError) else str(error)
+        raise InputError("the score calibration cannot be read", got=reason, path=path) from error
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(p) for p in first["loc"]) or "the top"

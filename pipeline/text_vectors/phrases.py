@@ -200,9 +200,12 @@ class TextVectors:
     def _not_known(self, unknown: Sequence[str]) -> InputError:
         listed = ", ".join(repr(n[:60]) for n in unknown[:_NAMED])
         more = f" and {len(unknown) - _NAMED} more" if len(unknown) > _NAMED else ""
-        what = "no word of a name has" if self.kind == "word" else "a name is no entry of the file and has"
-        cause = "the file holds whole phrases, of which no mean is taken" if self.kind == "phrase" else None
-        return InputError(f"{what} a text vector", got=listed + more, cause=cause, path=self.name)
+        if self.kind == "word":
+            return InputError("no word of a name has a text vector", got=listed + more, path=self.name)
+        return InputError(
+            "names have no text vector", got=listed + more, expected="each name as an entry of the file",
+            cause="it holds whole phrases, of which no mean is taken", path=self.name,
+        )  # fmt: skip
 
 
 def _first(word: Word, found: Mapping[str, np.ndarray]) -> np.ndarray | None:

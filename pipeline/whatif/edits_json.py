@@ -164,4 +164,7 @@ def validated(model: type[M], record: Record | str | bytes, what: str) -> M:
         first = error.errors()[0]
         place = ".".join(str(p)[:60] for p in first["loc"])
         where = f"{what}: {place}" if place else what
+        if first["type"] == "extra_forbidden":
+            fields = ", ".join(model.model_fields) if len(first["loc"]) == 1 else None
+            raise InputError(f"{what}: there is no field {place!r}", expected=fields) from error
         raise InputError(f"{where} cannot be this", got=repr(first["input"])[:80], expected=first["msg"]) from error

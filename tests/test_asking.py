@@ -1,0 +1,132 @@
+"""Answers with their verdicts, as `ask` gives them: by annotations, by labels, and where nothing is known."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pipeline.diagnosis import asking
+from pipeline.diagnosis.asking import ask_and_judge, judged_record
+from pipeline.diagnosis.live import case_of
+from pipeline.errors import InputError
+from pipeline.frame import Frame
+from pipeline.jobs import Source, open_source
+from pipeline.labels.job import label_dataset
+from pipeline.labels.plan import SourceSpec
+from pipeline.labels.reading import Labels, open_labels
+from pipeline.relations import PHRASE, T
+
+TEXTS = ("mug left of the laptop", "laptop right of the mug", "desk holding a laptop")
+
+
+@pytest.fixture(scope="module")
+def demo() -> Source:
+    return open_source("demo", srm="rule")
+
+
+@pytest.fixture(scope="module")
+def labels(tmp_path_factory: pytest.TempPathFactory) -> Labels:
+    out = tmp_path_factory.mktemp("asking") / "labels"
+    label_dataset(SourceSpec("demo"), out, limit=2)
+    return open_labels(out)
+
+
+class Changed:
+    """The demo with other pictures, or without annotations."""
+
+    def __init__(self, inner: Any, **changes: Any) -> None:
+        self._inner, self._changes = inner, changes
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._inner, name)
+
+    def load(self, frame_id: str) -> Frame:
+        frame = self._inner.load(frame_id)
+        return replace(frame, **{name: change(frame) for name, change in self._changes.items()})
+
+
+def changed(source: Source, **changes: Any) -> Source:
+    return replace(source, dataset=Changed(source.dataset, **changes))  # pyright: ignore[reportArgumentType]
+
+
+def test_an_annotated_frame_is_judged_by_one_truth(demo: Source, monkeypatch: pytest.MonkeyPatch) -> None:
+    truths = []
+
+    def counted(*arguments: Any) -> Any:
+        truths.append(arguments)
+        return known(*arguments)
+
+    known = asking.annotated_truth
+    monkeypatch.setattr(asking, "annotated_truth", counted)
+    found = [judged_record(a) for a in ask_and_judge(demo, 0, TEXTS)]
+    assert len(truths) == 1
+    json.dumps(found, allow_nan=False)
+    first, second, third = found
+    assert (first["verdict"]["verdict"], second["verdict"]["verdict"]) == ("CORRECT", "CORRECT")
+    winner = first["verdict"]["winner"]
+    assert {k: winner[k] for k in ("target", "reference")} == {k: first["pairs"][0][k] for k in ("target", "reference")}
+    assert first["verdict"]["truth"]["target"] == first["answer"]["target"]["id"]
+    assert third["verdict"] is None
+    assert "holding" in third["verdict_reason"]
+
+
+def test_a_wrong_answer_is_blamed_as_in_a_run(demo: Source, labels: Labels) -> None:
+    weak = open_source("demo", srm="rule", detector="simulated")
+    row = next(r for r in labels.expressions.to_pylist() if r["frame"] == demo.dataset.frame_ids[0])
+    (answer,) = ask_and_judge(weak, row["frame"], [row["text"]], labels)
+    record = judged_record(answer)
+    assert answer.judgement is not None
+    assert answer.judgement.case.id == row["id"]
+    assert record["verdict"]["truth"]["acceptable"] == row["acceptable"]
+    assert record["verdict"]["said"] == answer.judgement.said
+
+
+def test_without_annotations_nothing_is_said(demo: Source) -> None:
+    recorded = changed(demo, annotations=lambda frame: ())
+    for answer in ask_and_judge(recorded, 0, TEXTS[:1]):
+        assert not {"verdict", "verdict_reason"} & judged_record(answer).keys()
+
+
+def test_labels_of_another_picture_judge_nothing(demo: Source, labels: Labels) -> None:
+    other = changed(demo, rgb=lambda frame: frame.rgb[:, ::-1].copy())
+    (record,) = [judged_record(a) for a in ask_and_judge(other, 0, TEXTS[:1], labels)]
+    assert record["answer"] is not None
+    assert record["verdict"] is None
+    assert "another picture" in record["verdict_reason"]
+    (record,) = [judged_record(a) for a in ask_and_judge(demo, 5, TEXTS[:1], labels)]
+    assert record["verdict"] is None
+    assert "say nothing of frame" in record["verdict_reason"]
+
+
+def test_a_frame_that_is_not_there_is_an_error(demo: Source) -> None:
+    with pytest.raises(InputError, match="no frame"):
+        list(ask_and_judge(demo, 999, TEXTS[:1]))
+
+
+def test_any_answer_that_is_true_beyond_doubt_is_right(demo: Source) -> None:
+    """A typed sentence means no one pair: whichever of several true ones wins, the verdict is not about the label."""
+    seen = 0
+    for frame_id in demo.dataset.frame_ids[:3]:
+        context = next(asking.contexts(demo, frame_id))
+        truth = asking.annotated_truth(context, demo)
+        assert truth is not None
+        for relation in ("left", "behind"):
+            sure = np.argwhere(truth.states[relation] == T)
+            names = {(truth.labels[a], truth.labels[b]) for a, b in sure if truth.labels[a] != truth.labels[b]}
+            for target, reference in sorted(names)[:12]:
+                trace = demo.ask(context, f"{target} {PHRASE[relation]} the {reference}")
+                found = case_of(truth, trace, demo)
+                assert not isinstance(found, str)
+                case = found[1]
+                assert case.target_object in case.strict
+                assert truth.states[relation][case.target_object, case.reference_object] == T
+                best = trace.ranking.pairs[0]  # pyright: ignore[reportOptionalMemberAccess]
+                place = int(np.flatnonzero(truth.numbers == trace.objects[best.target].id)[0])
+                if place in case.strict:
+                    seen += len(case.strict) > 1
+                    assert case.target_object == place
+    assert seen > 3

@@ -1,0 +1,57 @@
+"""What a verdict says of itself: only what was found."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from pipeline.diagnosis.verdict import Diagnosis, Stand
+from pipeline.diagnosis.words import explain
+from pipeline.evaluation.cases import Case
+from pipeline.ranking import RankConfig
+
+CASE = Case("1", "book on a book", "book", "on", "shelf", 0, 1, np.array([0]), np.array([0]), False, 0.1)
+WINNER, RIGHT = Stand(0, 3, 0.6, 0.5, 0.9, -1.3), Stand(1, 2, 0.4, 0.3, 0.8, -2.3)
+
+
+def said(verdict: str, winner: Stand | None, right: Stand | None, **more: object) -> str:
+    plain = Diagnosis(verdict, None, False, (), 0, np.full(16, np.nan), winner, right)
+    return explain(replace(plain, **more), CASE, RankConfig())  # pyright: ignore[reportArgumentType]
+
+
+def test_a_degenerate_answer_is_told_from_none() -> None:
+    assert "there is no pair to answer with" in said("PRM", None, None)
+    excluded = said("PRM", WINNER, None)
+    assert "no pair to answer with" not in excluded
+    assert "Every right pair counts as one thing seen twice" in excluded
+
+
+@pytest.mark.parametrize(
+    ("target", "reference", "words"),
+    [
+        (True, False, "The answer's book (0.60) is a false positive;"),
+        (False, True, "The answer's shelf (0.50) is a false positive;"),
+        (True, True, "The answer's book (0.60) and shelf (0.50) are false positives;"),
+    ],
+)
+def test_false_positives_are_named(target: bool, reference: bool, words: str) -> None:
+    text = said("OPM-CONF", WINNER, RIGHT, false_target=target, false_reference=reference)
+    assert text.startswith(words)
+    assert "the right pair had 0.40 and 0.30" in text
+
+
+@pytest.mark.parametrize("verdict", ["LIFT", "SRM"])
+def test_no_network_is_blamed_where_a_rule_scores(verdict: str) -> None:
+    text = said(verdict, WINNER, RIGHT)
+    assert "network" not in text
+    assert "0.90" in text
+    assert "0.80" in text
+    assert f"Verdict: {verdict}." in text
+
+
+def test_luck_says_no_more_than_that_the_reference_matches_none() -> None:
+    assert said("CORRECT", WINNER, None, lucky=True) == (
+        "The right book, but its shelf matches none of which the expression is true: luck."
+    )
