@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from pipeline.diagnosis.misses import Missed
 from pipeline.diagnosis.verdict import Diagnosis, Stand
 from pipeline.diagnosis.words import explain
 from pipeline.evaluation.cases import Case
@@ -55,3 +56,10 @@ def test_luck_says_no_more_than_that_the_reference_matches_none() -> None:
     assert said("CORRECT", WINNER, None, lucky=True) == (
         "The right book, but its shelf matches none of which the expression is true: luck."
     )
+
+
+def test_a_name_that_the_detector_does_not_know_is_not_called_unseen() -> None:
+    plain = Diagnosis("OPM-TARGET", "ABSENT", False, ("RECALL",), 0, np.full(16, np.nan), None, None)
+    found = replace(plain, missed=Missed("ABSENT", 0.0), missed_name="book")
+    assert explain(found, CASE, RankConfig(), unknown={"book": "?"}) == "The detector does not know the name “book”."
+    assert explain(found, CASE, RankConfig(), unknown={"shelf": "?"}).startswith("The detector did not see the right")

@@ -214,7 +214,7 @@ def judge_trace(
         evidence, case, parse_ok=gold, mark=mark, unfiltered=source.unfiltered_detector
     )
     config = source.config.rank
-    said = explain(diagnosis, case, config, query=trace.query)
+    said = explain(diagnosis, case, config, query=trace.query, unknown=answers.unknown)
     return Judgement(case, truth, evidence, diagnosis, said, needed_changes(diagnosis, config), gold)
 
 

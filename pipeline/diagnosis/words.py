@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection
+
 from pipeline.diagnosis.repair import needed_changes
 from pipeline.diagnosis.verdict import Diagnosis, Stand
 from pipeline.evaluation.cases import Case
@@ -15,7 +17,13 @@ _MODULE_WORDS = {
 
 
 def explain(
-    diagnosis: Diagnosis, case: Case, config: RankConfig, *, query: Query | None = None, problem: str | None = None
+    diagnosis: Diagnosis,
+    case: Case,
+    config: RankConfig,
+    *,
+    query: Query | None = None,
+    problem: str | None = None,
+    unknown: Collection[str] = (),
 ) -> str:
     """Why the answer is what it is, and the smallest change that would mend it.
 
@@ -28,6 +36,8 @@ def explain(
         What the parser read.
     problem : str, optional
         Why it could not be read, or could not be asked.
+    unknown : collection of str
+        Names that the detector does not know.
     """
     if diagnosis.verdict == "CORRECT":
         return _correct(diagnosis, case)
@@ -36,7 +46,7 @@ def explain(
     if diagnosis.verdict == "LABEL":
         return _label(diagnosis, case)
     if diagnosis.verdict in ("OPM-TARGET", "OPM-REF"):
-        return _missed(diagnosis)
+        return _missed(diagnosis, unknown)
     return f"{_flipped(diagnosis, case)} {_smallest_change(diagnosis, config)}".strip()
 
 
@@ -66,10 +76,12 @@ def _label(d: Diagnosis, case: Case) -> str:
     return f"A person marked this label as wrong in {what}; the answer may well be right."
 
 
-def _missed(d: Diagnosis) -> str:
+def _missed(d: Diagnosis, unknown: Collection[str]) -> str:
     missed, name = d.missed, d.missed_name
     assert missed is not None
     after = f" {_repaired(d)}" if d.repair and d.repair != ("RECALL",) else ""
+    if name in unknown:
+        return f"The detector does not know the name “{name}”.{after}"
     if missed.kind == "RANK":
         if missed.suppressed:
             return f"A better-scored box lies over the right {name} ({_p(missed.score)}) and suppressed it.{after}"

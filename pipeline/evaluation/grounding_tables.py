@@ -130,3 +130,13 @@ def stages_table(systems: Mapping[str, pa.Table]) -> Table:
         tuple(rows),
         "Percent of all expressions; found: a candidate overlaps an acceptable object by at least 0.5.",
     )
+
+
+def problem_warnings(records: pa.Table) -> tuple[str, ...]:
+    """What must be said where half of the expressions or more were not even asked: figures then measure little else."""
+    problems = records.column("problem")
+    unasked = len(problems) - problems.null_count
+    if not unasked or 2 * unasked < len(problems):
+        return ()
+    first = next(reason.as_py() for reason in problems if reason.is_valid)
+    return (f"{unasked} of {len(problems)} expressions have no answer that the system could give; the first: {first}",)

@@ -23,6 +23,7 @@ from pipeline.evaluation.grounding_tables import (
     full_row,
     has_opm,
     opm_row,
+    problem_warnings,
     relation_table,
     stages_table,
     systems_table,
@@ -36,7 +37,6 @@ from pipeline.evaluation.reported import reported_rows
 from pipeline.evaluation.run import EvalSpec, Progress, evaluate_labels, write_records
 from pipeline.evaluation.run_folder import RUN_FILE, spec_record
 from pipeline.evaluation.tables import Table, as_csv, latex, markdown
-from pipeline.evaluation.whole_expression import whole_warnings
 from pipeline.labels.merge import environment
 from pipeline.labels.profiles import canonical_hash
 from pipeline.staging import staged_folder, write_json
@@ -167,7 +167,7 @@ def evaluate_dataset(
         if diagnosis is not None:
             diagnosis.write(folder, plots)
         warnings = calibration_warnings(source, labels, records) if spec.grounding else ()
-        warnings = (*warnings, *(() if spec.system == "pipeline" else whole_warnings(records)))
+        warnings = (*warnings, *problem_warnings(records))
         warnings = (*warnings, *(() if relations is None else relations.warnings))
         options = {k: str(v) for k, v in spec.options.items() if k != "config"}
         config = {**recorded_config(source.config), "options": options}

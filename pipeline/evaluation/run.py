@@ -184,7 +184,12 @@ class Evaluator:
             unfiltered=self.source.unfiltered_detector,
         )
         said = explain(
-            diagnosis, case, self.source.config.rank, query=self._parsed[case.text][0], problem=row["problem"]
+            diagnosis,
+            case,
+            self.source.config.rank,
+            query=self._parsed[case.text][0],
+            problem=row["problem"],
+            unknown=evidence.answers.unknown,
         )
         return diagnosis_columns(diagnosis, said, evidence, case)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -14,9 +14,6 @@ from pipeline.evaluation.cases import Case, FrameCases
 from pipeline.evaluation.records import COLUMNS, HIT, matched, overlaps
 from pipeline.frame import Frame
 from pipeline.proposals.base import Detector
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 
 @dataclass(frozen=True)
@@ -128,14 +125,6 @@ class Vlm:
 
         found = ground_many(self.client, frame, texts, config=self._config)
         return [Pointed(g.box, problem=g.reason if g.box is None else None) for g in found]
-
-
-def whole_warnings(records: pa.Table) -> tuple[str, ...]:
-    """What must be said where not one sentence was answered: the figures are then no measure of the system."""
-    problems = records.column("problem")
-    if not records.num_rows or problems.null_count:
-        return ()
-    return (f"none of the {records.num_rows} expressions was answered; the first: {problems[0].as_py()}",)
 
 
 def record_whole(case: Case, truth: FrameCases, pointed: Pointed) -> dict[str, Any]:

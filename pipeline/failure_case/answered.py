@@ -120,7 +120,7 @@ def _unasked(
     evidence = FrameEvidence(truth, answers, DEFAULT_CONFIDENCE, (case,))
     gold = query is not None and is_gold(query, case)
     diagnosis = diagnose(evidence, case, parse_ok=gold, mark=mark, unfiltered=source.unfiltered_detector)
-    said = explain(diagnosis, case, source.config.rank, query=query, problem=unread or problem)
+    said = explain(diagnosis, case, source.config.rank, query=query, problem=unread or problem, unknown=answers.unknown)
     return Judgement(case, truth, evidence, diagnosis, said, ())
 
 
