@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -119,6 +120,8 @@ class Eval:
             print_json(run_record(report))
         else:
             print_run(report, self.show)
+        for warning in report.warnings:
+            print(f"spatialviz: {warning}", file=sys.stderr)
         return FINE
 
     def _tables(self) -> Literal["grounding", "relations", "both"]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import sys
 from typing import Any
 
 from rich.table import Table as RichTable
@@ -29,8 +28,6 @@ def print_run(report: RunReport, show: int) -> None:
     rate = (report.expressions or report.pairs) / report.seconds if report.seconds else 0.0
     console.print(f"{' and '.join(done)} in {report.seconds:.1f} s, {rate:.0f} a second")
     console.print(Text(f"-> {report.folder}", "dim"))
-    for warning in report.warnings:
-        print(f"spatialviz: {warning}", file=sys.stderr)
 
 
 def print_table(table: Table) -> None:

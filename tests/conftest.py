@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
+from hypothesis import settings
 
 if TYPE_CHECKING:
     from chat_server import ChatServer, Clock, Make
@@ -17,6 +18,10 @@ if TYPE_CHECKING:
     from pipeline.vlm import ChatClient
 
 ROOT = Path(__file__).resolve().parent.parent
+
+# No test is about time: on a busy machine one example may well take a second.
+settings.register_profile("untimed", deadline=None)
+settings.load_profile("untimed")
 
 
 @pytest.fixture(scope="session")
