@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -36,11 +36,15 @@ class WhatIf:
     """Key of the object that the decision map moves. Default: the target of the answer."""
     cells: int = 48
     """Cells of the decision map on each side."""
+    labels: Path | None = None
+    """Labels that say what is true. Default: the frame's annotations."""
     json: bool = False
     """Print one JSON object."""
 
     def run(self) -> int:
         from pipeline.datasets import resolve_frame
+        from pipeline.diagnosis.asking import edited_verdicts
+        from pipeline.labels.reading import open_labels
         from pipeline.objects import FrameContext
         from pipeline.records import why_no_answer
         from pipeline.whatif import Baseline, Edits, load_edits, rerun
@@ -56,7 +60,10 @@ class WhatIf:
             known = ", ".join(sorted(baseline.all_keys)[:30])
             raise InputError("edits of objects that are not there", got=", ".join(unknown), expected=known)
         after = rerun(baseline, edits)
-        record = whatif_record(baseline, after, edits)
+        weights = replace(source.config.rank, **edits.rank)
+        labels = None if self.labels is None else open_labels(self.labels)
+        verdicts = edited_verdicts(source, context, baseline.outcome.trace, after.trace, weights, labels)
+        record = whatif_record(baseline, after, edits, verdicts)
         if self.decision_map is not None:
             record["decision_map"] = self._map(baseline, after, edits)
         if self.json:
@@ -78,7 +85,9 @@ class WhatIf:
         return map_record(found)
 
 
-def whatif_record(baseline: Baseline, after: Outcome, edits: Edits) -> dict[str, Any]:
+def whatif_record(
+    baseline: Baseline, after: Outcome, edits: Edits, verdicts: tuple[str | None, str | None] | None = None
+) -> dict[str, Any]:
     """The whole of `whatif --json`."""
     from pipeline.relations import PAIRWISE, Profile
     from pipeline.whatif import edits_record, what_changed
@@ -93,7 +102,7 @@ def whatif_record(baseline: Baseline, after: Outcome, edits: Edits) -> dict[str,
             {"key": key, "label": o.label, "score": round(float(o.score), 6)}
             for key, o in zip(after.keys, trace.objects, strict=True)
         ],
-        **what_changed(baseline.outcome, after),
+        **what_changed(baseline.outcome, after, verdicts=verdicts),
         "timings_ms": {stage: round(seconds * 1000, 3) for stage, seconds in trace.timings.items()},
         "pairs_scored": after.pairs_scored,
     }

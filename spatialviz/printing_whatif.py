@@ -31,6 +31,8 @@ def print_change(record: dict[str, Any]) -> None:
             table.add_row(role.replace("_", " "), *(_object(side.get(role)) for side in sides))
     for title, field, form in _ROWS:
         table.add_row(title, *("" if field not in side else form.format(side[field]) for side in sides))
+    if any(side["verdict"] for side in sides):
+        table.add_row("verdict", *(side["verdict"] or "" for side in sides))
     console.print(table)
     for when, side in zip(("before", "after"), sides, strict=True):
         if "reason" in side:

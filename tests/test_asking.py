@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from pipeline.diagnosis import asking
-from pipeline.diagnosis.asking import ask_and_judge, judged_record
+from pipeline.diagnosis.asking import ask_and_judge, edited_verdicts, judged_record
 from pipeline.diagnosis.live import case_of
 from pipeline.errors import InputError
 from pipeline.frame import Frame
@@ -18,7 +18,9 @@ from pipeline.jobs import Source, open_source
 from pipeline.labels.job import label_dataset
 from pipeline.labels.plan import SourceSpec
 from pipeline.labels.reading import Labels, open_labels
+from pipeline.ranking import RankConfig
 from pipeline.relations import PHRASE, T
+from pipeline.whatif import Baseline, Edits, rerun
 
 TEXTS = ("mug left of the laptop", "laptop right of the mug", "desk holding a laptop")
 
@@ -130,3 +132,18 @@ def test_any_answer_that_is_true_beyond_doubt_is_right(demo: Source) -> None:
                     seen += len(case.strict) > 1
                     assert case.target_object == place
     assert seen > 3
+
+
+def test_an_edit_that_hides_the_right_object_changes_the_verdict(demo: Source) -> None:
+    context = next(asking.contexts(demo, 0))
+    baseline = Baseline(demo, context, TEXTS[0])
+    before = baseline.outcome
+    assert before.trace.ranking is not None
+    right = before.keys[before.trace.ranking.pairs[0].target]
+    after = rerun(baseline, Edits(hidden=frozenset({right})))
+    assert edited_verdicts(demo, context, before.trace, before.trace, RankConfig()) == ("CORRECT", "CORRECT")
+    first, last = edited_verdicts(demo, context, before.trace, after.trace, RankConfig())
+    assert (first, last) == ("CORRECT", "OPM-TARGET")
+    bare = changed(demo, annotations=lambda frame: ())
+    nothing = next(asking.contexts(bare, 0))
+    assert edited_verdicts(bare, nothing, before.trace, after.trace, RankConfig()) == (None, None)

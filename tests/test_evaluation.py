@@ -250,6 +250,14 @@ def test_a_baseline_that_answers_nothing_says_so(labels: Path, recording: Path, 
         assert found == () if words is None else found[0].startswith(words)
 
 
+def test_a_run_of_relations_alone_is_told_from_no_run(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no evaluation run here"):
+        read_records(tmp_path)
+    (tmp_path / "relation_records.parquet").touch()
+    with pytest.raises(InputError, match=r"has no expressions \(made with --tables relations\)"):
+        read_records(tmp_path)
+
+
 def test_runs_on_other_labels_are_not_compared(labels: Path) -> None:
     (table, *_) = evaluate_labels(spec_of(labels, None))
     with pytest.raises(InputError, match="no expression in common"):

@@ -13,6 +13,7 @@ from pipeline.evaluation.cases import FrameCases
 from pipeline.jobs import FrameUnusable, Skipped, Source, contexts, skip_or_raise
 from pipeline.labels.reading import Labels
 from pipeline.objects import FrameContext
+from pipeline.ranking import RankConfig
 from pipeline.records import trace_record
 
 
@@ -96,16 +97,44 @@ def _truth_or_reason(source: Source, context: FrameContext, labels: Labels | Non
         return str(error)
 
 
-def _judged(trace: Trace, source: Source, context: FrameContext, truth: FrameCases | str | None) -> JudgedAnswer:
+def _judged(
+    trace: Trace,
+    source: Source,
+    context: FrameContext,
+    truth: FrameCases | str | None,
+    rank: RankConfig | None = None,
+) -> JudgedAnswer:
     if truth is None:
         return JudgedAnswer(trace)
     if isinstance(truth, str):
         return JudgedAnswer(trace, unjudged=truth)
     try:
-        judged = judge_trace(trace, source, context, truth)
+        judged = judge_trace(trace, source, context, truth, rank=rank)
     except InputError as error:
         judged = str(error)
     return JudgedAnswer(trace, unjudged=judged) if isinstance(judged, str) else JudgedAnswer(trace, judged)
+
+
+def edited_verdicts(
+    source: Source, context: FrameContext, before: Trace, after: Trace, rank: RankConfig, labels: Labels | None = None
+) -> tuple[str | None, str | None]:
+    """The verdicts on an answer without and with edits, by one truth; None where there is none.
+
+    Parameters
+    ----------
+    rank : RankConfig
+        The weights that `after` was ranked with.
+    """
+    truth = _truth_or_reason(source, context, labels)
+    if truth is None or isinstance(truth, str):
+        return None, None
+    first = _judged(before, source, context, truth)
+    last = _judged(after, source, context, truth, rank)
+    return _verdict(first), _verdict(last)
+
+
+def _verdict(answer: JudgedAnswer) -> str | None:
+    return None if answer.judgement is None else answer.judgement.diagnosis.verdict
 
 
 def judged_record(answer: JudgedAnswer) -> dict[str, Any]:
