@@ -146,7 +146,10 @@ def manifest_of(run: Path) -> dict[str, Any]:
 
 
 def labels_of(run: Path) -> Path | None:
-    """Where the labels of a run were; None where its manifest does not say."""
-    found = manifest_of(run).get("labels")
-    path = found.get("path") if isinstance(found, dict) else None
-    return Path(path).expanduser() if isinstance(path, str) and path else None
+    """Where the labels of a run are; None where its manifest does not say."""
+    from pipeline.evaluation import run_folder
+
+    try:
+        return Path(run_folder.open_run(run).spec.labels)
+    except InputError:
+        return None
