@@ -43,6 +43,8 @@ class FrameEvidence:
         Those of them whose geometry is the box of the label, because the dataset has no pixels of them.
     same : (D + N, D + N) bool
         One and the same thing.
+    same_box : (D + N, D + N) bool
+        The same, by identity and 2D box alone, whatever the masks.
     mask_sizes : (D + N,) int64
         Pixels.
     """
@@ -69,6 +71,12 @@ class FrameEvidence:
         self.same[:d, d:] = self.overlap >= SAME_BOX_IOU
         self.same[d:, :d] = self.same[:d, d:].T
         self.same[d:, d:] = np.eye(n, dtype=np.bool_)
+        self.same_box = self.same.copy()
+        if d and not answers.source.needed_detector().exact:
+            ids = np.array([o.id for o in answers.objects])
+            one = (ids[:, None] == ids[None, :]) & (ids[:, None] >= 0)
+            boxes_alike = iou_2d(answers.boxes, answers.boxes) >= SAME_BOX_IOU
+            self.same_box[:d, :d] &= one | boxes_alike | np.eye(d, dtype=np.bool_)
         true_sizes = [0 if o is None else o.lifted.quality.mask_pixels for o in self.true_objects]
         self.mask_sizes = np.concatenate([answers.mask_sizes, np.array(true_sizes, np.int64)])
         self._probabilities: dict[str, np.ndarray] = {}

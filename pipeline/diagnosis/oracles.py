@@ -6,7 +6,9 @@ RECALL
     confidence of the run's right detections.
 LIFT
     Every candidate that is an object gets that object's true geometry; the
-    relation scorer then scores it anew. What is no object stays as it is.
+    relation scorer then scores it anew. Two of them that are different objects
+    no longer count as one thing because their masks are alike, only because
+    their 2D boxes are. What is no object stays as it is.
 SRM
     The relation of two candidates that are both objects is .99, .50 or .01, as
     the label says T, U or F. Where one is no object, or the pair was not

@@ -213,7 +213,11 @@ def substitute(evidence: FrameEvidence, case: Case) -> Substituted:
         + config.reference_weight * other[conf][:, None, :]
         + config.relation_weight * np.log(np.maximum(p[lift, srm], MIN_RELATION))
     )
-    score[:, evidence.same[np.ix_(target.places, reference.places)]] = -np.inf
+    same, same_box = (table[np.ix_(target.places, reference.places)] for table in (evidence.same, evidence.same_box))
+    a, b = target.shape_of[:, None], reference.shape_of[None, :]
+    # LIFT also gives the true masks, and those of two objects are never alike.
+    same_lifted = np.where((a >= 0) & (b >= 0) & (a != b), same_box, same)
+    score[np.stack([same, same_lifted])[lift]] = -np.inf
     unseen = (_ALL & RECALL) == 0
     score[unseen, target.found :] = -np.inf
     score[unseen, :, reference.found :] = -np.inf

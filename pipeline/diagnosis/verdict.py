@@ -166,8 +166,8 @@ def diagnose(
         margins=found.margins,
         winner=winner if parse_ok else None,
         right=None if place is None else _stand(found, *place),
-        false_target=pair is not None and found.target.object[pair[0]] < 0,
-        false_reference=pair is not None and found.reference.object[pair[1]] < 0,
+        false_target=target is not None and bool(found.target.object[target] < 0),
+        false_reference=pair is not None and bool(found.reference.object[pair[1]] < 0),
         pseudo=_pseudo(evidence, found, [p for p in (pair, place) if p is not None]),
     )
     if overlap >= HIT:

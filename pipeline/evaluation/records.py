@@ -26,7 +26,7 @@ COLUMNS: dict[str, str] = {
     "target_object": "int32", "reference_object": "int32",
     "answers_strict": "int32", "answers": "int32", "same_class": "int32", "ambiguous": "bool",
     "label_margin": "float32",
-    "parse_ok": "bool", "problem": "string",
+    "parse_ok": "bool", "problem": "string", "degenerate": "bool",
     "opm_box": "box", "opm_score": "float32", "opm_iou": "float32", "opm_strict_iou": "float32",
     "opm_set_iou": "float32",
     "targets_found": "int32", "references_found": "int32",
@@ -43,7 +43,8 @@ COLUMNS: dict[str, str] = {
     **DIAGNOSIS_COLUMNS,
 }  # fmt: skip
 """The columns of `records.parquet`. Places of objects are those of the labels, ranks count from 1 and are null where
-nothing fits; `right_…` is the best-scoring acceptable pair among the candidates; overlaps are 0 without an answer. The
+nothing fits; `right_…` is the best-scoring acceptable pair among the candidates; overlaps are 0 without an answer.
+`degenerate` is set where all pairs are one thing, so that the detector's best target answers alone, as in `ask`. The
 last columns are those of the diagnosis, null for systems that are not the pipeline."""
 
 
@@ -116,13 +117,19 @@ def record(
     _opm(row, case, answers, sets)
     scored = answers.score(case.target, case.relation, case.reference) if gold else None
     covered = _coverage(row, case, truth, answers)
+    place = None if scored is None else answers.best(scored)
     winner = None
-    if scored is not None:
-        place = answers.best(scored)
-        if place is not None:
-            winner = scored.pair(*place)
-            _right(row, scored, winner, covered, answers)
-    _winner(row, case, truth, answers, winner, sets)
+    answer = None
+    if scored is not None and place is not None:
+        winner = scored.pair(*place)
+        answer = winner.target
+        _right(row, scored, winner, covered, answers)
+    elif scored is not None:
+        answer = alone(scored.targets)
+    row["degenerate"] = winner is None and answer is not None
+    _answer(row, case, truth, answers, answer, sets)
+    if winner is not None:
+        _winner(row, case, truth, answers, winner)
     return row
 
 
@@ -175,37 +182,48 @@ def _right(row: dict[str, Any], scored: Scored, winner: Pair, covered: np.ndarra
         row["log_margin"] = winner.log_score - float(np.partition(others, -2)[-2])
 
 
-def _winner(
+def _answer(
     row: dict[str, Any],
     case: Case,
     truth: FrameCases,
     answers: FrameAnswers,
-    winner: Pair | None,
+    target: int | None,
     sets: dict[str, np.ndarray],
 ) -> None:
-    box = None if winner is None else answers.boxes[winner.target]
+    """The target that answers, a place in the frame's objects, and whether it is right."""
+    box = None if target is None else answers.boxes[target]
     row |= {name: overlaps(box, boxes) for name, boxes in sets.items()}
     row |= {
         "correct": row["iou"] >= HIT, "strict_correct": row["strict_iou"] >= HIT, "set_correct": row["set_iou"] >= HIT,
         "reference_correct": False, "pair_correct": False,
     }  # fmt: skip
-    if winner is None or box is None:
+    if target is None or box is None:
         return
-    pairs = truth.acceptable_pairs(case)
-    hits = iou_2d(answers.boxes[[winner.target, winner.reference]], truth.boxes) >= HIT
-    classes = truth.alike[[case.target_object, case.reference_object]]
-    a, b = matched(answers.boxes[[winner.target, winner.reference]], classes, truth)
-    lifted = answers.objects[winner.target].lifted
+    scores = answers.candidates[case.target]
+    (same,) = matched(box[None], truth.alike[[case.target_object]], truth)
+    quality = answers.objects[target].lifted.quality
     row |= {
-        "box": box.tolist(), "reference_box": answers.boxes[winner.reference].tolist(),
+        "box": box.tolist(), "p_target": float(scores.scores[scores.index == target].max()),
+        "matched_target": None if same < 0 else int(same),
+        "target_points": quality.points, "target_depth_missing": quality.depth_missing,
+        "target_distance": None if np.isnan(quality.distance) else quality.distance,
+    }  # fmt: skip
+
+
+def _winner(row: dict[str, Any], case: Case, truth: FrameCases, answers: FrameAnswers, winner: Pair) -> None:
+    """The pair that answers."""
+    pairs = truth.acceptable_pairs(case)
+    both = answers.boxes[[winner.target, winner.reference]]
+    hits = iou_2d(both, truth.boxes) >= HIT
+    a, b = matched(both, truth.alike[[case.target_object, case.reference_object]], truth)
+    row |= {
+        "reference_box": both[1].tolist(),
         "p_target": winner.p_target, "p_reference": winner.p_reference, "p_relation": winner.p_relation,
         "log_score": winner.log_score,
         "reference_correct": bool(hits[1][pairs.any(axis=0)].any()),
         "pair_correct": bool((hits[0][:, None] & hits[1][None, :] & pairs).any()),
-        "matched_target": None if a < 0 else int(a), "matched_reference": None if b < 0 else int(b),
+        "matched_reference": None if b < 0 else int(b),
         "label_state": None if a < 0 or b < 0 else int(truth.states[case.relation][a, b]),
-        "target_points": lifted.quality.points, "target_depth_missing": lifted.quality.depth_missing,
-        "target_distance": None if np.isnan(lifted.quality.distance) else lifted.quality.distance,
     }  # fmt: skip
 
 
