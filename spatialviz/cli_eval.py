@@ -34,6 +34,8 @@ class Eval:
     """The model's name on that server."""
     vlm_rate: float | None = None
     """Requests a minute at most."""
+    marks: Path | None = None
+    """JSON of labels that a person found wrong: [{"frame", "id", "mark": "BAD_LABEL" | "BAD_BOX"}]."""
     limit: int | None = None
     """Only so many expressions, spread evenly."""
     name: str | None = None
@@ -54,6 +56,7 @@ class Eval:
     """Print one JSON object."""
 
     def run(self) -> int:
+        from pipeline.diagnosis.marks import read_marks
         from pipeline.evaluation.job import evaluate_dataset
         from pipeline.evaluation.run import EvalSpec
         from pipeline.evaluation.whole_expression import VlmOptions
@@ -65,7 +68,9 @@ class Eval:
             if self.vlm_url is None or self.vlm_model is None:
                 raise InputError("--system vlm needs a server and a model", expected="--vlm-url URL --vlm-model NAME")
             vlm = VlmOptions(self.vlm_url, self.vlm_model, self.vlm_rate)
-        spec = EvalSpec(self.dataset, str(self.labels), self.source.options(), self.system, vlm, self.limit)
+        marks = {} if self.marks is None else read_marks(self.marks)
+        options = self.source.options()
+        spec = EvalSpec(self.dataset, str(self.labels), options, self.system, vlm, self.limit, marks=marks)
         with rate_bar("evaluating", "expressions") as advance:
             report = evaluate_dataset(
                 spec,

@@ -11,13 +11,13 @@ from pipeline.boxes import iou_2d
 from pipeline.diagnosis.frame_evidence import FrameEvidence
 from pipeline.diagnosis.oracles import (
     CONF,
+    EVEN,
     LIFT,
     RECALL,
     RIGHT_SCORE,
     SRM,
     STATE_PROBABILITY,
     SUBSETS,
-    SURE,
     WRONG_SCORE,
 )
 from pipeline.evaluation.cases import Case
@@ -140,11 +140,11 @@ class Substituted:
         return _margins(self.log_score, self.covered)
 
     def decided_margin(self, subset: int, relation_weight: float) -> float:
-        """The margin with every relation the network is sure of counted as the truth's .99 or .01."""
+        """The margin by what the network decides: a relation above .5 counts as the truth's .99, one below as .01."""
         lift, srm = int(bool(subset & LIFT)), int(bool(subset & SRM))
         p = self.p_relation[lift, srm]
-        sure = np.where(p >= SURE, RIGHT_SCORE, np.where(p <= 1 - SURE, WRONG_SCORE, p))
-        shift = relation_weight * (np.log(np.maximum(sure, MIN_RELATION)) - np.log(np.maximum(p, MIN_RELATION)))
+        decided = np.where(p > EVEN, STATE_PROBABILITY[1], np.where(p < EVEN, STATE_PROBABILITY[-1], p))
+        shift = relation_weight * (np.log(decided) - np.log(np.maximum(p, MIN_RELATION)))
         return float(_margins((self.log_score[subset] + shift)[None], self.covered)[0])
 
 

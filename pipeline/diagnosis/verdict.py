@@ -13,10 +13,11 @@ LIFT, SRM, OPM-CONF, PRM, COMPOUND
              earlier stage. None does: COMPOUND, with the smallest subset of the three that does. Not even all three:
              PRM, DEGENERATE: the right pair is excluded as one thing, or lost by a rule for ties.
 
-When several oracles are compared, a relation that the network is sure of
-(at least .9, at most .1) counts as .99 or .01, as the truth does: else the
-truth, which is never less sure, would go farther than any true geometry, and
-a broken box would never be blamed.
+When several oracles are compared, relations count by what the network decides: above .5 as .99, below as .01, as the
+truth has it. Else the truth, which is never less sure than a network, would go farther than any true geometry and any
+true confidence, and a relation that the network had right, only not to .99, would be blamed for a broken box or for
+confidences that overruled it. Where the network decides wrongly, the truth still goes farther, and SRM is named.
+(With planted faults: see `planted`.)
 """
 
 from __future__ import annotations

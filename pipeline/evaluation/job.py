@@ -148,6 +148,7 @@ def evaluate_dataset(
                 "system": spec.system,
                 "vlm": None if spec.vlm is None else {"url": spec.vlm.url, "model": spec.vlm.model},
                 "limit": spec.limit,
+                "marks": len(spec.marks),
                 "recalled_confidence": {"median": spec.confidence, "of": seen},
                 "config": plain,
                 "config_hash": canonical_hash(plain),
