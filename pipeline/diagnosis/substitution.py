@@ -84,7 +84,18 @@ class Substituted:
         """(16,) int64: the winning pair under each subset as i * R + j; -1 where there is no pair."""
         if not self.covered.size:
             return np.full(SUBSETS, -1, np.int64)
-        flat = self.log_score.reshape(SUBSETS, -1)
+        return self._tops(self.log_score.reshape(SUBSETS, -1))
+
+    @cached_property
+    def best_acceptable(self) -> tuple[int, int] | None:
+        """The acceptable pair among the candidates that stands highest, by the ranking's order, without any oracle."""
+        if not self.covered.size:
+            return None
+        at = int(self._tops(np.where(self.covered, self.log_score[0], -np.inf).reshape(1, -1))[0])
+        return None if at < 0 else divmod(at, self.covered.shape[1])
+
+    def _tops(self, flat: np.ndarray) -> np.ndarray:
+        """(S,) int64: the first place by the ranking's order of each row of scores, that of subset s; -1 for none."""
         top = flat.max(axis=1)
         near = np.round(flat / TIE) >= np.round(top / TIE)[:, None]
         found = np.where(np.isfinite(top), flat.argmax(axis=1), -1)
@@ -208,10 +219,10 @@ def substitute(evidence: FrameEvidence, case: Case) -> Substituted:
         for role in (target, reference)
     )
     lift, srm, conf = (((_ALL & bit) > 0).astype(int) for bit in (LIFT, SRM, CONF))
-    score = (
-        config.target_weight * own[conf][:, :, None]
+    # In the order in which the ranking adds them, so that S is the same to the last bit.
+    score = config.target_weight * own[conf][:, :, None] + (
+        config.relation_weight * np.log(np.maximum(p[lift, srm], MIN_RELATION))
         + config.reference_weight * other[conf][:, None, :]
-        + config.relation_weight * np.log(np.maximum(p[lift, srm], MIN_RELATION))
     )
     same, same_box = (table[np.ix_(target.places, reference.places)] for table in (evidence.same, evidence.same_box))
     a, b = target.shape_of[:, None], reference.shape_of[None, :]

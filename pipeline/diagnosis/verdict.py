@@ -154,7 +154,7 @@ def diagnose(
     found = substitute(evidence, case)
     pair, alone = found.pair(), found.alone()
     winner = None if pair is None else _stand(found, *pair)
-    place = _best_acceptable(found)
+    place = found.best_acceptable
     target = pair[0] if pair is not None else alone
     overlap = 0.0 if target is None or not parse_ok else float(found.target.overlap[target, case.target_object])
     flip = _smallest(found, range(1, SUBSETS))
@@ -219,15 +219,6 @@ def _smallest(found: Substituted, subsets: range | list[int]) -> int | None:
     """The smallest of these subsets with which an acceptable pair wins; of equal ones that with the largest margin."""
     able = [s for s in subsets if found.accepted[s]]
     return min(able, key=lambda s: (size(s), -found.margins[s], s)) if able else None
-
-
-def _best_acceptable(found: Substituted) -> tuple[int, int] | None:
-    """The acceptable pair among the candidates with the highest S."""
-    score = np.where(found.covered, found.log_score[0], -np.inf)
-    if not score.size or not np.isfinite(score.max()):
-        return None
-    i, j = np.unravel_index(int(score.argmax()), score.shape)
-    return int(i), int(j)
 
 
 def _stand(found: Substituted, i: int, j: int) -> Stand:

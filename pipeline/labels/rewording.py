@@ -66,3 +66,14 @@ def reword(folder: Path, sentences: Mapping[tuple[str, str], str]) -> int:
     finally:
         shutil.rmtree(staging, ignore_errors=True)
     return len(sentences)
+
+
+if __name__ == "__main__":
+    import sys
+
+    if len(sys.argv) != 3:
+        sys.exit("usage: python -m pipeline.labels.rewording LABELS SENTENCES.json")
+    try:
+        print(f"{reword(Path(sys.argv[1]), read_sentences(Path(sys.argv[2])))} sentences")
+    except InputError as error:
+        sys.exit(str(error))
