@@ -12,7 +12,7 @@ from pipeline.boxes import iou_2d
 from pipeline.diagnosis.frame_evidence import FrameEvidence
 from pipeline.evaluation.answering import FrameAnswers
 from pipeline.evaluation.cases import Case, FrameCases
-from pipeline.proposals.base import Proposals
+from pipeline.proposals.base import Proposals, no_proposals
 from pipeline.ranking import Candidates, RankConfig
 from pipeline.relations import U
 
@@ -32,9 +32,7 @@ class NoDetector:
         return "none"
 
     def detect(self, frame: Any, labels: Any) -> Proposals:
-        return Proposals(
-            np.zeros((0, 4), np.float32), np.zeros(0, np.float32), np.zeros(0, np.int64), (), None, np.zeros(0, np.int64)
-        )
+        return no_proposals(1, 1)
 
 
 def world(seed: int, rank: RankConfig | None = None) -> tuple[FrameEvidence, Case]:

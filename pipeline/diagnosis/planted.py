@@ -10,8 +10,8 @@ LIFT         masks run into what lies beside the things (leak), or half of the t
              metre or so (shift)
 SRM          half of all pairs, those that lie in some way to each other, have the opposite probabilities (opposite)
 OPM-CONF     the right things score .30, and four other objects are taken for the target or for the reference with .97
-PRM          the relation weighs .05 instead of 1 (weights), or the acceptable targets score .05 and the others of
-             their class .95, so that confidences overrule it (scores)
+PRM          the relation weighs .005 instead of 1 (weights), or the acceptable targets score .01 and the others of
+             their class .99, so that confidences overrule it (scores)
 PARSE        other words: the two names swapped (swapped), the opposite relation (relation), no relation (unreadable)
 LABEL        another acceptable target is the labelled one (another); the labelled object is confused with one that is
              not acceptable (wrong), or its box is off (box), and a person marked it
@@ -71,7 +71,8 @@ LOW, LEAST, CONFIDENT = 0.1, 0.3, 0.97
 BADLY_PLACED = 0.5
 """A box shifted by so many of its widths overlaps itself by a third."""
 MISTAKEN = 4
-OVERRULED = 0.05
+OVERRULED_WEIGHT = 0.005
+OVERRULED, OVERRULING = 0.01, 0.99
 SHIFT_M = 1.0
 AWAY_IOU = 0.3
 """A mistaken object overlaps the right ones at most this much."""
@@ -139,9 +140,9 @@ def plant(
         return _mistaken(kind, source, context, truth, case, seed)
     if module == "PRM":
         if kind == "weights":
-            rank = replace(source.config.rank, relation_weight=OVERRULED)
+            rank = replace(source.config.rank, relation_weight=OVERRULED_WEIGHT)
             return Planted(replace(source, config=replace(source.config, rank=rank)), context, truth, case)
-        edit = rescored(truth.numbers[case.acceptable], OVERRULED, 0.95)
+        edit = rescored(truth.numbers[case.acceptable], OVERRULED, OVERRULING)
         return Planted(_edited(source, {case.target: edit}), context, truth, case)
     if module == "PARSE":
         return _misread(kind, source, context, truth, case)

@@ -156,7 +156,9 @@ def dropped(ids: Collection[int]) -> Callable[[Frame, Proposals], Proposals]:
     return lambda frame, found: found.take(~np.isin(found.ids, list(ids)))
 
 
-def rescored(ids: Collection[int], score: float, others: float | None = None) -> Callable[[Frame, Proposals], Proposals]:
+def rescored(
+    ids: Collection[int], score: float, others: float | None = None
+) -> Callable[[Frame, Proposals], Proposals]:
     """These with another score, and all others too where one is given for them."""
 
     def edit(frame: Frame, found: Proposals) -> Proposals:
