@@ -285,7 +285,12 @@ def test_tables_of_a_run_hold_every_system(labels: Path, recording: Path) -> Non
 def test_columns_are_all_filled(labels: Path) -> None:
     (table, *_) = evaluate_labels(spec_of(labels, None))
     empty = [name for name in COLUMNS if table.column(name).null_count == table.num_rows]
-    assert empty == ["problem"]
+    # The truth as detector misses nothing.
+    assert empty == ["problem", "missed_name", "missed_overlap", "missed_score", "missed_rank"]
+    assert set(table.column("verdict").to_pylist()) == {"CORRECT", "LABEL"}
+    assert set(table.column("detail").to_pylist()) == {None, "AMBIGUOUS"}
+    assert not any(table.column("lucky").to_pylist())
+    assert not any(table.column("degenerate").to_pylist())
     assert table_of([]).schema.equals(records_schema())
 
 

@@ -30,7 +30,7 @@ def outcomes(source: Source, modules: tuple[str, ...], every: int) -> list[Outco
     return list(planted_failures(source, open_labels(demo_labels()), kinds=kinds, every=every))
 
 
-@pytest.mark.parametrize(("modules", "every"), [(BY_DEFINITION, 50), (BY_FLIP, 12)])
+@pytest.mark.parametrize(("modules", "every"), [(BY_DEFINITION, 100), (BY_FLIP, 14)])
 def test_the_verdict_names_the_planted_module(source: Source, modules: tuple[str, ...], every: int) -> None:
     by_module: dict[str, Counter[str]] = {}
     for (module, _), verdicts in confusion(outcomes(source, modules, every)).items():

@@ -9,8 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.errors import InputError
-from pipeline.labels.merge import write_merged
-from pipeline.labels.reading import MANIFEST_FILE, open_labels
+from pipeline.labels.card import croissant, dataset_card
+from pipeline.labels.merge import CARD_FILE, CROISSANT_FILE, write_merged
+from pipeline.labels.reading import MANIFEST_FILE, Labels, open_labels
 from pipeline.labels.whole_files import temporary_beside, write_synced
 
 
@@ -62,6 +63,9 @@ def reword(folder: Path, sentences: Mapping[tuple[str, str], str]) -> int:
         # Without a manifest there are no labels: a crash in between leaves nothing half new.
         (folder / MANIFEST_FILE).unlink()
         (staging / "expressions.parquet").replace(folder / "expressions.parquet")
+        after = Labels(folder, manifest)
+        write_synced(folder / CARD_FILE, dataset_card(after).encode())
+        write_synced(folder / CROISSANT_FILE, json.dumps(croissant(after), indent=1, ensure_ascii=False).encode())
         write_synced(folder / MANIFEST_FILE, manifest.model_dump_json(indent=1).encode())
     finally:
         shutil.rmtree(staging, ignore_errors=True)
