@@ -15,7 +15,8 @@ from pipeline.diagnosis.verdict import VERDICTS
 from pipeline.errors import InputError
 from pipeline.evaluation.cases import read_cases
 from pipeline.evaluation.records import COLUMNS
-from pipeline.evaluation.run import EvalSpec, Evaluator, table_of
+from pipeline.evaluation.run import Evaluator, table_of
+from pipeline.evaluation.run_folder import open_run
 from pipeline.labels.reading import open_labels
 from pipeline.labels.rewording import read_sentences, reword
 
@@ -44,17 +45,11 @@ def test_the_run_is_of_the_shipped_labels(rows: list[dict[str, Any]]) -> None:
 
 
 def test_the_same_command_gives_the_same_rows(rows: list[dict[str, Any]]) -> None:
-    manifest = json.loads((demo_run() / "run.json").read_text())
-    options = manifest["config"]["options"]
-    chosen = {"detector": options["detector"], "model": demo_detector(), "min_score": float(options["min_score"])}
-    from pipeline.ask import AskConfig
-
-    spec = EvalSpec(
-        "demo", str(demo_labels()), {**chosen, "srm": options["srm"], "config": AskConfig(k=manifest["config"]["k"])},
-        confidence=manifest["recalled_confidence"]["median"], marks=read_marks(HERE / "marks.json"),
-    )  # fmt: skip
-    evaluator = Evaluator(spec)
-    assert manifest["detector"].endswith(evaluator.source.needed_detector().fingerprint())
+    run = open_run(demo_run())
+    assert run.spec.marks == read_marks(HERE / "marks.json")
+    assert run.spec.options["model"] == demo_detector()
+    evaluator = Evaluator(run.spec)
+    assert run.manifest["detector"].endswith(evaluator.source.needed_detector().fingerprint())
     again = []
     for index in (0, 6):
         for truth in read_cases(evaluator.labels, index, index + 1):
