@@ -62,7 +62,8 @@ class View:
         if self.compare is not None and self.run_folder is None:
             raise InputError("--compare needs --run", expected="--run RUN --compare OTHER_RUN", path=self.compare)
         folder = self.run_folder
-        if folder is None and self.dataset == DEMO_NAME and self.source == SourceOptions() and not Path("demo").exists():
+        built_in = self.dataset == DEMO_NAME and not Path(DEMO_NAME).exists()
+        if folder is None and built_in and self.source == SourceOptions():
             folder = demo_run()
         if folder is not None:
             run = open_run(folder, dataset=None if self.dataset == DEMO_NAME else self.dataset)
