@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -43,6 +44,8 @@ class FrameEvidence:
         The same, by identity and 2D box alone, whatever the masks.
     mask_sizes : (D + N,) int64
         Pixels.
+    roles : dict
+        What may fill the places of expressions, kept by `substitution`.
     """
 
     def __init__(
@@ -77,6 +80,7 @@ class FrameEvidence:
         sizes = truth.facts["mask_pixels"]
         true_sizes = np.where(np.isfinite(sizes), sizes, 0).astype(np.int64)
         self.mask_sizes = np.concatenate([answers.mask_sizes, true_sizes])
+        self.roles: dict[tuple[str, bytes], Any] = {}
         self._probabilities: dict[str, np.ndarray] = {}
 
     @property

@@ -108,9 +108,17 @@ class Substituted:
         i, j = np.divmod(tied, self.covered.shape[1])
         lift, srm = int(bool(subset & LIFT)), int(bool(subset & SRM))
         targets, references = self.target.places[i], self.reference.places[j]
-        scores = self._target_scores(subset)[i]
-        keys = (references, targets, -self.mask_sizes[targets], -scores, -self.p_relation[lift, srm, i, j])
-        return int(tied[np.lexsort(keys)[0]])
+        keys = zip(
+            (-self.p_relation[lift, srm, i, j]).tolist(),
+            (-self._target_scores(subset)[i]).tolist(),
+            (-self.mask_sizes[targets]).tolist(),
+            targets.tolist(),
+            references.tolist(),
+            tied.tolist(),
+            strict=True,
+        )
+        # A handful of pairs: plain tuples are compared sooner than arrays are sorted.
+        return min(keys)[-1]
 
     def _target_scores(self, subset: int) -> np.ndarray:
         return given_scores(self.target) if subset & CONF else self.target.scores
@@ -205,11 +213,19 @@ def role_of(evidence: FrameEvidence, candidates: Candidates, asked: np.ndarray) 
     )
 
 
+def _role(evidence: FrameEvidence, name: str, asked: np.ndarray) -> Role:
+    """The role of a name, made once for all expressions of the frame that ask for it."""
+    key = (name, asked.tobytes())
+    if key not in evidence.roles:
+        evidence.roles[key] = role_of(evidence, evidence.answers.candidates[name], asked)
+    return evidence.roles[key]
+
+
 def substitute(evidence: FrameEvidence, case: Case) -> Substituted:
     """Rank an expression's pairs with every subset of the oracles, on its gold triple."""
     truth, answers = evidence.truth, evidence.answers
-    target = role_of(evidence, answers.candidates[case.target], truth.alike[case.target_object])
-    reference = role_of(evidence, answers.candidates[case.reference], truth.alike[case.reference_object])
+    target = _role(evidence, case.target, truth.alike[case.target_object])
+    reference = _role(evidence, case.reference, truth.alike[case.reference_object])
     pairs = truth.acceptable_pairs(case).astype(np.int32)
     hits, ends = ((role.overlap >= HIT).astype(np.int32) for role in (target, reference))
     p = _relation(evidence, case.relation, target, reference)
