@@ -36,7 +36,8 @@ class View:
     """Open a dataset in the browser; without DATASET, the built-in demo."""
 
     dataset: Positional[str] = "demo"
-    """Dataset folder, or "demo". With --run, the run's own."""
+    """Dataset folder, or "demo": the built-in one, with a run of a simulated detector unless another is named. With
+    --run, the run's own."""
     run_folder: Annotated[Path | None, arg(name="run")] = None
     """A run folder that `eval` wrote: its failures are listed, with its detector and relation scorer."""
     compare: Path | None = None
@@ -52,7 +53,7 @@ class View:
     """Open the page in the default browser."""
 
     def run(self) -> int:
-        from pipeline.demo import DEMO_NAME
+        from pipeline.demo import DEMO_NAME, demo_run
         from pipeline.evaluation.run_folder import open_run
         from pipeline.jobs import open_sources
         from spatialviz.app.server import serve
@@ -60,8 +61,12 @@ class View:
         runs, others = {}, {}
         if self.compare is not None and self.run_folder is None:
             raise InputError("--compare needs --run", expected="--run RUN --compare OTHER_RUN", path=self.compare)
-        if self.run_folder is not None:
-            run = open_run(self.run_folder, dataset=None if self.dataset == DEMO_NAME else self.dataset)
+        folder = self.run_folder
+        built_in = self.dataset == DEMO_NAME and not Path(DEMO_NAME).exists()
+        if folder is None and built_in and self.source == SourceOptions():
+            folder = demo_run()
+        if folder is not None:
+            run = open_run(folder, dataset=None if self.dataset == DEMO_NAME else self.dataset)
             name = Path(run.spec.dataset).name
             sources, runs = {name: run.source}, {name: run}
             if self.compare is not None:

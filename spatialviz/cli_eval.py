@@ -38,6 +38,8 @@ class Eval:
     """The model's name on that server."""
     vlm_rate: float | None = None
     """Requests a minute at most."""
+    marks: Path | None = None
+    """JSON of labels that a person found wrong: [{"frame", "id", "mark": "BAD_LABEL" | "BAD_BOX"}]."""
     tables: Literal["grounding", "relations", "both"] | None = None
     """grounding: expressions | relations: relations alone, pair by pair | both. Default: both for --system pipeline,
     else grounding."""
@@ -76,6 +78,7 @@ class Eval:
     """Print one JSON object."""
 
     def run(self) -> int:
+        from pipeline.diagnosis.marks import read_marks
         from pipeline.evaluation.job import evaluate_dataset
         from pipeline.evaluation.run import EvalSpec
         from pipeline.evaluation.whole_expression import VlmOptions
@@ -103,6 +106,7 @@ class Eval:
             grounding=grounding,
             relations=relations,
             verdicts=self.verdicts,
+            marks={} if self.marks is None else read_marks(self.marks),
         )
         with rate_bar("evaluating", "expressions" if grounding else "frames") as advance:
             report = evaluate_dataset(

@@ -337,6 +337,10 @@ def test_columns_are_all_filled(labels: Path) -> None:
     nothing_missed = {"problem", "missed_name", "missed_overlap", "missed_score", "missed_rank"}
     raw = {name for name in COLUMNS if name.startswith("raw_") or name in OF_CALIBRATED}
     assert empty - {"detail"} == nothing_missed | raw
+    assert set(table.column("verdict").to_pylist()) == {"CORRECT", "LABEL"}
+    assert set(table.column("detail").to_pylist()) == {None, "AMBIGUOUS"}
+    assert not any(table.column("lucky").to_pylist())
+    assert not any(table.column("degenerate").to_pylist())
     assert table_of([]).schema.equals(records_schema())
 
 

@@ -265,8 +265,8 @@ def test_workers_and_shared_frames_change_nothing(
     assert tables[0].equals(tables[1])
     assert tables[0].equals(tables[2])
     assert len(tables[0].column("frame").unique()) == 3
-    keys = {table.key for table in one.tables}
-    assert markdown(one.tables) == markdown(two.tables) == markdown([t for t in both.tables if t.key in keys])
+    of_both = [table for table in both.tables if table.key in {t.key for t in one.tables}]
+    assert markdown(one.tables) == markdown(two.tables) == markdown(of_both)
     assert (one.expressions, both.expressions) == (0, 10)
     assert not (tmp_path / "one" / "records.parquet").exists()
 

@@ -115,6 +115,7 @@ def test_the_fingerprint_covers_every_option() -> None:
         "seed": 1, "recall": 0.5, "cross_class": 0.5, "most_confused": 3, "background": 0.5, "box_jitter": 0.05,
         "mask_error": (-1, 3), "truncated": 0.5, "corrupted": 0.5, "true_logit": 0.1, "confused_logit": 0.1,
         "background_logit": 0.1, "score_spread": 0.5, "class_spread": 0.5,
+        "doubted": 0.5, "doubted_logit": -3.0,
     }  # fmt: skip
     assert set(changes) == set(SimulationOptions.model_fields)
     prints = {simulated(**{key: value}).fingerprint() for key, value in changes.items()}
@@ -336,3 +337,20 @@ def test_damage_does_what_it_says(seed: int, pixels: int, angle: float, share: f
     leak = leaked(crop.mask, angle, free)
     assert ((leak & ~crop.mask) <= free).all()
     assert (leak >= crop.mask).all()
+
+
+def test_doubted_objects_are_the_same_with_lower_scores() -> None:
+    before = simulated(seed=2, **QUIET)
+    after = simulated(seed=2, **QUIET, doubted=1, doubted_logit=-6.0)
+    some = simulated(seed=2, **QUIET, doubted=0.5, doubted_logit=-6.0)
+    fell = total = 0
+    for frame in MANY[:40]:
+        scores = [dict(zip(f.ids.tolist(), f.scores.tolist(), strict=True))
+                  for f in (d.detect(frame, None) for d in (before, after, some))]  # fmt: skip
+        assert set(scores[0]) == set(scores[1]) == set(scores[2])
+        for k in scores[0]:
+            assert scores[1][k] < scores[0][k]
+            assert scores[2][k] in (scores[0][k], scores[1][k])
+            fell += scores[2][k] == scores[1][k]
+            total += 1
+    assert within_binomial(fell, total, 0.5)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -39,8 +40,12 @@ class FrameEvidence:
     objects : TrueObjects
     same : (D + N, D + N) bool
         One and the same thing.
+    same_box : (D + N, D + N) bool
+        The same, by identity and 2D box alone, whatever the masks.
     mask_sizes : (D + N,) int64
         Pixels.
+    roles : dict
+        What may fill the places of expressions, kept by `substitution`.
     """
 
     def __init__(
@@ -66,9 +71,16 @@ class FrameEvidence:
         self.same[:d, d:] = self.overlap >= SAME_BOX_IOU
         self.same[d:, :d] = self.same[:d, d:].T
         self.same[d:, d:] = np.eye(n, dtype=np.bool_)
+        self.same_box = self.same.copy()
+        if d and not answers.source.needed_detector().exact:
+            ids = np.array([o.id for o in answers.objects])
+            one = (ids[:, None] == ids[None, :]) & (ids[:, None] >= 0)
+            boxes_alike = iou_2d(answers.boxes, answers.boxes) >= SAME_BOX_IOU
+            self.same_box[:d, :d] &= one | boxes_alike | np.eye(d, dtype=np.bool_)
         sizes = truth.facts["mask_pixels"]
         true_sizes = np.where(np.isfinite(sizes), sizes, 0).astype(np.int64)
         self.mask_sizes = np.concatenate([answers.mask_sizes, true_sizes])
+        self.roles: dict[tuple[str, bytes], Any] = {}
         self._probabilities: dict[str, np.ndarray] = {}
 
     @property

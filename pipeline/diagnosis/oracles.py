@@ -6,7 +6,9 @@ RECALL
     confidence of the run's right detections.
 LIFT
     Every candidate that is an object gets that object's true geometry; the
-    relation scorer then scores it anew. What is no object stays as it is.
+    relation scorer then scores it anew. Two of them that are different objects
+    no longer count as one thing because their masks are alike, only because
+    their 2D boxes are. What is no object stays as it is.
 SRM
     The relation of two candidates that are both objects is .99, .50 or .01, as
     the label says T, U or F. Where one is no object, or the pair was not
@@ -24,8 +26,8 @@ RECALL, LIFT, SRM, CONF = (1 << k for k in range(4))
 SUBSETS = 16
 STATE_PROBABILITY = {1: 0.99, 0: 0.50, -1: 0.01}
 RIGHT_SCORE, WRONG_SCORE = 0.99, 0.01
-SURE = 0.9
-"""A relation at least this probable, or at most 1 minus this, counts as decided: see `verdict`."""
+EVEN = 0.5
+"""A relation more probable than this counts as decided for true, a less probable one for false: see `verdict`."""
 
 
 def names_of(subset: int) -> tuple[str, ...]:

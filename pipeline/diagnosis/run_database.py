@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 from pipeline.errors import InputError
 from pipeline.evaluation.compare import read_records
-from pipeline.evaluation.run_folder import resolved_path
 from pipeline.labels.schema import TABLES
 from pipeline.labels.tables import read_table
 
@@ -147,7 +146,10 @@ def manifest_of(run: Path) -> dict[str, Any]:
 
 
 def labels_of(run: Path) -> Path | None:
-    """Where the labels of a run were; None where its manifest does not say."""
-    found = manifest_of(run).get("spec")
-    path = found.get("labels") if isinstance(found, dict) else None
-    return Path(resolved_path(path, Path(run))) if isinstance(path, str) and path else None
+    """Where the labels of a run are; None where its manifest does not say."""
+    from pipeline.evaluation import run_folder
+
+    try:
+        return Path(run_folder.open_run(run).spec.labels)
+    except InputError:
+        return None

@@ -11,13 +11,13 @@ from pipeline.boxes import iou_2d
 from pipeline.diagnosis.frame_evidence import FrameEvidence
 from pipeline.diagnosis.oracles import (
     CONF,
+    EVEN,
     LIFT,
     RECALL,
     RIGHT_SCORE,
     SRM,
     STATE_PROBABILITY,
     SUBSETS,
-    SURE,
     WRONG_SCORE,
 )
 from pipeline.evaluation.cases import Case
@@ -84,7 +84,18 @@ class Substituted:
         """(16,) int64: the winning pair under each subset as i * R + j; -1 where there is no pair."""
         if not self.covered.size:
             return np.full(SUBSETS, -1, np.int64)
-        flat = self.log_score.reshape(SUBSETS, -1)
+        return self._tops(self.log_score.reshape(SUBSETS, -1))
+
+    @cached_property
+    def best_acceptable(self) -> tuple[int, int] | None:
+        """The acceptable pair among the candidates that stands highest, by the ranking's order, without any oracle."""
+        if not self.covered.size:
+            return None
+        at = int(self._tops(np.where(self.covered, self.log_score[0], -np.inf).reshape(1, -1))[0])
+        return None if at < 0 else divmod(at, self.covered.shape[1])
+
+    def _tops(self, flat: np.ndarray) -> np.ndarray:
+        """(S,) int64: the first place by the ranking's order of each row of scores, that of subset s; -1 for none."""
         top = flat.max(axis=1)
         near = np.round(flat / TIE) >= np.round(top / TIE)[:, None]
         found = np.where(np.isfinite(top), flat.argmax(axis=1), -1)
@@ -97,9 +108,17 @@ class Substituted:
         i, j = np.divmod(tied, self.covered.shape[1])
         lift, srm = int(bool(subset & LIFT)), int(bool(subset & SRM))
         targets, references = self.target.places[i], self.reference.places[j]
-        scores = self._target_scores(subset)[i]
-        keys = (references, targets, -self.mask_sizes[targets], -scores, -self.p_relation[lift, srm, i, j])
-        return int(tied[np.lexsort(keys)[0]])
+        keys = zip(
+            (-self.p_relation[lift, srm, i, j]).tolist(),
+            (-self._target_scores(subset)[i]).tolist(),
+            (-self.mask_sizes[targets]).tolist(),
+            targets.tolist(),
+            references.tolist(),
+            tied.tolist(),
+            strict=True,
+        )
+        # A handful of pairs: plain tuples are compared sooner than arrays are sorted.
+        return min(keys)[-1]
 
     def _target_scores(self, subset: int) -> np.ndarray:
         return given_scores(self.target) if subset & CONF else self.target.scores
@@ -140,11 +159,11 @@ class Substituted:
         return _margins(self.log_score, self.covered)
 
     def decided_margin(self, subset: int, relation_weight: float) -> float:
-        """The margin with every relation the network is sure of counted as the truth's .99 or .01."""
+        """The margin by what the network decides: a relation above .5 counts as the truth's .99, one below as .01."""
         lift, srm = int(bool(subset & LIFT)), int(bool(subset & SRM))
         p = self.p_relation[lift, srm]
-        sure = np.where(p >= SURE, RIGHT_SCORE, np.where(p <= 1 - SURE, WRONG_SCORE, p))
-        shift = relation_weight * (np.log(np.maximum(sure, MIN_RELATION)) - np.log(np.maximum(p, MIN_RELATION)))
+        decided = np.where(p > EVEN, STATE_PROBABILITY[1], np.where(p < EVEN, STATE_PROBABILITY[-1], p))
+        shift = relation_weight * (np.log(decided) - np.log(np.maximum(p, MIN_RELATION)))
         return float(_margins((self.log_score[subset] + shift)[None], self.covered)[0])
 
 
@@ -194,11 +213,19 @@ def role_of(evidence: FrameEvidence, candidates: Candidates, asked: np.ndarray) 
     )
 
 
+def _role(evidence: FrameEvidence, name: str, asked: np.ndarray) -> Role:
+    """The role of a name, made once for all expressions of the frame that ask for it."""
+    key = (name, asked.tobytes())
+    if key not in evidence.roles:
+        evidence.roles[key] = role_of(evidence, evidence.answers.candidates[name], asked)
+    return evidence.roles[key]
+
+
 def substitute(evidence: FrameEvidence, case: Case) -> Substituted:
     """Rank an expression's pairs with every subset of the oracles, on its gold triple."""
     truth, answers = evidence.truth, evidence.answers
-    target = role_of(evidence, answers.candidates[case.target], truth.alike[case.target_object])
-    reference = role_of(evidence, answers.candidates[case.reference], truth.alike[case.reference_object])
+    target = _role(evidence, case.target, truth.alike[case.target_object])
+    reference = _role(evidence, case.reference, truth.alike[case.reference_object])
     pairs = truth.acceptable_pairs(case).astype(np.int32)
     hits, ends = ((role.overlap >= HIT).astype(np.int32) for role in (target, reference))
     p = _relation(evidence, case.relation, target, reference)
@@ -208,12 +235,16 @@ def substitute(evidence: FrameEvidence, case: Case) -> Substituted:
         for role in (target, reference)
     )
     lift, srm, conf = (((_ALL & bit) > 0).astype(int) for bit in (LIFT, SRM, CONF))
-    score = (
-        config.target_weight * own[conf][:, :, None]
+    # In the order in which the ranking adds them, so that S is the same to the last bit.
+    score = config.target_weight * own[conf][:, :, None] + (
+        config.relation_weight * np.log(np.maximum(p[lift, srm], MIN_RELATION))
         + config.reference_weight * other[conf][:, None, :]
-        + config.relation_weight * np.log(np.maximum(p[lift, srm], MIN_RELATION))
     )
-    score[:, evidence.same[np.ix_(target.places, reference.places)]] = -np.inf
+    same, same_box = (table[np.ix_(target.places, reference.places)] for table in (evidence.same, evidence.same_box))
+    a, b = target.shape_of[:, None], reference.shape_of[None, :]
+    # LIFT also gives the true masks, and those of two objects are never alike.
+    same_lifted = np.where((a >= 0) & (b >= 0) & (a != b), same_box, same)
+    score[np.stack([same, same_lifted])[lift]] = -np.inf
     unseen = (_ALL & RECALL) == 0
     score[unseen, target.found :] = -np.inf
     score[unseen, :, reference.found :] = -np.inf

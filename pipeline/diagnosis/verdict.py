@@ -13,10 +13,11 @@ LIFT, SRM, OPM-CONF, PRM, COMPOUND
              earlier stage. None does: COMPOUND, with the smallest subset of the three that does. Not even all three:
              PRM, DEGENERATE: the right pair is excluded as one thing, or lost by a rule for ties.
 
-When several oracles are compared, a relation that the network is sure of
-(at least .9, at most .1) counts as .99 or .01, as the truth does: else the
-truth, which is never less sure, would go farther than any true geometry, and
-a broken box would never be blamed.
+When several oracles are compared, relations count by what the network decides: above .5 as .99, below as .01, as the
+truth has it. Else the truth, which is never less sure than a network, would go farther than any true geometry and any
+true confidence, and a relation that the network had right, only not to .99, would be blamed for a broken box or for
+confidences that overruled it. Where the network decides wrongly, the truth still goes farther, and SRM is named.
+(With planted faults: see `planted`.)
 """
 
 from __future__ import annotations
@@ -153,7 +154,7 @@ def diagnose(
     found = substitute(evidence, case)
     pair, alone = found.pair(), found.alone()
     winner = None if pair is None else _stand(found, *pair)
-    place = _best_acceptable(found)
+    place = found.best_acceptable
     target = pair[0] if pair is not None else alone
     overlap = 0.0 if target is None or not parse_ok else float(found.target.overlap[target, case.target_object])
     flip = _smallest(found, range(1, SUBSETS))
@@ -166,8 +167,8 @@ def diagnose(
         margins=found.margins,
         winner=winner if parse_ok else None,
         right=None if place is None else _stand(found, *place),
-        false_target=pair is not None and found.target.object[pair[0]] < 0,
-        false_reference=pair is not None and found.reference.object[pair[1]] < 0,
+        false_target=target is not None and bool(found.target.object[target] < 0),
+        false_reference=pair is not None and bool(found.reference.object[pair[1]] < 0),
         pseudo=_pseudo(evidence, found, [p for p in (pair, place) if p is not None]),
     )
     if overlap >= HIT:
@@ -218,15 +219,6 @@ def _smallest(found: Substituted, subsets: range | list[int]) -> int | None:
     """The smallest of these subsets with which an acceptable pair wins; of equal ones that with the largest margin."""
     able = [s for s in subsets if found.accepted[s]]
     return min(able, key=lambda s: (size(s), -found.margins[s], s)) if able else None
-
-
-def _best_acceptable(found: Substituted) -> tuple[int, int] | None:
-    """The acceptable pair among the candidates with the highest S."""
-    score = np.where(found.covered, found.log_score[0], -np.inf)
-    if not score.size or not np.isfinite(score.max()):
-        return None
-    i, j = np.unravel_index(int(score.argmax()), score.shape)
-    return int(i), int(j)
 
 
 def _stand(found: Substituted, i: int, j: int) -> Stand:

@@ -53,6 +53,8 @@ def explain(
 def _correct(d: Diagnosis, case: Case) -> str:
     if not d.lucky:
         return "Right." if d.winner is None else f"Right: relation {_p(d.winner.p_relation)}."
+    if d.winner is None:
+        return f"The right {case.target}, but alone: all candidates of the two names count as one thing. Luck."
     return f"The right {case.target}, but its {case.reference} matches none of which the expression is true: luck."
 
 
@@ -96,10 +98,16 @@ def _missed(d: Diagnosis, unknown: Collection[str]) -> str:
 
 def _flipped(d: Diagnosis, case: Case) -> str:
     winner, right = d.winner, d.right
-    if winner is None:
-        return "All candidates of the two names count as one thing: there is no pair to answer with. Verdict: PRM."
-    if right is None:
-        return "Every right pair counts as one thing seen twice, and no answer may be that. Verdict: PRM."
+    if winner is None or right is None:
+        # No right pair was allowed; what else can be said depends on whether true masks tell its two things apart.
+        first = (
+            f"The masks of the right {case.target} and {case.reference} are so alike that they"
+            if "LIFT" in d.repair
+            else f"All candidates of the two names, of which the best {case.target} answered alone,"
+            if winner is None
+            else f"The right {case.target} and {case.reference}"
+        )
+        return f"{first} count as one thing. {_repaired(d) if d.repair else ''}".strip() + f" Verdict: {d.verdict}."
     relation = PHRASE[case.relation]
     if d.verdict == "LIFT":
         boxed = " (of some objects the label's box)" if d.pseudo else ""
@@ -116,7 +124,7 @@ def _flipped(d: Diagnosis, case: Case) -> str:
         return _confidences(d, winner, right, case)
     if d.verdict == "COMPOUND":
         return f"No module alone is to blame. {_repaired(d)}"
-    return "The right pair counts as one thing seen twice, or lost a tie. Verdict: PRM."
+    return "No true geometry, relation or confidence puts the right pair first: it lost a tie. Verdict: PRM."
 
 
 def _confidences(d: Diagnosis, winner: Stand, right: Stand, case: Case) -> str:

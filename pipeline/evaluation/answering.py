@@ -158,11 +158,11 @@ class FrameAnswers:
         config = self.source.config.rank
         p = self._scores.of(relation)[np.ix_(targets.index, references.index)]
         own, other = (np.log(np.clip(c.scores, MIN_SCORE, 1 - MIN_SCORE)) for c in (targets, references))
-        log_score = (
-            config.target_weight * own[:, None]
-            + config.reference_weight * other[None, :]
-            + config.relation_weight * np.log(np.maximum(p, MIN_RELATION))
+        # In the order in which the ranking adds them, so that S is the same to the last bit.
+        relation_and_reference = (
+            config.relation_weight * np.log(np.maximum(p, MIN_RELATION)) + config.reference_weight * other[None, :]
         )
+        log_score = config.target_weight * own[:, None] + relation_and_reference
         log_score[self.same[np.ix_(targets.index, references.index)]] = -np.inf
         return Scored(targets, references, p, log_score)
 

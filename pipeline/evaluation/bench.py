@@ -190,8 +190,10 @@ def _asked_singly(evaluator: Evaluator, records: pa.Table, count: int) -> dict[s
 
 def _same_answer(row: dict[str, Any], trace: Any) -> bool:
     """Whether an answer of `ask` has the boxes of a record, and its relation the probability."""
-    if trace.ranking is None or trace.ranking.degenerate:
+    if trace.ranking is None:
         return row["box"] is None
+    if trace.ranking.degenerate:
+        return row["degenerate"] and row["box"] == trace.objects[trace.ranking.pairs[0].target].bbox.tolist()
     best = trace.ranking.pairs[0]
     boxes = [trace.objects[k].bbox.tolist() for k in (best.target, best.reference)]
     return [row["box"], row["reference_box"]] == boxes and abs(row["p_relation"] - best.p_relation) < P_TOLERANCE

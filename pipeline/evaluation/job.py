@@ -185,6 +185,7 @@ def evaluate_dataset(
                 "vlm": None if spec.vlm is None else {"url": spec.vlm.url, "model": spec.vlm.model},
                 "limit": spec.limit,
                 "spec": json.loads(json.dumps(spec_record(spec, out.resolve()), default=str)),
+                "marks": len(spec.marks),
                 "recalled_confidence": {"median": spec.confidence, "of": seen},
                 "config": plain,
                 "config_hash": canonical_hash(plain),

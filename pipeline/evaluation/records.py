@@ -34,7 +34,7 @@ COLUMNS: dict[str, str] = {
     "target_object": "int32", "reference_object": "int32",
     "answers_strict": "int32", "answers": "int32", "same_class": "int32", "ambiguous": "bool",
     "label_margin": "float32",
-    "parse_ok": "bool", "problem": "string",
+    "parse_ok": "bool", "problem": "string", "degenerate": "bool",
     "opm_box": "box", "opm_score": "float32", "opm_iou": "float32", "opm_strict_iou": "float32",
     "opm_set_iou": "float32",
     "targets_found": "int32", "references_found": "int32",
@@ -54,6 +54,7 @@ COLUMNS |= {f"raw_{name}": COLUMNS[name] for name in RAW}
 COLUMNS |= {f"{end}_{what}": kind for end in ("target", "reference") for what, kind in DETECTIONS.items()}
 """The columns of `records.parquet`. Places of objects are those of the labels, ranks count from 1 and are null where
 nothing fits; `right_…` is the best-scoring acceptable pair among the candidates; overlaps are 0 without an answer.
+`degenerate` is set where all pairs are one thing, so that the detector's best target answers alone, as in `ask`.
 `raw_…`, `target_scores` and so on are null where scores are not calibrated: see `pipeline.evaluation.raw_scores`; the
 columns of the diagnosis for systems that are not the pipeline."""
 
@@ -130,15 +131,21 @@ def record(
     pairs = truth.acceptable_pairs(case)
     _opm(row, case, answers, overlap)
     covered = _coverage(row, case, pairs, answers, overlap >= HIT)
-    winner = place = None
+    winner = place = target = None
     with answers.clock.stage("rank"):
         scored = answers.score(case.target, case.relation, case.reference) if gold else None
         if scored is not None:
             place = answers.best(scored)
     if scored is not None and place is not None:
         winner = scored.pair(*place)
+        target = winner.target
         _right(row, scored, winner, covered, answers)
-    _winner(row, case, truth, answers, winner, pairs, overlap)
+    elif scored is not None:
+        target = alone(scored.targets)
+    row["degenerate"] = winner is None and target is not None
+    _answer(row, case, truth, answers, target, overlap)
+    if winner is not None:
+        _winner(row, case, truth, winner, answers, pairs, overlap)
     return row
 
 
@@ -199,37 +206,54 @@ def _right(row: dict[str, Any], scored: Scored, winner: Pair, covered: np.ndarra
         row["log_margin"] = winner.log_score - float(np.partition(others, -2)[-2])
 
 
-def _winner(
+def _answer(
     row: dict[str, Any],
     case: Case,
     truth: FrameCases,
     answers: FrameAnswers,
-    winner: Pair | None,
-    pairs: np.ndarray,
+    target: int | None,
     overlap: np.ndarray,
 ) -> None:
-    target = None if winner is None else winner.target
+    """The target that answers, a place in the frame's objects, and whether it is right."""
     row["iou"], row["strict_iou"], row["set_iou"] = _with_truth(target, case, overlap)
     row |= {
         "correct": row["iou"] >= HIT, "strict_correct": row["strict_iou"] >= HIT, "set_correct": row["set_iou"] >= HIT,
         "reference_correct": False, "pair_correct": False,
     }  # fmt: skip
-    if winner is None:
+    if target is None:
         return
+    scores = answers.candidates[case.target]
+    (same,) = matched(overlap[[target]], truth.alike[[case.target_object]])
+    quality = answers.objects[target].lifted.quality
+    row |= {
+        "box": answers.boxes[target].tolist(), "p_target": float(scores.scores[scores.index == target].max()),
+        "matched_target": None if same < 0 else int(same),
+        "target_points": quality.points, "target_depth_missing": quality.depth_missing,
+        "target_distance": None if np.isnan(quality.distance) else quality.distance,
+    }  # fmt: skip
+
+
+def _winner(
+    row: dict[str, Any],
+    case: Case,
+    truth: FrameCases,
+    winner: Pair,
+    answers: FrameAnswers,
+    pairs: np.ndarray,
+    overlap: np.ndarray,
+) -> None:
+    """The pair that answers."""
     both = overlap[[winner.target, winner.reference]]
     hits = both >= HIT
     a, b = matched(both, truth.alike[[case.target_object, case.reference_object]])
-    lifted = answers.objects[winner.target].lifted
     row |= {
-        "box": answers.boxes[winner.target].tolist(), "reference_box": answers.boxes[winner.reference].tolist(),
+        "reference_box": answers.boxes[winner.reference].tolist(),
         "p_target": winner.p_target, "p_reference": winner.p_reference, "p_relation": winner.p_relation,
         "log_score": winner.log_score,
         "reference_correct": bool(hits[1][pairs.any(axis=0)].any()),
         "pair_correct": bool((hits[0][:, None] & hits[1][None, :] & pairs).any()),
-        "matched_target": None if a < 0 else int(a), "matched_reference": None if b < 0 else int(b),
+        "matched_reference": None if b < 0 else int(b),
         "label_state": None if a < 0 or b < 0 else int(truth.states[case.relation][a, b]),
-        "target_points": lifted.quality.points, "target_depth_missing": lifted.quality.depth_missing,
-        "target_distance": None if np.isnan(lifted.quality.distance) else lifted.quality.distance,
     }  # fmt: skip
 
 

@@ -83,6 +83,10 @@ class SimulationOptions(BaseModel):
         Standard deviation of the logit within each.
     class_spread : float
         Standard deviation of the means from class to class.
+    doubted : float
+        Share of objects that are found but hardly believed, as things seen from an odd side are.
+    doubted_logit : float
+        Mean logit of their scores, instead of `true_logit`.
     """
 
     model_config = ConfigDict(extra="forbid", frozen=True)
@@ -100,6 +104,8 @@ class SimulationOptions(BaseModel):
     background_logit: FiniteFloat = -1.9
     score_spread: float = Field(default=0.9, ge=0, le=10)
     class_spread: float = Field(default=0.4, ge=0, le=10)
+    doubted: Share = 0.0
+    doubted_logit: FiniteFloat = -3.5
 
     @model_validator(mode="after")
     def _in_order(self) -> SimulationOptions:
@@ -225,7 +231,9 @@ class SimulatedDetector:
             if a.label not in query:
                 others.append(a.index)
             elif self._uniform(frame.id, a.index, "found") < o.recall:
-                score = self._score("true", a.label, o.true_logit, frame.id, a.index, "score")
+                doubted = self._uniform(frame.id, a.index, "doubted") < o.doubted
+                mean = o.doubted_logit if doubted else o.true_logit
+                score = self._score("true", a.label, mean, frame.id, a.index, "score")
                 yield _Found(a.index, a.label, score, True)
         if self._uniform(*asked, "cross-class") < o.cross_class:
             count = 1 + int(self._uniform(*asked, "confused") * o.most_confused)

@@ -1,0 +1,83 @@
+"""Other sentences for expressions of merged labels: as a person said them, whether the parser can read them or not."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from pipeline.errors import InputError
+from pipeline.labels.card import croissant, dataset_card
+from pipeline.labels.merge import CARD_FILE, CROISSANT_FILE, write_merged
+from pipeline.labels.reading import MANIFEST_FILE, Labels, open_labels
+from pipeline.labels.whole_files import temporary_beside, write_synced
+
+
+def read_sentences(path: Path) -> dict[tuple[str, str], str]:
+    """Sentences by (frame, id of the expression), from JSON: a list of {"frame", "id", "text"}.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or an entry lacks one of these.
+    """
+    try:
+        entries: Any = json.loads(Path(path).read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError("the sentences cannot be read", got=str(error), path=path) from error
+    keys = ("frame", "id", "text")
+    if not isinstance(entries, list) or not all(
+        isinstance(e, dict) and all(isinstance(e.get(k), str) for k in keys) for e in entries
+    ):
+        raise InputError('sentences must be a list of {"frame", "id", "text"}, all texts', path=path)
+    return {(e["frame"], e["id"]): e["text"] for e in entries}
+
+
+def reword(folder: Path, sentences: Mapping[tuple[str, str], str]) -> int:
+    """Put other sentences in place of those of merged labels; the triples and the truth stay. How many there were.
+
+    Raises
+    ------
+    InputError
+        No labels, or an expression that they do not have.
+    """
+    import pyarrow as pa
+
+    labels = open_labels(folder)
+    table = labels.expressions
+    keys = list(zip(*(table.column(n).to_pylist() for n in ("frame", "id")), strict=True))
+    unknown = set(sentences) - set(keys)
+    if unknown:
+        raise InputError("the labels have no such expression", got=" ".join(min(unknown)), path=folder)
+    texts = [sentences.get(key, text) for key, text in zip(keys, table.column("text").to_pylist(), strict=True)]
+    place = table.schema.get_field_index("text")
+    table = table.set_column(place, table.schema.field(place), pa.array(texts, pa.string()))
+    staging = temporary_beside(folder / "reworded")
+    staging.mkdir()
+    try:
+        written = write_merged(staging, "expressions", iter([table]))
+        tables = {**labels.manifest.tables, "expressions": written}
+        manifest = labels.manifest.model_copy(update={"tables": tables})
+        # Without a manifest there are no labels: a crash in between leaves nothing half new.
+        (folder / MANIFEST_FILE).unlink()
+        (staging / "expressions.parquet").replace(folder / "expressions.parquet")
+        after = Labels(folder, manifest)
+        write_synced(folder / CARD_FILE, dataset_card(after).encode())
+        write_synced(folder / CROISSANT_FILE, json.dumps(croissant(after), indent=1, ensure_ascii=False).encode())
+        write_synced(folder / MANIFEST_FILE, manifest.model_dump_json(indent=1).encode())
+    finally:
+        shutil.rmtree(staging, ignore_errors=True)
+    return len(sentences)
+
+
+if __name__ == "__main__":
+    import sys
+
+    if len(sys.argv) != 3:
+        sys.exit("usage: python -m pipeline.labels.rewording LABELS SENTENCES.json")
+    try:
+        print(f"{reword(Path(sys.argv[1]), read_sentences(Path(sys.argv[2])))} sentences")
+    except InputError as error:
+        sys.exit(str(error))

@@ -1,0 +1,70 @@
+"""Planted faults: each module is broken in turn, and the verdict names it."""
+
+from __future__ import annotations
+
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from pipeline.demo import demo_labels
+from pipeline.diagnosis.planted import KINDS, Outcome, Planted, clean_source, confusion, judge, planted_failures
+from pipeline.evaluation.cases import read_cases
+from pipeline.evaluation.run import class_names_of
+from pipeline.jobs import Source, open_source
+from pipeline.labels.reading import open_labels
+from pipeline.objects import FrameContext
+
+NAMED = 0.95
+BY_DEFINITION = ("OPM-TARGET", "OPM-REF", "PARSE", "LABEL", "OPM-CONF")
+BY_FLIP = ("LIFT", "SRM", "PRM")
+
+
+@pytest.fixture(scope="module", params=["rule", "trained"])
+def source(request: pytest.FixtureRequest) -> Source:
+    return open_source("demo", srm=request.param)
+
+
+def outcomes(source: Source, modules: tuple[str, ...], every: int) -> list[Outcome]:
+    kinds = {m: KINDS[m] for m in modules}
+    return list(planted_failures(source, open_labels(demo_labels()), kinds=kinds, every=every))
+
+
+@pytest.mark.parametrize(("modules", "every"), [(BY_DEFINITION, 100), (BY_FLIP, 14)])
+def test_the_verdict_names_the_planted_module(source: Source, modules: tuple[str, ...], every: int) -> None:
+    by_module: dict[str, Counter[str]] = {}
+    for (module, _), verdicts in confusion(outcomes(source, modules, every)).items():
+        by_module.setdefault(module, Counter()).update(verdicts)
+    assert set(by_module) == set(modules)
+    for module, verdicts in by_module.items():
+        assert verdicts[module] >= NAMED * verdicts.total(), (module, verdicts)
+
+
+def test_the_clean_pipeline_is_right(source: Source) -> None:
+    labels = open_labels(demo_labels())
+    clean, names = clean_source(source), class_names_of(labels)
+    seen: Counter[str] = Counter()
+    for truth in read_cases(labels, 0, 3):
+        context = FrameContext(clean.dataset.load(truth.frame), clean.config.lift)
+        seen.update(judge(Planted(clean, context, truth, case), names)[1].verdict for case in truth.cases[::15])
+    assert set(seen) <= {"CORRECT", "LABEL", "PARSE"} or source.scorer.name != "rule"
+    assert seen["CORRECT"] > 0.8 * seen.total()
+
+
+def test_details_of_planted_misses(source: Source) -> None:
+    wanted = {"absent": "ABSENT", "threshold": "THRESHOLD", "rank": "RANK", "localisation": "LOCALISATION"}
+    found = outcomes(source, ("OPM-TARGET",), 60)
+    right = np.array([wanted[o.kind] == o.diagnosis.detail for o in found])
+    assert {o.kind for o in found} == set(wanted)
+    assert right.mean() >= NAMED
+
+
+def test_what_is_planted_follows_from_the_seed(source: Source) -> None:
+    labels = open_labels(demo_labels())
+
+    def failures(seed: int) -> list[tuple[str, str, str, str]]:
+        kinds = {"SRM": ("opposite",), "LIFT": ("shift",)}
+        found = planted_failures(source, labels, kinds=kinds, every=10, stop=4, seed=seed)
+        return [(o.kind, o.frame, o.id, o.diagnosis.verdict) for o in found]
+
+    assert failures(1) == failures(1) != failures(2)
