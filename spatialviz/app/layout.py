@@ -45,7 +45,11 @@ class Page:
     object: viser.GuiHtmlHandle
     image: viser.GuiHtmlHandle
     search: viser.GuiHtmlHandle
+    offers: viser.GuiHtmlHandle
     listing: viser.GuiHtmlHandle
+    run_summary: viser.GuiHtmlHandle
+    run_slices: viser.GuiHtmlHandle
+    run_confusion: viser.GuiHtmlHandle
     frames: viser.GuiHtmlHandle
     log: viser.GuiHtmlHandle
 
@@ -79,12 +83,15 @@ def build(
     with lower.add_tab("Image", viser.Icon.PHOTO):
         image, object_ = gui.add_html(""), gui.add_html("")
     with lower.add_tab("Failures", viser.Icon.BUG):
-        search, listing = gui.add_html(""), gui.add_html("")
+        search, offers, listing = (gui.add_html("") for _ in range(3))
+    with lower.add_tab("Run", viser.Icon.CHART_BAR):
+        run_summary, run_slices, run_confusion = (gui.add_html("") for _ in range(3))
     with lower.add_tab("Frames", viser.Icon.LAYOUT_GRID):
         frames = gui.add_html("")
     with lower.add_tab("Log", viser.Icon.LIST):
         log = gui.add_html("")
     return Page(
         dataset_box, frame_box, expression, ask, form, steps, parse, modules, controls, objects,
-        answer, pairs, relations, why, object_, image, search, listing, frames, log,
+        answer, pairs, relations, why, object_, image, search, offers, listing,
+        run_summary, run_slices, run_confusion, frames, log,
     )  # fmt: skip
