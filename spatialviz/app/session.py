@@ -11,11 +11,9 @@ from typing import Any
 import viser
 
 from pipeline.ask import Trace
-from pipeline.boxes import Box3D
-from pipeline.context import fuse_context
 from pipeline.datasets import has_moves, moves
 from pipeline.demo import DEMO_EXPRESSION
-from pipeline.errors import FrameUnusable, InputError, MissingExtra
+from pipeline.errors import InputError
 from pipeline.evaluation.run_folder import Run
 from pipeline.jobs import Source
 from pipeline.records import why_no_answer
@@ -35,12 +33,11 @@ from spatialviz.app.place import Place
 from spatialviz.app.run_browser import Listing
 from spatialviz.app.run_panel import RunPanel
 from spatialviz.app.scene import SceneView
-from spatialviz.app.state import NOTHING, CameraMode, ColorMode, State, shown_objects
-from spatialviz.app.text import safe
-from spatialviz.app.theme import apply_theme
+from spatialviz.app.selection import Selection
+from spatialviz.app.state import NOTHING, State, shown_objects
+from spatialviz.app.view_settings import ViewSettings
 
 LOG_LENGTH = 200
-MODES: tuple[ColorMode, ...] = ("rgb", "objects", "depth", "evidence")
 BROWSED = 6
 PATIENCE_SECONDS = 2.0
 """How long the first frame waits for the page to say which one it is."""
@@ -79,13 +76,18 @@ class Session:
         self.page = build(client, self.bridge, tuple(store.sources), source, ids)
         self.scene = SceneView(
             client,
-            on_ray=lambda pixel, boxes: self.bridge.post(lambda: self._select_on_ray(pixel, boxes)),
+            on_ray=lambda pixel, boxes: self.bridge.post(lambda: self._selection.select_on_ray(pixel, boxes)),
+        )
+        self._selection = Selection(self._now, self._take, self._draw, self.scene.viewpoint.focus)
+        self._view = ViewSettings(
+            client, self.page, self.scene, self._source, self._now, self._take, self._draw, self._note
         )
         self.fallback = Fallback(client, self.post)
         self._runs = RunPanel(
-            runs or {}, store, self.page, lambda: self.state, self._set_listing, self._go, self.bridge.post
+            runs or {}, store, self.page, self._now, self._set_listing, self._go, self.bridge.post
         )
-        self._more: dict[str, Callable[[str], None]] = {**self._runs.commands()}
+        parts = (self._selection, self._view, self._runs)
+        self._more = {name: run for part in parts for name, run in part.commands().items()}
         forward_inputs(self.page, self.post, self.bridge.alive)
         add_keys(client, self.post, moving)
         self.bridge.start()
@@ -109,24 +111,15 @@ class Session:
         handlers: dict[str, Callable[[], None]] = {
             "pair": lambda: self._choose_pair(number),
             "next-pair": lambda: self._step_pair(number),
-            "object": lambda: self._select(number),
             "relation": lambda: self._ask_relation(number),
-            "chip": lambda: self._select_role(argument),
             "try": lambda: self._ask(self._suggestions[number]) if 0 <= number < len(self._suggestions) else None,
             "ask": lambda: self._ask(argument),
             "again": lambda: self._ask(str(self.page.expression.value)),
-            "color": lambda: self._set_colors(argument),
-            "next-color": lambda: self._set_colors(MODES[(MODES.index(self.state.colors) + 1) % len(MODES)]),
-            "camera": lambda: self._set_camera(argument),
-            "focus": self._focus,
-            "flag": lambda: self._toggle(argument),
             "open": lambda: self._open_frame(argument),
             "data": lambda: self._go(Place(argument)),
             "frame": lambda: self._open_number(number),
             "next-frame": lambda: self._step_frame(number),
             "move": lambda: self._move(argument),
-            "image": lambda: self._select_at(argument),
-            "theme": lambda: self._set_theme(not self.state.dark),
             "clear": self._clear,
             "begin": self._begin,
             "hello": lambda: self._begin(argument),
@@ -137,6 +130,12 @@ class Session:
             handlers[kind]()
         elif kind in self._more:
             self._more[kind](argument)
+
+    def _now(self) -> State:
+        return self.state
+
+    def _take(self, state: State) -> None:
+        self.state = state
 
     def _source(self) -> Source:
         return self._store.sources[self.state.source]
@@ -201,7 +200,7 @@ class Session:
         self.state = replace(cleared, loaded=loaded, shown=shown_objects(loaded, None, self._exact()))
         self._painted = self.state.paint_key
         self.scene.set_frame(loaded, frame_colors(self.state.colors, loaded, {}, self.state.dark))
-        self._show_context()
+        self._view.show_context()
         if first or self.scene.viewpoint.untouched:
             self.scene.viewpoint.place(self.state.camera)
         self._suggestions = suggest_expressions(loaded.objects, scores)
@@ -337,91 +336,6 @@ class Session:
         shown = shown_objects(loaded, None, self._exact())
         self.state = replace(self.state.unasked, text="", shown=shown)
         self.page.expression.value = ""
-        self._draw()
-
-    # ---- selection ------------------------------------------------------------------
-
-    def _select(self, i: int) -> None:
-        if 0 <= i < len(self.state.shown.objects):
-            self.state = replace(self.state, selected=None if i == self.state.selected else i)
-            self._draw()
-
-    def _select_on_ray(self, pixel: tuple[int, int] | None, boxes: list[int]) -> None:
-        """A click in the scene: the object whose pixel was hit, else the smallest box on the way."""
-        if self.state.loaded is None:
-            return
-        found = None
-        if pixel is not None:
-            frame = self.state.loaded.context.frame
-            found = bottom.object_at(self.state, (pixel[0] + 0.5) / frame.width, (pixel[1] + 0.5) / frame.height)
-        if found is None and boxes:
-            found = boxes[0]
-        if found is not None and found != self.state.selected:
-            self._select(found)
-
-    def _select_role(self, role: str) -> None:
-        """A click on a word of the expression: the object that fills it."""
-        if self.state.pair is not None:
-            i = self.state.pair[0 if role == "target" else 1]
-            if i != self.state.selected:
-                self._select(i)
-
-    def _select_at(self, fractions: str) -> None:
-        """A click in the picture: "0.25,0.5" is a quarter from the left, half way down."""
-        try:
-            x, y = (float(part) for part in fractions.split(","))
-        except ValueError:
-            return
-        found = bottom.object_at(self.state, x, y)
-        if found is not None and found != self.state.selected:
-            self._select(found)
-
-    def _focus(self) -> None:
-        box: Box3D | None = None
-        if self.state.selected is not None:
-            box = self.state.shown.objects[self.state.selected].lifted.box
-        if box is not None:
-            self.scene.viewpoint.focus(box)
-
-    # ---- view -----------------------------------------------------------------------
-
-    def _set_colors(self, mode: str) -> None:
-        if mode in MODES:
-            self.state = replace(self.state, colors=mode)
-            self._draw()
-
-    def _set_camera(self, mode: str) -> None:
-        modes: dict[str, CameraMode] = {"sensor": "sensor", "orbit": "orbit", "top": "top"}
-        if mode in modes and self.state.loaded is not None:
-            self.state = replace(self.state, camera=modes[mode])
-            self.page.controls.content = left.controls_html(self.state)
-            self.scene.viewpoint.fly(mode)
-
-    def _toggle(self, flag: str) -> None:
-        if flag in left.FLAGS:
-            flags = replace(self.state.flags, **{flag: not getattr(self.state.flags, flag)})
-            self.state = replace(self.state, flags=flags)
-            if flag == "context":
-                self._show_context()
-            self._draw()
-
-    def _show_context(self) -> None:
-        """Fuse the frames around this one, where that is wanted and possible."""
-        mesh = None
-        if self.state.flags.context and self.state.loaded is not None:
-            try:
-                mesh = fuse_context(self._source().dataset, self.state.loaded.context.frame)
-            except (FrameUnusable, MissingExtra) as error:
-                self.state = replace(self.state, flags=replace(self.state.flags, context=False))
-                self._note(str(error))
-                self._client.add_notification("No room to show", safe(error), auto_close_seconds=12)
-        self.scene.show_context(mesh, self.state.dark)
-
-    def _set_theme(self, dark: bool) -> None:
-        self.state = replace(self.state, dark=dark)
-        apply_theme(self._client.gui, dark)
-        self._painted = ()
-        self._show_context()
         self._draw()
 
     # ---- drawing --------------------------------------------------------------------
