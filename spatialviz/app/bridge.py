@@ -18,7 +18,7 @@ from dataclasses import asdict, dataclass
 
 import viser
 
-from spatialviz.app.run_style import RUN_CSS, SEARCH_SCRIPT
+from spatialviz.app.run_style import FIELD_SCRIPT, RUN_CSS
 from spatialviz.app.style import CSS, SCRIPT
 
 HELLO = "hello"
@@ -63,7 +63,7 @@ class Bridge:
         gui = self._client.gui
         bus = gui.add_text("bus", "", visible=False)
         uuid = bus._impl.uuid
-        script = html.escape((SCRIPT.replace("BUS_UUID", uuid) + ";" + SEARCH_SCRIPT).replace("\n", " "), quote=True)
+        script = html.escape((SCRIPT.replace("BUS_UUID", uuid) + ";" + FIELD_SCRIPT).replace("\n", " "), quote=True)
         gui.add_html(f'{CSS}{RUN_CSS}<img src="" style="display:none" onerror="{script}">', order=-1000)
         self._tags = gui.add_html("", order=1000)
         self._memory = gui.add_html("", order=1001)

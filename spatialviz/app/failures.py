@@ -54,8 +54,9 @@ def searches(query: str) -> str:
 def search_html(query: str) -> str:
     """The search field. It is drawn once, so that nothing is lost while one types."""
     return panel(
-        f'<input class="find" value="{safe(query)}" title="{safe(SYNTAX_HINT)}" spellcheck="false" autocomplete="off" '
-        'placeholder="search: verdict:SRM relation:behind" '
+        f'<input class="find runs" value="{safe(query)}" title="{safe(SYNTAX_HINT)}" spellcheck="false" '
+        'autocomplete="off" '
+        'placeholder="search" '
         'oninput="svTyped(this)" onkeydown="svKey(event,this)">',
         style="padding:.5em .8em 0",
     )

@@ -30,6 +30,10 @@ KEYS: tuple[tuple[str, str, str], ...] = (
     ("Z", "Show or hide the labelled pair", "flag:ghosts"),
     ("Y", "Show or hide the viewer's axes at the reference", "flag:axes"),
     ("U", "Show or hide the room around the frame", "flag:context"),
+    ("Shift+C", "Copy the view as a string", "copy-state"),
+    ("Shift+V", "Open a view from its string", "paste-state"),
+    ("Shift+K", "Save the answer as a case", "keep-case"),
+    ("Shift+R", "Report of the answer", "report"),
     ("M", "Dark or light", "theme"),
     ("X", "Clear the question", "clear"),
     ("H", "List the keys (or ?)", "help"),
@@ -53,18 +57,24 @@ def keys_of(moving: bool) -> tuple[tuple[str, str, str], ...]:
 
 def help_html(moving: bool) -> str:
     """The keys as a list."""
-    rows = "".join(f"<span><kbd>{safe(k)}</kbd></span><span>{safe(label)}</span>" for k, label, _ in keys_of(moving))
+    rows = "".join(f"<span>{_caps(k)}</span><span>{safe(label)}</span>" for k, label, _ in keys_of(moving))
     return (
         f'<div class="sv"><div class="keys"><span><kbd>/</kbd></span><span>Type a question</span>{rows}'
         "<span><kbd>Ctrl</kbd> <kbd>K</kbd></span><span>Find any command</span></div></div>"
     )
 
 
+def _caps(key: str) -> str:
+    return " ".join(f"<kbd>{safe(part)}</kbd>" for part in key.split("+"))
+
+
 def add_keys(client: viser.ClientHandle, post: Callable[[str], None], moving: bool) -> None:
     """Register every key as a command of this client."""
     for key, label, message in keys_of(moving):
-        hotkey: Any = key.lower() if key.isdigit() else key
-        command = client.gui.add_command(label, hotkey=hotkey)
+        modifier, _, letter = key.rpartition("+")
+        hotkey: Any = letter.lower() if letter.isdigit() else letter
+        held: Any = modifier.lower() or None
+        command = client.gui.add_command(label, hotkey=hotkey, modifier=held)
 
         def trigger(event: Any, message: str = message) -> None:
             post(message)

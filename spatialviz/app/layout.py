@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import viser
 
 from spatialviz.app.bridge import Bridge
+from spatialviz.app.left import keep_html
 
 LEFT_WIDTH, RIGHT_WIDTH = 304, 372
 
@@ -69,6 +70,7 @@ def build(
         expression = gui.add_text("Ask", "")
         ask = gui.add_button("Ask", icon=viser.Icon.PLAYER_PLAY)
     parse, modules, controls, objects = (gui.add_html("") for _ in range(4))
+    gui.add_html(keep_html())
     gui.main_panel.dock_left()
     gui.main_panel.set_width(LEFT_WIDTH)
 

@@ -212,6 +212,21 @@ def controls_html(state: State) -> str:
     )
 
 
+def keep_html() -> str:
+    """Buttons for what one may want to keep."""
+    ways = (
+        ("copy-state", "Copy view", "the view as a string, into the clipboard (Shift+C)"),
+        ("paste-state", "Paste view", "open a view from its string (Shift+V)"),
+        ("keep-case", "Save case", "a folder that `spatialviz replay` runs again (Shift+K)"),
+        ("report", "Report", "one page of this answer, as a download (Shift+R)"),
+    )
+    cells = "".join(
+        f'<span class="try" role="button" onclick="sv(\'{message}\')" title="{safe(hint)}">{label}</span>'
+        for message, label, hint in ways
+    )
+    return panel(f'<div class="keep">{cells}</div>')
+
+
 def objects_html(state: State, thumbs: dict[int, str], moving: bool = False) -> str:
     """The list of objects with their pictures, sizes and scores; `thumbs` is filled on the way.
 

@@ -114,7 +114,8 @@ def _costs(summary: RunSummary) -> str:
     total = float(sum(e.value for e in summary.loss.values()))
     head = '<tr><th></th><th></th><th class="n">Shapley</th><th class="n">alone</th></tr>'
     first = (
-        f'<tr title="set-valued accuracy, every acceptable target counts: {safe(summary.accuracy.formatted())}"><td colspan="2"><b>as answered</b> '
+        f'<tr title="set-valued accuracy, every acceptable target counts: {safe(summary.accuracy.formatted())}">'
+        '<td colspan="2"><b>as answered</b> '
         f'<span class="dim">accuracy {between(summary.accuracy)}</span></td>'
         f'<td class="n"><b>{percent(summary.accuracy)}</b></td><td></td></tr>'
     )

@@ -89,6 +89,20 @@ class RunPanel:
         row = next((r for r in listing.rows if (r["frame"], r["id"]) == listing.at), None)
         return listing.at[1] if row is not None and row["text"] == text else None
 
+    def reveal(self, frame: str, expression: str) -> None:
+        """Mark an expression as the one that is open, among all of the run where the search did not find it."""
+        listing, browser = self._state().listing, self._browser
+        if listing is None or browser is None:
+            return
+        if (frame, expression) not in listing.keys:
+            everything = browser.searched(listing, "")
+            if (frame, expression) not in everything.keys:
+                browser.searched(listing, listing.query)
+                return
+            listing = everything
+            self._page.offers.content = offers_html((), listing.query)
+        self._set(browser.opened(listing, listing.keys.index((frame, expression))))
+
     def search(self, query: str) -> None:
         """List what matches a search."""
         listing, browser = self._state().listing, self._browser

@@ -1,4 +1,4 @@
-"""CSS of the Run tab and of the search, and what the search field does while one types."""
+"""CSS of the Run tab, the search and the dialogs, and what their fields do in the browser."""
 
 RUN_CSS = """<style>
 :has(>[data-dock-tab]:nth-child(5))>[data-dock-tab]{padding:0 9px!important;font-size:13px}
@@ -44,12 +44,22 @@ RUN_CSS = """<style>
 .sv .cmp{display:flex;flex-wrap:wrap;gap:3px;padding-top:4px}
 .sv .cmp span{max-width:100%;overflow:hidden;text-overflow:ellipsis;white-space:nowrap;border:1px solid var(--mantine-color-default-border);border-radius:4px;padding:0 6px;font-size:11.5px;cursor:pointer}
 .sv .cmp span:hover,.sv .cmp .on{background:color-mix(in srgb,var(--mantine-primary-color-filled) 30%,transparent);border-color:var(--mantine-primary-color-filled)}
+.sv textarea.state{width:100%;resize:vertical;font:12px/1.35 ui-monospace,monospace;color:inherit;background:var(--mantine-color-default-hover);border:1px solid var(--mantine-color-default-border);border-radius:5px;padding:6px 8px;outline:none;overflow-wrap:anywhere;margin-top:4px}
+.sv textarea.state:focus{border-color:var(--mantine-primary-color-filled)}
+.sv .copied{font-weight:600;color:var(--mantine-color-text);min-height:1.4em}
+.sv .buttons{display:flex;justify-content:flex-end;gap:6px;padding-top:8px}
+.sv .try.go{color:#fff;background:var(--mantine-primary-color-filled);border-color:var(--mantine-primary-color-filled)}
+.sv .try.go:hover{filter:brightness(1.12)}
+.sv .field{display:flex;align-items:center;gap:4px;padding-bottom:4px}
+.sv pre.file{white-space:pre-wrap;overflow-wrap:anywhere;margin:6px 0;padding:6px 8px;border-radius:5px;background:var(--mantine-color-default-hover)}
+.sv .keep{display:flex;gap:4px;padding-top:2px}
+.sv .keep .try{flex:1 1 auto;text-align:center;padding:1px 4px;font-size:11.5px}
 </style>"""
 
-SEARCH_SCRIPT = r"""
+FIELD_SCRIPT = r"""
 (() => {
 if (window.svFind) return;
-const field = () => document.querySelector('input.find');
+const field = () => document.querySelector('input.find.runs');
 const offers = () => [...document.querySelectorAll('.cmp span')];
 let timer = 0;
 const begun = v => { const all = [...v.matchAll(/(?:[^\s"]|"(?:[^"\\]|\\.)*(?:"|$))+/g)], m = all.pop(); return m && m.index + m[0].length === v.length ? m.index : v.length; };
@@ -69,5 +79,16 @@ window.svKey = (e, f) => {
     all[(Math.max(at, 0) + (e.key === 'ArrowDown' ? 1 : all.length - 1)) % all.length].classList.add('on');
   }
 };
+const near = e => e.closest('[role=dialog]') || document;
+const text = e => near(e).querySelector('textarea, input');
+window.svSend = (e, kind) => { const t = text(e); if (t && t.value.trim()) window.sv(kind + t.value); };
+window.svFocus = e => setTimeout(() => { const t = text(e); if (t) { t.focus(); t.select(); } }, 120);
+window.svCopy = e => {
+  const t = text(e), box = near(e).querySelector('.copied');
+  const byHand = () => { t.focus(); t.select(); box.textContent = document.execCommand('copy') ? 'Copied to the clipboard.' : 'The browser does not allow it: copy it by hand (Ctrl+C).'; };
+  if (navigator.clipboard && window.isSecureContext) navigator.clipboard.writeText(t.value).then(() => { t.select(); box.textContent = 'Copied to the clipboard.'; }, byHand);
+  else byHand();
+};
+window.addEventListener('keydown', e => { if (e.key === 'Escape' && document.querySelector('[role=dialog]')) window.sv('close-dialog'); });
 })();
 """

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
 from typing import Any
@@ -16,16 +16,20 @@ from pipeline.demo import DEMO_EXPRESSION
 from pipeline.errors import InputError
 from pipeline.evaluation.run_folder import Run
 from pipeline.jobs import Source
+from pipeline.labels.reading import Labels
 from pipeline.records import why_no_answer
 from pipeline.relations import PHRASE
 from pipeline.suggestions import suggest_expressions
+from pipeline.whatif.state import ViewState
 from spatialviz.app import bottom, left, right
 from spatialviz.app.bridge import HELLO_SECONDS, Bridge
+from spatialviz.app.dialog import Dialog
 from spatialviz.app.fallback import Fallback
 from spatialviz.app.filling import fill_page
 from spatialviz.app.frames import FrameStore, LoadedFrame
 from spatialviz.app.inputs import forward_inputs
 from spatialviz.app.judging import Judge
+from spatialviz.app.keeping import Keeping
 from spatialviz.app.keys import HelpDialog, add_keys
 from spatialviz.app.layout import build, listed
 from spatialviz.app.paint import frame_colors
@@ -36,6 +40,8 @@ from spatialviz.app.scene import SceneView
 from spatialviz.app.selection import Selection
 from spatialviz.app.state import NOTHING, State, shown_objects
 from spatialviz.app.view_settings import ViewSettings
+from spatialviz.app.view_string import BEGINS
+from spatialviz.app.view_strings import ViewStrings
 
 LOG_LENGTH = 200
 BROWSED = 6
@@ -58,6 +64,9 @@ class Session:
         dark: bool,
         runs: Mapping[str, Run] | None = None,
         others: Mapping[str, Run] | None = None,
+        labels: Mapping[str, Labels] | None = None,
+        opened_by: Sequence[str] = (),
+        first_view: ViewState | None = None,
     ) -> None:
         self._client = client
         self._store = store
@@ -67,7 +76,8 @@ class Session:
         self._painted: tuple[Any, ...] = ()
         self._closed = threading.Event()
         self._begun = False
-        self._judge = Judge(runs or {}, others or {})
+        self._judge = Judge(runs or {}, others or {}, labels)
+        self._first_view = first_view
         self.bridge = Bridge(client, self.handle)
         moving = any(has_moves(opened.dataset) for opened in store.sources.values())
         self._help = HelpDialog(client, self.post, moving)
@@ -86,7 +96,17 @@ class Session:
         self._runs = RunPanel(
             runs or {}, store, self.page, self._now, self._set_listing, self._go, self.bridge.post
         )
-        parts = (self._selection, self._view, self._runs)
+        dialog = Dialog(client)
+        self._strings = ViewStrings(
+            client, dialog, store.sources, runs or {}, self._runs, self.scene.viewpoint, state=self._now,
+            take=self._take, go=self._go, ask=self._ask, show_context=self._view.show_context, draw=self._draw,
+            note=self._note,
+        )  # fmt: skip
+        keeping = Keeping(
+            client, dialog, store.sources, runs or {}, self._judge, opened_by, state=self._now,
+            view=self._strings.now, note=self._note,
+        )  # fmt: skip
+        parts = (self._selection, self._view, self._runs, self._strings, keeping, dialog)
         self._more = {name: run for part in parts for name, run in part.commands().items()}
         forward_inputs(self.page, self.post, self.bridge.alive)
         add_keys(client, self.post, moving)
@@ -151,7 +171,10 @@ class Session:
         if kept:
             self._go(Place.read(kept, self._store.sources))
         elif not self._begun:
-            self._open_frame(self.state.frame_id, first=True)
+            if self._first_view is not None:
+                self._strings.open(self._first_view)
+            if not self._begun:
+                self._open_frame(self.state.frame_id, first=True)
         self.bridge.remember(self.state.at_place.said())
 
     def _go(self, place: Place) -> None:
@@ -268,6 +291,10 @@ class Session:
     # ---- questions ------------------------------------------------------------------
 
     def _ask(self, text: str, draw: bool = True) -> None:
+        if BEGINS.match(text):
+            self.page.expression.value = self.state.text
+            self._strings.restore(text)
+            return
         loaded = self.state.loaded
         if loaded is None:
             return
