@@ -7,7 +7,7 @@ from typing import Any
 
 import viser
 
-from spatialviz.app.text import BAD, note, panel
+from spatialviz.app.text import BAD, note, panel, safe
 
 
 class Dialog:
@@ -28,11 +28,15 @@ class Dialog:
         return {"close-dialog": lambda _: self.close()}
 
     def show(self, title: str, content: str, *buttons: tuple[str, str]) -> None:
-        """Show HTML, with buttons as (label, JavaScript as it stands in an attribute), and one to close."""
+        """Show HTML, with buttons as (label, JavaScript as it stands in an attribute), and one to close.
+
+        The last one does what the dialog is for.
+        """
         self.close()
         self._modal = self._client.gui.add_modal(title)
         row = "".join(
-            f'<span class="try go" role="button" onclick="{script}">{label}</span>' for label, script in buttons
+            f'<span class="try{" go" if k == len(buttons) else ""}" role="button" onclick="{script}">{label}</span>'
+            for k, (label, script) in enumerate(buttons, start=1)
         )
         close = '<span class="try" role="button" onclick="sv(\'close-dialog\')">Close</span>'
         with self._modal:
@@ -41,9 +45,11 @@ class Dialog:
             self._client.gui.add_html(panel(f'<div class="buttons">{row}{close}</div>', style="padding:0"))
 
     def refuse(self, problem: str) -> None:
-        """Say in the open dialog why something cannot be done."""
+        """Say why something cannot be done: in the open dialog, else in the corner of the page."""
         if self._said is not None:
             self._said.content = panel(note(problem, BAD), style="padding:0")
+        else:
+            self._client.add_notification("Not possible", safe(problem), color="red", auto_close_seconds=12)
 
     def close(self) -> None:
         """Hide it."""

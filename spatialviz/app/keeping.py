@@ -31,7 +31,7 @@ LONGEST_NAME = 80
 
 def folder_name(text: str) -> str:
     """A text as the name of one folder: letters, digits, ".", "_" and "-"; empty where nothing is left."""
-    return re.sub(r"[^A-Za-z0-9._-]+", "-", text).strip("-._")[:LONGEST_NAME].rstrip("-._")
+    return re.sub(r"(?:[^A-Za-z0-9._-]|-)+", "-", text).strip("-._")[:LONGEST_NAME].rstrip("-._")
 
 
 class Keeping:
@@ -112,15 +112,14 @@ class Keeping:
             origin = {} if run is None else {"run": str(run.folder), "expression": view.expression_id}
             save_case(folder, source, context, state.text, run=origin, **given)
         except InputError as error:
-            self._note(str(error))
-            self._dialog.refuse(str(error))
+            self._fail(error)
             return
         replay = shlex.join(["spatialviz", "replay", str(folder)])
         self._note(f"case saved: {replay}")
         self._dialog.show(
             "Saved",
             f'<div>The case is in <code>{safe(folder.resolve())}</code>. Run it again with</div>'
-            f'<textarea class="state" rows="1" readonly spellcheck="false">{safe(replay)}</textarea>'
+            f'<textarea class="state" rows="2" readonly spellcheck="false">{safe(replay)}</textarea>'
             '<div class="copied" role="status"></div>',
             ("Copy the command", "svCopy(this)"),
         )
@@ -167,4 +166,4 @@ class Keeping:
 
     def _fail(self, error: InputError) -> None:
         self._note(str(error))
-        self._client.add_notification("Not kept", safe(error), color="red", auto_close_seconds=12)
+        self._dialog.refuse(str(error))

@@ -98,9 +98,8 @@ class Session:
         )
         dialog = Dialog(client)
         self._strings = ViewStrings(
-            client, dialog, store.sources, runs or {}, self._runs, self.scene.viewpoint, state=self._now,
-            take=self._take, go=self._go, ask=self._ask, show_context=self._view.show_context, draw=self._draw,
-            note=self._note,
+            dialog, store.sources, runs or {}, self._runs, self.scene.viewpoint, state=self._now, take=self._take,
+            go=self._go, ask=self._ask, show_context=self._view.show_context, draw=self._draw, note=self._note,
         )  # fmt: skip
         keeping = Keeping(
             client, dialog, store.sources, runs or {}, self._judge, opened_by, state=self._now,

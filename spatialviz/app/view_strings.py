@@ -9,8 +9,6 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
-import viser
-
 from pipeline.errors import InputError
 from pipeline.evaluation.run_folder import Run
 from pipeline.jobs import Source
@@ -37,7 +35,6 @@ class ViewStrings:
 
     Parameters
     ----------
-    client : viser.ClientHandle
     dialog : Dialog
     sources : mapping of str to Source
     runs : mapping of str to Run
@@ -61,7 +58,6 @@ class ViewStrings:
 
     def __init__(
         self,
-        client: viser.ClientHandle,
         dialog: Dialog,
         sources: Mapping[str, Source],
         runs: Mapping[str, Run],
@@ -76,7 +72,7 @@ class ViewStrings:
         draw: Callable[[], None],
         note: Callable[[str], None],
     ) -> None:
-        self._client, self._dialog, self._sources, self._runs = client, dialog, sources, runs
+        self._dialog, self._sources, self._runs = dialog, sources, runs
         self._panel, self._viewpoint = panel, viewpoint
         self._state, self._take, self._go, self._ask = state, take, go, ask
         self._show_context, self._draw, self._note = show_context, draw, note
@@ -201,4 +197,3 @@ class ViewStrings:
     def _fail(self, error: InputError) -> None:
         self._note(str(error))
         self._dialog.refuse(str(error))
-        self._client.add_notification("No view", safe(error), color="red", auto_close_seconds=12)
