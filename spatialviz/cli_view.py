@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from pipeline.jobs import Source
+    from pipeline.labels.reading import Labels
     from pipeline.whatif.state import ViewState
 
 
@@ -63,6 +64,8 @@ class View:
             run = open_run(folder, dataset=None if dataset == DEMO_NAME else dataset, labels=own)
             name = Path(run.spec.dataset).name
             sources, runs = {name: run.source}, {name: run}
+            if own is not None:
+                _check_labels(run.labels, run.source)
             if self.compare is not None:
                 others = {name: open_run(self.compare, dataset=run.spec.dataset)}
         else:
@@ -73,9 +76,7 @@ class View:
                 if len(sources) > 1:
                     raise InputError("--labels are of one dataset", got=f"{len(sources)} datasets", path=self.labels)
                 found = open_labels(self.labels)
-                ids = set(next(iter(sources.values())).dataset.frame_ids)
-                if ids.isdisjoint(found.frames.column("frame").to_pylist()):
-                    raise InputError("the labels are of other frames than the dataset has", path=self.labels)
+                _check_labels(found, next(iter(sources.values())))
                 labels = dict.fromkeys(sources, found)
         serve(
             sources,
@@ -118,6 +119,12 @@ class View:
         for option, value in (("--run", folder), ("--compare", self.compare), ("--labels", self.labels)):
             words += [] if value is None else [option, str(value)]
         return words if folder is not None else [*words, *self.source.words()]
+
+
+def _check_labels(labels: Labels, source: Source) -> None:
+    """Raise InputError where labels know none of the frames."""
+    if set(source.dataset.frame_ids).isdisjoint(labels.frames.column("frame").to_pylist()):
+        raise InputError("the labels are of other frames than the dataset has", path=labels.root)
 
 
 def _in(view: ViewState, sources: Mapping[str, Source]) -> ViewState:

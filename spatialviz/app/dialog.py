@@ -7,7 +7,7 @@ from typing import Any
 
 import viser
 
-from spatialviz.app.text import BAD, note, panel, safe
+from spatialviz.app.text import BAD, note, panel
 
 
 class Dialog:
@@ -49,7 +49,7 @@ class Dialog:
         if self._said is not None:
             self._said.content = panel(note(problem, BAD), style="padding:0")
         else:
-            self._client.add_notification("Not possible", safe(problem), color="red", auto_close_seconds=12)
+            self._client.add_notification("Not possible", problem, color="red", auto_close_seconds=12)
 
     def close(self) -> None:
         """Hide it."""

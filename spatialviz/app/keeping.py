@@ -141,7 +141,6 @@ class Keeping:
         name = f"{folder_name(f'{state.text}-{state.frame_id}') or 'answer'}.html"
         self._client.send_file_download(name, page.encode("utf-8", "replace"), save_immediately=True)
         self._note(f"report made: {name}")
-        self._client.add_notification("Report", safe(f"{name} is in the browser's downloads"), auto_close_seconds=6)
 
     def _given(self) -> tuple[Source, FrameContext, State, dict[str, Any]]:
         """What is asked of which frame, and what is known of the truth."""
