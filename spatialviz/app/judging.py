@@ -11,6 +11,7 @@ from pipeline.evaluation.cases import FrameCases
 from pipeline.evaluation.run_folder import Run
 from pipeline.jobs import Source
 from pipeline.objects import FrameContext
+from pipeline.ranking import RankConfig
 from spatialviz.app.state import OtherAnswer
 
 
@@ -45,11 +46,17 @@ class Judge:
         return self._kept[1]
 
     def judge(
-        self, name: str, source: Source, context: FrameContext, trace: Trace, expression: str | None = None
+        self,
+        name: str,
+        source: Source,
+        context: FrameContext,
+        trace: Trace,
+        expression: str | None = None,
+        rank: RankConfig | None = None,
     ) -> Judgement | str | None:
         """The verdict, why there can be none, or None where nothing is known of the frame.
 
-        `expression` is the id of the labelled expression that was asked.
+        `expression` is the id of the labelled expression that was asked, `rank` the weights of an edited trace.
         """
         try:
             truth = self.truth(name, source, context)
@@ -61,7 +68,9 @@ class Judge:
             if run is not None:
                 confidence = run.spec.confidence
                 mark = run.spec.marks.get((context.frame.id, expression or ""))
-            return judge_trace(trace, source, context, truth, case=case, mark=mark, confidence=confidence)
+            return judge_trace(
+                trace, source, context, truth, case=case, mark=mark, confidence=confidence, rank=rank
+            )
         except InputError as error:
             return str(error)
 

@@ -46,6 +46,8 @@ class Page:
     image: viser.GuiHtmlHandle
     search: viser.GuiHtmlHandle
     listing: viser.GuiHtmlHandle
+    cost: viser.GuiHtmlHandle
+    edit: viser.GuiHtmlHandle
     frames: viser.GuiHtmlHandle
     log: viser.GuiHtmlHandle
 
@@ -80,11 +82,13 @@ def build(
         image, object_ = gui.add_html(""), gui.add_html("")
     with lower.add_tab("Failures", viser.Icon.BUG):
         search, listing = gui.add_html(""), gui.add_html("")
+    with lower.add_tab("Edit", viser.Icon.ADJUSTMENTS):
+        cost, edit = gui.add_html(""), gui.add_html("")
     with lower.add_tab("Frames", viser.Icon.LAYOUT_GRID):
         frames = gui.add_html("")
     with lower.add_tab("Log", viser.Icon.LIST):
         log = gui.add_html("")
     return Page(
         dataset_box, frame_box, expression, ask, form, steps, parse, modules, controls, objects,
-        answer, pairs, relations, why, object_, image, search, listing, frames, log,
+        answer, pairs, relations, why, object_, image, search, listing, cost, edit, frames, log,
     )  # fmt: skip

@@ -40,6 +40,7 @@ FLAGS = {
     "ghosts": "labelled",
     "truth": "exact boxes",
     "axes": "axes",
+    "region": "region",
     "context": "room",
     "camera": "camera",
 }
