@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pipeline.diagnosis.live import Judgement
-from pipeline.lexicon import wording
 from pipeline.palette import hex_color, palette
 from pipeline.records import why_no_answer
 from pipeline.whatif.edit_list import each_edit
@@ -28,14 +27,12 @@ def before_html(state: State) -> str:
         best = trace.ranking.pairs[0]
         ends = [i for i in (best.reference, best.second_reference) if i is not None]
         names = [safe(state.named(edited.before.keys[i])) for i in (best.target, *ends)]
-        phrase = safe(wording(trace.asked.relation, inverse=trace.asked.inverse))
-        references = " and ".join(f"{dot(colors['reference'])}{name}" for name in names[1:])
-        said = f'{dot(colors["target"])}{names[0]} <span class="dim">{phrase}</span> {references}'
+        references = " ".join(f"{dot(colors['reference'])}{name}" for name in names[1:])
+        said = f"{dot(colors['target'])}{names[0]} {references}"
         p = f'<b>{best.probability:.2f}</b>'
     verdict = ""
     if isinstance(edited.judged, Judgement):
-        d = edited.judged.diagnosis
-        verdict = verdict_chip(d.verdict, "lucky" if d.lucky else d.detail)
+        verdict = verdict_chip(edited.judged.diagnosis.verdict)
     count = len(each_edit(state.edits))
     hint = f"{count} edit{'s' if count > 1 else ''}; 0 takes them back"
     return (

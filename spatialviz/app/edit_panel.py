@@ -184,7 +184,7 @@ def _settings(state: State, source: Source) -> str:
             fields.append(_setting(name, value, step))
     weights = [_setting(name, getattr(rank, name), "0.1") for name in WEIGHTS]
     thresholds = [_setting(n, getattr(profile, n), "1" if "cone" in n else "0.01") for n in PROFILE_SETTINGS]
-    scorers = {"own": source.scorer.name, "trained": "trained", "rule": "rule"}
+    scorers = {"own": f"own: {safe(source.scorer.name)}", "trained": "trained", "rule": "rule"}
     aggregates = {"max": "best pair", "marginal": "sum of pairs"}
     detector = f'<div class="row"><label>OPM</label><div class="fields">{"".join(fields)}<span></span></div></div>'
     return (
@@ -199,8 +199,7 @@ def _settings(state: State, source: Source) -> str:
 
 def _setting(name: str, value: float, step: str) -> str:
     label, hint = SETTING_NAMES[name]
-    digits = 0 if name == "k" else 2
-    return _field(f"edit:set:{name}", value, hint=hint, step=step, name=label, digits=digits)
+    return _field(f"edit:set:{name}", value, hint=hint, step=step, name=label, digits=None)
 
 
 def _list(state: State) -> str:
@@ -222,20 +221,24 @@ def _button(label: str, click: str, hint: str, possible: bool = True) -> str:
     return f'<span class="try" {way} title="{safe(hint)}">{safe(label)}</span>'
 
 
-def _field(kind: str, value: float, *, hint: str, step: str, name: str, digits: int = 2) -> str:
+def _field(kind: str, value: float, *, hint: str, step: str, name: str, digits: int | None = 2) -> str:
     """A number; Enter, or leaving it, sends "kind:value"."""
+    said = f"{value:g}" if digits is None else f"{value:.{digits}f}"
     return (
         f'<label class="field" title="{safe(hint)}"><i>{safe(name)}</i><input type="number" step="{step}" '
-        f'value="{value:.{digits}f}" onchange="sv(\'{kind}:\'+this.value)"></label>'
+        f'value="{said}" onchange="sv(\'{kind}:\'+this.value)"></label>'
     )
 
 
 def _slider(kind: str, label: str, value: float, hint: str) -> str:
     """A probability; the answer follows while it is dragged."""
-    follow = f"this.nextElementSibling.textContent=(+this.value).toFixed(2);svLive('edit-live:{kind}:'+this.value)"
+    follow = (
+        "this.style.setProperty('--v',this.value);this.nextElementSibling.textContent=(+this.value).toFixed(2);"
+        f"svLive('edit-live:{kind}:'+this.value)"
+    )
     done = f"svLive(null);sv('edit:{kind}:'+this.value)"
     return (
         f'<div class="slide" title="{safe(hint)}"><span>{safe(label)}</span>'
-        f'<input type="range" min="0" max="1" step="0.01" value="{value:.4f}" oninput="{safe(follow)}" '
-        f'onchange="{safe(done)}"><b>{value:.2f}</b></div>'
+        f'<input type="range" min="0" max="1" step="0.01" value="{value:.4f}" style="--v:{value:.4f}" '
+        f'oninput="{safe(follow)}" onchange="{safe(done)}"><b>{value:.2f}</b></div>'
     )

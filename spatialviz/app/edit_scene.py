@@ -9,20 +9,21 @@ import numpy as np
 import viser
 
 from pipeline.boxes import EDGES, Box3D
-from pipeline.palette import RGB, hex_color, instance_colors, palette
+from pipeline.palette import RGB, instance_colors, palette
 from pipeline.whatif.decision_map import DecisionMap
-from pipeline.whatif.region import REACH, Region
-from spatialviz.app.bridge import Tag
+from pipeline.whatif.region import Region
 from spatialviz.app.glb import unlit_glb
-from spatialviz.app.relation_region import asked_pair
+from spatialviz.app.relation_region import REACH, asked_pair
 from spatialviz.app.scene import SceneView
 from spatialviz.app.state import State
 
 HOLDS: RGB = (38, 166, 154)
 DOUBTFUL: RGB = (224, 152, 46)
+FAILS: RGB = (229, 72, 77)
 REGION_COLORS = {"T": HOLDS, "U": DOUBTFUL}
 OPACITY = {"T": 0.30, "U": 0.16}
 OUTLINE_GROWTH = 0.006
+MAP_OPACITY = 0.72
 MAP_LIFT = 0.012
 """The map lies a little above the floor, metres."""
 
@@ -42,16 +43,15 @@ class EditScene:
         self._of: tuple[object, ...] | None = None
         self._map: Any = None
         self._mapped: tuple[DecisionMap, bool] | None = None
-        self._anchor: Any = None
+        self._middle: Any = None
 
-    def draw(self, state: State, found: DecisionMap | None, keep_map: bool) -> list[Tag]:
-        """Bring all of it up to a state; `keep_map` leaves the map as it is. Returns names to show."""
+    def draw(self, state: State, found: DecisionMap | None, keep_map: bool) -> None:
+        """Bring all of it up to a state; `keep_map` leaves the map as it is."""
         with self._client.atomic():
             self._draw_boxes(state)
-            tags = self._draw_region(state)
+            self._draw_region(state)
             if not keep_map:
                 self._draw_map(found, state.dark)
-        return tags
 
     def _draw_boxes(self, state: State) -> None:
         """Edited objects in the edited colour; thin, the boxes that they had."""
@@ -73,7 +73,7 @@ class EditScene:
         self._set("/edit/now", self._edges(grown), color, 2.6)
         self._set("/edit/before", self._edges(were), color, 1.0)
 
-    def _draw_region(self, state: State) -> list[Tag]:
+    def _draw_region(self, state: State) -> None:
         asked = asked_pair(state) if state.flags.region and state.loaded is not None else None
         marks = None if asked is None else (state.source, state.frame_id, state.dark, *asked.marks)
         if marks != self._of:
@@ -83,16 +83,17 @@ class EditScene:
             region = None if asked is None else asked.region
             if region is not None:
                 self._add_region(region, state.dark)
-        if asked is None or asked.target.box is None:
-            return []
-        center = self._scene.shown_box(asked.target.box).center
-        at = (float(center[0]), float(center[1]), float(center[2]))
-        if self._anchor is None:
-            self._anchor = self._client.scene.add_frame("/tags/placement", show_axes=False)
-        self._anchor.position = at
-        placement = asked.placement
-        color = {"T": HOLDS, "U": DOUBTFUL}.get(placement.letter, (229, 72, 77))
-        return [Tag("/tags/placement", placement.letter, "", hex_color(color), True)]
+        known = asked is not None and bool(np.isfinite(asked.target.lo).all())
+        if self._middle is None and known:
+            self._middle = self._client.scene.add_icosphere("/region/target", 0.014, cast_shadow=False)
+        if self._middle is None:
+            return
+        if self._middle.visible != known:
+            self._middle.visible = known
+        if asked is None or not known:
+            return
+        self._middle.position = self._scene.to_show @ (asked.viewer.matrix.T @ (asked.target.lo + asked.target.hi) / 2)
+        self._middle.color = {**REGION_COLORS, "F": FAILS}[asked.placement.letter]
 
     def _add_region(self, region: Region, dark: bool) -> None:
         scene, R = self._client.scene, self._scene.to_show.T
@@ -141,7 +142,7 @@ class EditScene:
         vertices[:, 2] += MAP_LIFT
         first = 4 * np.arange(len(rows))[:, None]
         faces = np.concatenate([first + np.array(half) for half in ((0, 1, 2), (0, 2, 3))])
-        data = unlit_glb(vertices, faces, np.repeat(np.round(colors).astype(np.uint8), 4, axis=0))
+        data = unlit_glb(vertices, faces, np.repeat(np.round(colors).astype(np.uint8), 4, axis=0), MAP_OPACITY)
         self._map = self._client.scene.add_glb("/map", data, cast_shadow=False, receive_shadow=False)
 
     def _edges(self, boxes: Sequence[Box3D]) -> np.ndarray:

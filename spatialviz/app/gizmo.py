@@ -72,7 +72,7 @@ class BoxGizmo:
                 disable_sliders=turning,
                 disable_rotations=not turning,
                 active_axes=(True, True, not turning),
-                scale=float(np.clip(0.75 * span, 0.22, 0.6)),
+                scale=float(np.clip(span, 0.18, 0.6)),
             )
             main.position = box.center
             main.wxyz = vtf.SO3.from_z_radians(_yaw(box)).wxyz if turning else np.array([1.0, 0.0, 0.0, 0.0])
@@ -83,7 +83,7 @@ class BoxGizmo:
             normal, along = box.R[:, axis] * side, box.R[:, (axis + 1) % 3]
             handle.position = box.center + normal * box.size[axis] / 2
             handle.wxyz = vtf.SO3.from_matrix(np.stack([normal, along, np.cross(normal, along)], axis=1)).wxyz
-            _set(handle, scale=float(np.clip(0.45 * span, 0.1, 0.24)))
+            _set(handle, scale=float(np.clip(0.5 * span, 0.07, 0.24)))
 
     def _make(self) -> None:
         scene = self._client.scene

@@ -74,19 +74,20 @@ def build(
     upper.dock_right()
     upper.set_width(RIGHT_WIDTH)
     lower.dock_below(upper)
+    # Five names fit into one row only without pictures.
     with upper.add_tab("Answer", viser.Icon.TARGET_ARROW):
         answer, pairs, relations = (gui.add_html("") for _ in range(3))
     with upper.add_tab("Why", viser.Icon.HELP_CIRCLE):
         why = gui.add_html("")
-    with lower.add_tab("Image", viser.Icon.PHOTO):
+    with lower.add_tab("Image"):
         image, object_ = gui.add_html(""), gui.add_html("")
-    with lower.add_tab("Failures", viser.Icon.BUG):
+    with lower.add_tab("Failures"):
         search, listing = gui.add_html(""), gui.add_html("")
-    with lower.add_tab("Edit", viser.Icon.ADJUSTMENTS):
+    with lower.add_tab("Edit"):
         cost, edit = gui.add_html(""), gui.add_html("")
-    with lower.add_tab("Frames", viser.Icon.LAYOUT_GRID):
+    with lower.add_tab("Frames"):
         frames = gui.add_html("")
-    with lower.add_tab("Log", viser.Icon.LIST):
+    with lower.add_tab("Log"):
         log = gui.add_html("")
     return Page(
         dataset_box, frame_box, expression, ask, form, steps, parse, modules, controls, objects,

@@ -13,6 +13,10 @@ from pipeline.whatif.region import Region, region_of
 from spatialviz.app.state import State
 
 
+REACH = 1.0
+"""Metres around the reference that are drawn."""
+
+
 @dataclass(frozen=True)
 class AskedPair:
     """What a region is of: "target RELATION reference", in the order in which it is judged.
@@ -39,7 +43,7 @@ class AskedPair:
         """Where the relation holds; None where the reference has no place in space."""
         try:
             size = self.target.hi - self.target.lo
-            return region_of(self.reference, self.relation, size, self.viewer, self.profile)
+            return region_of(self.reference, self.relation, size, self.viewer, self.profile, REACH)
         except InputError:
             return None
 

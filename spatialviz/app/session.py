@@ -386,7 +386,7 @@ class Session:
 
     def _draw_scene(self, live: bool = False) -> None:
         """Boxes, pair lines and names, and what belongs to the edits; `live` follows a drag."""
-        state, tags = self.state, []
+        state = self.state
         if state.loaded is not None:
             truth = [a.box for a in state.loaded.context.frame.annotations if a.box is not None]
             tags = self.scene.draw(
@@ -400,7 +400,8 @@ class Session:
                 state.flags,
                 state.dark,
             )
-        self.bridge.show_tags([*tags, *self._what_if.follow(live)])
+            self.bridge.show_tags(tags)
+        self._what_if.follow(live)
 
     def _draw_edited(self, live: bool) -> None:
         """Draw an answer under edits: all of the page, or while a hand is at it only what follows the hand."""

@@ -124,6 +124,7 @@ CSS = """<style>
 .sv .before{display:flex;align-items:center;gap:7px;margin:.5em 0 -.1em;padding:3px 8px;border-left:3px solid var(--c);border-radius:0 4px 4px 0;background:color-mix(in srgb,var(--c) 10%,transparent);font-size:12px}
 .sv .before .said1{flex:1;min-width:0;overflow:hidden;text-overflow:ellipsis;white-space:nowrap}
 .sv .chg{font-weight:650;box-shadow:inset 0 -2px 0 var(--ed,#c9a92b)}
+[data-mantine-color-scheme=dark] .sv input{color-scheme:dark}
 .sv .fields{display:grid;grid-template-columns:repeat(3,1fr);gap:5px;flex:1;min-width:0}
 .sv .fields.four{grid-template-columns:repeat(2,1fr)}
 .sv .field{display:flex;flex-direction:column;min-width:0}
@@ -133,7 +134,9 @@ CSS = """<style>
 .sv .row>.chips{flex:1;min-width:0}
 .sv .slide{display:grid;grid-template-columns:minmax(52px,auto) 1fr 34px;gap:8px;align-items:center;margin-bottom:4px}
 .sv .slide>span{max-width:130px;overflow:hidden;text-overflow:ellipsis;white-space:nowrap;color:var(--mantine-color-dimmed)}
-.sv .slide input{width:100%;min-width:0;height:14px;margin:0;accent-color:var(--mantine-primary-color-filled)}
+.sv .slide input{-webkit-appearance:none;appearance:none;width:100%;min-width:0;height:6px;margin:0;border-radius:3px;cursor:pointer;background:linear-gradient(to right,var(--mantine-primary-color-filled) calc(var(--v)*100%),color-mix(in srgb,var(--mantine-color-dimmed) 30%,transparent) 0)}
+.sv .slide input::-webkit-slider-thumb{-webkit-appearance:none;width:13px;height:13px;border-radius:50%;background:var(--mantine-primary-color-filled);border:2px solid #fff;box-shadow:0 0 2px rgba(0,0,0,.5)}
+.svband{position:absolute;border:2px solid #f0d654;background:rgba(240,214,84,.22);pointer-events:none}
 .sv .slide b{text-align:right;font-weight:600}
 .sv .edit{display:flex;align-items:center;gap:8px;justify-content:space-between;border-left:3px solid var(--c);padding:1px 0 1px 7px;margin-bottom:3px}
 .sv .edit>span:first-child{min-width:0;overflow:hidden;text-overflow:ellipsis;white-space:nowrap}
@@ -150,6 +153,18 @@ SCRIPT = """
 window.sv = v => window.__viserMutable.sendMessage({type: 'GuiUpdateMessage', uuid: 'BUS_UUID', updates: {value: v + '#' + performance.now()}});
 let live = null, waiting = 0;
 window.svLive = v => { live = v; if (v === null) { clearTimeout(waiting); waiting = 0; } else if (!waiting) waiting = setTimeout(() => { waiting = 0; if (live !== null) window.sv(live); }, 50); };
+window.svPaint = (pic, e) => {
+  if (!e.shiftKey) return;
+  e.preventDefault();
+  const b = pic.getBoundingClientRect(), at = e => [Math.min(1, Math.max(0, (e.clientX - b.left) / b.width)), Math.min(1, Math.max(0, (e.clientY - b.top) / b.height))];
+  const from = at(e), band = document.createElement('div');
+  band.className = 'svband';
+  pic.appendChild(band);
+  const move = e => { const to = at(e); band.style.left = 100 * Math.min(from[0], to[0]) + '%'; band.style.top = 100 * Math.min(from[1], to[1]) + '%'; band.style.width = 100 * Math.abs(to[0] - from[0]) + '%'; band.style.height = 100 * Math.abs(to[1] - from[1]) + '%'; };
+  const up = e => { window.removeEventListener('mousemove', move); window.removeEventListener('mouseup', up); band.remove(); const to = at(e); if (Math.abs(to[0] - from[0]) > .004 && Math.abs(to[1] - from[1]) > .004) window.sv('edit:mask:rectangle:' + [...from, ...to].map(v => v.toFixed(5)).join(',')); };
+  window.addEventListener('mousemove', move);
+  window.addEventListener('mouseup', up);
+};
 window.svTab = name => { const t = [...document.querySelectorAll('[role=tab]')].find(e => e.textContent.trim() === name); if (t) for (const k of ['pointerdown', 'mousedown', 'pointerup', 'mouseup', 'click']) t.dispatchEvent(new (k.startsWith('p') ? PointerEvent : MouseEvent)(k, {bubbles: true, button: 0, pointerId: 1, isPrimary: true})); };
 if (!window.svTags) {
   let tags = [];

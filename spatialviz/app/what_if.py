@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import replace
 from threading import Lock
 from time import perf_counter
-from typing import Any
 
 import viser
 
@@ -253,8 +252,8 @@ class WhatIf:
         entry = state.shown.objects[state.selected]
         return f"#{entry.id}" if entry.id >= 0 else _key_at(state, state.selected, self.keys(self._base()))
 
-    def follow(self, live: bool = False) -> list[Any]:
-        """Bring the handles, what is drawn of the edits, and the Edit tab up to the state; returns names to show."""
+    def follow(self, live: bool = False) -> None:
+        """Bring the handles, what is drawn of the edits, and the Edit tab up to the state."""
         state = self._state()
         selected = state.selected
         candidate = selected is not None and selected in state.shown.place.values()
@@ -265,12 +264,11 @@ class WhatIf:
         self._gizmo.show(None if box is None else self._scene.shown_box(box), state.mode)
         if not live and self._map is not None:
             self._renewed_map()
-        tags = self._shown.draw(state, None if live else self._map, keep_map=live)
+        self._shown.draw(state, None if live else self._map, keep_map=live)
         self._page.cost.content = cost_html(state, len(self._undo))
         if not live:
             hidden = selected is not None and f"#{state.shown.objects[selected].id}" in state.edits.hidden
             self._page.edit.content = edit_html(state, self._source(), candidate or hidden, self._map)
-        return tags
 
 
 def _taken(
