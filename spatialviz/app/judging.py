@@ -13,6 +13,7 @@ from pipeline.evaluation.run_folder import Run
 from pipeline.jobs import Source
 from pipeline.labels.reading import Labels
 from pipeline.objects import FrameContext
+from pipeline.ranking import RankConfig
 from spatialviz.app.state import OtherAnswer
 
 
@@ -54,18 +55,24 @@ class Judge:
         return self._kept[1]
 
     def judge(
-        self, name: str, source: Source, context: FrameContext, trace: Trace, expression: str | None = None
+        self,
+        name: str,
+        source: Source,
+        context: FrameContext,
+        trace: Trace,
+        expression: str | None = None,
+        rank: RankConfig | None = None,
     ) -> Judgement | str | None:
         """The verdict, why there can be none, or None where nothing is known of the frame.
 
-        `expression` is the id of the labelled expression that was asked.
+        `expression` is the id of the labelled expression that was asked, `rank` the weights of an edited trace.
         """
         try:
             truth = self.truth(name, source, context)
             if truth is None:
                 return None
             known = self.known(name, context, truth, expression)
-            return judge_trace(trace, source, context, truth, **known)
+            return judge_trace(trace, source, context, truth, rank=rank, **known)
         except InputError as error:
             return str(error)
 

@@ -22,7 +22,6 @@ from spatialviz.app.dialog import Dialog
 from spatialviz.app.judging import Judge
 from spatialviz.app.state import State
 from spatialviz.app.text import safe
-from spatialviz.app.view_string import edits_of
 
 CASES = "cases"
 """The folder, under the one that the program was started in, that cases are saved in."""
@@ -150,7 +149,7 @@ class Keeping:
         source, context = self._sources[state.source], state.loaded.context
         truth = self._judge.truth(state.source, source, context)
         known = self._judge.known(state.source, context, truth, self._view().expression_id)
-        edits = edits_of(state)
+        edits = state.edits
         return source, context, state, {"truth": truth, "edits": edits_record(edits) if edits else None, **known}
 
     def _subject(self, answered: Answered) -> Subject:

@@ -51,6 +51,8 @@ class Page:
     run_summary: viser.GuiHtmlHandle
     run_slices: viser.GuiHtmlHandle
     run_confusion: viser.GuiHtmlHandle
+    cost: viser.GuiHtmlHandle
+    edit: viser.GuiHtmlHandle
     frames: viser.GuiHtmlHandle
     log: viser.GuiHtmlHandle
 
@@ -78,22 +80,25 @@ def build(
     upper.dock_right()
     upper.set_width(RIGHT_WIDTH)
     lower.dock_below(upper)
+    # Six names fit into one row only without pictures.
     with upper.add_tab("Answer", viser.Icon.TARGET_ARROW):
         answer, pairs, relations = (gui.add_html("") for _ in range(3))
     with upper.add_tab("Why", viser.Icon.HELP_CIRCLE):
         why = gui.add_html("")
-    with lower.add_tab("Image", viser.Icon.PHOTO):
+    with lower.add_tab("Image"):
         image, object_ = gui.add_html(""), gui.add_html("")
-    with lower.add_tab("Failures", viser.Icon.BUG):
+    with lower.add_tab("Failures"):
         search, offers, listing = (gui.add_html("") for _ in range(3))
-    with lower.add_tab("Run", viser.Icon.CHART_BAR):
+    with lower.add_tab("Run"):
         run_summary, run_slices, run_confusion = (gui.add_html("") for _ in range(3))
-    with lower.add_tab("Frames", viser.Icon.LAYOUT_GRID):
+    with lower.add_tab("Edit"):
+        cost, edit = gui.add_html(""), gui.add_html("")
+    with lower.add_tab("Frames"):
         frames = gui.add_html("")
-    with lower.add_tab("Log", viser.Icon.LIST):
+    with lower.add_tab("Log"):
         log = gui.add_html("")
     return Page(
         dataset_box, frame_box, expression, ask, form, steps, parse, modules, controls, objects,
         answer, pairs, relations, why, object_, image, search, offers, listing,
-        run_summary, run_slices, run_confusion, frames, log,
+        run_summary, run_slices, run_confusion, cost, edit, frames, log,
     )  # fmt: skip

@@ -40,6 +40,7 @@ FLAGS = {
     "ghosts": "labelled",
     "truth": "exact boxes",
     "axes": "axes",
+    "region": "region",
     "context": "room",
     "camera": "camera",
 }
@@ -218,7 +219,7 @@ def keep_html() -> str:
         ("copy-state", "Copy view", "the view as a string, into the clipboard (Shift+C)"),
         ("paste-state", "Paste view", "open a view from its string (Shift+V)"),
         ("keep-case", "Save case", "a folder that `spatialviz replay` runs again (Shift+K)"),
-        ("report", "Report", "one page of this answer, as a download (Shift+R)"),
+        ("report", "Report", "one page of this answer, as a download (Shift+P)"),
     )
     cells = "".join(
         f'<span class="try" role="button" onclick="sv(\'{message}\')" title="{safe(hint)}">{label}</span>'

@@ -1,8 +1,7 @@
 """CSS of the Run tab, the search and the dialogs, and what their fields do in the browser."""
 
 RUN_CSS = """<style>
-:has(>[data-dock-tab]:nth-child(5))>[data-dock-tab]{padding:0 9px!important;font-size:13px}
-:has(>[data-dock-tab]:nth-child(5))>[data-dock-tab]>div:first-child{display:none!important}
+:has(>[data-dock-tab]:nth-child(5))>[data-dock-tab]{padding:0 8px!important;font-size:13px}
 .sv .runhead{display:flex;justify-content:space-between;gap:10px;padding-top:.6em}
 .sv .runhead b{min-width:0;overflow:hidden;text-overflow:ellipsis;white-space:nowrap}
 .sv .runhead span{white-space:nowrap}

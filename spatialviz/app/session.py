@@ -13,10 +13,12 @@ import viser
 from pipeline.ask import Trace
 from pipeline.datasets import has_moves, moves
 from pipeline.demo import DEMO_EXPRESSION
+from pipeline.diagnosis.live import Judgement
 from pipeline.errors import InputError
 from pipeline.evaluation.run_folder import Run
 from pipeline.jobs import Source
 from pipeline.labels.reading import Labels
+from pipeline.ranking import RankConfig
 from pipeline.records import why_no_answer
 from pipeline.relations import PHRASE
 from pipeline.suggestions import suggest_expressions
@@ -25,7 +27,7 @@ from spatialviz.app import bottom, left, right
 from spatialviz.app.bridge import HELLO_SECONDS, Bridge
 from spatialviz.app.dialog import Dialog
 from spatialviz.app.fallback import Fallback
-from spatialviz.app.filling import fill_page
+from spatialviz.app.filling import fill_answer, fill_page
 from spatialviz.app.frames import FrameStore, LoadedFrame
 from spatialviz.app.inputs import forward_inputs
 from spatialviz.app.judging import Judge
@@ -42,6 +44,7 @@ from spatialviz.app.state import NOTHING, State, shown_objects
 from spatialviz.app.view_settings import ViewSettings
 from spatialviz.app.view_string import BEGINS
 from spatialviz.app.view_strings import ViewStrings
+from spatialviz.app.what_if import WhatIf
 
 LOG_LENGTH = 200
 BROWSED = 6
@@ -96,6 +99,10 @@ class Session:
         self._runs = RunPanel(
             runs or {}, store, self.page, self._now, self._set_listing, self._go, self.bridge.post
         )
+        self._what_if = WhatIf(
+            client, self.page, self.scene, self._source, self._now, self._take, self._draw_edited, self._judged,
+            self._note, self.bridge.post,
+        )  # fmt: skip
         dialog = Dialog(client)
         self._strings = ViewStrings(
             dialog, store.sources, runs or {}, self._runs, self.scene.viewpoint, state=self._now, take=self._take,
@@ -105,7 +112,7 @@ class Session:
             client, dialog, store.sources, runs or {}, self._judge, opened_by, state=self._now,
             view=self._strings.now, note=self._note,
         )  # fmt: skip
-        parts = (self._selection, self._view, self._runs, self._strings, keeping, dialog)
+        parts = (self._selection, self._view, self._runs, self._what_if, self._strings, keeping, dialog)
         self._more = {name: run for part in parts for name, run in part.commands().items()}
         forward_inputs(self.page, self.post, self.bridge.alive)
         add_keys(client, self.post, moving)
@@ -324,12 +331,20 @@ class Session:
             self.state,
             trace=trace,
             shown=shown_objects(loaded, trace, trace.exact),
-            judged=self._judge.judge(name, self._source(), loaded.context, trace, expression),
+            judged=self._judged(trace, None),
             other=self._judge.other(name, loaded.context, text, expression),
         )
         ranked = self.state.ranked
         pair = self.state.at(ranked[0]) if ranked else None
         self.state = replace(self.state, pair=pair, selected=None if pair is None else pair[0])
+        self._what_if.answered()
+
+    def _judged(self, trace: Trace, rank: RankConfig | None) -> Judgement | str | None:
+        """The verdict on a trace of the frame that is shown."""
+        state = self.state
+        assert state.loaded is not None
+        expression = self._runs.expression(state.frame_id, trace.query.text)
+        return self._judge.judge(state.source, self._source(), state.loaded.context, trace, expression, rank)
 
     def _ask_relation(self, number: int) -> None:
         """Ask the same two names with another relation."""
@@ -375,6 +390,7 @@ class Session:
 
     def _draw(self) -> None:
         """Bring the whole page up to the state. Handles that would not change send nothing."""
+        self._what_if.check()
         state = self.state
         fill_page(
             self.page,
@@ -386,26 +402,42 @@ class Session:
             log=self._log,
             atomic=self._client.atomic,
         )
+        if state.loaded is not None and self._painted != state.paint_key:
+            self._painted = state.paint_key
+            self.scene.recolor(frame_colors(state.colors, state.loaded, state.roles, state.dark))
+        self._draw_scene()
+        self.fallback.update(state)
+        self._runs.follow()
+        self.bridge.remember(state.at_place.said())
+
+    def _draw_scene(self, live: bool = False) -> None:
+        """Boxes, pair lines and names, and what belongs to the edits; `live` follows a drag."""
+        state = self.state
         if state.loaded is not None:
-            if self._painted != self.state.paint_key:
-                self._painted = self.state.paint_key
-                self.scene.recolor(frame_colors(state.colors, state.loaded, state.roles, state.dark))
             truth = [a.box for a in state.loaded.context.frame.annotations if a.box is not None]
             tags = self.scene.draw(
                 state.shown.objects,
                 state.shown.names,
                 state.roles,
                 state.selected,
-                self.state.pair_lines,
+                state.pair_lines,
                 truth,
                 state.ghosts,
                 state.flags,
                 state.dark,
             )
             self.bridge.show_tags(tags)
-        self.fallback.update(state)
-        self._runs.follow()
-        self.bridge.remember(state.at_place.said())
+        self._what_if.follow(live)
+
+    def _draw_edited(self, live: bool) -> None:
+        """Draw an answer under edits: all of the page, or while a hand is at it only what follows the hand."""
+        if not live:
+            self._thumbs = {}
+            self._draw()
+            return
+        with self._client.atomic():
+            fill_answer(self.page, self.state)
+            self._draw_scene(live=True)
 
     def _set_listing(self, listing: Listing | None) -> None:
         self.state = replace(self.state, listing=listing)

@@ -11,7 +11,6 @@ import numpy as np
 
 from pipeline.jobs import Source
 from pipeline.objects import SceneObject
-from pipeline.whatif import Edits
 from pipeline.whatif.keys import detection_keys
 from pipeline.whatif.state import CameraView, Toggle, ViewState
 from spatialviz.app.scene import SceneFlags
@@ -52,7 +51,7 @@ def view_of(
         pair=None if ends is None or ends[0] is None or ends[1] is None else (ends[0], ends[1]),
         camera=None if camera is None else camera[0],
         toggles=toggles,
-        edits=edits_of(state),
+        edits=state.edits,
         run=run,
         expression_id=expression,
         colors=state.colors,
@@ -81,23 +80,15 @@ def with_objects(state: State, source: Source, view: ViewState) -> State:
     return replace(state, selected=selected, pair=pair)
 
 
-def edits_of(state: State) -> Edits:
-    """What is edited of the question; nothing where the page cannot edit."""
-    return getattr(state, "edits", None) or Edits()
-
-
-def with_edits(state: State, edits: Edits) -> State:
-    """The state with these edits of its question; as it was where the page cannot edit."""
-    can = any(f.name == "edits" for f in fields(state))
-    changed: dict[str, Any] = {"edits": edits}
-    return replace(state, **changed) if can else state
-
-
 def object_key(state: State, source: Source, place: int) -> str | None:
     """The key of a shown object (`pipeline.whatif.keys`); None where the detector does not find it as it is shown."""
     entry = state.shown.objects[place]
     if entry.id >= 0:
         return f"#{entry.id}"
+    if state.edited is not None:
+        edited = next((state.edited.after.keys[t] for t, at in state.shown.place.items() if at == place), None)
+        if edited is not None:
+            return edited
     keys, alike = _detections(state, source, entry.label)
     return next((key for key, same in zip(keys, alike(entry), strict=True) if same), None)
 
@@ -107,6 +98,8 @@ def object_place(state: State, source: Source, key: str) -> int | None:
     objects = state.shown.objects
     if key.startswith("#") and "/" not in key:
         return next((i for i, o in enumerate(objects) if key == f"#{o.id}"), None)
+    if state.edited is not None and key in state.edited.after.keys:
+        return state.shown.place.get(state.edited.after.keys.index(key))
     name = key.rpartition("/")[0]
     if not any(o.label == name and o.id < 0 for o in objects):
         return None

@@ -21,9 +21,7 @@ from spatialviz.app.text import safe
 from spatialviz.app.view_string import (
     FOV,
     SHIPPED_SCORERS,
-    edits_of,
     view_of,
-    with_edits,
     with_objects,
     with_settings,
 )  # fmt: skip
@@ -181,8 +179,8 @@ class ViewStrings:
         self._go(Place(view.dataset, view.frame, view.expression))
         if self._state().flags.context != before.flags.context:
             self._show_context()
-        if view.edits or edits_of(self._state()):
-            self._take(with_edits(self._state(), view.edits))
+        if view.edits != self._state().edits:
+            self._take(replace(self._state(), edits=view.edits))
             self._ask(view.expression)
         self._take(with_objects(self._state(), self._sources[view.dataset], view))
         self._draw()
