@@ -12,6 +12,7 @@ from pathlib import Path
 from pipeline.errors import InputError
 from pipeline.evaluation.run_folder import Run
 from pipeline.jobs import Source
+from pipeline.whatif import Edits
 from pipeline.whatif.state import ViewState, decode, encode
 from spatialviz.app.dialog import Dialog
 from spatialviz.app.place import Place
@@ -153,8 +154,8 @@ class ViewStrings:
                 "This view wants to load a file",
                 "<div>It scores relations with this network. Load only what you trust.</div>"
                 f'<pre class="file">{safe(view.edits.scorer)}</pre>',
-                ("Without it", "sv('restore-with:no')"),
                 ("Load it", "sv('restore-with:file')"),
+                ("Without it", "sv('restore-with:no')"),
             )
             return
         self._dialog.close()
@@ -180,8 +181,7 @@ class ViewStrings:
         if self._state().flags.context != before.flags.context:
             self._show_context()
         if view.edits != self._state().edits:
-            self._take(replace(self._state(), edits=view.edits))
-            self._ask(view.expression)
+            self._edit(view)
         self._take(with_objects(self._state(), self._sources[view.dataset], view))
         self._draw()
         if self._state().loaded is not None:
@@ -191,6 +191,16 @@ class ViewStrings:
                 fov = view.toggles.get(FOV)
                 self._viewpoint.turn_to(view.camera, float(fov) if isinstance(fov, (int, float)) else None)
         self._note("view opened from its string")
+
+    def _edit(self, view: ViewState) -> None:
+        """Ask again with the edits of a view; without any where they cannot be applied."""
+        self._take(replace(self._state(), edits=view.edits))
+        try:
+            self._ask(view.expression)
+        except InputError:
+            self._take(replace(self._state(), edits=Edits(), edited=None))
+            self._ask(view.expression)
+            raise
 
     def _fail(self, error: InputError) -> None:
         self._note(str(error))
