@@ -9,10 +9,10 @@ import traceback
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Literal, Union
+from typing import Annotated, Literal, Union
 
 import tyro
-from tyro.conf import OmitArgPrefixes, Positional, arg, subcommand
+from tyro.conf import OmitArgPrefixes, Positional, subcommand
 
 from pipeline import __version__
 from pipeline.errors import InputError, MissingExtra
@@ -23,68 +23,11 @@ from spatialviz.cli_eval import BenchEval, Eval
 from spatialviz.cli_labels import BenchLabel, Check, Export, Label, Merge
 from spatialviz.cli_runs import Failures, Query
 from spatialviz.cli_training import Train
+from spatialviz.cli_view import View
 from spatialviz.cli_whatif import WhatIf
 from spatialviz.exits import BAD, FINE, INTERRUPTED, NO
 from spatialviz.options import four_numbers, print_json, warn_skipped
 from spatialviz.source_options import SourceOptions
-
-if TYPE_CHECKING:
-    pass
-
-@dataclass(frozen=True)
-class View:
-    """Open a dataset in the browser; without DATASET, the built-in demo."""
-
-    dataset: Positional[str] = "demo"
-    """Dataset folder, or "demo": the built-in one, with a run of a simulated detector unless another is named. With
-    --run, the run's own."""
-    run_folder: Annotated[Path | None, arg(name="run")] = None
-    """A run folder that `eval` wrote: its failures are listed, with its detector and relation scorer."""
-    compare: Path | None = None
-    """With --run: another run on the same dataset, whose answers are shown beside."""
-    source: OmitArgPrefixes[SourceOptions] = SourceOptions()
-    port: int = 8080
-    """Port; if it is taken, the next free one is used."""
-    host: str = "127.0.0.1"
-    """Address to listen on. Anything but this machine's own is open to others: there is no password."""
-    theme: Literal["dark", "light"] = "dark"
-    """Colours of the page."""
-    open_browser: bool = True
-    """Open the page in the default browser."""
-
-    def run(self) -> int:
-        from pipeline.demo import DEMO_NAME, demo_run
-        from pipeline.evaluation.run_folder import open_run
-        from pipeline.jobs import open_sources
-        from spatialviz.app.server import serve
-
-        runs, others = {}, {}
-        if self.compare is not None and self.run_folder is None:
-            raise InputError("--compare needs --run", expected="--run RUN --compare OTHER_RUN", path=self.compare)
-        folder = self.run_folder
-        built_in = self.dataset == DEMO_NAME and not Path(DEMO_NAME).exists()
-        if folder is None and built_in and self.source == SourceOptions():
-            folder = demo_run()
-        if folder is not None:
-            run = open_run(folder, dataset=None if self.dataset == DEMO_NAME else self.dataset)
-            name = Path(run.spec.dataset).name
-            sources, runs = {name: run.source}, {name: run}
-            if self.compare is not None:
-                others = {name: open_run(self.compare, dataset=run.spec.dataset)}
-        else:
-            sources, left_out = open_sources(self.dataset, **self.source.options())
-            for name, reason in left_out.items():
-                print(f"spatialviz: left out {name}: {reason}", file=sys.stderr)
-        serve(
-            sources,
-            runs=runs,
-            others=others,
-            host=self.host,
-            port=self.port,
-            dark=self.theme == "dark",
-            open_browser=self.open_browser,
-        )
-        return FINE
 
 
 @dataclass(frozen=True)

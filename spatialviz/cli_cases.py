@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -79,16 +79,6 @@ def _one_context(source: Source, frame: str) -> FrameContext:
     if frame == ALL_FRAMES:
         raise InputError("one frame is needed", got="all")
     return next(contexts(source, frame))
-
-
-def _arguments(options: SourceOptions) -> list[str]:
-    """The options that are not as they are by default, as words of a command line."""
-    words: list[str] = []
-    for field in fields(options):
-        value = getattr(options, field.name)
-        if value != field.default:
-            words += [f"--{field.name.replace('_', '-')}", *([] if value is True else [str(value)])]
-    return words
 
 
 @dataclass(frozen=True)
@@ -184,7 +174,7 @@ class Report:
             source = self.source.open(self.dataset)
             context = _one_context(source, self.frame)
             answered = answer(source, context, self.expression, truth=truth_of(source, context, self.labels))
-            subject = Subject.of_dataset(self.dataset, source, context, self.expression, _arguments(self.source))
+            subject = Subject.of_dataset(self.dataset, source, context, self.expression, self.source.words())
         page = failure_page(
             answered, source, context, subject, scene_html(answered, context) if self.scene else None
         )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -81,6 +81,15 @@ class SourceOptions:
                 score_calibration=read_calibration(self.score_calibration, self.force_calibration),
             ),
         }
+
+    def words(self) -> list[str]:
+        """Those that are not as they are by default, as words of a command line."""
+        words: list[str] = []
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if value != field.default:
+                words += [f"--{field.name.replace('_', '-')}", *([] if value is True else [str(value)])]
+        return words
 
     def open(self, dataset: str) -> Source:
         from pipeline.jobs import open_source

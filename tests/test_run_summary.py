@@ -16,10 +16,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from run_records import random_records
 
-from pipeline.diagnosis.confusion import answer_confusion, network_confusion, stands_in
+from pipeline.diagnosis.confusion import answer_confusion, answer_standings, network_confusion, stands_in
 from pipeline.diagnosis.report import diagnose_run
 from pipeline.diagnosis.run_database import open_run
 from pipeline.diagnosis.search import find_rows
+from pipeline.diagnosis.search_words import quote
 from pipeline.diagnosis.shapley import oracle_deltas
 from pipeline.diagnosis.slices import DIMENSIONS, slice_by, slice_table
 from pipeline.diagnosis.summary import oracle_table, summarise_run, verdict_table
@@ -177,6 +178,17 @@ def test_a_run_leaves_its_diagnosis(run: Path) -> None:
     assert "## Verdicts" in (run / "tables.md").read_text()
     assert (run / "tables" / "slice-relation.csv").is_file()
     assert network_confusion(run / "relation_records.parquet") == []
+
+
+def test_every_cell_of_the_confusion_is_a_search(run: Path) -> None:
+    records = pq.read_table(run / "records.parquet")
+    labels = open_labels(run.parent / "labels")
+    confusion = answer_confusion(records, labels)
+    stands = answer_standings(records, labels).column()
+    records = records.append_column("stands_in", pa.array(stands))
+    for row, line in zip(confusion.rows, confusion.counts.tolist(), strict=True):
+        for outcome, count in zip(confusion.columns, line, strict=True):
+            assert len(find_rows(records, f"relation:{row} stands_in={quote(outcome)}")) == count
 
 
 def test_other_labels_are_refused(run: Path) -> None:

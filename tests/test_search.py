@@ -171,6 +171,9 @@ def test_completions_are_searches_that_find_something() -> None:
     assert "class:" in complete("verdict:SRM -lucky cl", fields)
     assert complete("-verdict:SRM,LA", fields) == ["-verdict:SRM,LABEL"]
     assert "sort:-margin" in complete("sort:-mar", fields)
+    spaced = next(v for v in by_name["class"].values if " " in v)
+    assert complete(f"verdict:SRM class:{spaced[:-2]}", fields) == [f"class:{spaced}"]
+    assert complete(f"class:{spaced} cl", fields) == ["class:"]
     assert sum(find(TABLES[0], f"class={v}").num_rows for v in by_name["class"].values) == TABLES[0].num_rows
     for value in by_name["verdict"].values:
         assert find(TABLES[0], f"verdict:{value}").num_rows > 0

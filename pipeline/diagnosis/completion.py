@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -12,6 +13,8 @@ from pipeline.diagnosis.search_words import quote
 if TYPE_CHECKING:
     import pyarrow as pa
 
+_WORD = re.compile(r'(?:[^\s"]|"(?:[^"\\]|\\.)*(?:"|$))+')
+"""A quote that is open or closed belongs to its word, blanks included."""
 
 def completions(source: str | Path | pa.Table, most: int = 200) -> tuple[Field, ...]:
     """All fields of a run with the values that occur, for a field that completes what is typed."""
@@ -50,8 +53,8 @@ def complete(typed: str, fields: Sequence[Field], most: int = 20) -> list[str]:
         From `completions`.
     most : int
     """
-    parts = typed.split()
-    word = "" if not parts or typed[-1:].isspace() else parts[-1]
+    words = list(_WORD.finditer(typed))
+    word = words[-1][0] if words and words[-1].end() == len(typed) else ""
     minus, bare = ("-", word[1:]) if word.startswith("-") else ("", word)
     name, colon, value = bare.partition(":")
     if not colon:

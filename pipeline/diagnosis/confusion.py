@@ -61,6 +61,58 @@ class Confusion:
         return Table(self.key, self.title, (*heads, "sum"), rows, self.note)
 
 
+@dataclass(frozen=True)
+class Standings:
+    """In which relation the answer of each expression stands.
+
+    Attributes
+    ----------
+    names : tuple of str
+        The relations of the labels.
+    meant : (E,) int64
+        Which of `names` was asked.
+    cell : (E,) int64
+        Which of `columns` the answer stands in.
+    """
+
+    names: tuple[str, ...]
+    meant: np.ndarray
+    cell: np.ndarray
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """The relations, then the other outcomes."""
+        return (*self.names, *OTHERS)
+
+    def column(self) -> list[str]:
+        """The outcome of each expression as a text, for a search."""
+        columns = self.columns
+        return [columns[k] for k in self.cell.tolist()]
+
+
+def answer_standings(records: pa.Table, labels: Labels, content_hash: str | None = None) -> Standings:
+    """In which relation the two objects of each answer stand by their labels; see `answer_confusion`."""
+    if content_hash is not None and labels.manifest.tables["expressions"].content_hash != content_hash:
+        raise InputError("these are not the labels that the run was made with", path=labels.root)
+    names = tuple(r for r in PAIRWISE if r in labels.relation_names)
+    asked = np.array(records.column("relation").to_pylist(), object)
+    unknown = sorted(set(asked.tolist()) - set(names))
+    if unknown:
+        raise InputError("the run asks for a relation that the labels do not have", got=unknown[0], path=labels.root)
+    place, states, margins = _pairs_of_answers(records, labels, names)
+    answered = records.column("box").is_valid().to_numpy(zero_copy_only=False)
+    matched = np.ones(len(asked), np.bool_)
+    for name in ("matched_target", "matched_reference"):
+        matched &= records.column(name).is_valid().to_numpy(zero_copy_only=False)
+    other = {name: len(names) + k for k, name in enumerate(OTHERS)}
+    meant = np.array([names.index(r) for r in asked.tolist()], np.int64)
+    cell = np.full(len(asked), other[NO_ANSWER], np.int64)
+    cell[answered] = other[UNLABELLED]
+    cell[answered & matched] = other[UNJUDGED]
+    cell[place] = stands_in(states, margins, meant[place], other[DOUBT], other[NOTHING])
+    return Standings(names, meant, cell)
+
+
 def answer_confusion(records: pa.Table, labels: Labels, content_hash: str | None = None) -> Confusion:
     """The relation that was asked against the one in which the answer's two objects stand by their labels.
 
@@ -78,32 +130,18 @@ def answer_confusion(records: pa.Table, labels: Labels, content_hash: str | None
     InputError
         The labels are damaged, or not those of the run.
     """
-    if content_hash is not None and labels.manifest.tables["expressions"].content_hash != content_hash:
-        raise InputError("these are not the labels that the run was made with", path=labels.root)
-    names = tuple(r for r in PAIRWISE if r in labels.relation_names)
-    asked = np.array(records.column("relation").to_pylist(), object)
-    unknown = sorted(set(asked.tolist()) - set(names))
-    if unknown:
-        raise InputError("the run asks for a relation that the labels do not have", got=unknown[0], path=labels.root)
-    place, states, margins = _pairs_of_answers(records, labels, names)
-    answered = records.column("box").is_valid().to_numpy(zero_copy_only=False)
-    matched = np.ones(len(asked), np.bool_)
-    for name in ("matched_target", "matched_reference"):
-        matched &= records.column(name).is_valid().to_numpy(zero_copy_only=False)
-    columns = (*names, *OTHERS)
-    other = {name: len(names) + k for k, name in enumerate(OTHERS)}
-    meant = np.array([names.index(r) for r in asked.tolist()], np.int64)
-    cell = np.full(len(asked), other[NO_ANSWER], np.int64)
-    cell[answered] = other[UNLABELLED]
-    cell[answered & matched] = other[UNJUDGED]
-    cell[place] = stands_in(states, margins, meant[place], other[DOUBT], other[NOTHING])
-    counts = np.zeros((len(names), len(columns)), np.int64)
-    np.add.at(counts, (meant, cell), 1)
+    return count_standings(answer_standings(records, labels, content_hash))
+
+
+def count_standings(found: Standings) -> Confusion:
+    """How many expressions stand where."""
+    counts = np.zeros((len(found.names), len(found.columns)), np.int64)
+    np.add.at(counts, (found.meant, found.cell), 1)
     return Confusion(
         "confusion",
         "The relation that was asked, and the one in which the answer stands",
-        names,
-        columns,
+        found.names,
+        found.columns,
         counts,
         "Expressions. The diagonal: the labels say that the asked relation holds of the answer's two objects; in "
         "doubt: that it may. Else the pair stands in the column of the relation that holds of it by the largest "

@@ -16,7 +16,7 @@ from spatialviz.app.text import note, panel, safe
 IMAGE_WIDTH = 720
 SHOWN_FRAMES = 24
 CLICK = (
-    "const b=this.getBoundingClientRect();"
+    "if(event.shiftKey)return;const b=this.getBoundingClientRect();"
     "sv('image:'+((event.clientX-b.left)/b.width).toFixed(5)+','+((event.clientY-b.top)/b.height).toFixed(5))"
 )
 """Sends where a picture was clicked, as fractions of its width and height."""
@@ -34,7 +34,8 @@ def image_html(state: State) -> str:
     step = max(1, round(frame.width / IMAGE_WIDTH))
     url = jpeg_url(picture[::step, ::step])
     return panel(
-        f'<div class="pic" style="--wh:{frame.width / frame.height:.3f}" onclick="{safe(CLICK)}">'
+        f'<div class="pic" style="--wh:{frame.width / frame.height:.3f}" onclick="{safe(CLICK)}" '
+        f'onmousedown="svPaint(this,event)">'
         f'<img src="{url}">{_overlay(state)}</div>',
         style="padding-top:.6em",
     )

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+from collections.abc import Sequence
+
 from pipeline.diagnosis.verdict import VERDICTS
 from pipeline.palette import VERDICTS as COLORS
 from pipeline.palette import hex_color
@@ -30,24 +33,67 @@ def verdict_chip(verdict: str, detail: str | None = None) -> str:
     return f'<span class="vd" style="--c:{color}" title="{safe(MEANING[verdict])}">{safe(verdict)}{more}</span>'
 
 
+SYNTAX = 'verdict:SRM  class:"trash can",bin  margin<0.1  -lucky  sort:margin'
+SYNTAX_HINT = (
+    "All terms must hold; a comma means or, a minus not. field:value, field:none, * for anything; numbers take < <= > "
+    ">= = !=; yes-or-no fields stand alone; free words and quoted phrases must stand in the expression; sort:FIELD or "
+    "sort:-FIELD. Tab takes what is offered, Enter searches."
+)
+
+
+def sends(message: str) -> str:
+    """JavaScript that sends a message, as it stands in an attribute."""
+    return safe(f"sv({json.dumps(message)})")
+
+
+def searches(query: str) -> str:
+    """An attribute by which a click lists what a search finds."""
+    return f'onclick="event.stopPropagation();svTab(\'Failures\');{sends(f"find:{query}")}"'
+
+
 def search_html(query: str) -> str:
     """The search field. It is drawn once, so that nothing is lost while one types."""
-    hint = "Words and fields: verdict:SRM relation:behind class:chair margin<0.1 sort:margin. Enter searches."
     return panel(
-        f'<input class="find" value="{safe(query)}" title="{safe(hint)}" spellcheck="false" '
-        "placeholder=\"verdict:SRM relation:behind margin&lt;0.1\" "
-        "onkeydown=\"if(event.key==='Enter')sv('find:'+this.value)\">",
-        style="padding-top:.5em",
+        f'<input class="find runs" value="{safe(query)}" title="{safe(SYNTAX_HINT)}" spellcheck="false" '
+        'autocomplete="off" '
+        'placeholder="search" '
+        'oninput="svTyped(this)" onkeydown="svKey(event,this)">',
+        style="padding:.5em .8em 0",
+    )
+
+
+def offers_html(offered: Sequence[str], query: str | None = None) -> str:
+    """Words that the last one of the search may become, and below how a search is written.
+
+    With `query` the field takes this text.
+    """
+    words = "".join(
+        f'<span class="{"" if k else "on"}" data-w="{safe(word)}" '
+        f'onmousedown="event.preventDefault();svTake(this.dataset.w)">{safe(word)}</span>'
+        for k, word in enumerate(offered)
+    )
+    put = "" if query is None else (
+        f'<img src="" style="display:none" onerror="{safe(f"svFind({json.dumps(query)})")}">'
+    )
+    return panel(
+        f'<div class="cmp">{words}</div>' if words else "",
+        f'<div class="syntax dim" title="{safe(SYNTAX_HINT)}">{safe(SYNTAX)}</div>{put}',
+        style="padding-bottom:.2em",
+    )
+
+
+def no_run_html() -> str:
+    """What stands there without a run."""
+    return panel(
+        '<div class="dim" style="padding:.7em 0">No run is open. <code>spatialviz eval</code> writes one; open it '
+        "with <code>spatialviz view --run RUN</code>.</div>"
     )
 
 
 def listing_html(listing: Listing | None, thumbs: dict[str, str]) -> str:
     """Verdicts of the run as a bar and chips, then the expressions that match the search."""
     if listing is None:
-        return panel(
-            '<div class="dim" style="padding:.7em 0">No run is open. <code>spatialviz eval</code> writes one; open it '
-            "with <code>spatialviz view --run RUN</code>.</div>"
-        )
+        return no_run_html()
     error = note(listing.error, BAD) if listing.error else ""
     return panel(_verdicts(listing), error, _head(listing), _rows(listing, thumbs))
 

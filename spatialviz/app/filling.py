@@ -29,13 +29,18 @@ def fill_page(
         place, count = dataset.frame_ids.index(state.frame_id), len(dataset.frame_ids)
         page.steps.content = left.frame_html(place, count, leads)
         page.parse.content = left.parse_html(state, suggestions)
-        page.modules.content = left.modules_html(state)
         page.controls.content = left.controls_html(state)
         page.objects.content = left.objects_html(state, thumbs, moving=leads is not None)
-        page.answer.content = right.answer_html(state)
-        page.pairs.content = right.pairs_html(state)
-        page.relations.content = right.relations_html(state)
-        page.why.content = why.why_html(state)
+        fill_answer(page, state)
         page.object.content = right.object_html(state)
         page.image.content = bottom.image_html(state)
         page.log.content = bottom.log_html(log)
+
+
+def fill_answer(page: Page, state: State) -> None:
+    """Fill what follows a box that is dragged."""
+    page.modules.content = left.modules_html(state)
+    page.answer.content = right.answer_html(state)
+    page.pairs.content = right.pairs_html(state)
+    page.relations.content = right.relations_html(state)
+    page.why.content = why.why_html(state)

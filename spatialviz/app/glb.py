@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 
-def unlit_glb(vertices: np.ndarray, faces: np.ndarray, colors: np.ndarray) -> bytes:
+def unlit_glb(vertices: np.ndarray, faces: np.ndarray, colors: np.ndarray, opacity: float = 1.0) -> bytes:
     """A binary glTF with one unlit material (KHR_materials_unlit).
 
     Parameters
@@ -16,19 +16,26 @@ def unlit_glb(vertices: np.ndarray, faces: np.ndarray, colors: np.ndarray) -> by
     faces : (F, 3) int
     colors : (V, 3) uint8
         sRGB; glTF wants them linear.
+    opacity : float
+        0..1, of all of it.
     """
     import trimesh
     from trimesh.exchange.gltf import export_glb
 
     linear = np.round(255 * (colors / 255.0) ** 2.2).astype(np.uint8)
     solid = trimesh.Trimesh(vertices, faces, vertex_colors=linear, process=False)
-    return bytes(export_glb(trimesh.Scene(solid), tree_postprocessor=_unlit))
+    return bytes(export_glb(trimesh.Scene(solid), tree_postprocessor=lambda tree: _unlit(tree, opacity)))
 
 
-def _unlit(tree: dict[str, Any]) -> None:
+def _unlit(tree: dict[str, Any], opacity: float) -> None:
     tree["materials"] = [
         {
-            "pbrMetallicRoughness": {"metallicFactor": 0.0, "roughnessFactor": 1.0},
+            "pbrMetallicRoughness": {
+                "metallicFactor": 0.0,
+                "roughnessFactor": 1.0,
+                "baseColorFactor": [1.0, 1.0, 1.0, opacity],
+            },
+            "alphaMode": "OPAQUE" if opacity >= 1 else "BLEND",
             "extensions": {"KHR_materials_unlit": {}},
             "doubleSided": True,
         }

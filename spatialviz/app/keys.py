@@ -30,8 +30,18 @@ KEYS: tuple[tuple[str, str, str], ...] = (
     ("Z", "Show or hide the labelled pair", "flag:ghosts"),
     ("Y", "Show or hide the viewer's axes at the reference", "flag:axes"),
     ("U", "Show or hide the room around the frame", "flag:context"),
+    ("Shift+C", "Copy the view as a string", "copy-state"),
+    ("Shift+V", "Open a view from its string", "paste-state"),
+    ("Shift+K", "Save the answer as a case", "keep-case"),
+    ("Shift+P", "Report of the answer as one page", "report"),
     ("M", "Dark or light", "theme"),
     ("X", "Clear the question", "clear"),
+    ("Shift+E", "Handles of the selected box: move, turn, resize, off", "edit-mode:next"),
+    ("Shift+H", "Hide the selected object, or show it again", "edit:hide"),
+    ("Shift+R", "Show or hide the region of the asked relation", "flag:region"),
+    ("Shift+F", "Show or hide the decision map of the selected object", "edit-map"),
+    ("Ctrl+Z", "Take the last edit back", "edit-undo"),
+    ("0", "Take all edits back", "edit-reset"),
     ("H", "List the keys (or ?)", "help"),
 )
 
@@ -46,14 +56,21 @@ MOVE_KEYS: tuple[tuple[str, str, str], ...] = (
 """The keys of datasets with moves: two rows of a number pad, and the rows of the buttons."""
 
 
+MODIFIERS = {"": None, "Shift": "shift", "Ctrl": "cmd/ctrl"}
+
+
 def keys_of(moving: bool) -> tuple[tuple[str, str, str], ...]:
     """(key, what it does, message) of every key; those of moves only where a dataset has them."""
     return (*KEYS, *MOVE_KEYS) if moving else KEYS
 
 
+def _pressed(key: str) -> str:
+    return " ".join(f"<kbd>{safe(part)}</kbd>" for part in key.split("+"))
+
+
 def help_html(moving: bool) -> str:
     """The keys as a list."""
-    rows = "".join(f"<span><kbd>{safe(k)}</kbd></span><span>{safe(label)}</span>" for k, label, _ in keys_of(moving))
+    rows = "".join(f"<span>{_pressed(k)}</span><span>{safe(label)}</span>" for k, label, _ in keys_of(moving))
     return (
         f'<div class="sv"><div class="keys"><span><kbd>/</kbd></span><span>Type a question</span>{rows}'
         "<span><kbd>Ctrl</kbd> <kbd>K</kbd></span><span>Find any command</span></div></div>"
@@ -63,8 +80,10 @@ def help_html(moving: bool) -> str:
 def add_keys(client: viser.ClientHandle, post: Callable[[str], None], moving: bool) -> None:
     """Register every key as a command of this client."""
     for key, label, message in keys_of(moving):
-        hotkey: Any = key.lower() if key.isdigit() else key
-        command = client.gui.add_command(label, hotkey=hotkey)
+        held, _, pressed = key.rpartition("+")
+        hotkey: Any = pressed
+        modifier: Any = MODIFIERS[held]
+        command = client.gui.add_command(label, hotkey=hotkey, modifier=modifier)
 
         def trigger(event: Any, message: str = message) -> None:
             post(message)

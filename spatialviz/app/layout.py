@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import viser
 
 from spatialviz.app.bridge import Bridge
+from spatialviz.app.left import keep_html
 
 LEFT_WIDTH, RIGHT_WIDTH = 304, 372
 
@@ -45,7 +46,13 @@ class Page:
     object: viser.GuiHtmlHandle
     image: viser.GuiHtmlHandle
     search: viser.GuiHtmlHandle
+    offers: viser.GuiHtmlHandle
     listing: viser.GuiHtmlHandle
+    run_summary: viser.GuiHtmlHandle
+    run_slices: viser.GuiHtmlHandle
+    run_confusion: viser.GuiHtmlHandle
+    cost: viser.GuiHtmlHandle
+    edit: viser.GuiHtmlHandle
     frames: viser.GuiHtmlHandle
     log: viser.GuiHtmlHandle
 
@@ -65,6 +72,7 @@ def build(
         expression = gui.add_text("Ask", "")
         ask = gui.add_button("Ask", icon=viser.Icon.PLAYER_PLAY)
     parse, modules, controls, objects = (gui.add_html("") for _ in range(4))
+    gui.add_html(keep_html())
     gui.main_panel.dock_left()
     gui.main_panel.set_width(LEFT_WIDTH)
 
@@ -72,19 +80,25 @@ def build(
     upper.dock_right()
     upper.set_width(RIGHT_WIDTH)
     lower.dock_below(upper)
+    # Six names fit into one row only without pictures.
     with upper.add_tab("Answer", viser.Icon.TARGET_ARROW):
         answer, pairs, relations = (gui.add_html("") for _ in range(3))
     with upper.add_tab("Why", viser.Icon.HELP_CIRCLE):
         why = gui.add_html("")
-    with lower.add_tab("Image", viser.Icon.PHOTO):
+    with lower.add_tab("Image"):
         image, object_ = gui.add_html(""), gui.add_html("")
-    with lower.add_tab("Failures", viser.Icon.BUG):
-        search, listing = gui.add_html(""), gui.add_html("")
-    with lower.add_tab("Frames", viser.Icon.LAYOUT_GRID):
+    with lower.add_tab("Failures"):
+        search, offers, listing = (gui.add_html("") for _ in range(3))
+    with lower.add_tab("Run"):
+        run_summary, run_slices, run_confusion = (gui.add_html("") for _ in range(3))
+    with lower.add_tab("Edit"):
+        cost, edit = gui.add_html(""), gui.add_html("")
+    with lower.add_tab("Frames"):
         frames = gui.add_html("")
-    with lower.add_tab("Log", viser.Icon.LIST):
+    with lower.add_tab("Log"):
         log = gui.add_html("")
     return Page(
         dataset_box, frame_box, expression, ask, form, steps, parse, modules, controls, objects,
-        answer, pairs, relations, why, object_, image, search, listing, frames, log,
+        answer, pairs, relations, why, object_, image, search, offers, listing,
+        run_summary, run_slices, run_confusion, cost, edit, frames, log,
     )  # fmt: skip

@@ -40,6 +40,7 @@ FLAGS = {
     "ghosts": "labelled",
     "truth": "exact boxes",
     "axes": "axes",
+    "region": "region",
     "context": "room",
     "camera": "camera",
 }
@@ -210,6 +211,21 @@ def controls_html(state: State) -> str:
         f'<div class="row"><label>Show</label><div class="tog">{toggles}</div></div>',
         style="padding-top:.3em",
     )
+
+
+def keep_html() -> str:
+    """Buttons for what one may want to keep."""
+    ways = (
+        ("copy-state", "Copy view", "the view as a string, into the clipboard (Shift+C)"),
+        ("paste-state", "Paste view", "open a view from its string (Shift+V)"),
+        ("keep-case", "Save case", "a folder that `spatialviz replay` runs again (Shift+K)"),
+        ("report", "Report", "one page of this answer, as a download (Shift+P)"),
+    )
+    cells = "".join(
+        f'<span class="try" role="button" onclick="sv(\'{message}\')" title="{safe(hint)}">{label}</span>'
+        for message, label, hint in ways
+    )
+    return panel(f'<div class="keep">{cells}</div>')
 
 
 def objects_html(state: State, thumbs: dict[int, str], moving: bool = False) -> str:

@@ -10,6 +10,7 @@ from pipeline.ranking import RankedPair
 from pipeline.records import why_no_answer
 from pipeline.relations import PHRASE, letter
 from pipeline.srm.scorer import RelationScores
+from spatialviz.app.before import before_html, changed
 from spatialviz.app.state import State
 from spatialviz.app.text import BAD, DOUBT, dot, heading, note, panel, safe, words
 from spatialviz.app.why import verdict_line
@@ -26,14 +27,14 @@ def answer_html(state: State) -> str:
     if trace is None:
         hint = "Type TARGET RELATION REFERENCE at the left, for example “mug left of the laptop”, and press Enter."
         return panel(f'<div class="dim" style="padding:.7em 0">{hint}</div>')
-    reason = why_no_answer(trace)
+    reason, before = why_no_answer(trace), before_html(state)
     if reason is not None:
         return panel(
-            '<div style="height:.5em"></div>', note(reason[0].upper() + reason[1:], BAD), verdict_line(state)
+            before, '<div style="height:.5em"></div>', note(reason[0].upper() + reason[1:], BAD), verdict_line(state)
         )
     best, chosen = state.ranked[0], state.chosen
     pair = chosen or best
-    parts = [_sentence(state, pair), verdict_line(state)]
+    parts = [before, _sentence(state, pair), verdict_line(state)]
     assert trace.ranking is not None
     place = state.ranked.index(pair) + 1
     if place == 1:
@@ -97,15 +98,21 @@ def pairs_html(state: State) -> str:
         target, *references = state.at(pair)
         factors = (pair.p_target, pair.p_reference, pair.p_relation)
         weakest = min(factors)
+        was = None if state.edited is None else state.edited.pair_before(pair)
+        rank = None if state.edited is None else state.edited.rank_before(pair)
+        old = (None,) * 4 if was is None else (was.p_target, was.p_reference, was.p_relation, was.probability)
+        marks = [changed(f, o) for f, o in zip((*factors, pair.probability), old, strict=True)]
         cells = "".join(
-            f'<td class="n{" low" if f == weakest and f < 0.5 else ""}">{f:.2f}</td>' for f in factors
+            f'<td class="n{" low" if f == weakest and f < 0.5 else ""}{mark}"{hint}>{f:.2f}</td>'
+            for f, (mark, hint) in zip(factors, marks, strict=False)
         )
+        moved = "" if rank in (None, i + 1) else f' chg" title="was rank {rank}'
         rows.append(
             f'<tr class="r{" sel" if state.at(pair) == state.pair else ""}" onclick="sv(\'pair:{i}\')">'
-            f'<td class="n dim">{i + 1}</td>'
+            f'<td class="n dim{moved}">{i + 1}</td>'
             f"{_cell(colors['target'], state.shown.names[target])}"
             f"{_cell(colors['reference'], ', '.join(state.shown.names[i] for i in references))}"
-            f'{cells}<td class="n"><b>{pair.probability:.2f}</b></td></tr>'
+            f'{cells}<td class="n{marks[3][0]}"{marks[3][1]}><b>{pair.probability:.2f}</b></td></tr>'
         )
     more = "" if len(state.ranked) <= SHOWN_PAIRS else f"best {SHOWN_PAIRS} of {len(state.ranked)}"
     head = (
@@ -135,6 +142,7 @@ def relations_html(state: State) -> str:
             letter(trace.scores.states[a, b, n]),
             colors["target"] if relation == asked.relation else None,
             f"sv('relation:{n}')",
+            None if state.edited is None else state.edited.relation_before(a, b, relation),
         )
         for n, relation in enumerate(trace.scores.relations)
     ]
@@ -154,14 +162,16 @@ def _scored_by(scores: RelationScores, scorer: str) -> str:
     return "; ".join([scorer, *(f"{', '.join(names)} by {other}" for other, names in others.items())])
 
 
-def _bar(phrase: str, p: float, mark: str, asked: RGB | None, click: str) -> str:
+def _bar(phrase: str, p: float, mark: str, asked: RGB | None, click: str, was: float | None = None) -> str:
     color = "#7d8896" if asked is None else hex_color(asked)
     title = f"{phrase}: {p:.3f}" + (f" ({mark}); click to ask it" if mark else "")
+    moved = changed(p, was)[0]
+    title += f"; was {was:.3f}" if moved else ""
     return (
         f'<div class="bar{"" if asked is None else " on"}" style="--c:{color}" onclick="{click}" title="{safe(title)}">'
         f"<span>{safe(phrase)}</span>"
         f'<span class="t"><span class="f" style="width:{p * 100:.0f}%"></span></span>'
-        f'<span class="s">{mark}</span><span class="n">{p:.2f}</span></div>'
+        f'<span class="s">{mark}</span><span class="n{moved}">{p:.2f}</span></div>'
     )
 
 

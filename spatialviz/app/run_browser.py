@@ -5,15 +5,23 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Any
 
-from pipeline.diagnosis.search import find
+import numpy as np
+
+from pipeline.diagnosis.completion import complete
+from pipeline.diagnosis.search import find_rows
 from pipeline.diagnosis.verdict import VERDICTS
 from pipeline.errors import InputError
-from pipeline.evaluation.run_folder import Run
+from spatialviz.app.run_figures import RunFigures
 
 PAGE = 20
 COLUMNS = ("id", "frame", "text", "verdict", "detail", "lucky", "margin", "said", "target", "relation", "reference")
-FAILURES = "-verdict:CORRECT"
-"""What is listed first."""
+FIRST = ("-verdict:CORRECT,LABEL", "-verdict:CORRECT", "")
+"""What is listed first: the first of these that finds something. With LABEL the answer is right, too, or the label was
+marked as wrong."""
+OFFERED = 12
+"""Words that are offered for one that is begun."""
+LONGEST_SEARCH = 2000
+"""Characters; more is no search that somebody typed."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +51,7 @@ class Listing:
     run: str
     total: int
     counts: dict[str, int]
-    query: str = FAILURES
+    query: str = ""
     error: str = ""
     keys: tuple[tuple[str, str], ...] = ()
     rows: tuple[dict[str, Any], ...] = ()
@@ -64,32 +72,43 @@ class Listing:
 class RunBrowser:
     """Searches one run's records."""
 
-    def __init__(self, run: Run) -> None:
-        self.run = run
-        records = run.records
+    def __init__(self, figures: RunFigures) -> None:
+        self.figures = figures
+        run, records = figures.run, figures.run.records
         if "verdict" not in records.column_names:
             cause = "made by an earlier release? run `eval` again"
             raise InputError("the run has no verdicts", cause=cause, path=run.folder)
-        self._found = records
+        self._records = records
+        self._found = np.arange(0)
         verdicts = records.column("verdict").to_pylist()
         counts = {name: verdicts.count(name) for name in VERDICTS if name in verdicts}
-        self.first = self.searched(Listing(run.name, records.num_rows, counts), FAILURES)
+        listing = Listing(run.name, records.num_rows, counts)
+        self.first = next((found for q in FIRST if (found := self._search(listing, q)).keys), listing)
 
     def searched(self, listing: Listing, query: str) -> Listing:
         """The listing of another search, from its first page."""
-        query = " ".join(query.split())
+        # From the second search on it may ask for what the labels say of the answer.
+        self._records = self.figures.records
+        return self._search(listing, " ".join(query[:LONGEST_SEARCH].split()))
+
+    def _search(self, listing: Listing, query: str) -> Listing:
         try:
-            self._found = find(self.run.records, query)
+            self._found = find_rows(self._records, query)
         except InputError as error:
             return replace(listing, query=query, error=str(error))
-        keys = zip(self._found.column("frame").to_pylist(), self._found.column("id").to_pylist(), strict=True)
+        found = self._records.select(["frame", "id"]).take(self._found)
+        keys = zip(found.column("frame").to_pylist(), found.column("id").to_pylist(), strict=True)
         return self.turned(replace(listing, query=query, error="", keys=tuple(keys)), 0)
+
+    def offered(self, typed: str) -> list[str]:
+        """What the last word of a search that is being typed may become."""
+        return complete(typed, self.figures.fields, OFFERED) if 0 < len(typed) <= LONGEST_SEARCH else []
 
     def turned(self, listing: Listing, page: int) -> Listing:
         """The listing at another page."""
         page = min(max(page, 0), listing.pages - 1)
-        rows = self._found.slice(page * PAGE, PAGE).select(list(COLUMNS)).to_pylist()
-        return replace(listing, page=page, rows=tuple(rows))
+        shown = self._found[page * PAGE : (page + 1) * PAGE]
+        return replace(listing, page=page, rows=tuple(self._records.select(list(COLUMNS)).take(shown).to_pylist()))
 
     def opened(self, listing: Listing, place: int) -> Listing:
         """The listing with the expression at a place of the matches open, on its page."""

@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 
 from pipeline.evaluation.run_folder import Run
-from spatialviz.app.failures import listing_html, search_html
+from spatialviz.app.failures import listing_html, offers_html, search_html
 from spatialviz.app.frames import FrameStore
 from spatialviz.app.layout import Page
 from spatialviz.app.place import Place
 from spatialviz.app.run_browser import Listing, RunBrowser
+from spatialviz.app.run_figures import figures_of
+from spatialviz.app.run_tab import RunTab
 from spatialviz.app.state import State
 
 FILLED = 4
@@ -45,7 +47,9 @@ class RunPanel:
         go: Callable[[Place], None],
         post: Callable[[Callable[[], None]], None],
     ) -> None:
-        self._browsers = {name: RunBrowser(run) for name, run in runs.items()}
+        figures = {name: figures_of(run) for name, run in runs.items()}
+        self._browsers = {name: RunBrowser(found) for name, found in figures.items()}
+        self._tab = RunTab(figures, page, post)
         self._store, self._page, self._state, self._show, self._go, self._post = store, page, state, show, go, post
         self._thumbs: dict[str, str] = {}
         self._source: str | None = None
@@ -54,6 +58,8 @@ class RunPanel:
         """What the page may ask for, by the first word of its message."""
         return {
             "find": self.search,
+            "complete": self.complete,
+            "cut": self._tab.cut,
             "find-page": lambda page: self.turn(int(page)),
             "failure": lambda place: self.open(int(place)),
             "next-failure": lambda step: self.step(int(step)),
@@ -71,7 +77,9 @@ class RunPanel:
         self._source, self._thumbs = source, {}
         browser = self._browser
         self._page.search.content = "" if browser is None else search_html(browser.first.query)
+        self._page.offers.content = "" if browser is None else offers_html(())
         self._set(None if browser is None else browser.first)
+        self._tab.show(source)
 
     def expression(self, frame: str, text: str) -> str | None:
         """The id of the expression that was opened from the list, where it is the one that is asked."""
@@ -81,14 +89,34 @@ class RunPanel:
         row = next((r for r in listing.rows if (r["frame"], r["id"]) == listing.at), None)
         return listing.at[1] if row is not None and row["text"] == text else None
 
+    def reveal(self, frame: str, expression: str) -> None:
+        """Mark an expression as the one that is open, among all of the run where the search did not find it."""
+        listing, browser = self._state().listing, self._browser
+        if listing is None or browser is None:
+            return
+        if (frame, expression) not in listing.keys:
+            everything = browser.searched(listing, "")
+            if (frame, expression) not in everything.keys:
+                browser.searched(listing, listing.query)
+                return
+            listing = everything
+            self._page.offers.content = offers_html((), listing.query)
+        self._set(browser.opened(listing, listing.keys.index((frame, expression))))
+
     def search(self, query: str) -> None:
         """List what matches a search."""
         listing, browser = self._state().listing, self._browser
         if listing is None or browser is None:
             return
         found = browser.searched(listing, query)
-        self._page.search.content = search_html(found.query)
+        self._page.offers.content = offers_html((), found.query)
         self._set(found)
+
+    def complete(self, typed: str) -> None:
+        """Offer words for the last one of a search that is being typed."""
+        browser = self._browser
+        if browser is not None:
+            self._page.offers.content = offers_html(browser.offered(typed))
 
     def turn(self, page: int) -> None:
         """Show another page of the list."""

@@ -75,6 +75,7 @@ class SceneFlags:
     context: bool = False
     camera: bool = False
     ghosts: bool = True
+    region: bool = False
 
 
 @dataclass(frozen=True)
@@ -106,7 +107,7 @@ class SceneView:
         self._frustum: Any = None
         self._axes: list[Any] = []
         self._context: Any = None
-        self._to_show = np.eye(3)
+        self.to_show = np.eye(3)
 
         @client.scene.on_click()
         def _(event: Any) -> None:
@@ -117,16 +118,16 @@ class SceneView:
     def set_frame(self, loaded: LoadedFrame, colors: np.ndarray) -> None:
         """Show another frame; `colors` is (H, W, 3) uint8."""
         frame, viewer = loaded.context.frame, loaded.context.viewer
-        self._to_show = np.stack([viewer.right, viewer.forward, viewer.up])
+        self.to_show = np.stack([viewer.right, viewer.forward, viewer.up])
         stride = max(1, int(np.ceil(np.sqrt(frame.width * frame.height / MAX_POINTS))))
         v, u = np.meshgrid(np.arange(0, frame.height, stride), np.arange(0, frame.width, stride), indexing="ij")
         z = frame.depth[v, u]
         keep = (z > 0) & (z < FAR) & ~flying_pixels(frame.depth)[v, u]
         v, u, z = v[keep], u[keep], z[keep]
-        points = (lift_pixels(z, frame.camera, v, u) @ self._to_show.T.astype(np.float32)).astype(np.float32)
+        points = (lift_pixels(z, frame.camera, v, u) @ self.to_show.T.astype(np.float32)).astype(np.float32)
         band = np.floor(np.log(np.maximum(z, 1e-3)) / np.log(BAND_RATIO)).astype(int)
         levels = np.unique(band)
-        self.viewpoint.set_frame(points, self._to_show, frame.camera)
+        self.viewpoint.set_frame(points, self.to_show, frame.camera)
         self._cloud = _Cloud(v, u, points, tuple(np.flatnonzero(band == level) for level in levels))
         with self._client.atomic():
             for handle in self._bands:
@@ -153,7 +154,7 @@ class SceneView:
                 thickness=1.5,
                 thickness_units="screen",
                 color=(130, 138, 150),
-                wxyz=vtf.SO3.from_matrix(self._to_show).wxyz,
+                wxyz=vtf.SO3.from_matrix(self.to_show).wxyz,
                 visible=False,
             )
 
@@ -166,7 +167,7 @@ class SceneView:
             return
         background = 20 if dark else 250
         dimmed = (mesh.colors * 0.45 + background * 0.55).astype(np.uint8)
-        vertices = mesh.vertices @ self._to_show.T.astype(np.float32)
+        vertices = mesh.vertices @ self.to_show.T.astype(np.float32)
         data = unlit_glb(vertices, mesh.faces, dimmed)
         self._context = self._client.scene.add_glb("/context", data, cast_shadow=False, receive_shadow=False)
 
@@ -221,7 +222,7 @@ class SceneView:
                 self._set_lines(f"/boxes/{role}", _edges(members), colors[role], LINE_WIDTH[role], shown)
             chosen = [self._box(objects, selected)] if selected in role_of else []
             self._set_lines("/boxes/selected", _edges(chosen), (255, 255, 255) if dark else (20, 22, 26), 2.0, True)
-            shown_truth = [self._shown_box(b) for b in truth]
+            shown_truth = [self.shown_box(b) for b in truth]
             self._set_lines("/boxes/truth", _edges(shown_truth), colors["truth"], LINE_WIDTH["truth"], flags.truth)
             ghost_tags = self._draw_ghosts(ghosts if flags.ghosts else (), colors)
             self._draw_faces(objects, boxed, role_of, colors, flags)
@@ -232,7 +233,7 @@ class SceneView:
     def _draw_ghosts(self, ghosts: Sequence[Ghost], colors: Mapping[Role, RGB]) -> list[Tag]:
         """Boxes beside the answer's, in lines of their own and a little larger."""
         tags = []
-        shown = [(g, self._shown_box(g.box)) for g in ghosts]
+        shown = [(g, self.shown_box(g.box)) for g in ghosts]
         for role in ("truth", "edited"):
             grown = [Box3D(b.center, b.R, b.size + GHOST_GROWTH) for g, b in shown if g.role == role]
             self._set_lines(f"/boxes/ghosts-{role}", _edges(grown), colors[role], 2.4, True)
@@ -245,14 +246,19 @@ class SceneView:
             tags.append(Tag(f"/tags/ghost-{ghost.key}", ghost.text, "", hex_color(colors[ghost.role]), False))
         return tags
 
-    def _shown_box(self, box: Box3D) -> Box3D:
-        return Box3D(self._to_show @ box.center, self._to_show @ box.R, box.size)
+    def shown_box(self, box: Box3D) -> Box3D:
+        """A box of the camera frame as it is shown."""
+        return Box3D(self.to_show @ box.center, self.to_show @ box.R, box.size)
+
+    def camera_box(self, box: Box3D) -> Box3D:
+        """A shown box in the camera frame."""
+        return Box3D(self.to_show.T @ box.center, self.to_show.T @ box.R, box.size)
 
     def _box(self, objects: Sequence[SceneObject], i: int | None) -> Box3D:
         assert i is not None
         box = objects[i].lifted.box
         assert box is not None
-        return self._shown_box(box)
+        return self.shown_box(box)
 
     def _set_lines(self, name: str, points: np.ndarray, color: RGB, width: float, visible: bool) -> None:
         handle = self._lines.get(name)
@@ -277,26 +283,30 @@ class SceneView:
         colors: Mapping[Role, RGB],
         flags: SceneFlags,
     ) -> None:
-        if self._faces is not None:
+        shown = [i for i in boxed if flags.boxes or role_of[i] != "other"]
+        if self._faces is not None and (not shown or len(self._faces.batched_positions) != len(shown)):
             self._faces.remove()
             self._faces = None
-        shown = [i for i in boxed if flags.boxes or role_of[i] != "other"]
         if not shown:
             return
-        boxes = [self._box(objects, i) for i in shown]
-        self._faces = self._client.scene.add_batched_meshes_simple(
-            "/boxes/faces",
-            CUBE,
-            CUBE_FACES,
-            np.stack([vtf.SO3.from_matrix(b.R).wxyz for b in boxes]).astype(np.float32),
-            np.stack([b.center for b in boxes]).astype(np.float32),
-            batched_scales=np.stack([np.maximum(b.size, 0.005) for b in boxes]).astype(np.float32),
-            batched_colors=np.array([colors[role_of[i]] for i in shown], np.uint8),
-            batched_opacities=np.array([FACE_OPACITY[role_of[i]] for i in shown], np.float32),
-            lod="off",
-            cast_shadow=False,
-            receive_shadow=False,
-        )
+        boxes = [self._boxed[i] for i in shown]
+        values = {
+            "batched_scales": np.stack([np.maximum(b.size, 0.005) for b in boxes]).astype(np.float32),
+            "batched_colors": np.array([colors[role_of[i]] for i in shown], np.uint8),
+            "batched_opacities": np.array([FACE_OPACITY[role_of[i]] for i in shown], np.float32),
+        }
+        wxyzs = vtf.SO3.from_matrix(np.stack([b.R for b in boxes])).wxyz.astype(np.float32)
+        centers = np.stack([b.center for b in boxes]).astype(np.float32)
+        if self._faces is None:
+            self._faces = self._client.scene.add_batched_meshes_simple(
+                "/boxes/faces", CUBE, CUBE_FACES, wxyzs, centers, lod="off", cast_shadow=False, receive_shadow=False,
+                **values,
+            )  # fmt: skip
+            return
+        # A box that is dragged changes a few numbers; only these are sent.
+        for name, value in (("batched_wxyzs", wxyzs), ("batched_positions", centers), *values.items()):
+            if not np.array_equal(getattr(self._faces, name), value):
+                setattr(self._faces, name, value)
 
     def _draw_pairs(
         self,
@@ -314,13 +324,16 @@ class SceneView:
         chosen, others = (lines or [none])[0], np.concatenate([none, *lines[1:]])
         blend = np.array([[colors["target"], colors["reference"]]], np.uint8)
         for name, segment, width in (("/pairs/chosen", chosen, 5.0), ("/pairs/others", others, 1.6)):
-            handle = self._lines.pop(name, None)
+            handle, shown = self._lines.get(name), len(segment) > 0 and flags.pairs
+            tint = np.repeat(blend, len(segment), axis=0)
+            if name == "/pairs/others":
+                tint = (tint * 0.6).astype(np.uint8)
+            if handle is not None and len(handle.points) == len(segment):
+                handle.points, handle.colors, handle.visible = segment, tint, shown
+                continue
             if handle is not None:
-                handle.remove()
-            if len(segment) and flags.pairs:
-                tint = np.repeat(blend, len(segment), axis=0)
-                if name == "/pairs/others":
-                    tint = (tint * 0.6).astype(np.uint8)
+                self._lines.pop(name).remove()
+            if shown:
                 self._lines[name] = self._client.scene.add_line_segments(
                     name, segment, tint, thickness=width, thickness_units="screen"
                 )
@@ -331,7 +344,7 @@ class SceneView:
             handle.remove()
         self._axes = []
         reference = self._boxed.get(pairs[0][1]) if pairs else None
-        if not self._flags.axes or reference is None:
+        if not (self._flags.axes or self._flags.region) or reference is None:
             return []
         length = float(np.clip(np.linalg.norm(reference.size), 0.25, 0.8))
         center, scene = reference.center, self._client.scene

@@ -7,7 +7,7 @@ import socket
 import sys
 import threading
 import webbrowser
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import redirect_stdout
 
 import viser
@@ -16,6 +16,8 @@ from pipeline.demo import DEMO_EXPRESSION, DEMO_NAME
 from pipeline.errors import InputError
 from pipeline.evaluation.run_folder import Run
 from pipeline.jobs import Source
+from pipeline.labels.reading import Labels
+from pipeline.whatif.state import ViewState
 from spatialviz.app.frames import FrameStore
 from spatialviz.app.memory import return_freed_memory
 from spatialviz.app.origin import LOCAL_NAMES, checked_origins
@@ -28,6 +30,9 @@ def start(
     *,
     runs: Mapping[str, Run] | None = None,
     others: Mapping[str, Run] | None = None,
+    labels: Mapping[str, Labels] | None = None,
+    opened_by: Sequence[str] = (),
+    first_view: ViewState | None = None,
     host: str = "127.0.0.1",
     port: int = 8080,
     dark: bool = True,
@@ -42,6 +47,12 @@ def start(
         Evaluations to debug, by the name of their source.
     others : mapping of str to Run, optional
         Evaluations whose answers are shown beside, by the same names.
+    labels : mapping of str to Labels, optional
+        What is true where there is no run, by the same names.
+    opened_by : sequence of str, optional
+        The words of the command line, for commands that open the page again.
+    first_view : ViewState, optional
+        What is shown first.
     port : int
         0 lets the system choose; a port that is taken becomes the next free one.
 
@@ -77,7 +88,7 @@ def start(
 
     @server.on_client_connect
     def _(client: viser.ClientHandle) -> None:
-        session = Session(client, store, first, DEMO_EXPRESSION, dark, runs, others)
+        session = Session(client, store, first, DEMO_EXPRESSION, dark, runs, others, labels, opened_by, first_view)
         with lock:
             sessions[client.client_id] = session
         if client.client_id not in server.get_clients():
@@ -107,13 +118,19 @@ def serve(
     *,
     runs: Mapping[str, Run] | None = None,
     others: Mapping[str, Run] | None = None,
+    labels: Mapping[str, Labels] | None = None,
+    opened_by: Sequence[str] = (),
+    first_view: ViewState | None = None,
     host: str = "127.0.0.1",
     port: int = 8080,
     dark: bool = True,
     open_browser: bool = True,
 ) -> None:
     """Start the server, say where it is, and wait until it is stopped."""
-    server = start(sources, runs=runs, others=others, host=host, port=port, dark=dark)
+    server = start(
+        sources, runs=runs, others=others, labels=labels, opened_by=opened_by, first_view=first_view, host=host,
+        port=port, dark=dark,
+    )  # fmt: skip
     shown = "127.0.0.1" if host in ("", "0.0.0.0", "::") else f"[{host}]" if ":" in host else host
     address = f"http://{shown}:{server.get_port()}"
     if host not in (*LOCAL_NAMES, "::1"):

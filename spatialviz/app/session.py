@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
 from typing import Any
@@ -11,23 +11,27 @@ from typing import Any
 import viser
 
 from pipeline.ask import Trace
-from pipeline.boxes import Box3D
-from pipeline.context import fuse_context
 from pipeline.datasets import has_moves, moves
 from pipeline.demo import DEMO_EXPRESSION
-from pipeline.errors import FrameUnusable, InputError, MissingExtra
+from pipeline.diagnosis.live import Judgement
+from pipeline.errors import InputError
 from pipeline.evaluation.run_folder import Run
 from pipeline.jobs import Source
+from pipeline.labels.reading import Labels
+from pipeline.ranking import RankConfig
 from pipeline.records import why_no_answer
 from pipeline.relations import PHRASE
 from pipeline.suggestions import suggest_expressions
+from pipeline.whatif.state import ViewState
 from spatialviz.app import bottom, left, right
 from spatialviz.app.bridge import HELLO_SECONDS, Bridge
+from spatialviz.app.dialog import Dialog
 from spatialviz.app.fallback import Fallback
-from spatialviz.app.filling import fill_page
+from spatialviz.app.filling import fill_answer, fill_page
 from spatialviz.app.frames import FrameStore, LoadedFrame
 from spatialviz.app.inputs import forward_inputs
 from spatialviz.app.judging import Judge
+from spatialviz.app.keeping import Keeping
 from spatialviz.app.keys import HelpDialog, add_keys
 from spatialviz.app.layout import build, listed
 from spatialviz.app.paint import frame_colors
@@ -35,12 +39,14 @@ from spatialviz.app.place import Place
 from spatialviz.app.run_browser import Listing
 from spatialviz.app.run_panel import RunPanel
 from spatialviz.app.scene import SceneView
-from spatialviz.app.state import NOTHING, CameraMode, ColorMode, State, shown_objects
-from spatialviz.app.text import safe
-from spatialviz.app.theme import apply_theme
+from spatialviz.app.selection import Selection
+from spatialviz.app.state import NOTHING, State, shown_objects
+from spatialviz.app.view_settings import ViewSettings
+from spatialviz.app.view_string import BEGINS
+from spatialviz.app.view_strings import ViewStrings
+from spatialviz.app.what_if import WhatIf
 
 LOG_LENGTH = 200
-MODES: tuple[ColorMode, ...] = ("rgb", "objects", "depth", "evidence")
 BROWSED = 6
 PATIENCE_SECONDS = 2.0
 """How long the first frame waits for the page to say which one it is."""
@@ -61,6 +67,9 @@ class Session:
         dark: bool,
         runs: Mapping[str, Run] | None = None,
         others: Mapping[str, Run] | None = None,
+        labels: Mapping[str, Labels] | None = None,
+        opened_by: Sequence[str] = (),
+        first_view: ViewState | None = None,
     ) -> None:
         self._client = client
         self._store = store
@@ -70,7 +79,8 @@ class Session:
         self._painted: tuple[Any, ...] = ()
         self._closed = threading.Event()
         self._begun = False
-        self._judge = Judge(runs or {}, others or {})
+        self._judge = Judge(runs or {}, others or {}, labels)
+        self._first_view = first_view
         self.bridge = Bridge(client, self.handle)
         moving = any(has_moves(opened.dataset) for opened in store.sources.values())
         self._help = HelpDialog(client, self.post, moving)
@@ -79,13 +89,31 @@ class Session:
         self.page = build(client, self.bridge, tuple(store.sources), source, ids)
         self.scene = SceneView(
             client,
-            on_ray=lambda pixel, boxes: self.bridge.post(lambda: self._select_on_ray(pixel, boxes)),
+            on_ray=lambda pixel, boxes: self.bridge.post(lambda: self._selection.select_on_ray(pixel, boxes)),
+        )
+        self._selection = Selection(self._now, self._take, self._draw, self.scene.viewpoint.focus)
+        self._view = ViewSettings(
+            client, self.page, self.scene, self._source, self._now, self._take, self._draw, self._note
         )
         self.fallback = Fallback(client, self.post)
         self._runs = RunPanel(
-            runs or {}, store, self.page, lambda: self.state, self._set_listing, self._go, self.bridge.post
+            runs or {}, store, self.page, self._now, self._set_listing, self._go, self.bridge.post
         )
-        self._more: dict[str, Callable[[str], None]] = {**self._runs.commands()}
+        self._what_if = WhatIf(
+            client, self.page, self.scene, self._source, self._now, self._take, self._draw_edited, self._judged,
+            self._note, self.bridge.post,
+        )  # fmt: skip
+        dialog = Dialog(client)
+        self._strings = ViewStrings(
+            dialog, store.sources, runs or {}, self._runs, self.scene.viewpoint, state=self._now, take=self._take,
+            go=self._go, ask=self._ask, show_context=self._view.show_context, draw=self._draw, note=self._note,
+        )  # fmt: skip
+        keeping = Keeping(
+            client, dialog, store.sources, runs or {}, self._judge, opened_by, state=self._now,
+            view=self._strings.now, note=self._note,
+        )  # fmt: skip
+        parts = (self._selection, self._view, self._runs, self._what_if, self._strings, keeping, dialog)
+        self._more = {name: run for part in parts for name, run in part.commands().items()}
         forward_inputs(self.page, self.post, self.bridge.alive)
         add_keys(client, self.post, moving)
         self.bridge.start()
@@ -109,24 +137,15 @@ class Session:
         handlers: dict[str, Callable[[], None]] = {
             "pair": lambda: self._choose_pair(number),
             "next-pair": lambda: self._step_pair(number),
-            "object": lambda: self._select(number),
             "relation": lambda: self._ask_relation(number),
-            "chip": lambda: self._select_role(argument),
             "try": lambda: self._ask(self._suggestions[number]) if 0 <= number < len(self._suggestions) else None,
             "ask": lambda: self._ask(argument),
             "again": lambda: self._ask(str(self.page.expression.value)),
-            "color": lambda: self._set_colors(argument),
-            "next-color": lambda: self._set_colors(MODES[(MODES.index(self.state.colors) + 1) % len(MODES)]),
-            "camera": lambda: self._set_camera(argument),
-            "focus": self._focus,
-            "flag": lambda: self._toggle(argument),
             "open": lambda: self._open_frame(argument),
             "data": lambda: self._go(Place(argument)),
             "frame": lambda: self._open_number(number),
             "next-frame": lambda: self._step_frame(number),
             "move": lambda: self._move(argument),
-            "image": lambda: self._select_at(argument),
-            "theme": lambda: self._set_theme(not self.state.dark),
             "clear": self._clear,
             "begin": self._begin,
             "hello": lambda: self._begin(argument),
@@ -137,6 +156,12 @@ class Session:
             handlers[kind]()
         elif kind in self._more:
             self._more[kind](argument)
+
+    def _now(self) -> State:
+        return self.state
+
+    def _take(self, state: State) -> None:
+        self.state = state
 
     def _source(self) -> Source:
         return self._store.sources[self.state.source]
@@ -152,7 +177,10 @@ class Session:
         if kept:
             self._go(Place.read(kept, self._store.sources))
         elif not self._begun:
-            self._open_frame(self.state.frame_id, first=True)
+            if self._first_view is not None:
+                self._strings.open(self._first_view)
+            if not self._begun:
+                self._open_frame(self.state.frame_id, first=True)
         self.bridge.remember(self.state.at_place.said())
 
     def _go(self, place: Place) -> None:
@@ -201,7 +229,7 @@ class Session:
         self.state = replace(cleared, loaded=loaded, shown=shown_objects(loaded, None, self._exact()))
         self._painted = self.state.paint_key
         self.scene.set_frame(loaded, frame_colors(self.state.colors, loaded, {}, self.state.dark))
-        self._show_context()
+        self._view.show_context()
         if first or self.scene.viewpoint.untouched:
             self.scene.viewpoint.place(self.state.camera)
         self._suggestions = suggest_expressions(loaded.objects, scores)
@@ -269,6 +297,10 @@ class Session:
     # ---- questions ------------------------------------------------------------------
 
     def _ask(self, text: str, draw: bool = True) -> None:
+        if BEGINS.match(text):
+            self.page.expression.value = self.state.text
+            self._strings.restore(text)
+            return
         loaded = self.state.loaded
         if loaded is None:
             return
@@ -299,12 +331,20 @@ class Session:
             self.state,
             trace=trace,
             shown=shown_objects(loaded, trace, trace.exact),
-            judged=self._judge.judge(name, self._source(), loaded.context, trace, expression),
+            judged=self._judged(trace, None),
             other=self._judge.other(name, loaded.context, text, expression),
         )
         ranked = self.state.ranked
         pair = self.state.at(ranked[0]) if ranked else None
         self.state = replace(self.state, pair=pair, selected=None if pair is None else pair[0])
+        self._what_if.answered()
+
+    def _judged(self, trace: Trace, rank: RankConfig | None) -> Judgement | str | None:
+        """The verdict on a trace of the frame that is shown."""
+        state = self.state
+        assert state.loaded is not None
+        expression = self._runs.expression(state.frame_id, trace.query.text)
+        return self._judge.judge(state.source, self._source(), state.loaded.context, trace, expression, rank)
 
     def _ask_relation(self, number: int) -> None:
         """Ask the same two names with another relation."""
@@ -339,91 +379,6 @@ class Session:
         self.page.expression.value = ""
         self._draw()
 
-    # ---- selection ------------------------------------------------------------------
-
-    def _select(self, i: int) -> None:
-        if 0 <= i < len(self.state.shown.objects):
-            self.state = replace(self.state, selected=None if i == self.state.selected else i)
-            self._draw()
-
-    def _select_on_ray(self, pixel: tuple[int, int] | None, boxes: list[int]) -> None:
-        """A click in the scene: the object whose pixel was hit, else the smallest box on the way."""
-        if self.state.loaded is None:
-            return
-        found = None
-        if pixel is not None:
-            frame = self.state.loaded.context.frame
-            found = bottom.object_at(self.state, (pixel[0] + 0.5) / frame.width, (pixel[1] + 0.5) / frame.height)
-        if found is None and boxes:
-            found = boxes[0]
-        if found is not None and found != self.state.selected:
-            self._select(found)
-
-    def _select_role(self, role: str) -> None:
-        """A click on a word of the expression: the object that fills it."""
-        if self.state.pair is not None:
-            i = self.state.pair[0 if role == "target" else 1]
-            if i != self.state.selected:
-                self._select(i)
-
-    def _select_at(self, fractions: str) -> None:
-        """A click in the picture: "0.25,0.5" is a quarter from the left, half way down."""
-        try:
-            x, y = (float(part) for part in fractions.split(","))
-        except ValueError:
-            return
-        found = bottom.object_at(self.state, x, y)
-        if found is not None and found != self.state.selected:
-            self._select(found)
-
-    def _focus(self) -> None:
-        box: Box3D | None = None
-        if self.state.selected is not None:
-            box = self.state.shown.objects[self.state.selected].lifted.box
-        if box is not None:
-            self.scene.viewpoint.focus(box)
-
-    # ---- view -----------------------------------------------------------------------
-
-    def _set_colors(self, mode: str) -> None:
-        if mode in MODES:
-            self.state = replace(self.state, colors=mode)
-            self._draw()
-
-    def _set_camera(self, mode: str) -> None:
-        modes: dict[str, CameraMode] = {"sensor": "sensor", "orbit": "orbit", "top": "top"}
-        if mode in modes and self.state.loaded is not None:
-            self.state = replace(self.state, camera=modes[mode])
-            self.page.controls.content = left.controls_html(self.state)
-            self.scene.viewpoint.fly(mode)
-
-    def _toggle(self, flag: str) -> None:
-        if flag in left.FLAGS:
-            flags = replace(self.state.flags, **{flag: not getattr(self.state.flags, flag)})
-            self.state = replace(self.state, flags=flags)
-            if flag == "context":
-                self._show_context()
-            self._draw()
-
-    def _show_context(self) -> None:
-        """Fuse the frames around this one, where that is wanted and possible."""
-        mesh = None
-        if self.state.flags.context and self.state.loaded is not None:
-            try:
-                mesh = fuse_context(self._source().dataset, self.state.loaded.context.frame)
-            except (FrameUnusable, MissingExtra) as error:
-                self.state = replace(self.state, flags=replace(self.state.flags, context=False))
-                self._note(str(error))
-                self._client.add_notification("No room to show", safe(error), auto_close_seconds=12)
-        self.scene.show_context(mesh, self.state.dark)
-
-    def _set_theme(self, dark: bool) -> None:
-        self.state = replace(self.state, dark=dark)
-        apply_theme(self._client.gui, dark)
-        self._painted = ()
-        self._show_context()
-        self._draw()
-
     # ---- drawing --------------------------------------------------------------------
 
     def _note(self, text: str) -> None:
@@ -435,6 +390,7 @@ class Session:
 
     def _draw(self) -> None:
         """Bring the whole page up to the state. Handles that would not change send nothing."""
+        self._what_if.check()
         state = self.state
         fill_page(
             self.page,
@@ -446,26 +402,42 @@ class Session:
             log=self._log,
             atomic=self._client.atomic,
         )
+        if state.loaded is not None and self._painted != state.paint_key:
+            self._painted = state.paint_key
+            self.scene.recolor(frame_colors(state.colors, state.loaded, state.roles, state.dark))
+        self._draw_scene()
+        self.fallback.update(state)
+        self._runs.follow()
+        self.bridge.remember(state.at_place.said())
+
+    def _draw_scene(self, live: bool = False) -> None:
+        """Boxes, pair lines and names, and what belongs to the edits; `live` follows a drag."""
+        state = self.state
         if state.loaded is not None:
-            if self._painted != self.state.paint_key:
-                self._painted = self.state.paint_key
-                self.scene.recolor(frame_colors(state.colors, state.loaded, state.roles, state.dark))
             truth = [a.box for a in state.loaded.context.frame.annotations if a.box is not None]
             tags = self.scene.draw(
                 state.shown.objects,
                 state.shown.names,
                 state.roles,
                 state.selected,
-                self.state.pair_lines,
+                state.pair_lines,
                 truth,
                 state.ghosts,
                 state.flags,
                 state.dark,
             )
             self.bridge.show_tags(tags)
-        self.fallback.update(state)
-        self._runs.follow()
-        self.bridge.remember(state.at_place.said())
+        self._what_if.follow(live)
+
+    def _draw_edited(self, live: bool) -> None:
+        """Draw an answer under edits: all of the page, or while a hand is at it only what follows the hand."""
+        if not live:
+            self._thumbs = {}
+            self._draw()
+            return
+        with self._client.atomic():
+            fill_answer(self.page, self.state)
+            self._draw_scene(live=True)
 
     def _set_listing(self, listing: Listing | None) -> None:
         self.state = replace(self.state, listing=listing)

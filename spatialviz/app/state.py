@@ -11,7 +11,10 @@ from pipeline.diagnosis.live import Judgement
 from pipeline.objects import SceneObject
 from pipeline.palette import Role
 from pipeline.ranking import RankedPair
+from pipeline.whatif import Edits
+from spatialviz.app.edited import Edited
 from spatialviz.app.frames import LoadedFrame
+from spatialviz.app.gizmo import EditMode
 from spatialviz.app.place import Place
 from spatialviz.app.run_browser import Listing
 from spatialviz.app.scene import Ghost, SceneFlags
@@ -96,6 +99,12 @@ class State:
         What is searched of the source's run.
     other : OtherAnswer or None
         The answer of a run to compare with.
+    edits : Edits
+        Of the question that is asked; they stay when it is asked again.
+    edited : Edited or None
+        `trace` is the answer under the edits, and this has the one without them; None where nothing is edited.
+    mode : str
+        What the handles in the scene do with the selected object's box.
     """
 
     source: str
@@ -115,11 +124,22 @@ class State:
     judged: Judgement | str | None = None
     listing: Listing | None = None
     other: OtherAnswer | None = None
+    edits: Edits = field(default_factory=Edits)
+    edited: Edited | None = None
+    mode: EditMode = "off"
 
     @property
     def unasked(self) -> State:
         """The same without any answer."""
-        return replace(self, trace=None, pair=None, selected=None, error="", judged=None, other=None)
+        return replace(self, trace=None, pair=None, selected=None, error="", judged=None, other=None, edited=None)
+
+    def named(self, key: str) -> str:
+        """The name of an object by its key (`pipeline.whatif.keys`)."""
+        keys = () if self.edited is None else self.edited.after.keys
+        if key in keys:
+            return self.shown.names[self.shown.place[keys.index(key)]]
+        ids = {f"#{o.id}": name for o, name in zip(self.shown.objects, self.shown.names, strict=True) if o.id >= 0}
+        return ids.get(key, key)
 
     @property
     def ranked(self) -> tuple[RankedPair, ...]:

@@ -121,6 +121,26 @@ CSS = """<style>
 .sv .mx td.top{font-weight:750}
 .sv .mx td.no{text-align:center;color:var(--mantine-color-dimmed)}
 .sv .mx td.w2{max-width:104px;overflow:hidden;text-overflow:ellipsis}
+.sv .before{display:flex;align-items:center;gap:7px;margin:.5em 0 -.1em;padding:3px 8px;border-left:3px solid var(--c);border-radius:0 4px 4px 0;background:color-mix(in srgb,var(--c) 10%,transparent);font-size:12px}
+.sv .before .said1{flex:1;min-width:0;overflow:hidden;text-overflow:ellipsis;white-space:nowrap}
+.sv .chg{font-weight:650;box-shadow:inset 0 -2px 0 var(--ed,#c9a92b)}
+[data-mantine-color-scheme=dark] .sv input{color-scheme:dark}
+.sv .fields{display:grid;grid-template-columns:repeat(3,1fr);gap:5px;flex:1;min-width:0}
+.sv .fields.four{grid-template-columns:repeat(2,1fr)}
+.sv .field{display:flex;flex-direction:column;min-width:0}
+.sv .field i{font-style:normal;font-size:10px;line-height:1.2;color:var(--mantine-color-dimmed);white-space:nowrap;overflow:hidden;text-overflow:ellipsis}
+.sv .field input{width:100%;min-width:0;font:inherit;font-size:12px;color:inherit;background:var(--mantine-color-default-hover);border:1px solid var(--mantine-color-default-border);border-radius:4px;padding:1px 5px;outline:none}
+.sv .field input:focus{border-color:var(--mantine-primary-color-filled)}
+.sv .row>.chips{flex:1;min-width:0}
+.sv .slide{display:grid;grid-template-columns:minmax(52px,auto) 1fr 34px;gap:8px;align-items:center;margin-bottom:4px}
+.sv .slide>span{max-width:130px;overflow:hidden;text-overflow:ellipsis;white-space:nowrap;color:var(--mantine-color-dimmed)}
+.sv .slide input{-webkit-appearance:none;appearance:none;width:100%;min-width:0;height:6px;margin:0;border-radius:3px;cursor:pointer;background:linear-gradient(to right,var(--mantine-primary-color-filled) calc(var(--v)*100%),color-mix(in srgb,var(--mantine-color-dimmed) 30%,transparent) 0)}
+.sv .slide input::-webkit-slider-thumb{-webkit-appearance:none;width:13px;height:13px;border-radius:50%;background:var(--mantine-primary-color-filled);border:2px solid #fff;box-shadow:0 0 2px rgba(0,0,0,.5)}
+.svband{position:absolute;border:2px solid #f0d654;background:rgba(240,214,84,.22);pointer-events:none}
+.sv .slide b{text-align:right;font-weight:600}
+.sv .edit{display:flex;align-items:center;gap:8px;justify-content:space-between;border-left:3px solid var(--c);padding:1px 0 1px 7px;margin-bottom:3px}
+.sv .edit>span:first-child{min-width:0;overflow:hidden;text-overflow:ellipsis;white-space:nowrap}
+.sv .h .try{letter-spacing:0;text-transform:none;font-weight:400}
 .svhost{position:absolute;inset:0;overflow:hidden;pointer-events:none;z-index:1}
 .svtag{position:absolute;left:0;top:0;will-change:transform;background:var(--c);color:#fff;font:600 12px/1 system-ui,sans-serif;padding:4px 7px;border-radius:4px;white-space:nowrap;box-shadow:0 1px 5px rgba(0,0,0,.5);text-shadow:0 0 2px rgba(0,0,0,.45)}
 .svtag{max-width:240px;overflow:hidden;text-overflow:ellipsis}
@@ -131,6 +151,20 @@ CSS = """<style>
 SCRIPT = """
 (() => {
 window.sv = v => window.__viserMutable.sendMessage({type: 'GuiUpdateMessage', uuid: 'BUS_UUID', updates: {value: v + '#' + performance.now()}});
+let live = null, waiting = 0;
+window.svLive = v => { live = v; if (v === null) { clearTimeout(waiting); waiting = 0; } else if (!waiting) waiting = setTimeout(() => { waiting = 0; if (live !== null) window.sv(live); }, 50); };
+window.svPaint = (pic, e) => {
+  if (!e.shiftKey) return;
+  e.preventDefault();
+  const b = pic.getBoundingClientRect(), at = e => [Math.min(1, Math.max(0, (e.clientX - b.left) / b.width)), Math.min(1, Math.max(0, (e.clientY - b.top) / b.height))];
+  const from = at(e), band = document.createElement('div');
+  band.className = 'svband';
+  pic.appendChild(band);
+  const move = e => { const to = at(e); band.style.left = 100 * Math.min(from[0], to[0]) + '%'; band.style.top = 100 * Math.min(from[1], to[1]) + '%'; band.style.width = 100 * Math.abs(to[0] - from[0]) + '%'; band.style.height = 100 * Math.abs(to[1] - from[1]) + '%'; };
+  const up = e => { window.removeEventListener('mousemove', move); window.removeEventListener('mouseup', up); band.remove(); const to = at(e); if (Math.abs(to[0] - from[0]) > .004 && Math.abs(to[1] - from[1]) > .004) window.sv('edit:mask:rectangle:' + [...from, ...to].map(v => v.toFixed(5)).join(',')); };
+  window.addEventListener('mousemove', move);
+  window.addEventListener('mouseup', up);
+};
 window.svTab = name => { const t = [...document.querySelectorAll('[role=tab]')].find(e => e.textContent.trim() === name); if (t) for (const k of ['pointerdown', 'mousedown', 'pointerup', 'mouseup', 'click']) t.dispatchEvent(new (k.startsWith('p') ? PointerEvent : MouseEvent)(k, {bubbles: true, button: 0, pointerId: 1, isPrimary: true})); };
 if (!window.svTags) {
   let tags = [];

@@ -9,6 +9,7 @@ import viser
 
 from pipeline.boxes import Box3D
 from pipeline.camera import Camera
+from pipeline.whatif.state import CameraView
 
 
 class Viewpoint:
@@ -78,6 +79,29 @@ class Viewpoint:
             self._client.camera.position = eye
             self._client.camera.look_at = look
             self._client.camera.fov = fov
+
+    def turned_to(self) -> tuple[CameraView, float] | None:
+        """Where the camera was turned to, in the frame's camera frame, and its field of view; None where it was not."""
+        if self.untouched or self._points is None:
+            return None
+        camera, back = self._client.camera, self._to_show.T
+        vectors = (camera.position, camera.look_at, camera.up_direction)
+        eye, look, up = ([round(float(x), 4) for x in back @ np.array(v)] for v in vectors)
+        view = CameraView((eye[0], eye[1], eye[2]), (look[0], look[1], look[2]), (up[0], up[1], up[2]))
+        return view, float(camera.fov)
+
+    def turn_to(self, view: CameraView, fov: float | None) -> None:
+        """Turn the camera to where it was turned before."""
+        eye, look, up = (self._to_show @ np.array(v) for v in (view.position, view.look_at, view.up))
+        if np.linalg.norm(look - eye) < 1e-4 or np.linalg.norm(np.cross(look - eye, up)) < 1e-6:
+            return  # No way to look.
+        self._placed, self._moved = None, True
+        with self._client.atomic():
+            self._client.camera.up_direction = up
+            self._client.camera.position = eye
+            self._client.camera.look_at = look
+            if fov is not None and 0.05 < fov < 3.0:
+                self._client.camera.fov = fov
 
     def focus(self, box: Box3D) -> None:
         """Turn around an object: look at it from where the camera stands, nearer."""

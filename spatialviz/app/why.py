@@ -10,7 +10,10 @@ from pipeline.diagnosis.oracles import ORACLES
 from pipeline.palette import VERDICTS as COLORS
 from pipeline.palette import hex_color, palette
 from pipeline.ranking import Candidates
+from pipeline.relations import PHRASE
+from spatialviz.app.edit_scene import REGION_COLORS
 from spatialviz.app.failures import verdict_chip
+from spatialviz.app.relation_region import asked_pair
 from spatialviz.app.state import State
 from spatialviz.app.text import dot, heading, note, panel, safe
 
@@ -44,19 +47,42 @@ def why_html(state: State) -> str:
         return panel(
             '<div class="dim" style="padding:.7em 0">No verdict: nothing is known of the truth in this frame. It needs '
             "labels (a run) or annotations.</div>",
+            _placement(state),
             _matrix(state),
         )
     if isinstance(judged, str):
-        return panel(f'<div class="dim" style="padding:.7em 0">No verdict: {safe(judged)}.</div>', _matrix(state))
+        said = f'<div class="dim" style="padding:.7em 0">No verdict: {safe(judged)}.</div>'
+        return panel(said, _placement(state), _matrix(state))
     d = judged.diagnosis
     head = f'<div style="padding:.55em 0 .3em">{verdict_chip(d.verdict, "lucky" if d.lucky else d.detail)}</div>'
     return panel(
         head,
         f'<div class="said">{safe(judged.said)}</div>',
+        _placement(state),
         _other(state),
         _decomposition(state, judged),
         _oracles(judged),
         _matrix(state),
+    )
+
+
+def _placement(state: State) -> str:
+    """Where the chosen target falls in the relation's region, by the rule, and why."""
+    asked = asked_pair(state)
+    if asked is None:
+        return ""
+    names = (safe(state.shown.names[i]) for i in asked.places)
+    shown = "region: shown" if state.flags.region else "region: show it"
+    click = f'<span class="try" onclick="sv(\'flag:region\')" title="in the scene (Shift+R)">{shown}</span>'
+    legend = "".join(
+        f'<span>{dot(color)}{"holds" if label == "T" else "in doubt"} ({label})</span>'
+        for label, color in REGION_COLORS.items()
+    )
+    return (
+        heading("By the rule", click)
+        + f'<div class="dim">{f" {safe(PHRASE[asked.relation])} ".join(names)}</div>'
+        + f"<div>{safe(asked.placement.why)}</div>"
+        + (f'<div class="legend">{legend}</div>' if state.flags.region else "")
     )
 
 

@@ -1,0 +1,48 @@
+"""The answer before the edits, above the one after them; and marks on the numbers that they changed."""
+
+from __future__ import annotations
+
+from pipeline.diagnosis.live import Judgement
+from pipeline.palette import hex_color, palette
+from pipeline.records import why_no_answer
+from pipeline.whatif.edit_list import each_edit
+from spatialviz.app.failures import verdict_chip
+from spatialviz.app.state import State
+from spatialviz.app.text import dot, safe
+
+CHANGED = 0.005
+"""Numbers are shown with two digits; one that differs by less is the same."""
+
+
+def before_html(state: State) -> str:
+    """What was answered without the edits, in one line; empty where nothing is edited."""
+    edited = state.edited
+    if edited is None:
+        return ""
+    trace, colors = edited.before.trace, palette(state.dark)
+    reason = why_no_answer(trace)
+    if reason is not None or trace.ranking is None:
+        said, p = f'<span class="dim">{safe(reason or "no answer")}</span>', ""
+    else:
+        best = trace.ranking.pairs[0]
+        ends = [i for i in (best.reference, best.second_reference) if i is not None]
+        names = [safe(state.named(edited.before.keys[i])) for i in (best.target, *ends)]
+        references = " ".join(f"{dot(colors['reference'])}{name}" for name in names[1:])
+        said = f"{dot(colors['target'])}{names[0]} {references}"
+        p = f'<b>{best.probability:.2f}</b>'
+    verdict = ""
+    if isinstance(edited.judged, Judgement):
+        verdict = verdict_chip(edited.judged.diagnosis.verdict)
+    count = len(each_edit(state.edits))
+    hint = f"{count} edit{'s' if count > 1 else ''}; 0 takes them back"
+    return (
+        f'<div class="before" style="--c:{hex_color(colors["edited"])}" title="{hint}"><span class="dim">before</span>'
+        f"<span class=\"said1\">{said}</span>{verdict}{p}</div>"
+    )
+
+
+def changed(now: float, was: float | None) -> tuple[str, str]:
+    """(class, title) of a cell: marked where the number was another one; both begin with a blank or are empty."""
+    if was is None or abs(now - was) < CHANGED:
+        return "", ""
+    return " chg", f' title="was {was:.2f}"'

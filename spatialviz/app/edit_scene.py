@@ -1,0 +1,179 @@
+"""What the scene shows of edits: their boxes and where those were, the asked relation's region, the decision map."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import viser
+
+from pipeline.boxes import EDGES, Box3D
+from pipeline.palette import RGB, instance_colors, palette
+from pipeline.whatif.decision_map import DecisionMap
+from pipeline.whatif.region import Region
+from spatialviz.app.glb import unlit_glb
+from spatialviz.app.relation_region import REACH, asked_pair
+from spatialviz.app.scene import SceneView
+from spatialviz.app.state import State
+
+HOLDS: RGB = (38, 166, 154)
+DOUBTFUL: RGB = (224, 152, 46)
+FAILS: RGB = (229, 72, 77)
+REGION_COLORS = {"T": HOLDS, "U": DOUBTFUL}
+OPACITY = {"T": 0.30, "U": 0.16}
+OUTLINE_GROWTH = 0.006
+MAP_OPACITY = 0.72
+MAP_LIFT = 0.012
+"""The map lies a little above the floor, metres."""
+
+
+def map_colors(found: DecisionMap) -> np.ndarray:
+    """(K, 3) uint8: a colour for each object that may win."""
+    return instance_colors(len(found.keys))
+
+
+class EditScene:
+    """Draws into one client's scene, beside what `SceneView` draws."""
+
+    def __init__(self, client: viser.ClientHandle, scene: SceneView) -> None:
+        self._client, self._scene = client, scene
+        self._lines: dict[str, Any] = {}
+        self._region: list[Any] = []
+        self._of: tuple[object, ...] | None = None
+        self._map: Any = None
+        self._mapped: tuple[DecisionMap, bool] | None = None
+        self._middle: Any = None
+
+    def draw(self, state: State, found: DecisionMap | None, keep_map: bool) -> None:
+        """Bring all of it up to a state; `keep_map` leaves the map as it is."""
+        with self._client.atomic():
+            self._draw_boxes(state)
+            self._draw_region(state)
+            if not keep_map:
+                self._draw_map(found, state.dark)
+
+    def _draw_boxes(self, state: State) -> None:
+        """Edited objects in the edited colour; thin, the boxes that they had."""
+        now: list[Box3D] = []
+        were: list[Box3D] = []
+        edited = state.edited
+        if edited is not None:
+            before = dict(zip(edited.before.keys, edited.before.trace.objects, strict=True))
+            touched = {*state.edits.boxes, *state.edits.masks, *(key for _, key in state.edits.confidences)}
+            for key, entry in zip(edited.after.keys, edited.after.trace.objects, strict=True):
+                if key in touched and entry.lifted.box is not None:
+                    now.append(entry.lifted.box)
+            for key in (*state.edits.boxes, *state.edits.masks, *state.edits.hidden):
+                box = before[key].lifted.box if key in before else None
+                if box is not None:
+                    were.append(box)
+        color = palette(state.dark)["edited"]
+        grown = [Box3D(b.center, b.R, b.size + OUTLINE_GROWTH) for b in now]
+        self._set("/edit/now", self._edges(grown), color, 2.6)
+        self._set("/edit/before", self._edges(were), color, 1.0)
+
+    def _draw_region(self, state: State) -> None:
+        asked = asked_pair(state) if state.flags.region and state.loaded is not None else None
+        marks = None if asked is None else (state.source, state.frame_id, state.dark, *asked.marks)
+        if marks != self._of:
+            for handle in self._region:
+                handle.remove()
+            self._region, self._of = [], marks
+            region = None if asked is None else asked.region
+            if region is not None:
+                self._add_region(region, state.dark)
+        known = asked is not None and bool(np.isfinite(asked.target.lo).all())
+        if self._middle is None and known:
+            self._middle = self._client.scene.add_icosphere("/region/target", 0.014, cast_shadow=False)
+        if self._middle is None:
+            return
+        if self._middle.visible != known:
+            self._middle.visible = known
+        if asked is None or not known:
+            return
+        self._middle.position = self._scene.to_show @ (asked.viewer.matrix.T @ (asked.target.lo + asked.target.hi) / 2)
+        self._middle.color = {**REGION_COLORS, "F": FAILS}[asked.placement.letter]
+
+    def _add_region(self, region: Region, dark: bool) -> None:
+        scene, R = self._client.scene, self._scene.to_show.T
+        for patch in region.patches:
+            corners = (patch.triangles @ R).reshape(-1, 3).astype(np.float32)
+            self._region.append(
+                scene.add_mesh_simple(
+                    f"/region/{patch.label}",
+                    corners,
+                    np.arange(len(corners)).reshape(-1, 3),
+                    color=REGION_COLORS[patch.label],
+                    opacity=OPACITY[patch.label],
+                    side="double",
+                    cast_shadow=False,
+                    receive_shadow=False,
+                )
+            )
+            if len(patch.lines):
+                lines, color = (patch.lines @ R).astype(np.float32), REGION_COLORS[patch.label]
+                self._region.append(self._segments(f"/region/{patch.label}-rim", lines, color, 1.6))
+        if region.dead_zone > 0:
+            edges = (_dead_zone(region) @ R).astype(np.float32)
+            color = (245, 247, 250) if dark else (24, 26, 30)
+            self._region.append(self._segments("/region/dead-zone", edges, color, 1.2))
+
+    def _draw_map(self, found: DecisionMap | None, dark: bool) -> None:
+        shown = None if found is None else (found, dark)
+        if self._mapped is not None and shown is not None and self._mapped[0] is found and self._mapped[1] == dark:
+            return
+        if self._map is not None:
+            self._map.remove()
+            self._map = None
+        self._mapped = shown
+        if found is None:
+            return
+        rows, columns = np.nonzero(found.winner >= 0)
+        if not len(rows):
+            return
+        winners = found.winner[rows, columns]
+        strength = (0.3 + 0.7 * np.clip(found.margin[rows, columns], 0, 1))[:, None]
+        background = 34.0 if dark else 244.0
+        colors = map_colors(found)[winners] * strength + background * (1 - strength)
+        steps = ((0, 0), (0, 1), (1, 1), (1, 0))
+        quads = np.stack([found.corners[rows + r, columns + c] for r, c in steps], axis=1) @ self._scene.to_show.T
+        vertices = quads.reshape(-1, 3).astype(np.float32)
+        vertices[:, 2] += MAP_LIFT
+        first = 4 * np.arange(len(rows))[:, None]
+        faces = np.concatenate([first + np.array(half) for half in ((0, 1, 2), (0, 2, 3))])
+        data = unlit_glb(vertices, faces, np.repeat(np.round(colors).astype(np.uint8), 4, axis=0), MAP_OPACITY)
+        self._map = self._client.scene.add_glb("/map", data, cast_shadow=False, receive_shadow=False)
+
+    def _edges(self, boxes: Sequence[Box3D]) -> np.ndarray:
+        if not boxes:
+            return np.zeros((0, 2, 3), np.float32)
+        return np.concatenate([self._scene.shown_box(b).corners[EDGES] for b in boxes]).astype(np.float32)
+
+    def _segments(self, name: str, points: np.ndarray, color: RGB, width: float) -> Any:
+        return self._client.scene.add_line_segments(name, points, color, thickness=width, thickness_units="screen")
+
+    def _set(self, name: str, points: np.ndarray, color: RGB, width: float) -> None:
+        """Lines of a name, made once and then moved."""
+        handle = self._lines.get(name)
+        if handle is None:
+            if len(points):
+                self._lines[name] = self._segments(name, points, color, width)
+            return
+        if len(points):
+            handle.points = points
+            handle.colors = np.array(color, np.uint8)
+        handle.visible = bool(len(points))
+
+
+def _dead_zone(region: Region) -> np.ndarray:
+    """(2, 2, 3) camera frame: both edges of the doubtful strip beside the reference, across the relation's axis."""
+    middle = region.axes[0, 0]
+    right, up, forward = (axis[1] - axis[0] for axis in region.axes)
+    along, across = {
+        "left": (right, forward), "right": (right, forward), "front": (forward, right), "behind": (forward, right),
+    }.get(region.relation, (up, right))  # fmt: skip
+    along, across = (v / np.linalg.norm(v) for v in (along, across))
+    reach = across * REACH / 2
+    edges = [middle + side * region.dead_zone * along for side in (-1, 1)]
+    return np.array([[edge - reach, edge + reach] for edge in edges])

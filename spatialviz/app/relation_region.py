@@ -1,0 +1,74 @@
+"""The asked relation of the chosen pair: its region in space, and where its target falls in it. The core computes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from pipeline.errors import InputError
+from pipeline.lifting import LiftedObject
+from pipeline.relations import PAIRWISE, Profile
+from pipeline.viewer import ViewerAxes
+from pipeline.whatif.placement import Placement, place_in_region
+from pipeline.whatif.region import Region, region_of
+from spatialviz.app.state import State
+
+REACH = 1.0
+"""Metres around the reference that are drawn."""
+
+
+@dataclass(frozen=True)
+class AskedPair:
+    """What a region is of: "target RELATION reference", in the order in which it is judged.
+
+    Attributes
+    ----------
+    relation : str
+    target, reference : LiftedObject
+    places : (int, int)
+        In `shown.objects`.
+    viewer : ViewerAxes
+    profile : Profile
+    """
+
+    relation: str
+    target: LiftedObject
+    reference: LiftedObject
+    places: tuple[int, int]
+    viewer: ViewerAxes
+    profile: Profile
+
+    @property
+    def region(self) -> Region | None:
+        """Where the relation holds; None where the reference has no place in space."""
+        try:
+            size = self.target.hi - self.target.lo
+            return region_of(self.reference, self.relation, size, self.viewer, self.profile, REACH)
+        except InputError:
+            return None
+
+    @property
+    def placement(self) -> Placement:
+        """Where the target falls in it, and why."""
+        return place_in_region(self.target, self.reference, self.relation, self.viewer, self.profile)
+
+    @property
+    def marks(self) -> tuple[object, ...]:
+        """What the region depends on."""
+        ends = self.reference.lo.tobytes(), self.reference.hi.tobytes(), (self.target.hi - self.target.lo).tobytes()
+        return self.relation, *ends, self.viewer.matrix.tobytes(), self.profile
+
+
+def asked_pair(state: State) -> AskedPair | None:
+    """The chosen pair under the asked relation; None where the relation is not of two objects."""
+    trace, pair = state.trace, state.chosen
+    if trace is None or pair is None or pair.reference is None or trace.asked.relation not in PAIRWISE:
+        return None
+    a, b = (pair.reference, pair.target) if trace.asked.inverse else (pair.target, pair.reference)
+    return AskedPair(
+        trace.asked.relation,
+        trace.objects[a].lifted,
+        trace.objects[b].lifted,
+        (state.shown.place[a], state.shown.place[b]),
+        trace.viewer,
+        replace(Profile(), **state.edits.profile),
+    )

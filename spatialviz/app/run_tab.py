@@ -1,0 +1,57 @@
+"""The Run tab of one client: figures of the run of its dataset, worked out behind whatever the user does."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+from spatialviz.app.failures import no_run_html
+from spatialviz.app.layout import Page
+from spatialviz.app.run_figures import RunFigures
+from spatialviz.app.run_html import CUTS, confusion_html, slices_html, summary_html
+
+
+class RunTab:
+    """Shows the figures of the run of the source that a client looks at.
+
+    Parameters
+    ----------
+    figures : mapping of str to RunFigures
+        By name of the source.
+    page : Page
+    post : callable
+        Runs something later, on the client's own thread.
+    """
+
+    def __init__(
+        self, figures: Mapping[str, RunFigures], page: Page, post: Callable[[Callable[[], None]], None]
+    ) -> None:
+        self._figures, self._page, self._post = figures, page, post
+        self._cut = next(iter(CUTS))
+        self._shown: RunFigures | None = None
+
+    def show(self, source: str) -> None:
+        """Show the run of a source, one part after the other."""
+        figures = self._shown = self._figures.get(source)
+        page = self._page
+        page.run_slices.content = page.run_confusion.content = ""
+        if figures is None:
+            page.run_summary.content = no_run_html()
+            return
+        page.run_summary.content = ""
+
+        def draw(part: Callable[[], None]) -> None:
+            self._post(lambda: part() if self._shown is figures else None)
+
+        draw(lambda: setattr(page.run_summary, "content", summary_html(figures)))
+        draw(self._draw_slices)
+        draw(lambda: setattr(page.run_confusion, "content", confusion_html(figures)))
+
+    def cut(self, dimension: str) -> None:
+        """Cut the run by another dimension."""
+        if dimension in CUTS:
+            self._cut = dimension
+            self._draw_slices()
+
+    def _draw_slices(self) -> None:
+        if self._shown is not None:
+            self._page.run_slices.content = slices_html(self._shown, self._cut)

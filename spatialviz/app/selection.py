@@ -1,0 +1,88 @@
+"""What a client has selected: by a row, a word, a pixel of the picture, or a click in the scene."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+from pipeline.boxes import Box3D
+from spatialviz.app import bottom
+from spatialviz.app.state import State
+
+
+class Selection:
+    """Selects objects of one client.
+
+    Parameters
+    ----------
+    state : callable
+        Gives the client's state.
+    take : callable
+        Takes a new one.
+    draw : callable
+    look_at : callable
+        Turns the view around a box.
+    """
+
+    def __init__(
+        self,
+        state: Callable[[], State],
+        take: Callable[[State], None],
+        draw: Callable[[], None],
+        look_at: Callable[[Box3D], None],
+    ) -> None:
+        self._state, self._take, self._draw, self._look_at = state, take, draw, look_at
+
+    def commands(self) -> dict[str, Callable[[str], None]]:
+        """What the page may ask for, by the first word of its message."""
+        return {
+            "object": lambda place: self.select(int(place)),
+            "chip": self.select_role,
+            "image": self.select_at,
+            "focus": lambda _: self.focus(),
+        }
+
+    def select(self, i: int) -> None:
+        """Select an object, or nothing where it is selected already."""
+        state = self._state()
+        if 0 <= i < len(state.shown.objects):
+            self._take(replace(state, selected=None if i == state.selected else i))
+            self._draw()
+
+    def select_on_ray(self, pixel: tuple[int, int] | None, boxes: list[int]) -> None:
+        """A click in the scene: the object whose pixel was hit, else the smallest box on the way."""
+        state = self._state()
+        if state.loaded is None:
+            return
+        found = None
+        if pixel is not None:
+            frame = state.loaded.context.frame
+            found = bottom.object_at(state, (pixel[0] + 0.5) / frame.width, (pixel[1] + 0.5) / frame.height)
+        if found is None and boxes:
+            found = boxes[0]
+        self._select_other(found)
+
+    def select_role(self, role: str) -> None:
+        """A click on a word of the expression: the object that fills it."""
+        pair = self._state().pair
+        if pair is not None:
+            self._select_other(pair[0 if role == "target" else 1])
+
+    def select_at(self, fractions: str) -> None:
+        """A click in the picture: "0.25,0.5" is a quarter from the left, half way down."""
+        try:
+            x, y = (float(part) for part in fractions.split(","))
+        except ValueError:
+            return
+        self._select_other(bottom.object_at(self._state(), x, y))
+
+    def _select_other(self, found: int | None) -> None:
+        if found is not None and found != self._state().selected:
+            self.select(found)
+
+    def focus(self) -> None:
+        """Look at the selected object."""
+        state = self._state()
+        box = None if state.selected is None else state.shown.objects[state.selected].lifted.box
+        if box is not None:
+            self._look_at(box)

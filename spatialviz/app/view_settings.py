@@ -1,0 +1,108 @@
+"""How a client looks at a frame: the paint, the camera, what is shown, dark or light."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import viser
+
+from pipeline.context import fuse_context
+from pipeline.errors import FrameUnusable, MissingExtra
+from pipeline.jobs import Source
+from spatialviz.app import left
+from spatialviz.app.layout import Page
+from spatialviz.app.scene import SceneView
+from spatialviz.app.state import CameraMode, ColorMode, State
+from spatialviz.app.text import safe
+from spatialviz.app.theme import apply_theme
+
+MODES: tuple[ColorMode, ...] = ("rgb", "objects", "depth", "evidence")
+
+
+class ViewSettings:
+    """Changes how one client looks.
+
+    Parameters
+    ----------
+    client : viser.ClientHandle
+    page : Page
+    scene : SceneView
+    source : callable
+        Gives the source that is looked at.
+    state : callable
+        Gives the client's state.
+    take : callable
+        Takes a new one.
+    draw : callable
+    note : callable
+        Writes a line of the log.
+    """
+
+    def __init__(
+        self,
+        client: viser.ClientHandle,
+        page: Page,
+        scene: SceneView,
+        source: Callable[[], Source],
+        state: Callable[[], State],
+        take: Callable[[State], None],
+        draw: Callable[[], None],
+        note: Callable[[str], None],
+    ) -> None:
+        self._client, self._page, self._scene, self._source = client, page, scene, source
+        self._state, self._take, self._draw, self._note = state, take, draw, note
+
+    def commands(self) -> dict[str, Callable[[str], None]]:
+        """What the page may ask for, by the first word of its message."""
+        return {
+            "color": self.paint,
+            "next-color": lambda _: self.paint(MODES[(MODES.index(self._state().colors) + 1) % len(MODES)]),
+            "camera": self.look_from,
+            "flag": self.toggle,
+            "theme": lambda _: self.switch_theme(),
+        }
+
+    def paint(self, mode: str) -> None:
+        """Paint the cloud in another way."""
+        if mode in MODES:
+            self._take(replace(self._state(), colors=mode))
+            self._draw()
+
+    def look_from(self, mode: str) -> None:
+        """Fly to one of the places to look from."""
+        modes: dict[str, CameraMode] = {"sensor": "sensor", "orbit": "orbit", "top": "top"}
+        state = self._state()
+        if mode in modes and state.loaded is not None:
+            self._take(replace(state, camera=modes[mode]))
+            self._page.controls.content = left.controls_html(self._state())
+            self._scene.viewpoint.fly(mode)
+
+    def toggle(self, flag: str) -> None:
+        """Show or hide something."""
+        state = self._state()
+        if flag in left.FLAGS:
+            self._take(replace(state, flags=replace(state.flags, **{flag: not getattr(state.flags, flag)})))
+            if flag == "context":
+                self.show_context()
+            self._draw()
+
+    def show_context(self) -> None:
+        """Fuse the frames around this one, where that is wanted and possible."""
+        mesh, state = None, self._state()
+        if state.flags.context and state.loaded is not None:
+            try:
+                mesh = fuse_context(self._source().dataset, state.loaded.context.frame)
+            except (FrameUnusable, MissingExtra) as error:
+                self._take(replace(state, flags=replace(state.flags, context=False)))
+                self._note(str(error))
+                self._client.add_notification("No room to show", safe(error), auto_close_seconds=12)
+        self._scene.show_context(mesh, state.dark)
+
+    def switch_theme(self) -> None:
+        """Dark becomes light, and light dark."""
+        state = self._state()
+        self._take(replace(state, dark=not state.dark))
+        apply_theme(self._client.gui, not state.dark)
+        self.show_context()
+        self._draw()
