@@ -12,7 +12,6 @@ from pipeline.whatif.placement import Placement, place_in_region
 from pipeline.whatif.region import Region, region_of
 from spatialviz.app.state import State
 
-
 REACH = 1.0
 """Metres around the reference that are drawn."""
 
