@@ -12,8 +12,9 @@ from pipeline.run_length import decode_run_length
 
 MOST_PIXELS = 200
 """A mask is grown or shrunk by no more at once."""
-SAME = 0.5
-"""A labelled object is meant where the 2D boxes overlap by as much (IoU)."""
+SAME = 0.1
+"""The labelled object that overlaps most is meant where its 2D box overlaps by as much (IoU): badly placed boxes are
+what another mask is for."""
 
 
 def grown(mask: np.ndarray, pixels: int) -> np.ndarray:

@@ -23,7 +23,7 @@ FAILS: RGB = (229, 72, 77)
 REGION_COLORS = {"T": HOLDS, "U": DOUBTFUL}
 OPACITY = {"T": 0.30, "U": 0.16}
 OUTLINE_GROWTH = 0.006
-MAP_OPACITY = 0.72
+MAP_OPACITY = 0.8
 MAP_LIFT = 0.012
 """The map lies a little above the floor, metres."""
 
@@ -133,7 +133,7 @@ class EditScene:
         if not len(rows):
             return
         winners = found.winner[rows, columns]
-        strength = (0.3 + 0.7 * np.clip(found.margin[rows, columns], 0, 1))[:, None]
+        strength = (0.5 + 0.5 * np.clip(found.margin[rows, columns], 0, 1))[:, None]
         background = 34.0 if dark else 244.0
         colors = map_colors(found)[winners] * strength + background * (1 - strength)
         steps = ((0, 0), (0, 1), (1, 1), (1, 0))

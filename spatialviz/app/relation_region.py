@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import numpy as np
+
 from pipeline.errors import InputError
 from pipeline.lifting import LiftedObject
 from pipeline.relations import PAIRWISE, Profile
@@ -53,8 +55,9 @@ class AskedPair:
 
     @property
     def marks(self) -> tuple[object, ...]:
-        """What the region depends on."""
-        ends = self.reference.lo.tobytes(), self.reference.hi.tobytes(), (self.target.hi - self.target.lo).tobytes()
+        """What the region depends on, to a tenth of a millimetre: a target that is only moved keeps it."""
+        lengths = (self.reference.lo, self.reference.hi, self.target.hi - self.target.lo)
+        ends = (tuple(np.round(v, 4).tolist()) for v in lengths)
         return self.relation, *ends, self.viewer.matrix.tobytes(), self.profile
 
 

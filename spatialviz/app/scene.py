@@ -106,6 +106,7 @@ class SceneView:
         self._ghost_anchors: dict[str, viser.FrameHandle] = {}
         self._frustum: Any = None
         self._axes: list[Any] = []
+        self._axes_at: tuple[Any, list[Tag]] = (None, [])
         self._context: Any = None
         self.to_show = np.eye(3)
 
@@ -178,7 +179,7 @@ class SceneView:
             for handle in handles:
                 if handle is not None:
                     handle.remove()
-        self._bands, self._lines, self._axes = [], {}, []
+        self._bands, self._lines, self._axes, self._axes_at = [], {}, [], (None, [])
         self._faces = self._frustum = self._cloud = self._context = None
         self._boxed = {}
 
@@ -340,11 +341,15 @@ class SceneView:
 
     def _draw_axes(self, pairs: Sequence[tuple[int, int]], dark: bool) -> list[Tag]:
         """The viewer's right, forward and up at the reference: the frame in which the relation is judged."""
+        reference = self._boxed.get(pairs[0][1]) if pairs else None
+        shown = reference is not None and (self._flags.axes or self._flags.region)
+        marks = None if reference is None or not shown else (reference.center.tobytes(), reference.size.tobytes(), dark)
+        if marks == self._axes_at[0]:
+            return self._axes_at[1]
         for handle in self._axes:
             handle.remove()
-        self._axes = []
-        reference = self._boxed.get(pairs[0][1]) if pairs else None
-        if not (self._flags.axes or self._flags.region) or reference is None:
+        self._axes, self._axes_at = [], (marks, [])
+        if reference is None or not shown:
             return []
         length = float(np.clip(np.linalg.norm(reference.size), 0.25, 0.8))
         center, scene = reference.center, self._client.scene
@@ -365,6 +370,7 @@ class SceneView:
             x, y, z = (float(v) for v in tip)
             self._axes.append(scene.add_frame(f"/axes/tip-{name}", show_axes=False, position=(x, y, z)))
             tags.append(Tag(f"/axes/tip-{name}", name, "", "#5b6472", False))
+        self._axes_at = marks, tags
         return tags
 
     def _draw_tags(

@@ -92,17 +92,13 @@ class Session:
             on_ray=lambda pixel, boxes: self.bridge.post(lambda: self._selection.select_on_ray(pixel, boxes)),
         )
         self._selection = Selection(self._now, self._take, self._draw, self.scene.viewpoint.focus)
-        self._view = ViewSettings(
-            client, self.page, self.scene, self._source, self._now, self._take, self._draw, self._note
-        )
+        reach = (self._source, self._now, self._take)
+        self._view = ViewSettings(client, self.page, self.scene, *reach, self._draw, self._note)
         self.fallback = Fallback(client, self.post)
-        self._runs = RunPanel(
-            runs or {}, store, self.page, self._now, self._set_listing, self._go, self.bridge.post
-        )
+        self._runs = RunPanel(runs or {}, store, self.page, self._now, self._set_listing, self._go, self.bridge.post)
         self._what_if = WhatIf(
-            client, self.page, self.scene, self._source, self._now, self._take, self._draw_edited, self._judged,
-            self._note, self.bridge.post,
-        )  # fmt: skip
+            client, self.page, self.scene, *reach, self._draw_edited, self._judged, self._note, self.bridge.post
+        )
         dialog = Dialog(client)
         self._strings = ViewStrings(
             dialog, store.sources, runs or {}, self._runs, self.scene.viewpoint, state=self._now, take=self._take,
@@ -312,9 +308,8 @@ class Session:
         try:
             trace = self._source().ask(loaded.context, text)
         except InputError as error:
-            self.state = replace(
-                self.state, error=str(error), shown=shown_objects(loaded, None, exact), selected=None
-            )
+            shown = shown_objects(loaded, None, exact)
+            self.state = replace(self.state, error=str(error), shown=shown, selected=None)
             self._note(f"“{text}”: {error}")
         else:
             self._answered(loaded, trace)

@@ -88,7 +88,7 @@ CSS = """<style>
 .sv .cell:hover{border-color:var(--mantine-color-dimmed)}
 .sv .cell.sel{border-color:var(--mantine-primary-color-filled)}
 .sv kbd{font:inherit;font-size:10.5px;border:1px solid var(--mantine-color-default-border);border-radius:3px;padding:0 4px;background:var(--mantine-color-default-hover)}
-.sv .keys{display:grid;grid-template-columns:auto 1fr;gap:5px 14px;align-items:baseline;font-size:13px}
+.sv .keys{display:grid;grid-template-columns:auto 1fr;gap:1px 14px;align-items:baseline;font-size:13px}
 .sv .log div{padding:2px 0;border-bottom:1px solid color-mix(in srgb,var(--mantine-color-default-border) 50%,transparent);overflow-wrap:anywhere}
 .sv .vd{display:inline-block;border-radius:4px;padding:0 6px;font-size:11px;font-weight:650;line-height:17px;color:#fff;background:var(--c);white-space:nowrap}
 .sv .vd i{font-style:normal;font-weight:450;opacity:.92}

@@ -114,6 +114,7 @@ class WhatIf:
         """An answer has come in: where it is to the question that was edited, edit it again."""
         self.check()
         if self._state().edits:
+            self._judged = self._state().judged
             self._apply(self._state().edits)
 
     def _asked(self) -> tuple[str, str, str] | None:
@@ -127,7 +128,8 @@ class WhatIf:
             raise InputError("nothing is asked: edits are of a question")
         if self._baseline is None or self._of != asked:
             self._baseline, self._of = Baseline(self._source(), state.loaded.context, asked[2]), asked
-            self._judged = self._judge(self._baseline.trace, None)
+            # Nothing of this question is edited yet: what is shown is the answer without edits.
+            self._judged = state.judged
         return self._baseline
 
     # ---- edits ----------------------------------------------------------------------
