@@ -26,6 +26,12 @@ MEANING = {
 """What each verdict says, in a few words."""
 
 
+SORTED = {
+    "margin": "sort by how far the right pair is behind (S of the best acceptable pair less S of the best other one)",
+    "verdict": "sort by verdict",
+}
+
+
 def verdict_chip(verdict: str, detail: str | None = None) -> str:
     """A verdict in its colour, with its detail."""
     color = hex_color(COLORS[verdict])
@@ -129,8 +135,23 @@ def _head(listing: Listing) -> str:
     )
     return (
         f'<div class="h" style="text-transform:none;letter-spacing:0"><b>{place}{len(listing.keys)} found</b>'
-        f"<span>{pages}</span></div>"
+        f"<span>{_orders(listing.query)} &nbsp;{pages}</span></div>"
     )
+
+
+def _orders(query: str) -> str:
+    """What the list may be sorted by; the same again turns the order round, and once more leaves it."""
+    words = query.split()
+    plain = [word for word in words if not word.startswith("sort:")]
+    now = next((word for word in words if word.startswith("sort:")), "")
+    chips = []
+    for name, hint in SORTED.items():
+        then = {f"sort:{name}": f"sort:-{name}", f"sort:-{name}": ""}.get(now, f"sort:{name}")
+        mark = {f"sort:{name}": " ↑", f"sort:-{name}": " ↓"}.get(now, "")
+        click = safe(f"sv({json.dumps('find:' + ' '.join([*plain, then]).strip())})")
+        on = " on" if mark else ""
+        chips.append(f'<span class="try{on}" title="{safe(hint)}" onclick="{click}">{name}{mark}</span>')
+    return " ".join(chips)
 
 
 def _rows(listing: Listing, thumbs: dict[str, str]) -> str:

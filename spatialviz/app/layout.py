@@ -58,7 +58,12 @@ class Page:
 
 
 def build(
-    client: viser.ClientHandle, bridge: Bridge, datasets: Sequence[str], dataset: str, frame_ids: Sequence[str]
+    client: viser.ClientHandle,
+    bridge: Bridge,
+    datasets: Sequence[str],
+    dataset: str,
+    frame_ids: Sequence[str],
+    with_run: bool = False,
 ) -> Page:
     """Build the page of one client."""
     gui = client.gui
@@ -80,17 +85,19 @@ def build(
     upper.dock_right()
     upper.set_width(RIGHT_WIDTH)
     lower.dock_below(upper)
+    own: dict[str, tuple[viser.GuiHtmlHandle, ...]] = {}
     # Six names fit into one row only without pictures.
     with upper.add_tab("Answer", viser.Icon.TARGET_ARROW):
         answer, pairs, relations = (gui.add_html("") for _ in range(3))
     with upper.add_tab("Why", viser.Icon.HELP_CIRCLE):
         why = gui.add_html("")
-    with lower.add_tab("Image"):
-        image, object_ = gui.add_html(""), gui.add_html("")
-    with lower.add_tab("Failures"):
-        search, offers, listing = (gui.add_html("") for _ in range(3))
-    with lower.add_tab("Run"):
-        run_summary, run_slices, run_confusion = (gui.add_html("") for _ in range(3))
+    # The first tab is the one that is open: with a run, what failed in it.
+    for name in ("Failures", "Run", "Image") if with_run else ("Image", "Failures", "Run"):
+        with lower.add_tab(name):
+            own[name] = tuple(gui.add_html("") for _ in range(2 if name == "Image" else 3))
+    image, object_ = own["Image"]
+    search, offers, listing = own["Failures"]
+    run_summary, run_slices, run_confusion = own["Run"]
     with lower.add_tab("Edit"):
         cost, edit = gui.add_html(""), gui.add_html("")
     with lower.add_tab("Frames"):

@@ -185,6 +185,7 @@ def _blamed(cell: tuple[str, str, str, str], state: State) -> tuple[str, str, st
         blamed = {"OPM" if part in ("CONF", "RECALL") else part for part in d.repair}
     if name in blamed:
         said = (d.detail or d.verdict.removeprefix("OPM-")).lower()
+        said = "at fault" if said == name.lower() else said
         return name, hex_color(VERDICTS[d.verdict]), said, f"{state.judged.said} ({cost}; {hint})"
     return (name, GOOD, cost, hint) if d.correct and name != "LABEL" else cell
 

@@ -86,7 +86,7 @@ class Session:
         self._help = HelpDialog(client, self.post, moving)
         ids = store.sources[source].dataset.frame_ids
         self.state = State(source=source, frame_id=ids[0], dark=dark, text=first_expression)
-        self.page = build(client, self.bridge, tuple(store.sources), source, ids)
+        self.page = build(client, self.bridge, tuple(store.sources), source, ids, bool(runs))
         self.scene = SceneView(
             client,
             on_ray=lambda pixel, boxes: self.bridge.post(lambda: self._selection.select_on_ray(pixel, boxes)),
@@ -175,6 +175,10 @@ class Session:
         elif not self._begun:
             if self._first_view is not None:
                 self._strings.open(self._first_view)
+            if not self._begun:
+                # With a run, its first failure; the frames follow.
+                self._runs.follow()
+                self._runs.open(0)
             if not self._begun:
                 self._open_frame(self.state.frame_id, first=True)
         self.bridge.remember(self.state.at_place.said())

@@ -103,6 +103,7 @@ CSS = """<style>
 .sv .find:focus{border-color:var(--mantine-primary-color-filled)}
 .sv .thumb.wide{width:46px;height:34px;display:block}
 .sv table.found td{padding:3px 4px;vertical-align:middle}
+.sv table.found td.w b{display:-webkit-box;-webkit-line-clamp:2;-webkit-box-orient:vertical;overflow:hidden;white-space:normal;line-height:1.25}
 .sv table.oracles td{padding:2px 3px}
 .sv tr.on td{background:color-mix(in srgb,var(--mantine-primary-color-filled) 14%,transparent)}
 .sv tr.sum td{border-top:1px solid var(--mantine-color-default-border)}
