@@ -53,6 +53,23 @@ def frame_of(page) -> str:
     return page.evaluate(FRAME_OF)
 
 
+def same_as_the_command_line(page, text: str) -> None:
+    """The first page shows a failure of the demo's run; what it says is what the command line says."""
+    page.locator(".sv .vline").wait_for(timeout=30_000)
+    run = Path(__file__).parents[1] / "assets" / "demo_run"
+    asked = subprocess.run(
+        [sys.executable, "-m", "spatialviz", "ask", "demo", frame_of(page), text, "--detector", "simulated", "--model",
+         run / "simulated.toml", "--min-score", "0.015", "--k", "5", "--labels", run / "labels", "--json"],
+        capture_output=True, check=True, text=True,
+    )  # fmt: skip
+    said = json.loads(asked.stdout)
+    assert said["verdict"]["verdict"] != "CORRECT", said["verdict"]
+    shown = page.locator(".sv .vline .vd").first.inner_text()
+    assert shown.startswith(said["verdict"]["verdict"]), (shown, said["verdict"])
+    assert page.locator(".sv .vline").get_attribute("title") == said["verdict"]["said"]
+    assert page.locator(".sv .big .p").inner_text() == f"{said['answer']['probability']:.2f}", said["answer"]
+
+
 def drive() -> dict:
     with sync_playwright() as play:
         browser = play.chromium.launch(executable_path="/usr/bin/chromium", args=CHROMIUM)
@@ -62,6 +79,7 @@ def drive() -> dict:
         page.goto(ADDRESS)
         page.get_by_text("Ranked pairs").wait_for(timeout=60_000)
         field = page.locator("form input").first
+        same_as_the_command_line(page, field.input_value())
         field.fill("laptop right of the mug")
         field.press("Enter")
         page.locator(".sv .big", has_text="right of").wait_for(timeout=30_000)
