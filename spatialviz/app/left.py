@@ -260,6 +260,8 @@ def objects_html(state: State, thumbs: dict[int, str], moving: bool = False) -> 
             f'<td class="n dim">{away}</td><td class="n">{score} {mark}</td></tr>'
         )
     height = 626 if moving else 566
+    # The legend of the cleaned pixels stands above.
+    height += 44 if state.colors == "evidence" else 0
     return panel(
         heading(f"Objects ({len(rows)})"),
         f'<div class="scroll" style="--mh:max(150px, calc(100vh - {height}px))"><table>{"".join(rows)}</table></div>',
