@@ -75,5 +75,6 @@ def cohen_kappa(first: Sequence[str], second: Sequence[str]) -> Agreement:
 
 def agreement_of(first: Mapping[Key, str], second: Mapping[Key, str]) -> Agreement:
     """Agreement on the items that both have reviewed: "unreviewed" is no judgement."""
-    both = [key for key, said in first.items() if said != "unreviewed" and second.get(key, "unreviewed") != "unreviewed"]
+    none = "unreviewed"
+    both = [key for key, said in first.items() if said != none and second.get(key, none) != none]
     return cohen_kappa([first[key] for key in both], [second[key] for key in both])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,6 +13,9 @@ from pipeline.labels.reading import Labels
 from pipeline.labels.tables import read_table
 from pipeline.review.out_of_fold import Doubts
 from pipeline.srm.label_data import LabelData, column_arrays, rows_of_frame
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +53,7 @@ class Cells:
             wanted = {key[0] for key in keys}
             of_them = np.flatnonzero(np.isin(self.frame, list(wanted)))
             rows = zip(self.frame[of_them], self.a[of_them].tolist(), self.b[of_them].tolist(), strict=True)
-            place = {key: row for key, row in zip(rows, of_them.tolist(), strict=True)}
+            place = dict(zip(rows, of_them.tolist(), strict=True))
         return np.array([place.get(key, -1) for key in keys], np.int64)
 
 
@@ -80,9 +84,8 @@ def read_cells(labels: Labels) -> Cells:
     )
 
 
-def _order(table: object) -> np.ndarray:
-    columns = [table.column(name).to_numpy() for name in ("b", "a", "frame_index")]  # pyright: ignore[reportAttributeAccessIssue]
-    return np.lexsort(columns)
+def _order(table: pa.Table) -> np.ndarray:
+    return np.lexsort([table.column(name).to_numpy() for name in ("b", "a", "frame_index")])
 
 
 def doubts_of_cells(cells: Cells, data: LabelData, doubts: Doubts) -> tuple[np.ndarray, np.ndarray]:

@@ -200,7 +200,8 @@ def disputed_evidence(labels: Labels, cells: Cells, other: Labels) -> tuple[Cell
     for frame, index in frames[0].items():
         if frame not in frames[1]:
             continue
-        mine, others = (rows_of_frame(o["frame_index"], i) for o, i in zip(objects, (index, frames[1][frame]), strict=True))
+        mine = rows_of_frame(objects[0]["frame_index"], index)
+        others = rows_of_frame(objects[1]["frame_index"], frames[1][frame])
         match = matched_boxes(objects[0]["bbox"][mine], objects[1]["bbox"][others])
         numbers = objects[0]["object"][mine], objects[1]["object"][others]
         items += _disputed_objects(
@@ -238,7 +239,7 @@ def _disputed_objects(
 
 
 def matched_boxes(first: np.ndarray, second: np.ndarray) -> np.ndarray:
-    """(N,) int64: the box of the second ((M, 4) x0, y0, x1, y1) that is each of the first ((N, 4)); -1 where none is."""
+    """(N,) int64: which of M second boxes each first one is, both (., 4) x0, y0, x1, y1; -1 where none is."""
     if not len(first) or not len(second):
         return np.full(len(first), -1, np.int64)
     low, high = np.maximum(first[:, None, :2], second[None, :, :2]), np.minimum(first[:, None, 2:], second[None, :, 2:])

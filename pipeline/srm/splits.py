@@ -8,7 +8,7 @@ one scene blocks of camera positions with a gap between them.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -78,6 +78,12 @@ class SplitPlan:
     def places(self, part: int) -> np.ndarray:
         """Places of the frames of a part."""
         return np.flatnonzero(self.part == part)
+
+    def for_frames(self, frames: Sequence[FrameKey]) -> SplitPlan:
+        """The same parts for frames of other labels of the dataset, by id; those that the plan lacks are dropped."""
+        parts = {f.frame: part for f, part in zip(self.frames, self.part.tolist(), strict=True)}
+        part = np.array([parts.get(f.frame, DROPPED) for f in frames], np.int8)
+        return replace(self, frames=tuple(frames), part=part)
 
     def record(self) -> dict[str, Any]:
         """As JSON: the scenes of each part, or its frames where scenes are cut."""
