@@ -73,14 +73,15 @@ def read_cells(labels: Labels) -> Cells:
     states = [table.column(r).fill_null(UNKNOWN).to_numpy().astype(np.int8) for r in relations]
     found = column_arrays(table.select(["frame", "frame_index", "a", "b"]))
     shape = (table.num_rows, len(relations))
+    margin_columns = [table.column(m).to_numpy().astype(np.float64) for m in margins]
     return Cells(
         relations,
         found["frame"].astype(object),
-        *(found[name].astype(np.int64) for name in ("frame_index", "a", "b")),
+        found["frame_index"].astype(np.int64),
+        found["a"].astype(np.int64),
+        found["b"].astype(np.int64),
         np.stack(states, axis=1) if states else np.zeros(shape, np.int8),
-        np.stack([table.column(m).to_numpy().astype(np.float64) for m in margins], axis=1)
-        if margins
-        else np.zeros(shape),
+        np.stack(margin_columns, axis=1) if margins else np.zeros(shape),
     )
 
 

@@ -3,9 +3,9 @@
 After C. G. Northcutt, L. Jiang and I. L. Chuang, "Confident Learning: Estimating
 Uncertainty in Dataset Labels", JAIR 70 (2021), 1373-1411: per-class thresholds,
 the confident joint of given and true labels, its calibration to the counts of
-given labels (section 3.1), and ranking by self-confidence or normalised margin
-(section 4). Each relation is a question of its own, as relations may hold
-together and cells that are too close to call (U) have no label.
+given labels (section 3.1), and ranking by self-confidence. Each relation is a
+question of its own, as relations may hold together and cells that are too close
+to call (U) have no label.
 
 The network is trained on given labels, and so its probability is that of the
 given label. With the noise rates of the confident joint it is inverted to that
@@ -73,13 +73,7 @@ def estimate_noise(p: np.ndarray, says: np.ndarray) -> Noise:
     if counts.min() < FEWEST:
         thresholds = np.array([(1 - p[~says]).mean() if counts[0] else np.nan, p[says].mean() if counts[1] else np.nan])
         return Noise(thresholds, np.diag(counts), 0.0, 0.0)
-    thresholds = np.array([(1 - p[~says]).mean(), p[says].mean()])
-    confident = np.stack([1 - p >= thresholds[0], p >= thresholds[1]])
-    # Where both are confident, the more probable one is what the label should be.
-    truly_yes = np.where(confident.all(axis=0), p >= 0.5, confident[1])
-    counted = confident.any(axis=0)
-    table = np.zeros((2, 2))
-    np.add.at(table, (says[counted].astype(np.int64), truly_yes[counted].astype(np.int64)), 1.0)
+    thresholds, table = confident_joint(p, says)
     # One more of each kind of error: where none was seen, ranks still differ.
     table += [[0, 1], [1, 0]]
     joint = table / table.sum(axis=1, keepdims=True) * counts[:, None]
@@ -88,6 +82,33 @@ def estimate_noise(p: np.ndarray, says: np.ndarray) -> Noise:
     yes_for_no, no_for_yes = joint[1, 0] / true[0], joint[0, 1] / true[1]
     scale = min(1.0, MOST_NOISE / max(yes_for_no + no_for_yes, 1e-12))
     return Noise(thresholds, joint, float(yes_for_no * scale), float(no_for_yes * scale))
+
+
+def confident_joint(p: np.ndarray, says: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Thresholds, and the counts of labels that are confidently one or the other (equation 1 of the paper).
+
+    Parameters
+    ----------
+    p : (M,) float
+    says : (M,) bool
+        Of either answer at least one.
+
+    Returns
+    -------
+    thresholds : (2,) float64
+        Mean probability of each answer over the labels that give it.
+    counts : (2, 2) float64
+        By what labels say and what they should.
+    """
+    p, says = _checked(p, says)
+    thresholds = np.array([(1 - p[~says]).mean(), p[says].mean()])
+    confident = np.stack([1 - p >= thresholds[0], p >= thresholds[1]])
+    # Where both are confident, the more probable one is what the label should be.
+    truly_yes = np.where(confident.all(axis=0), p >= 0.5, confident[1])
+    counted = confident.any(axis=0)
+    table = np.zeros((2, 2))
+    np.add.at(table, (says[counted].astype(np.int64), truly_yes[counted].astype(np.int64)), 1.0)
+    return thresholds, table
 
 
 def probability_wrong(p: np.ndarray, says: np.ndarray, noise: Noise | None = None) -> np.ndarray:
@@ -110,21 +131,12 @@ def probability_wrong(p: np.ndarray, says: np.ndarray, noise: Noise | None = Non
 
 
 def self_confidence(p: np.ndarray, says: np.ndarray) -> np.ndarray:
-    """(M,) float64: the probability of what the label says; the least first is a ranking of errors."""
+    """(M,) float64: the probability of what the label says; the least first is a ranking of errors.
+
+    Of two answers it ranks as the normalised margin does, which is twice this less 1.
+    """
     p, says = _checked(p, says)
     return np.where(says, p, 1 - p)
-
-
-def normalised_margin(p: np.ndarray, says: np.ndarray, noise: Noise | None = None) -> np.ndarray:
-    """(M,) float64: how much more probable the label is than the other answer, from -1 to 1.
-
-    With `noise`, each answer's probability is first lessened by its threshold.
-    """
-    own = self_confidence(p, says)
-    if noise is None:
-        return 2 * own - 1
-    no, yes = noise.thresholds
-    return 2 * own - 1 - np.where(says, yes - no, no - yes)
 
 
 def _checked(p: np.ndarray, says: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -69,7 +69,7 @@ def network_evidence(cells: Cells, probability: np.ndarray, wrong: np.ndarray, l
     states = _letters(cells.states[rows, columns])
     p, q = probability[rows, columns], wrong[rows, columns]
     reason = _joined(
-        "the label is ", states, ", and networks trained on other scenes give it a probability of ",
+        "the label is ", states, ", and networks that have not learnt from it give it a probability of ",
         np.char.mod("%.2f", np.where(cells.states[rows, columns] == T, p, 1 - p)),
     )  # fmt: skip
     return CellEvidence(rows, columns, q, reason)
@@ -83,7 +83,7 @@ def doubtful_evidence(cells: Cells, probability: np.ndarray) -> CellEvidence:
     sure = np.abs(2 * p - 1)
     answer = np.where(p > 0.5, "T", "F")
     reason = _joined(
-        "too close to call by the rule (U); networks trained on other scenes say ", answer, " with ",
+        "too close to call by the rule (U); networks that have not learnt from it say ", answer, " with ",
         np.char.mod("%.2f", np.maximum(p, 1 - p)),
     )  # fmt: skip
     return CellEvidence(rows, columns, UNDECIDED * sure, reason)

@@ -91,7 +91,7 @@ def _by_block(frames: Sequence[FrameKey], names: np.ndarray, scenes: Sequence[st
     gaps: dict[str, float | int] = {}
     for number, scene in enumerate(scenes):
         places = np.flatnonzero(names == scene)
-        along, gap = _along([frames[k] for k in places])
+        along, gap = _along([frames[k] for k in places.tolist()])
         rank = np.argsort(np.argsort(along, kind="stable"), kind="stable")
         # Scenes with few frames start at different folds.
         block = (rank * min(folds, len(places)) // len(places) + number) % folds

@@ -164,9 +164,9 @@ def out_of_fold(
     for held, learnt in zip(folds.held, folds.learnt, strict=True):
         if not held.any():
             continue
-        inside = [_padded(frames[k], places, len(outputs)) for k in np.flatnonzero(learnt)]
+        inside = [_padded(frames[k], places, len(outputs)) for k in np.flatnonzero(learnt).tolist()]
         model = train_pairs(pair_set(inside, config.features, config.output), config)
-        for k in np.flatnonzero(held):
+        for k in np.flatnonzero(held).tolist():
             found[k] = network_probabilities(model, frames[k].rows)[..., places]
         if trained is not None:
             trained()

@@ -266,18 +266,24 @@ def compare_networks(
     known, (old, new) = truth != U, (_right(c) for c in cells)
     tests = {r: mcnemar(new[known[:, k], k], old[known[:, k], k]) for k, r in enumerate(relations)}
     tests["all"] = mcnemar(new[known], old[known])
+    better, worse = (
+        _listed(test, relations, truth, p, chosen) for chosen in (new & ~old & known, old & ~new & known)
+    )
     return Retraining(
-        relations,
-        len(truth),
-        len(test),
-        *estimates,
-        tests,
-        _changed(was, now, plan),
-        *(_listed(test, relations, truth, p, chosen) for chosen in (new & ~old & known, old & ~new & known)),
-        (tests["all"].b, tests["all"].c),
-        own.record(),
-        "scene" if len(scenes) > 1 else "frame",
-        cards,
+        relations=relations,
+        pairs=len(truth),
+        frames=len(test),
+        before=estimates[0],
+        after=estimates[1],
+        gain=estimates[2],
+        tests=tests,
+        changed=_changed(was, now, plan),
+        better=better,
+        worse=worse,
+        counts=(tests["all"].b, tests["all"].c),
+        split=own.record(),
+        cluster="scene" if len(scenes) > 1 else "frame",
+        cards=cards,
     )
 
 
@@ -326,7 +332,7 @@ def _listed(
                 "a": int(frame.objects[a]),
                 "b": int(frame.objects[b]),
                 "relation": relations[column],
-                "label": letter(truth[row, column]),
+                "label": letter(int(truth[row, column])),
                 "before": float(p[0][row, column]),
                 "after": float(p[1][row, column]),
             }
