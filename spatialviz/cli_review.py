@@ -145,6 +145,8 @@ class BenchReview:
     """As of `review`."""
     networks: int = 2
     """Trained on each set of labels, F1 averaged."""
+    batch: int | None = None
+    """Pairs in a step. Default: 256, less where there are few pairs."""
     seeds: int = 3
     """Repetitions with other errors and other networks in the same rooms."""
     seed: int = 0
@@ -156,7 +158,8 @@ class BenchReview:
 
     def run(self) -> int:
         from pipeline.review.bench import ReviewBenchConfig, bench_review
-        from pipeline.review.out_of_fold import DoubtConfig
+        from pipeline.review.out_of_fold import EPOCHS, REVIEWED, DoubtConfig
+        from pipeline.srm.train import TrainConfig
         from spatialviz.printing import progress_bars
         from spatialviz.printing_review import print_review_bench
 
@@ -170,7 +173,10 @@ class BenchReview:
             networks=self.networks,
             seeds=self.seeds,
             seed=self.seed,
-            doubts=DoubtConfig(self.folds, self.passes),
+            doubts=DoubtConfig(
+                self.folds, self.passes, TrainConfig(vocabulary=REVIEWED, epochs=EPOCHS, batch=self.batch)
+            ),
+            train=TrainConfig(batch=self.batch),
         )
         with progress_bars() as advance:
             record = bench_review(config, workers=self.workers, progress=advance)

@@ -1,4 +1,4 @@
-"""Confident learning of one question: its counts against cleanlab's, its probabilities against errors that are known."""
+"""Confident learning of one question: its counts against cleanlab's, its probabilities against known errors."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from pipeline.review.confident import (
 
 
 def labelled(count: int, no_for_yes: float, yes_for_no: float, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Truth, what labels say, and the exact probability of that, of questions most of which are easy, as relations are."""
+    """Truth, what labels say, and the exact probability of "yes"; most questions are easy, as relations are."""
     rng = np.random.default_rng(seed)
     clear = 1 / (1 + np.exp(-rng.normal(-8, 25, count)))
     truth = rng.random(count) < clear

@@ -29,7 +29,7 @@ def test_scenes_are_held_out_whole(scenes: list[int], count: int, seed: int) -> 
     assert (folds.held.sum(axis=0) == 1).all()
     assert folds.held.any(axis=1).all()
     for held, learnt in zip(folds.held, folds.learnt, strict=True):
-        inside, outside = ({f.scene for f, chosen in zip(frames, part, strict=True) if chosen} for part in (held, learnt))
+        inside, outside = ({frames[k].scene for k in np.flatnonzero(part).tolist()} for part in (held, learnt))
         assert not inside & outside
         assert inside | outside == {f.scene for f in frames}
     again = make_folds(frames, count, seed)

@@ -36,15 +36,15 @@ RULES_ONLY = QueueConfig(doubts=None)
 
 @pytest.fixture(scope="module")
 def turned(label_sets: dict[str, Labels], tmp_path_factory: pytest.TempPathFactory) -> tuple[Labels, ItemKey]:
-    """The demo's labels with one clear cell turned."""
+    """The demo's labels with one clear cell turned, of which an expression tells."""
     labels = label_sets["demo"]
-    table = labels.relations
-    left, margin = (table.column(n).to_numpy().copy() for n in ("left", "left_margin"))
-    row = int(np.argmax(np.where(left == 1, margin, -1)))
-    left[row] = -1
-    found = with_relations(labels, tmp_path_factory.mktemp("turned") / "labels", {"left": left})
-    frame, a, b = (table.column(n)[row].as_py() for n in ("frame", "a", "b"))
-    return found, ItemKey(frame, "relation", a, b, "left")
+    told = [row for row in labels.expressions.to_pylist() if row["relation"] == "left"]
+    best = max(told, key=lambda row: row["margin"])
+    key = ItemKey(best["frame"], "relation", best["target_object"], best["reference_object"], "left")
+    frame, a, b = (labels.relations.column(n).to_numpy() for n in ("frame", "a", "b"))
+    left = labels.relations.column("left").to_numpy().copy()
+    left[(frame == key.frame) & (a == key.a) & (b == key.b)] = -1
+    return with_relations(labels, tmp_path_factory.mktemp("turned") / "labels", {"left": left}), key
 
 
 def test_a_turned_cell_comes_first_with_its_reasons(turned: tuple[Labels, ItemKey]) -> None:
@@ -87,7 +87,8 @@ def test_the_linter_names_both_cells_of_a_contradiction(turned: tuple[Labels, It
     labels, key = turned
     queue = review_queue(labels, RULES_ONLY)
     rows = dict(zip(item_keys(queue), queue.to_pylist(), strict=True))
-    assert item_keys(queue)[0] == key, "the extents contradict it, and its mirror image too"
+    relations = [k for k in item_keys(queue) if k.kind == "relation"]
+    assert relations[0] == key, "the extents contradict it, and its mirror image too"
     mirrored = rows[ItemKey(key.frame, "relation", key.b or 0, key.a, "right")]
     assert any("relation/inverse" in reason for reason in mirrored["reasons"])
     assert mirrored["score"] < rows[key]["score"]
@@ -121,8 +122,8 @@ def test_other_labels_of_the_frames_dispute_names_places_and_relations(
     queue = review_queue(labels, config, other=other)
     frame = labels.objects.column("frame")[0].as_py()
     first, second = (labels.objects.column("object")[k].as_py() for k in (0, 1))
-    key = ItemKey(*(labels.relations.column(n)[row].as_py() for n in ("frame",)), "relation",
-                  labels.relations.column("a")[row].as_py(), labels.relations.column("b")[row].as_py(), "above")  # fmt: skip
+    pair = labels.relations.slice(row, 1).to_pylist()[0]
+    key = ItemKey(pair["frame"], "relation", pair["a"], pair["b"], "above")
     rows = dict(zip(item_keys(queue), queue.to_pylist(), strict=True))
     assert set(rows) == {
         ItemKey(frame, "object", first, None, ""), ItemKey(frame, "object", second, None, ""), key
