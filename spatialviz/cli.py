@@ -21,6 +21,7 @@ from spatialviz.cli_cases import Replay, Report, SaveCase
 from spatialviz.cli_detect import Calibrate, Detect
 from spatialviz.cli_eval import BenchEval, Eval
 from spatialviz.cli_labels import BenchLabel, Check, Export, Label, Merge
+from spatialviz.cli_review import BenchReview, Retrain, Review
 from spatialviz.cli_runs import Failures, Query
 from spatialviz.cli_training import Train
 from spatialviz.cli_view import View
@@ -262,7 +263,9 @@ Command = Union[
     Annotated[Merge, subcommand("merge")],
     Annotated[Check, subcommand("check")],
     Annotated[Export, subcommand("export")],
+    Annotated[Review, subcommand("review")],
     Annotated[Train, subcommand("train")],
+    Annotated[Retrain, subcommand("retrain")],
     Annotated[Detect, subcommand("detect")],
     Annotated[Calibrate, subcommand("calibrate")],
     Annotated[Eval, subcommand("eval")],
@@ -275,6 +278,7 @@ Command = Union[
     Annotated[BenchLabel, subcommand("bench-label")],
     Annotated[BenchEval, subcommand("bench-eval")],
     Annotated[BenchSrm, subcommand("bench-srm")],
+    Annotated[BenchReview, subcommand("bench-review")],
 ]
 
 
@@ -290,7 +294,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         return FINE
     if not arguments or (arguments[0].startswith("-") and arguments[0] not in ("-h", "--help")):
         arguments = ["view", *arguments]
-    if arguments[:2] in (["bench", "label"], ["bench", "eval"], ["bench", "srm"]):
+    if arguments[:2] in (["bench", "label"], ["bench", "eval"], ["bench", "srm"], ["bench", "review"]):
         arguments = [f"bench-{arguments[1]}", *arguments[2:]]
     try:
         command = tyro.cli(

@@ -50,12 +50,15 @@ class LabelledFrame:
         Places of the class names in the data's list.
     states : (N, N, R) int8
         Relations in the order of the vocabulary; U for pairs that were not judged, and on the diagonal.
+    objects : (N,) int64
+        Their numbers in the labels, rising.
     """
 
     key: FrameKey
     rows: np.ndarray
     classes: np.ndarray
     states: np.ndarray
+    objects: np.ndarray
 
     def single(self) -> np.ndarray:
         """(N, N) int64: place of the one relation that holds of a pair; -1 where none or several do."""
@@ -135,8 +138,9 @@ def read_label_data(labels: Labels, features: str, vocabulary: Sequence[str]) ->
         known = np.isfinite(rows).all(axis=1)
         if known.sum() < 2:
             continue
-        states = pair_states(relations, vocabulary, index, objects["object"][mine][known])
-        found.append(LabelledFrame(key, rows[known], classes[mine][known].astype(np.int32), states))
+        numbers = objects["object"][mine][known].astype(np.int64)
+        states = pair_states(relations, vocabulary, index, numbers)
+        found.append(LabelledFrame(key, rows[known], classes[mine][known].astype(np.int32), states, numbers))
     if not found:
         raise InputError("these labels hold no frame with two usable objects", path=labels.root)
     return LabelData(features, tuple(vocabulary), tuple(found), tuple(str(n) for n in names))

@@ -82,7 +82,11 @@ class LabelTraining:
 
 @one_thread()
 def train_on_labels(
-    job: LabelTraining, out: Path, progress: Callable[[Epoch], None] | None = None
+    job: LabelTraining,
+    out: Path,
+    progress: Callable[[Epoch], None] | None = None,
+    *,
+    plan: SplitPlan | None = None,
 ) -> dict[str, Any]:
     """Train on some of the labels, calibrate on others, and measure on the rest.
 
@@ -96,6 +100,8 @@ def train_on_labels(
         The ONNX file to write; its folder is made if it is missing.
     progress : callable, optional
         Called after each epoch.
+    plan : SplitPlan, optional
+        A split that was made for several labels of the dataset; by default that of the job.
 
     Returns
     -------
@@ -116,7 +122,8 @@ def train_on_labels(
     labels = open_labels(job.labels)
     data = read_label_data(labels, config.features, VOCABULARIES[config.vocabulary])
     vectors, language = _language(job, data)
-    plan = split_frames([f.key for f in data.frames], job.split, config.seed)
+    keys = [f.key for f in data.frames]
+    plan = split_frames(keys, job.split, config.seed) if plan is None else plan.for_frames(keys)
     train, validation, test = ([data.frames[k] for k in plan.places(part)] for part in (TRAIN, VALIDATION, TEST))
     learnt = pair_set(
         train, data.features, config.output, vectors=vectors, limit=job.pairs, seed=config.seed

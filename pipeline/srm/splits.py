@@ -8,7 +8,7 @@ one scene blocks of camera positions with a gap between them.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -78,6 +78,12 @@ class SplitPlan:
     def places(self, part: int) -> np.ndarray:
         """Places of the frames of a part."""
         return np.flatnonzero(self.part == part)
+
+    def for_frames(self, frames: Sequence[FrameKey]) -> SplitPlan:
+        """The same parts for frames of other labels of the dataset, by id; those that the plan lacks are dropped."""
+        parts = {f.frame: part for f, part in zip(self.frames, self.part.tolist(), strict=True)}
+        part = np.array([parts.get(f.frame, DROPPED) for f in frames], np.int8)
+        return replace(self, frames=tuple(frames), part=part)
 
     def record(self) -> dict[str, Any]:
         """As JSON: the scenes of each part, or its frames where scenes are cut."""
@@ -211,13 +217,10 @@ def position_blocks(positions: np.ndarray, gap: float) -> tuple[np.ndarray, floa
     None
         Where the positions do not differ by enough to be cut with a gap of 1 cm.
     """
-    centred = positions - positions.mean(axis=0)
-    if not np.isfinite(centred).all():
+    along = along_spread(positions)
+    if along is None:
         return None
-    along = centred @ np.linalg.svd(centred, full_matrices=False)[2][0]
     n = len(along)
-    # The sign of a singular vector is free: the first frame is at the beginning.
-    along = along if along[0] <= np.median(along) else -along
     ranked = np.sort(along)
     parts = _cut(n)
     first, last = ranked[np.flatnonzero(parts == VALIDATION)[[0, -1]]]
@@ -230,6 +233,19 @@ def position_blocks(positions: np.ndarray, gap: float) -> tuple[np.ndarray, floa
             return part, float(gap)
         gap /= 2
     return None
+
+
+def along_spread(positions: np.ndarray) -> np.ndarray | None:
+    """(F,) metres: places of positions ((F, 3), metres) along the direction in which they spread most.
+
+    None where a position is not finite.
+    """
+    centred = positions - positions.mean(axis=0)
+    if not np.isfinite(centred).all():
+        return None
+    along = centred @ np.linalg.svd(centred, full_matrices=False)[2][0]
+    # The sign of a singular vector is free: the first frame is at the beginning.
+    return along if along[0] <= np.median(along) else -along
 
 
 def _index_blocks(n: int) -> tuple[np.ndarray, int]:

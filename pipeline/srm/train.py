@@ -29,8 +29,8 @@ from pipeline.srm.pairs import PairSet, class_shares
 from pipeline.srm.training_data import FrameSamples, iterate_pairs
 from pipeline.text_vectors import LanguageContract
 
-OUTPUTS: dict[str, Output] = {"avd": "sigmoid", "semantic-abstraction": "softmax"}
-"""What the paper trains on each vocabulary: several relations may hold, or exactly one fits."""
+OUTPUTS: dict[str, Output] = {"avd": "sigmoid", "semantic-abstraction": "softmax", "all": "sigmoid"}
+"""What the paper trains on each vocabulary: several relations may hold, or exactly one fits. "all" is for review."""
 
 FEWEST_EXAMPLES = 10
 """A class of a softmax network with fewer examples gets no output: the rule scores it."""

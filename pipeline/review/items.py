@@ -1,0 +1,116 @@
+"""What is reviewed, item by item: its key, its state, and how far a review has come."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Literal, NamedTuple, get_args
+
+from pipeline.errors import InputError
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+Kind = Literal["relation", "object", "expression"]
+State = Literal["unreviewed", "accepted", "corrected", "rejected", "unsure"]
+KINDS: tuple[Kind, ...] = get_args(Kind)
+STATES: tuple[State, ...] = get_args(State)
+SETTLED: tuple[State, ...] = ("accepted", "corrected", "rejected")
+"""Nothing is left to do; an item that a reviewer is unsure of may be asked of another."""
+
+
+class ItemKey(NamedTuple):
+    """What names a label in every version of a dataset's labels.
+
+    Attributes
+    ----------
+    frame : str
+        The frame's id.
+    kind : str
+        "relation", "object" or "expression".
+    a : int
+        Number of the object; of a pair, of the one that is said to be somewhere.
+    b : int or None
+        The other object of a pair.
+    what : str
+        The relation, or the expression's id; empty for objects.
+    """
+
+    frame: str
+    kind: str
+    a: int
+    b: int | None
+    what: str
+
+    def text(self) -> str:
+        """As one line of JSON; equal keys have equal texts."""
+        return json.dumps(list(self), ensure_ascii=False, separators=(",", ":"))
+
+    @classmethod
+    def read(cls, text: str) -> ItemKey:
+        """The reverse.
+
+        Raises
+        ------
+        InputError
+            It is no key.
+        """
+        try:
+            frame, kind, a, b, what = json.loads(text)
+        except (ValueError, TypeError) as error:
+            raise InputError("not the key of a review item", got=repr(text)[:80]) from error
+        numbers = type(a) is int and (b is None or type(b) is int)
+        if not (isinstance(frame, str) and kind in KINDS and numbers and isinstance(what, str)):
+            raise InputError("not the key of a review item", got=repr(text)[:80])
+        return cls(frame, kind, a, b, what)
+
+
+def item_keys(queue: pa.Table) -> list[ItemKey]:
+    """The keys of a queue's rows, in their order."""
+    names = ("frame", "kind", "a", "b", "relation", "expression")
+    frame, kind, a, b, relation, expression = (queue.column(name).to_pylist() for name in names)
+    what = [r or e or "" for r, e in zip(relation, expression, strict=True)]
+    return [ItemKey(*row) for row in zip(frame, kind, a, b, what, strict=True)]
+
+
+def with_states(queue: pa.Table, states: Mapping[ItemKey, State]) -> pa.Table:
+    """The queue with a column `state`; what the mapping lacks is unreviewed.
+
+    Raises
+    ------
+    InputError
+        A state is none of STATES.
+    """
+    import pyarrow as pa
+
+    checked_states(states)
+    if "state" in queue.column_names:
+        queue = queue.drop_columns(["state"])
+    column = [states.get(key, "unreviewed") for key in item_keys(queue)]
+    return queue.append_column("state", pa.array(column, pa.string()))
+
+
+def left_to_review(queue: pa.Table, states: Mapping[ItemKey, State]) -> pa.Table:
+    """The rows that are not settled, in the order of the queue; those that someone is unsure of last."""
+    known = with_states(queue, states)
+    column = known.column("state").to_pylist()
+    chosen = [[k for k, state in enumerate(column) if state == wanted] for wanted in ("unreviewed", "unsure")]
+    return known.take(chosen[0] + chosen[1])
+
+
+def progress_counts(queue: pa.Table, states: Mapping[ItemKey, State]) -> dict[str, int]:
+    """How many items there are, in each state, settled, and not in the queue any more though they have a state."""
+    keys = item_keys(queue)
+    checked_states(states)
+    counts = dict.fromkeys(STATES, 0)
+    for key in keys:
+        counts[states.get(key, "unreviewed")] += 1
+    settled = sum(counts[state] for state in SETTLED)
+    return {"items": len(keys), **counts, "settled": settled, "elsewhere": len(set(states) - set(keys))}
+
+
+def checked_states(states: Mapping[ItemKey, str]) -> None:
+    """Raise InputError for a state that is none."""
+    for key, state in states.items():
+        if state not in STATES:
+            raise InputError(f"no such state of review item {key.text()}", got=repr(state), expected=" | ".join(STATES))

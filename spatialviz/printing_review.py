@@ -1,0 +1,96 @@
+"""What a person reads of a review on the terminal."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from rich.table import Table
+from rich.text import Text
+
+from pipeline.relations import PHRASE
+from spatialviz.printing import make_console
+from spatialviz.printing_eval import print_table
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+    from pipeline.review.retraining import Retraining
+
+SHOWN_CELLS = 5
+
+
+def print_queue(queue: pa.Table, limit: int, out: Path | None) -> None:
+    """The first items with their reasons, and how many there are."""
+    console = make_console()
+    table = Table(box=None, pad_edge=False, header_style="dim")
+    table.add_column("wrong", justify="right")
+    for column in ("frame", "label", "reasons"):
+        table.add_column(column)
+    for row in queue.slice(0, limit).to_pylist():
+        table.add_row(f"{row['score']:.2f}", row["frame"], Text(_said(row)), Text("; ".join(row["reasons"])))
+    if queue.num_rows:
+        console.print(table)
+    metadata = {k.decode(): v.decode() for k, v in (queue.schema.metadata or {}).items()}
+    told = f"{queue.num_rows} labels to look at"
+    if "estimated_wrong" in metadata:
+        told += f"; networks take {metadata['estimated_wrong']} relation labels to be wrong"
+    if metadata.get("elsewhere", "0") != "0":
+        told += f"; {metadata['elsewhere']} findings of no single label: see `spatialviz check`"
+    console.print(told)
+    if out is not None:
+        console.print(Text(f"-> {out}", "dim"))
+
+
+def _said(row: dict[str, Any]) -> str:
+    if row["kind"] == "relation":
+        return f"{row['a']} {PHRASE[row['relation']]} {row['b']}: {row['label']}"
+    if row["kind"] == "object":
+        return f"object {row['a']}: {row['label']}"
+    return f"{row['expression']}: {row['label']!r}"
+
+
+def print_retraining(found: Retraining, out: Path) -> None:
+    """The table before and after, and the cells that changed most."""
+    console = make_console()
+    print_table(found.table())
+    for title, count, cells in (
+        ("became right", found.counts[0], found.better),
+        ("became wrong", found.counts[1], found.worse),
+    ):
+        console.print(Text(f"{title}: {count} held-out cells", "bold"))
+        for cell in cells[:SHOWN_CELLS]:
+            console.print(
+                f"  frame {cell['frame']}: {cell['a']} {PHRASE[cell['relation']]} {cell['b']} is {cell['label']}: "
+                f"{cell['before']:.2f} -> {cell['after']:.2f}"
+            )
+    console.print(Text(f"-> {out}, {out.with_suffix('.comparison.md')}", "dim"))
+
+
+def print_review_bench(record: dict[str, Any]) -> None:
+    """One line a seed, and the means."""
+    console = make_console()
+    console.print(
+        f"{record['pairs']} pairs, labels {record['labels']}, {record['share']:.0%} of the cells turned; by confident "
+        f"learning alone, the first {record['top']:.0%} looked at, then {record['again']:.0%} of the queue made anew"
+    )
+    table = Table(box=None, pad_edge=False, header_style="dim")
+    for name in ("", "planted", "estimated", "found", "found in all", "F1 true", "planted", "mended", "in all",
+                 "F1 back", "in all", "seconds"):  # fmt: skip
+        table.add_column(name, justify="right")
+    for number, run in enumerate(record["runs"]):
+        table.add_row(
+            f"seed {number}", str(run["planted"]), f"{run['estimated']:.0f}", f"{run['found']:.1%}",
+            f"{run['found_again']:.1%}", *(f"{run['f1'][k]:.4f}" for k in ("clean", "planted", "mended", "again")),
+            *(_share(run["recovered"][k]) for k in ("mended", "again")), f"{run['seconds']:.1f}",
+        )  # fmt: skip
+    console.print(table)
+    mean = record["mean"]
+    console.print(
+        f"found {mean['found']:.1%}, in all {mean['found_again']:.1%}; of the lost F1 {_share(mean['recovered'])} is "
+        f"back, in all {_share(mean['recovered_again'])}"
+    )
+
+
+def _share(value: float | None) -> str:
+    return "-" if value is None else f"{value:.1%}"
