@@ -20,6 +20,7 @@ from spatialviz.cli_bench_srm import BenchSrm
 from spatialviz.cli_cases import Replay, Report, SaveCase
 from spatialviz.cli_detect import Calibrate, Detect
 from spatialviz.cli_eval import BenchEval, Eval
+from spatialviz.cli_journal import Correct, Effective, Redo, ShowJournal, Undo
 from spatialviz.cli_labels import BenchLabel, Check, Export, Label, Merge
 from spatialviz.cli_runs import Failures, Query
 from spatialviz.cli_training import Train
@@ -312,6 +313,11 @@ Command = Union[
     Annotated[Merge, subcommand("merge")],
     Annotated[Check, subcommand("check")],
     Annotated[Export, subcommand("export")],
+    Annotated[ShowJournal, subcommand("journal")],
+    Annotated[Correct, subcommand("correct")],
+    Annotated[Undo, subcommand("undo")],
+    Annotated[Redo, subcommand("redo")],
+    Annotated[Effective, subcommand("effective")],
     Annotated[Train, subcommand("train")],
     Annotated[Detect, subcommand("detect")],
     Annotated[Calibrate, subcommand("calibrate")],

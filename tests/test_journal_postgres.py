@@ -87,9 +87,8 @@ def test_what_was_acknowledged_survives_a_killed_writer(database: str, tmp_path:
     assert len(found) <= len(told) + 1
 
 
-def test_a_database_that_goes_away_hands_the_edit_back_and_keeps_its_password_to_itself(tmp_path: Path) -> None:
-    if missing() is not None:
-        pytest.skip(str(missing()))
+@pytest.mark.usefixtures("database")
+def test_a_database_that_goes_away_hands_the_edit_back_and_keeps_its_password_to_itself() -> None:
     with running_cluster() as url:
         journal = open_journal(url.replace("postgres@", "postgres:very-secret@"))
         assert isinstance(journal.append([Edit(LEFT, -1, 1)], "ann"), Saved)

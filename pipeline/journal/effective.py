@@ -25,6 +25,11 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 
+_NAMED = ("table", "frame", "key", "column")
+GEOMETRY = ("bbox", "mask", "center")
+"""Columns of which a correction makes another object of what the dataset annotates."""
+
+
 class Corrector:
     """Automatic labels, opened once, and their effective frames: what a face or a job keeps while it works.
 
@@ -115,9 +120,12 @@ class EffectiveLabels:
 
     @cached_property
     def counts(self) -> dict[str, int]:
-        """How many values are whose: human, recomputed, stale; and events that do not apply, expressions withdrawn."""
+        """Objects with other pixels or boxes; values that are human, recomputed, stale; events that do not apply."""
         by_source = Counter(self.provenance.column("origin").to_pylist())
+        named = zip(*(self.provenance.column(n).to_pylist() for n in _NAMED), strict=True)
+        changed = {(frame, key) for table, frame, key, column in named if table == "objects" and column in GEOMETRY}
         return {
+            "objects": len(changed),
             **{source: by_source.get(source, 0) for source in ("human", "recomputed", "stale")},
             "unapplied": len(self.unapplied),
             "withdrawn": len(self.withdrawn),
