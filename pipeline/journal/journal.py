@@ -118,14 +118,14 @@ class Journal:
     ) -> Saved | Conflict:
         """`append`, `undo` and `redo` come down to this; raises as `append`."""
         author = plain_text(author, "an author", LONGEST_NAME).strip()
-        group = group or new_ulid()
+        again, group = group is not None, group or new_ulid()
         rows = [
             self._row(edit, author, action, group, taken_back)
             for edit, taken_back in zip(edits, undo_of or [None] * len(edits), strict=True)
         ]
         try:
             with writing(self.engine) as connection:
-                saved = self._select(connection, EVENTS.c.group == group)
+                saved = self._select(connection, EVENTS.c.group == group) if again else ()
                 if saved:
                     return Saved(saved)
                 heads = self._heads(connection, [e.cell for e in edits])
