@@ -23,9 +23,10 @@ BoxMode = Literal["gravity", "pca", "pca-raw"]
 """gravity: upright, yaw by PCA in plan. pca: the paper's PCA box, canonicalised
 in the level camera frame. pca-raw: the same with the axes as PCA gives them."""
 
-MaskSource = Literal["annotation", "detector", "box3d", "segmenter", "box"]
+MaskSource = Literal["annotation", "detector", "box3d", "segmenter", "box", "human"]
 """Whose pixels they are: the dataset's mask, the detector's, those inside the
-annotated 3D box, those a segmenter found in the 2D box, or the whole 2D box."""
+annotated 3D box, those a segmenter found in the 2D box, the whole 2D box, or
+those of a person who corrected the labels."""
 
 
 class Pixel(IntEnum):

@@ -20,6 +20,7 @@ from spatialviz.cli_bench_srm import BenchSrm
 from spatialviz.cli_cases import Replay, Report, SaveCase
 from spatialviz.cli_detect import Calibrate, Detect
 from spatialviz.cli_eval import BenchEval, Eval
+from spatialviz.cli_journal import Correct, Effective, Redo, ShowJournal, Undo
 from spatialviz.cli_labels import BenchLabel, Check, Export, Label, Merge
 from spatialviz.cli_review import BenchReview, Retrain, Review
 from spatialviz.cli_runs import Failures, Query
@@ -264,6 +265,11 @@ Command = Union[
     Annotated[Check, subcommand("check")],
     Annotated[Export, subcommand("export")],
     Annotated[Review, subcommand("review")],
+    Annotated[ShowJournal, subcommand("journal")],
+    Annotated[Correct, subcommand("correct")],
+    Annotated[Undo, subcommand("undo")],
+    Annotated[Redo, subcommand("redo")],
+    Annotated[Effective, subcommand("effective")],
     Annotated[Train, subcommand("train")],
     Annotated[Retrain, subcommand("retrain")],
     Annotated[Detect, subcommand("detect")],

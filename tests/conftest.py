@@ -14,6 +14,9 @@ from hypothesis import settings
 if TYPE_CHECKING:
     from chat_server import ChatServer, Clock, Make
 
+    from pipeline.datasets import Dataset
+    from pipeline.journal.effective import Corrector
+    from pipeline.journal.journal import Journal
     from pipeline.labels.reading import Labels
     from pipeline.vlm import ChatClient
 
@@ -44,6 +47,45 @@ def label_sets(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Labels]:
         "hostile": hostile_labels(folder / "hostile"),
         "empty": write_labels(folder / "empty", {}),
     }
+
+
+@pytest.fixture(scope="session")
+def demo_labels(label_sets: dict[str, Labels]) -> Labels:
+    """The demo's labels; not to be changed."""
+    return label_sets["demo"]
+
+
+@pytest.fixture(scope="session")
+def bare_corrector(demo_labels: Labels) -> Corrector:
+    """Corrections of the demo's labels, without the pictures."""
+    from pipeline.journal.effective import Corrector
+
+    return Corrector(demo_labels)
+
+
+@pytest.fixture(scope="session")
+def demo_dataset() -> Dataset:
+    """The built-in dataset."""
+    from pipeline.jobs import open_source
+
+    return open_source("demo", srm="rule").dataset
+
+
+@pytest.fixture(scope="session")
+def full_corrector(demo_labels: Labels, demo_dataset: Dataset) -> Corrector:
+    """Corrections of the demo's labels, with the pictures."""
+    from pipeline.journal.effective import Corrector
+
+    return Corrector(demo_labels, demo_dataset)
+
+
+@pytest.fixture
+def journal(demo_labels: Labels, tmp_path: Path) -> Iterator[Journal]:
+    """An empty journal of the demo's labels."""
+    from pipeline.journal.journal import journal_of
+
+    with journal_of(demo_labels, tmp_path / "j.sqlite") as opened:
+        yield opened
 
 
 @pytest.fixture(scope="session")

@@ -113,7 +113,9 @@ def geometry_of_labels(spec: RelationSpec, labels: Labels) -> Geometry:
             expected="--relation-boxes stored",
             path=labels.root,
         )
-    return spec.geometry or ("lifted" if annotated else "stored")
+    # Objects that people changed are no longer the dataset's annotations.
+    corrected = bool((labels.manifest.corrections or {}).get("objects"))
+    return spec.geometry or ("lifted" if annotated and not corrected else "stored")
 
 
 def open_systems(options: Mapping[str, Any], spec: RelationSpec, labels: Labels) -> tuple[RelationSystem, ...]:

@@ -55,6 +55,7 @@ def label_objects(
     scene: str,
     exact: bool,
     network: OnnxScorer | None = None,
+    numbers: Sequence[int] | None = None,
 ) -> FrameLabels:
     """The rows of a frame whose objects are lifted.
 
@@ -71,9 +72,12 @@ def label_objects(
         The objects are the dataset's own: their numbers are its annotations'.
     network : OnnxScorer, optional
         The second opinion.
+    numbers : sequence of int, optional
+        The objects' numbers, where they have some already.
     """
     frame = context.frame
-    numbers = [o.id if exact else k for k, o in enumerate(objects)]
+    if numbers is None:
+        numbers = [o.id if exact else k for k, o in enumerate(objects)]
     known = {a.index: a for a in frame.annotations} if exact else {}
     rows = [
         _object_row(o, number, known.get(number), frame, frame_index, context.viewer, config)

@@ -15,13 +15,20 @@ from pipeline.labels.check.rows import check_rows
 from pipeline.labels.check.sizes import SizeSurvey, check_sizes
 from pipeline.labels.check.stream import TableStream, frames_of, open_streams
 from pipeline.labels.check.view import FrameView, Names
+from pipeline.labels.corrections import Corrections, read_corrections
 from pipeline.labels.reading import Labels
 from pipeline.naming import normal_form
 from pipeline.relations import PAIRWISE
 
+OF_ANSWERS = ("expression/empty", "expression/sets", "expression/ambiguous", "expression/unreadable",
+              "expression/state")  # fmt: skip
+"""Rules on what an expression says and is true of, which a person may settle."""
+
 
 def check_labels(labels: Labels, *, rules: Sequence[str] | None = None) -> Iterator[Finding]:
     """Check labels, also ones that were damaged or edited.
+
+    What people set in corrected labels is not held against the rules.
 
     The tables are read twice: first the objects, for class names and sizes;
     then all, frame by frame. Memory grows with classes, not with frames.
@@ -47,9 +54,19 @@ def check_labels(labels: Labels, *, rules: Sequence[str] | None = None) -> Itera
 
 
 def _findings(labels: Labels, chosen: frozenset[str]) -> Iterator[Finding]:
+    said = read_corrections(labels.root)
     for finding in _all_findings(labels, frozenset(rule.split("/")[0] for rule in chosen), chosen):
-        if finding.rule in chosen:
+        if finding.rule in chosen and not _settled(finding, said):
             yield finding
+
+
+def _settled(finding: Finding, said: Corrections) -> bool:
+    """Whether a finding only tells that a person said otherwise than the rules."""
+    if finding.frame is None or len(finding.objects) != 2:
+        return False
+    if finding.rule == "relation/geometry":
+        return (finding.frame, *finding.objects, finding.figures.get("relation")) in said.relations
+    return finding.rule in OF_ANSWERS and (finding.frame, finding.figures.get("id")) in said.expressions
 
 
 def _all_findings(labels: Labels, groups: frozenset[str], chosen: frozenset[str]) -> Iterator[Finding]:

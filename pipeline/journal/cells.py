@@ -1,0 +1,252 @@
+"""What can be corrected: a cell is one field of one entity of a frame, and each field has its kind of value."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from pipeline.boxes import Box3D
+from pipeline.errors import InputError
+from pipeline.relations import PAIRWISE, letter
+from pipeline.run_length import run_lengths
+
+Kind = Literal["object", "relation", "expression", "frame"]
+KINDS: tuple[Kind, ...] = ("object", "relation", "expression", "frame")
+STATUSES = ("accepted", "corrected", "rejected", "unsure")
+"""What a reviewer says of something; null is unreviewed. A rejected object or expression is left out."""
+FIRST_NEW_OBJECT = 1_000_000
+"""Objects that people add are numbered from here, so that labels made again never take their numbers."""
+LONGEST_NAME, LONGEST_TEXT = 200, 2_000
+TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True, order=True)
+class Cell:
+    """One field of one entity: what is locked, versioned and corrected as one.
+
+    Attributes
+    ----------
+    kind : str
+        "object", "relation", "expression" or "frame".
+    frame : str
+        The frame's id.
+    key : str
+        Of an object its number, of a relation "a,b", of an expression its id, of a frame "".
+    field : str
+    """
+
+    kind: Kind
+    frame: str
+    key: str
+    field: str
+
+    def __post_init__(self) -> None:
+        if self.kind not in KINDS:
+            raise InputError("no such kind of entity", got=repr(self.kind), expected=" | ".join(KINDS))
+        if self.field not in FIELDS[self.kind]:
+            expected = ", ".join(FIELDS[self.kind])
+            raise InputError(f"a {self.kind} has no such field", got=repr(self.field)[:60], expected=expected)
+        plain_text(self.frame, "the frame's id", LONGEST_TEXT)
+        if self.kind in ("object", "relation"):
+            numbers = self.key.split(",")
+            if len(numbers) != (2 if self.kind == "relation" else 1) or not all(map(_is_number, numbers)):
+                raise InputError(f"not the key of a {self.kind}", got=repr(self.key)[:60])
+        elif (self.kind == "frame") != (self.key == "") or len(self.key) > LONGEST_NAME:
+            raise InputError(f"not the key of a {self.kind}", got=repr(self.key)[:60])
+
+    @property
+    def numbers(self) -> tuple[int, ...]:
+        """The objects that the key names."""
+        return tuple(int(n) for n in self.key.split(",")) if self.kind in ("object", "relation") else ()
+
+    def __str__(self) -> str:
+        name = f"{self.kind} {self.key}".rstrip()
+        return f"{self.field} of {name} in {self.frame}"
+
+
+def object_cell(frame: str, number: int, field: str) -> Cell:
+    return Cell("object", frame, str(int(number)), field)
+
+
+def relation_cell(frame: str, a: int, b: int, relation: str) -> Cell:
+    return Cell("relation", frame, f"{int(a)},{int(b)}", relation)
+
+
+def _is_number(text: str) -> bool:
+    return text.isascii() and text.isdigit() and len(text) <= 10 and str(int(text)) == text and int(text) < 2**31
+
+
+def plain_text(value: Any, what: str, longest: int) -> str:
+    """A text that every database keeps as it is.
+
+    Raises
+    ------
+    InputError
+        It is no text, empty, too long, or holds what is no character.
+    """
+    if not isinstance(value, str) or not value.strip():
+        raise InputError(f"{what} must be a text that is not empty", got=repr(value)[:60])
+    if len(value) > longest:
+        raise InputError(f"{what} is too long", got=f"{len(value)} characters", expected=f"at most {longest}")
+    if "\x00" in value or any("\ud800" <= c <= "\udfff" for c in value):
+        raise InputError(f"{what} holds a character that cannot be kept", got=ascii(value)[:60])
+    return value
+
+
+def checked(cell: Cell, value: Any) -> Any:
+    """A value as the cell keeps it: JSON with plain numbers.
+
+    Raises
+    ------
+    InputError
+        It is not a value of that field.
+    """
+    return None if value is None and cell.field in _NULLABLE[cell.kind] else FIELDS[cell.kind][cell.field](value)
+
+
+def same_value(a: Any, b: Any) -> bool:
+    """Whether two values are one: numbers to within rounding."""
+    if isinstance(a, bool) or isinstance(b, bool):
+        return a is b
+    if isinstance(a, (int, float)) and isinstance(b, (int, float)):
+        return math.isclose(a, b, rel_tol=TOLERANCE, abs_tol=TOLERANCE)
+    if isinstance(a, (list, tuple)) and isinstance(b, (list, tuple)):
+        return len(a) == len(b) and all(map(same_value, a, b))
+    if isinstance(a, dict) and isinstance(b, dict):
+        return a.keys() == b.keys() and all(same_value(a[k], b[k]) for k in a)
+    return a == b
+
+
+def shown_value(cell: Cell, value: Any) -> str:
+    """A value in a few words, for messages and lists."""
+    if value is None:
+        return "nothing"
+    if cell.kind == "relation" and cell.field in PAIRWISE:
+        return letter(value)
+    if cell.field == "mask":
+        return f"a mask ({len(value)} characters)"
+    if cell.field == "exists":
+        return f"a new {value['label']}"
+    if cell.field == "box":
+        middle, size = (" ".join(f"{x:.3f}" for x in value[n]) for n in ("center", "size"))
+        return f"a box at {middle}, size {size}"
+    return str(value) if len(str(value)) <= 60 else f"{str(value)[:57]}..."
+
+
+def box_value(box: Box3D) -> dict[str, list[float]]:
+    """A 3D box as a cell keeps it."""
+    return {"center": box.center.tolist(), "R": box.R.ravel().tolist(), "size": box.size.tolist()}
+
+
+def box_of(value: Any) -> Box3D:
+    """The 3D box of a kept value.
+
+    Raises
+    ------
+    InputError
+        It is none.
+    """
+    try:
+        center, R, size = (np.array(value[n], np.float64) for n in ("center", "R", "size"))
+        shaped = R.reshape(3, 3)
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        raise InputError("a 3D box must have center, R and size", got=repr(value)[:60]) from error
+    return Box3D(center, shaped, size)
+
+
+def _name(value: Any) -> str:
+    return plain_text(value, "a class name", LONGEST_NAME)
+
+
+def _sentence(value: Any) -> str:
+    return plain_text(value, "a text", LONGEST_TEXT)
+
+
+def _status(value: Any) -> str:
+    if value not in STATUSES:
+        raise InputError("no such status", got=repr(value)[:60], expected=" | ".join(STATUSES))
+    return value
+
+
+def _mark(value: Any) -> str:
+    from pipeline.diagnosis.verdict import MARKS
+
+    if value not in MARKS:
+        raise InputError("no such mark", got=repr(value)[:60], expected=" | ".join(MARKS))
+    return value
+
+
+def _flag(value: Any) -> bool:
+    if not isinstance(value, bool):
+        raise InputError("must be true or false", got=repr(value)[:60])
+    return value
+
+
+def _state(value: Any) -> int:
+    if isinstance(value, bool) or value not in (-1, 0, 1):
+        raise InputError("no such state", got=repr(value)[:60], expected="1 (T), 0 (U) or -1 (F)")
+    return int(value)
+
+
+def _numbers(value: Any) -> list[int]:
+    sound = isinstance(value, (list, tuple)) and all(isinstance(n, int) and not isinstance(n, bool) for n in value)
+    if not sound or min(value, default=0) < 0 or max(value, default=0) >= 2**31:
+        raise InputError("must be a list of numbers of objects", got=repr(value)[:60])
+    return sorted({int(n) for n in value})
+
+
+def _rectangle(value: Any) -> list[float]:
+    try:
+        box = [float(x) for x in value]
+    except (TypeError, ValueError) as error:
+        raise InputError("a 2D box must be four numbers", got=repr(value)[:60]) from error
+    if len(box) != 4 or not all(map(math.isfinite, box)) or box[2] <= box[0] or box[3] <= box[1]:
+        raise InputError("a 2D box must be x0 y0 x1 y1 with x1 > x0 and y1 > y0", got=repr(value)[:60])
+    return box
+
+
+def _mask(value: Any) -> str:
+    problem = run_lengths(value) if isinstance(value, str) else "it is no text"
+    if isinstance(problem, str):
+        raise InputError("not COCO's compressed run-length code of a mask", got=problem)
+    return value
+
+
+def _box(value: Any) -> dict[str, list[float]]:
+    return box_value(box_of(value))
+
+
+def _new_object(value: Any) -> dict[str, Any]:
+    if not isinstance(value, dict) or set(value) - {"label", "mask", "bbox", "box"}:
+        raise InputError("a new object has a label and a mask, a 2D box or a 3D box", got=repr(value)[:60])
+    found: dict[str, Any] = {"label": _name(value.get("label"))}
+    for name, check in (("mask", _mask), ("bbox", _rectangle), ("box", _box)):
+        if value.get(name) is not None:
+            found[name] = check(value[name])
+    if len(found) == 1:
+        raise InputError("a new object needs a mask, a 2D box or a 3D box")
+    return found
+
+
+FIELDS: dict[Kind, dict[str, Callable[[Any], Any]]] = {
+    "object": {
+        "label": _name, "status": _status, "mask": _mask, "bbox": _rectangle, "box": _box, "exists": _new_object,
+    },
+    "relation": {**dict.fromkeys(PAIRWISE, _state), **{f"{r}.status": _status for r in PAIRWISE}},
+    "expression": {
+        "text": _sentence, "targets": _numbers, "acceptable": _numbers, "ambiguous": _flag, "mark": _mark,
+        "status": _status,
+    },
+    "frame": {"status": _status, "note": _sentence},
+}  # fmt: skip
+"""What checks a value, by kind of entity and field."""
+_NULLABLE: dict[Kind, frozenset[str]] = {
+    "object": frozenset({"status", "mask", "box", "exists"}),
+    "relation": frozenset({*PAIRWISE, *(f"{r}.status" for r in PAIRWISE)}),
+    "expression": frozenset({"mark", "status"}),
+    "frame": frozenset({"status", "note"}),
+}

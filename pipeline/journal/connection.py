@@ -1,0 +1,204 @@
+"""Connections to a journal's database: SQLite so that what is saved is on the disk, or PostgreSQL by URL."""
+
+from __future__ import annotations
+
+import re
+import sqlite3
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import sqlalchemy as sa
+from sqlalchemy import event
+from sqlalchemy.exc import ArgumentError, DBAPIError, SQLAlchemyError
+
+from pipeline.errors import InputError, MissingExtra
+from pipeline.journal.migrations import HEAD, known_revisions, revision_of, upgrade
+
+BUSY_S = 60.0
+"""How long a writer waits for its turn."""
+NETWORK_FILE_SYSTEMS = frozenset(
+    {"nfs", "nfs3", "nfs4", "cifs", "smb3", "smbfs", "fuse.sshfs", "9p", "lustre", "gpfs", "beegfs", "afs", "ceph",
+     "fuse.ceph", "glusterfs", "fuse.glusterfs", "ocfs2", "gfs2", "fuse.s3fs", "fuse.gcsfuse", "davfs", "fuse.davfs2"}
+)  # fmt: skip
+DATABASE_ERRORS = (SQLAlchemyError, sqlite3.Error)
+"""What goes wrong in a database; the second where a connection is only being made."""
+_READING = "spatialviz_reading"
+_ADVISORY = 0x5350_4A4C
+"""Key of the lock by which PostgreSQL's writers take turns: events are numbered in the order of their saving."""
+_ESCAPE = re.compile(r"\\([0-7]{3})")
+
+
+def is_url(where: str | Path) -> bool:
+    """Whether a journal is named by a URL."""
+    return "://" in str(where)
+
+
+def make_engine(where: str | Path) -> sa.Engine:
+    """An engine for the path of an SQLite file, or a URL "postgresql://...".
+
+    Raises
+    ------
+    InputError
+        A URL that cannot be used.
+    MissingExtra
+        PostgreSQL's driver is not installed.
+    """
+    if not is_url(where):
+        engine = sa.create_engine(
+            sa.URL.create("sqlite", database=str(Path(where).expanduser())), connect_args={"timeout": BUSY_S}
+        )
+        event.listen(engine, "connect", _settle_sqlite)
+        event.listen(engine, "begin", _begin_sqlite)
+        return engine
+    try:
+        url = sa.make_url(str(where))
+        port = url.port
+    except (ArgumentError, ValueError) as error:
+        raise InputError("the journal's URL cannot be read", expected="postgresql://user@host/database") from error
+    if url.get_backend_name() not in ("postgresql", "postgres"):
+        raise InputError("no such kind of journal", got=url.drivername, expected="a path, or postgresql://...")
+    try:
+        import psycopg  # noqa: F401
+    except ImportError as error:
+        raise MissingExtra("a journal in PostgreSQL", "postgres") from error
+    url = url.set(drivername="postgresql+psycopg", port=port)
+    return sa.create_engine(url, pool_pre_ping=True, connect_args={"connect_timeout": 10})
+
+
+def place_of(engine: sa.Engine) -> str:
+    """Where a journal is, without its password."""
+    if engine.dialect.name == "sqlite":
+        return str(engine.url.database)
+    return engine.url.set(drivername="postgresql").render_as_string(hide_password=True)
+
+
+def _settle_sqlite(connection: Any, _: Any) -> None:
+    # The driver's own handling of transactions begins them late, and so lets two writers read the same version.
+    connection.isolation_level = None
+    cursor = connection.cursor()
+    cursor.execute(f"PRAGMA busy_timeout = {int(1000 * BUSY_S)}")
+    # With FULL a commit returns when the write-ahead log is on the disk (sqlite.org/pragma.html#pragma_synchronous).
+    cursor.execute("PRAGMA synchronous = FULL")
+    cursor.close()
+
+
+def _begin_sqlite(connection: sa.Connection) -> None:
+    reading = connection.get_execution_options().get(_READING, False)
+    connection.exec_driver_sql("BEGIN" if reading else "BEGIN IMMEDIATE")
+
+
+@contextmanager
+def reading(engine: sa.Engine) -> Iterator[sa.Connection]:
+    """A connection that waits for no writer.
+
+    Raises
+    ------
+    InputError
+        The journal cannot be read.
+    """
+    try:
+        with engine.connect().execution_options(**{_READING: True}) as connection, connection.begin():
+            yield connection
+    except DATABASE_ERRORS as error:
+        raise InputError("the journal cannot be read", got=reason_of(error), path=place_of(engine)) from error
+
+
+@contextmanager
+def writing(engine: sa.Engine) -> Iterator[sa.Connection]:
+    """A connection whose turn it is to write; when the block ends, what it wrote is on the disk."""
+    with engine.begin() as connection:
+        if engine.dialect.name == "postgresql":
+            connection.execute(sa.select(sa.func.pg_advisory_xact_lock(_ADVISORY)))
+        yield connection
+
+
+def prepare(engine: sa.Engine) -> None:
+    """Make an empty database a journal, or bring an older one up to date.
+
+    Raises
+    ------
+    InputError
+        It cannot be opened, is of a newer release, or holds something else.
+    """
+    place = place_of(engine)
+    try:
+        if engine.dialect.name == "sqlite":
+            _use_write_ahead_log(engine)
+        with engine.connect().execution_options(**{_READING: True}) as connection, connection.begin():
+            found = revision_of(connection)
+        if found == HEAD:
+            return
+        with writing(engine) as connection:
+            found = revision_of(connection)
+            if found is not None and found not in known_revisions():
+                raise InputError(
+                    "the journal is of a newer release", got=f"revision {found}", expected=f"at most {HEAD}",
+                    cause="install the release that wrote it", path=place,
+                )  # fmt: skip
+            if found is None and sa.inspect(connection).has_table("events"):
+                raise InputError("the database holds something else than a journal", path=place)
+            if found != HEAD:
+                upgrade(connection)
+    except DATABASE_ERRORS as error:
+        raise InputError("the journal cannot be opened", got=reason_of(error), path=place) from error
+
+
+def _use_write_ahead_log(engine: sa.Engine) -> None:
+    """Set once for the file; two that open a new file at the same time get in each other's way, and one tries again."""
+    until = time.monotonic() + BUSY_S
+    while True:
+        connection = engine.raw_connection()
+        try:
+            connection.cursor().execute("PRAGMA journal_mode = WAL")
+            return
+        except sqlite3.OperationalError as error:
+            if "locked" not in str(error) or time.monotonic() > until:
+                raise
+            time.sleep(0.02)
+        finally:
+            connection.close()
+
+
+def reason_of(error: BaseException) -> str:
+    """The database's own words, in one line."""
+    inner = error.orig if isinstance(error, DBAPIError) and error.orig is not None else error
+    return next((line.strip() for line in str(inner).splitlines() if line.strip()), type(inner).__name__)
+
+
+def likely_cause(reason: str) -> str | None:
+    """What helps against a reason of `reason_of`."""
+    said = reason.lower()
+    if "full" in said or "no space" in said:
+        return "the disk is full: free some space and save again"
+    if "readonly" in said or "read-only" in said or "unable to open" in said or "denied" in said:
+        return "the folder cannot be written: check its rights, and save again"
+    if "locked" in said:
+        return "another program holds the journal: close it, and save again"
+    if "connect" in said or "terminat" in said or "closed" in said:
+        return "the database cannot be reached: save again when it can"
+    return None
+
+
+def network_file_system(path: str | Path, mounts: str | Path = "/proc/self/mounts") -> str | None:
+    """The kind of network file system that a path lies on; None where it is a local one or cannot be known.
+
+    SQLite's write-ahead log needs memory that all writers share, and so one machine (sqlite.org/wal.html).
+    """
+    try:
+        lines = Path(mounts).read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        return None
+    place = str(Path(path).expanduser().resolve())
+    found = ("", "")
+    for line in lines:
+        fields = line.split(" ")
+        if len(fields) < 3:
+            continue
+        point = _ESCAPE.sub(lambda m: chr(int(m[1], 8)), fields[1])
+        within = place == point or place.startswith(point.rstrip("/") + "/")
+        if within and len(point) >= len(found[0]):
+            found = point, fields[2]
+    return found[1] if found[1] in NETWORK_FILE_SYSTEMS else None

@@ -1,0 +1,199 @@
+"""Effective labels: what the labeller made with what people corrected, as the same four tables, with provenance."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+from pipeline.datasets import Dataset
+from pipeline.journal.effective_expressions import Withdrawn
+from pipeline.journal.effective_frame import EffectiveFrame, effective_frame
+from pipeline.journal.events import Event
+from pipeline.journal.frame_rows import FrameIndex
+from pipeline.journal.journal import Journal
+from pipeline.journal.origins import provenance_schema
+from pipeline.journal.relifting import Relifter
+from pipeline.journal.replay import Unapplied, all_gone, by_cell
+from pipeline.journal.setting import Setting, setting_of
+from pipeline.labels.reading import Labels
+from pipeline.labels.schema import TABLES, Manifest
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+
+_NAMED = ("table", "frame", "key", "column")
+GEOMETRY = ("bbox", "mask", "center")
+"""Columns of which a correction makes another object of what the dataset annotates."""
+
+
+class Corrector:
+    """Automatic labels, opened once, and their effective frames: what a face or a job keeps while it works.
+
+    Parameters
+    ----------
+    labels : Labels
+    dataset : Dataset, optional
+        Without it, what follows from new pixels and boxes is marked stale.
+    """
+
+    def __init__(self, labels: Labels, dataset: Dataset | None = None) -> None:
+        self.labels = labels
+        self.setting: Setting = setting_of(labels)
+        self.index = FrameIndex({name: getattr(labels, name) for name in TABLES})
+        self.relifter = None if dataset is None else Relifter(dataset, self.setting)
+
+    def frame(self, frame: str, journal: Journal | Sequence[Event]) -> EffectiveFrame:
+        """A frame as it is now.
+
+        Raises
+        ------
+        InputError
+            The labels have no such frame, or the dataset cannot load it.
+        """
+        from pipeline.errors import InputError
+
+        if frame not in self.index.of_frame:
+            raise InputError("the labels have no such frame", got=repr(frame), path=self.labels.root)
+        events = journal.events(frame=frame) if isinstance(journal, Journal) else journal
+        return effective_frame(self.index.rows(frame), events, self.setting, self.relifter)
+
+
+@dataclass(frozen=True)
+class EffectiveLabels:
+    """Labels after all corrections; tables as those of `pipeline.labels.reading.Labels`.
+
+    Attributes
+    ----------
+    labels : Labels
+        The automatic ones.
+    tables : dict of str to pyarrow.Table
+    provenance : pyarrow.Table
+        See `origins.provenance_schema`: a value that is not listed is the labeller's.
+    unapplied : tuple of Unapplied
+        Events that say nothing of these labels, each with the reason.
+    withdrawn : tuple of Withdrawn
+    marks : dict of (str, str) to str
+        BAD_LABEL or BAD_BOX by (frame, id of the expression).
+    events : int
+        How many there are in the journal.
+    """
+
+    labels: Labels
+    tables: dict[str, pa.Table]
+    provenance: pa.Table
+    unapplied: tuple[Unapplied, ...]
+    withdrawn: tuple[Withdrawn, ...]
+    marks: dict[tuple[str, str], str]
+    events: int
+
+    @property
+    def manifest(self) -> Manifest:
+        return self.labels.manifest
+
+    @property
+    def relation_names(self) -> tuple[str, ...]:
+        return self.labels.relation_names
+
+    def table(self, name: str) -> pa.Table:
+        """One of the four tables, in canonical order."""
+        return self.tables[name]
+
+    @property
+    def frames(self) -> pa.Table:
+        return self.tables["frames"]
+
+    @property
+    def objects(self) -> pa.Table:
+        return self.tables["objects"]
+
+    @property
+    def relations(self) -> pa.Table:
+        return self.tables["relations"]
+
+    @property
+    def expressions(self) -> pa.Table:
+        return self.tables["expressions"]
+
+    @cached_property
+    def counts(self) -> dict[str, int]:
+        """Objects with other pixels or boxes; values that are human, recomputed, stale; events that do not apply."""
+        by_source = Counter(self.provenance.column("origin").to_pylist())
+        named = zip(*(self.provenance.column(n).to_pylist() for n in _NAMED), strict=True)
+        changed = {(frame, key) for table, frame, key, column in named if table == "objects" and column in GEOMETRY}
+        return {
+            "objects": len(changed),
+            **{source: by_source.get(source, 0) for source in ("human", "recomputed", "stale")},
+            "unapplied": len(self.unapplied),
+            "withdrawn": len(self.withdrawn),
+            "marks": len(self.marks),
+        }
+
+
+def effective_tables(
+    labels: Labels, journal: Journal | Iterable[Event], *, dataset: Dataset | None = None
+) -> EffectiveLabels:
+    """Apply a journal to labels.
+
+    Frames without events are taken over as they are; a rejected frame is left out.
+
+    Parameters
+    ----------
+    labels : Labels
+    journal : Journal or iterable of Event
+        Events in the order of their saving.
+    dataset : Dataset, optional
+        For corrections of masks and boxes: without it, what follows from them is marked stale.
+
+    Raises
+    ------
+    InputError
+        The labels, the journal or a frame of the dataset cannot be read.
+    """
+    import pyarrow as pa
+
+    events = journal.events() if isinstance(journal, Journal) else tuple(journal)
+    corrector = Corrector(labels, dataset)
+    by_frame: dict[str, list[Event]] = {}
+    for event in events:
+        by_frame.setdefault(event.cell.frame, []).append(event)
+    known = [name for name in by_frame if name in corrector.index.of_frame]
+    pieces: dict[str, list[pa.Table]] = {name: [] for name in TABLES}
+    at = dict.fromkeys(TABLES, 0)
+    provenance: list[dict] = []
+    unapplied: list[Unapplied] = []
+    withdrawn: list[Withdrawn] = []
+    marks: dict[tuple[str, str], str] = {}
+    for name in sorted(known, key=corrector.index.of_frame.__getitem__):
+        found = corrector.frame(name, by_frame[name])
+        changed = found.tables()
+        for table in TABLES:
+            whole = corrector.index.tables[table]
+            first, stop = corrector.index.span(table, found.auto.index)
+            pieces[table].append(whole.slice(at[table], first - at[table]))
+            if found.stands:
+                pieces[table].append(changed[table].cast(whole.schema))
+            at[table] = stop
+        provenance += found.origins.rows()
+        unapplied += found.unapplied
+        withdrawn += found.withdrawn
+        marks |= {(name, key): mark for key, mark in found.marks.items()}
+    tables = {
+        name: pa.concat_tables([*pieces[name], whole.slice(at[name])]).combine_chunks()
+        for name, whole in corrector.index.tables.items()
+    }
+    for name in by_frame.keys() - set(known):
+        for members in by_cell(by_frame[name]).values():
+            unapplied += all_gone(None, members, "the labels have no such frame any more").unapplied
+    return EffectiveLabels(
+        labels,
+        tables,
+        pa.Table.from_pylist(provenance, provenance_schema()),
+        tuple(sorted(unapplied, key=lambda u: u.event.id)),
+        tuple(withdrawn),
+        marks,
+        len(events),
+    )

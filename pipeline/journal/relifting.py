@@ -1,0 +1,107 @@
+"""What follows from corrected pixels and boxes: objects are lifted and judged as the labeller does it."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from pipeline.datasets import Dataset
+from pipeline.journal.cells import box_of
+from pipeline.journal.frame_rows import FrameRows, Pairs
+from pipeline.journal.setting import Setting
+from pipeline.labels.labelling import label_objects
+from pipeline.labels.second_opinion import NONE, open_second_opinion
+from pipeline.lifting import LiftedObject, lift
+from pipeline.objects import FrameContext, SceneObject, pixels_inside
+from pipeline.proposals.annotations import box_mask
+from pipeline.run_length import decode_run_length
+from pipeline.srm.model import OnnxScorer
+
+Row = dict[str, Any]
+FRAMES_KEPT = 4
+"""Frames that stay loaded: who corrects one goes on correcting it."""
+
+
+@dataclass
+class Relifter:
+    """Lifts the objects of frames of one dataset; see `effective_frame.Relift`.
+
+    Attributes
+    ----------
+    dataset : Dataset
+    setting : Setting
+    """
+
+    dataset: Dataset
+    setting: Setting
+    _contexts: OrderedDict[str, FrameContext] = field(default_factory=OrderedDict, repr=False)
+    _lifted: dict[tuple[str, str, str], LiftedObject] = field(default_factory=dict, repr=False)
+    _network: OnnxScorer | None = field(default=None, repr=False)
+
+    def context(self, frame: str) -> FrameContext:
+        """A frame of the dataset, ready to lift from; raises as `Dataset.load`."""
+        if frame not in self._contexts:
+            self._contexts[frame] = FrameContext(self.dataset.load(frame), self.setting.config.lift)
+            while len(self._contexts) > FRAMES_KEPT:
+                gone, _ = self._contexts.popitem(last=False)
+                self._lifted = {key: value for key, value in self._lifted.items() if key[0] != gone}
+        self._contexts.move_to_end(frame)
+        return self._contexts[frame]
+
+    def __call__(
+        self, auto: FrameRows, rows: Mapping[int, Row], boxes: Mapping[int, Any], human_bbox: Iterable[int]
+    ) -> tuple[dict[int, Row], Pairs]:
+        context = self.context(auto.frame)
+        numbers, kept = sorted(rows), set(human_bbox)
+        objects = [self._object(context, rows[n], boxes.get(n), n in kept) for n in numbers]
+        if self._network is None and self.setting.config.second_opinion != NONE:
+            self._network = open_second_opinion(self.setting.config.second_opinion)
+        labels = label_objects(
+            context,
+            objects,
+            self.setting.config,
+            frame_index=auto.index,
+            scene=auto.row["scene"],
+            exact=self.setting.exact,
+            network=self._network,
+            numbers=numbers,
+        )
+        columns = labels.objects
+        found = {n: {name: values[k] for name, values in columns.items()} for k, n in enumerate(numbers)}
+        return found, Pairs.of_columns(numbers, labels.relations)
+
+    def _object(self, context: FrameContext, row: Row, box: Any, human_bbox: bool) -> SceneObject:
+        """An object as its row and corrections have it: its mask, else the pixels in its 3D box, else its 2D box."""
+        frame, source = context.frame, row["mask_source"]
+        bbox = np.array(row["bbox"], np.float32)
+        if row["mask"] is not None and source != "box":
+            mask = decode_run_length((frame.height, frame.width), row["mask"], f"object {row['object']}")
+        else:
+            mask = box_mask(bbox, frame.height, frame.width)
+            if source == "box3d" and box is not None:
+                within = pixels_inside(box_of(box), mask, frame)
+                mask, source = (within, "box3d") if within.any() else (mask, "box")
+        lifted = self._lift(context, mask, source)
+        if box is not None:
+            lifted = lifted.moved_to(box_of(box), context.viewer)
+        if source == "human" and not human_bbox and mask.any():
+            v, u = np.nonzero(mask)
+            bbox = np.array([u.min(), v.min(), u.max() + 1, v.max() + 1], np.float32)
+        return SceneObject(row["object"], row["label"], row["score"], bbox, mask, lifted)
+
+    def _lift(self, context: FrameContext, mask: np.ndarray, source: Any) -> LiftedObject:
+        import xxhash
+
+        key = context.frame.id, xxhash.xxh3_128_hexdigest(np.ascontiguousarray(mask).data), str(source)
+        if key not in self._lifted:
+            (self._lifted[key],) = lift(
+                context.frame.depth, context.frame.camera, [mask], context.viewer, config=context.config,
+                mask_source=source, edges=context.edges,
+            )  # fmt: skip
+        return self._lifted[key]
+
+

@@ -1,0 +1,226 @@
+"""The commands on corrections: journal, correct, undo, redo, effective."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from tyro.conf import OmitArgPrefixes, Positional, arg
+
+from pipeline.errors import InputError
+from spatialviz.exits import FINE, NO
+from spatialviz.options import four_numbers, print_json
+
+if TYPE_CHECKING:
+    from pipeline.datasets import Dataset
+    from pipeline.journal.events import Conflict, Saved
+    from pipeline.journal.journal import Journal
+    from pipeline.labels.reading import Labels
+
+
+@dataclass(frozen=True)
+class JournalOptions:
+    """Which journal."""
+
+    journal: str | None = None
+    """Path, or postgresql://user@host/database for a team. Default: journal.sqlite beside the labels."""
+    project: str | None = None
+    """Whose corrections, where several datasets share a database. Default: the name of the dataset's folder."""
+
+    def open(self, labels: Labels, *, must_exist: bool = False) -> Journal:
+        from pipeline.journal.journal import journal_of
+
+        opened = journal_of(labels, self.journal, project=self.project, must_exist=must_exist)
+        for warning in opened.warnings:
+            print(f"spatialviz: {warning}", file=sys.stderr)
+        return opened
+
+
+@dataclass(frozen=True)
+class DatasetOptions:
+    """Where the pictures are, for corrections of masks and boxes."""
+
+    dataset: str | None = None
+    """Dataset folder, or "demo". Default: where the labels say it was, if it is still there."""
+    intrinsics: str | None = None
+    """fx,fy,cx,cy in pixels, for recordings without a camera file."""
+    depth_scale: float | None = None
+    """Depth units in one metre (1000 for millimetres)."""
+
+    def open(self, labels: Labels) -> Dataset | None:
+        from pipeline.jobs import open_source
+
+        said = labels.manifest.dataset
+        camera = four_numbers(self.intrinsics)
+        if self.dataset is not None:
+            return open_source(
+                self.dataset, intrinsics=camera, depth_scale=self.depth_scale, srm="rule"
+            ).dataset
+        options = dict(said.get("options") or {})
+        stated = str(options["intrinsics"]).strip("()[] ") if options.get("intrinsics") else None
+        scale = options.get("depth_scale")
+        try:
+            return open_source(
+                str(said["path"]),
+                intrinsics=camera or four_numbers(stated),
+                depth_scale=self.depth_scale if scale is None else float(scale),
+                srm="rule",
+            ).dataset
+        except (InputError, KeyError, ValueError) as error:
+            print(f"spatialviz: without the dataset ({error}); --dataset says where it is", file=sys.stderr)
+            return None
+
+
+@dataclass(frozen=True)
+class ShowJournal:
+    """List what people corrected in labels; exit status 1 where there is nothing."""
+
+    labels: Positional[Path]
+    """Labels folder."""
+    journal: OmitArgPrefixes[JournalOptions] = JournalOptions()
+    author: str | None = None
+    """Only this person's."""
+    kind: Literal["object", "relation", "expression", "frame"] | None = None
+    """Only of entities of this kind."""
+    frame: str | None = None
+    """Only of this frame."""
+    key: str | None = None
+    """Only of this entity: an object's number, a pair "3,5", the id of an expression."""
+    last: int | None = None
+    """Only the newest so many."""
+    json: bool = False
+    """Print one JSON object for each event."""
+
+    def run(self) -> int:
+        from pipeline.journal.records import event_record
+        from pipeline.labels.reading import open_labels
+        from spatialviz.printing_journal import print_events
+
+        if self.last is not None and self.last < 1:
+            raise InputError("--last must be at least 1", got=self.last)
+        labels = open_labels(self.labels)
+        with self.journal.open(labels, must_exist=True) as journal:
+            events = journal.events(
+                author=self.author, kind=self.kind, frame=self.frame, key=self.key, last=self.last
+            )
+        if self.json:
+            for event in events:
+                print_json(event_record(event))
+        else:
+            print_events(events)
+        return FINE if events else NO
+
+
+@dataclass(frozen=True)
+class Correct:
+    """Apply a file of edits to labels, all of them or none; exit status 1 where somebody else has been there."""
+
+    labels: Positional[Path]
+    """Labels folder."""
+    edits: Path
+    """JSON: a list such as [{"edit": "relation", "frame": "000001/000000", "a": 2, "b": 5, "relation": "left",
+    "to": "T", "reason": "..."}]; edits are class, status, mask, bbox, box, new, merge, split, relation, text, answers,
+    ambiguous, mark, note."""
+    author: str
+    """Who says so."""
+    journal: OmitArgPrefixes[JournalOptions] = JournalOptions()
+    json: bool = False
+    """Print one JSON object."""
+
+    def run(self) -> int:
+        from pipeline.journal.batch import apply_actions, read_actions
+        from pipeline.journal.effective import Corrector
+        from pipeline.labels.reading import open_labels
+
+        labels = open_labels(self.labels)
+        actions = read_actions(self.edits)
+        with self.journal.open(labels) as journal:
+            done = apply_actions(Corrector(labels), journal, actions, self.author)
+        return _told(done, "saved", self.json)
+
+
+@dataclass(frozen=True)
+class Undo:
+    """Take back a person's newest action; exit status 1 where there is none, or somebody built upon it."""
+
+    labels: Positional[Path]
+    """Labels folder."""
+    author: str
+    """Whose."""
+    group: str | None = None
+    """Take back this action, and not the newest."""
+    journal: OmitArgPrefixes[JournalOptions] = JournalOptions()
+    json: bool = False
+    """Print one JSON object."""
+
+    def run(self) -> int:
+        from pipeline.journal.undo import undo
+        from pipeline.labels.reading import open_labels
+
+        with self.journal.open(open_labels(self.labels), must_exist=True) as journal:
+            return _told(undo(journal, self.author, group=self.group), "taken back", self.json)
+
+
+@dataclass(frozen=True)
+class Redo:
+    """Bring back what a person took back last; exit status as of undo."""
+
+    labels: Positional[Path]
+    """Labels folder."""
+    author: str
+    """Whose."""
+    group: str | None = None
+    """Bring back what this undo took back."""
+    journal: OmitArgPrefixes[JournalOptions] = JournalOptions()
+    json: bool = False
+    """Print one JSON object."""
+
+    def run(self) -> int:
+        from pipeline.journal.undo import redo
+        from pipeline.labels.reading import open_labels
+
+        with self.journal.open(open_labels(self.labels), must_exist=True) as journal:
+            return _told(redo(journal, self.author, group=self.group), "brought back", self.json)
+
+
+@dataclass(frozen=True)
+class Effective:
+    """Write labels with all corrections applied, as an ordinary labels folder with provenance."""
+
+    labels: Positional[Path]
+    """Labels folder."""
+    out: Path
+    """Folder to write; it must not exist, or be empty."""
+    source: OmitArgPrefixes[DatasetOptions] = DatasetOptions()
+    journal: OmitArgPrefixes[JournalOptions] = JournalOptions()
+    show: Annotated[int, arg(metavar="N")] = 20
+    """Events that do not apply, shown of all."""
+    json: bool = False
+    """Print the manifest's part on corrections."""
+
+    def run(self) -> int:
+        from pipeline.journal.materialise import materialise
+        from pipeline.labels.reading import open_labels
+        from spatialviz.printing_journal import print_effective
+
+        labels = open_labels(self.labels)
+        with self.journal.open(labels, must_exist=True) as journal:
+            manifest, found = materialise(labels, journal, self.out, dataset=self.source.open(labels))
+        if self.json:
+            print_json(manifest.corrections or {})
+        else:
+            print_effective(found, self.out, self.show)
+        return FINE
+
+
+def _told(done: Saved | Conflict | None, verb: str, json: bool) -> int:
+    from pipeline.journal.records import outcome_record
+    from spatialviz.printing_journal import print_outcome
+
+    if json:
+        print_json(outcome_record(done))
+    else:
+        print_outcome(done, verb)
+    return FINE if done is not None and outcome_record(done)["saved"] else NO

@@ -1,0 +1,63 @@
+"""What a person reads of corrections on the terminal."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+from rich.table import Table
+from rich.text import Text
+
+from pipeline.journal.cells import shown_value
+from pipeline.journal.effective import EffectiveLabels
+from pipeline.journal.events import Conflict, Event, Saved
+from spatialviz.printing import make_console
+
+
+def print_events(events: Sequence[Event]) -> None:
+    """One line an event."""
+    console = make_console()
+    table = Table(box=None, pad_edge=False, header_style="dim")
+    for column in ("time (UTC)", "who", "what", "of", "before", "after", "why"):
+        table.add_column(column, overflow="fold")
+    for e in events:
+        name = f"{e.cell.kind} {e.cell.key}".rstrip()
+        did = e.cell.field if e.action == "edit" else f"{e.action}: {e.cell.field}"
+        values = (shown_value(e.cell, e.before), shown_value(e.cell, e.after))
+        when = e.time.strftime("%Y-%m-%d %H:%M:%S")
+        table.add_row(*(Text(x) for x in (when, e.author, did, f"{name} in {e.cell.frame}", *values, e.reason)))
+    if events:
+        console.print(table)
+    console.print(f"{len(events)} events" if events else "nothing was corrected")
+
+
+def print_outcome(done: Saved | Conflict | None, verb: str) -> None:
+    """What was saved, or who had been there."""
+    console = make_console()
+    if done is None:
+        console.print("there is nothing of this person's left to take back or bring back")
+    elif isinstance(done, Saved):
+        for event in done.events:
+            console.print(Text(str(event)))
+        console.print(Text(f"{verb}: {len(done.events)} changes, group {done.group}"))
+    else:
+        console.print(Text("nothing was saved: somebody else has been there", "yellow"))
+        for rival in done.rivals:
+            console.print(Text(str(rival)))
+
+
+def print_effective(found: EffectiveLabels, out: Path, show: int) -> None:
+    """Whose the values are, and what no longer applies."""
+    console = make_console()
+    counts = found.counts
+    console.print(
+        f"{found.events} events: {counts['human']} values by people, {counts['recomputed']} recomputed, "
+        f"{counts['stale']} stale; {counts['withdrawn']} expressions withdrawn, {counts['marks']} marked as wrong"
+    )
+    if counts["stale"]:
+        console.print(Text("stale values follow from masks or boxes: they need the dataset (--dataset)", "yellow"))
+    for entry in found.unapplied[:show]:
+        console.print(Text(f"does not apply: {entry.event} by {entry.event.author}: {entry.reason}", "yellow"))
+    if len(found.unapplied) > show:
+        console.print(Text(f"and {len(found.unapplied) - show} more, in unapplied.json", "yellow"))
+    console.print(Text(f"-> {out}", "dim"))
