@@ -108,9 +108,19 @@ def _confidence(state: State, source: Source, keys: tuple[str, ...], rest: list[
 
 
 def _relation(state: State, source: Source, keys: tuple[str, ...], rest: list[str]) -> Edits:
-    """relation:P, of the asked relation and the chosen pair."""
+    """relation:A:B:P, of the asked relation of two objects that are shown; without A and B of the chosen pair.
+
+    A slider names its own pair: what is chosen moves on where the answer does, while the hand still holds the slider.
+    """
     assert state.trace is not None
-    return state.edits.with_relation(state.trace.asked.relation, *_chosen(state, keys), _number(rest[0]))
+    *ends, value = rest
+    if not ends:
+        return state.edits.with_relation(state.trace.asked.relation, *_chosen(state, keys), _number(value))
+    at = {shown: keys[t] for t, shown in state.shown.place.items()}
+    places = [int(_number(end)) for end in ends]
+    if len(places) != 2 or not all(place in at for place in places):
+        raise InputError("the pair is no longer among the candidates")
+    return state.edits.with_relation(state.trace.asked.relation, at[places[0]], at[places[1]], _number(value))
 
 
 def _mask(state: State, source: Source, keys: tuple[str, ...], rest: list[str]) -> Edits:

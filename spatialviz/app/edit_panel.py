@@ -142,10 +142,12 @@ def _pair(state: State) -> str:
         return ""
     relation = trace.asked.relation
     ends = (pair.reference, pair.target) if trace.asked.inverse else (pair.target, pair.reference)
-    names = [safe(state.shown.names[state.shown.place[k]]) for k in ends]
+    a, b = (state.shown.place[k] for k in ends)
+    names = [safe(state.shown.names[k]) for k in (a, b)]
     return heading("Chosen pair", f"{names[0]} {PHRASE[relation]} {names[1]}") + _slider(
-        "relation", f"P({PHRASE[relation]})", pair.p_relation, "the probability of the asked relation for this pair"
-    )
+        f"relation:{a}:{b}", f"P({PHRASE[relation]})", pair.p_relation,
+        "the probability of the asked relation for this pair",
+    )  # fmt: skip
 
 
 def _map(state: State, editable: bool, found: DecisionMap | None) -> str:
@@ -222,11 +224,12 @@ def _button(label: str, click: str, hint: str, possible: bool = True) -> str:
 
 
 def _field(kind: str, value: float, *, hint: str, step: str, name: str, digits: int | None = 2) -> str:
-    """A number; Enter, or leaving it, sends "kind:value"."""
+    """A number; Enter, or leaving it, sends "kind:value". One that is not taken falls back to what is."""
     said = f"{value:g}" if digits is None else f"{value:.{digits}f}"
+    back = "const v=this.value;setTimeout(()=>{if(this.value===v)this.value=this.defaultValue},900)"
     return (
         f'<label class="field" title="{safe(hint)}"><i>{safe(name)}</i><input type="number" step="{step}" '
-        f'value="{said}" onchange="sv(\'{kind}:\'+this.value)"></label>'
+        f'value="{said}" onchange="sv(\'{kind}:\'+this.value);{safe(back)}"></label>'
     )
 
 

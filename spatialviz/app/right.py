@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pipeline.diagnosis.live import Judgement
+from pipeline.evaluation.answering import alone
 from pipeline.lexicon import wording
 from pipeline.lifting import Pixel
 from pipeline.palette import DROPPED, RGB, hex_color, palette
@@ -30,7 +31,11 @@ def answer_html(state: State) -> str:
     reason, before = why_no_answer(trace), before_html(state)
     if reason is not None:
         return panel(
-            before, '<div style="height:.5em"></div>', note(reason[0].upper() + reason[1:], BAD), verdict_line(state)
+            before,
+            '<div style="height:.5em"></div>',
+            note(reason[0].upper() + reason[1:], BAD),
+            verdict_line(state),
+            _alone(state),
         )
     best, chosen = state.ranked[0], state.chosen
     pair = chosen or best
@@ -51,6 +56,20 @@ def answer_html(state: State) -> str:
             note(f"The best there is, but the relation itself is unlikely ({best.p_relation:.2f}).", DOUBT)
         )
     return panel(*parts)
+
+
+def _alone(state: State) -> str:
+    """What the verdict is of where there is no pair: as in an evaluation, the best target by its name alone."""
+    trace = state.trace
+    if trace is None or trace.missing or not isinstance(state.judged, Judgement):
+        return ""
+    name = trace.query.expression.target
+    candidates = trace.candidates.get(name)
+    found = None if candidates is None else alone(candidates)
+    if found is None:
+        return ""
+    said = f"The verdict is of the best {safe(name)} alone, as in an evaluation: "
+    return f'<div class="dim">{said}{safe(state.shown.names[state.shown.place[found]])}</div>'
 
 
 def _sentence(state: State, pair: RankedPair) -> str:

@@ -56,7 +56,9 @@ def percent(e: Estimate) -> str:
 
 def between(e: Estimate) -> str:
     """Its interval in percent."""
-    return f"[{100 * e.low:.0f}, {100 * e.high:.0f}]" if math.isfinite(e.low + e.high) else ""
+    # Whole percents say nothing of a share of a few.
+    digits = 1 if e.value < 0.02 else 0
+    return f"[{100 * e.low:.{digits}f}, {100 * e.high:.{digits}f}]" if math.isfinite(e.low + e.high) else ""
 
 
 def _verdicts(summary: RunSummary) -> str:

@@ -209,10 +209,16 @@ class State:
         return Place(self.source, self.frame_id, self.text)
 
 
-def shown_objects(loaded: LoadedFrame, trace: Trace | None, exact: bool) -> Shown:
-    """All objects of a frame, then those that only the question's own detector runs found."""
+def shown_objects(loaded: LoadedFrame, trace: Trace | None, exact: bool, before: Trace | None = None) -> Shown:
+    """All objects of a frame, then those that only the question's own detector runs found.
+
+    What an edit took out of the question keeps the name that the answer `before` gave it.
+    """
     objects = list(loaded.objects)
     by_id = {o.id: i for i, o in enumerate(objects) if o.id >= 0}
+    for entry in () if before is None else before.objects:
+        if entry.id in by_id:
+            objects[by_id[entry.id]] = entry
     place: dict[int, int] = {}
     for i, entry in enumerate(() if trace is None else trace.objects):
         at = by_id.get(entry.id) if entry.id >= 0 else None

@@ -191,15 +191,29 @@ if (!window.svTags) {
   const place = () => {
     const m = window.__viserMutable;
     if (m && m.camera && tags.length) {
-      const v = new m.camera.position.constructor(), c = m.canvas;
+      const v = new m.camera.position.constructor(), W = m.canvas.clientWidth, H = m.canvas.clientHeight, put = [];
       for (const t of tags) {
         const node = m.nodeRefFromName[t.node];
         if (!node) { t.div.style.display = 'none'; continue; }
         node.updateWorldMatrix(true, false);
         v.setFromMatrixPosition(node.matrixWorld).project(m.camera);
         t.div.style.display = v.z > 1 ? 'none' : '';
-        t.div.style.transform = `translate(${((v.x + 1) / 2 * c.clientWidth).toFixed(1)}px,${((1 - v.y) / 2 * c.clientHeight).toFixed(1)}px) translate(-50%,-100%)`;
+        if (v.z > 1) continue;
+        if (!t.w) { t.w = t.div.offsetWidth; t.h = t.div.offsetHeight; }
+        t.x = (v.x + 1) / 2 * W - t.w / 2;
+        t.y = (1 - v.y) / 2 * H - t.h;
+        if (t.x > -t.w && t.x < W && t.y > -t.h && t.y < H) { t.x = Math.min(Math.max(t.x, 2), W - t.w - 2); t.y = Math.min(Math.max(t.y, 2), H - t.h - 2); }
+        put.push(t);
       }
+      put.sort((a, b) => b.strong - a.strong);
+      put.forEach((t, k) => {
+        for (let n = 0; n < 8 && put.length < 30; n++) {
+          const o = put.slice(0, k).find(o => t.x < o.x + o.w && o.x < t.x + t.w && t.y < o.y + o.h && o.y < t.y + t.h);
+          if (!o) break;
+          t.y = o.y + o.h + 1;
+        }
+        t.div.style.transform = `translate(${t.x.toFixed(1)}px,${t.y.toFixed(1)}px)`;
+      });
     }
     requestAnimationFrame(place);
   };

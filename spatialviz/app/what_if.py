@@ -7,6 +7,7 @@ from dataclasses import replace
 from threading import Lock
 from time import perf_counter
 
+import numpy as np
 import viser
 
 from pipeline.ask import Trace
@@ -15,7 +16,7 @@ from pipeline.diagnosis.live import Judgement
 from pipeline.errors import InputError
 from pipeline.jobs import Source
 from pipeline.ranking import RankConfig
-from pipeline.whatif import Baseline, Edits, rerun
+from pipeline.whatif import Baseline, Edits, Outcome, rerun
 from pipeline.whatif.decision_map import DecisionMap, decision_map
 from pipeline.whatif.edit_list import each_edit, without_edit
 from spatialviz.app.edit_messages import edited_by
@@ -25,7 +26,7 @@ from spatialviz.app.edited import Edited
 from spatialviz.app.gizmo import MODES, BoxGizmo
 from spatialviz.app.layout import Page
 from spatialviz.app.scene import SceneView
-from spatialviz.app.state import State, shown_objects
+from spatialviz.app.state import Shown, State, shown_objects
 from spatialviz.app.text import safe
 
 UNDOS = 200
@@ -295,7 +296,7 @@ def _taken(
         edits=edits,
         edited=edited if edits else None,
         judged=judged,
-        shown=shown_objects(state.loaded, trace, trace.exact),
+        shown=_with_confidences(shown_objects(state.loaded, trace, trace.exact, edited.before.trace), edits, outcome),
         pair=None,
         selected=None,
     )
@@ -305,6 +306,20 @@ def _taken(
     kept = None if named is None or any(key not in at for key in named) else tuple(at[key] for key in named)
     pair = kept if kept in pairs and not first else pairs[0] if pairs else None
     return replace(changed, pair=pair, selected=None if selected is None else at.get(selected))
+
+
+def _with_confidences(shown: Shown, edits: Edits, outcome: Outcome) -> Shown:
+    """The objects with the scores that edits give them under the name they go by."""
+    objects = list(shown.objects)
+    for (name, key), p in edits.confidences.items():
+        candidates = outcome.trace.candidates.get(name)
+        if candidates is None or key not in outcome.keys:
+            continue
+        here = np.flatnonzero(candidates.index == outcome.keys.index(key))
+        place = shown.place[outcome.keys.index(key)]
+        if len(here) and candidates.labels[here[0]] == objects[place].label:
+            objects[place] = replace(objects[place], score=p)
+    return replace(shown, objects=tuple(objects))
 
 
 def _key_at(state: State, i: int | None, keys: tuple[str, ...]) -> str | None:
