@@ -31,16 +31,16 @@ def fill_page(
         page.parse.content = left.parse_html(state, suggestions)
         page.controls.content = left.controls_html(state)
         page.objects.content = left.objects_html(state, thumbs, moving=leads is not None)
-        fill_answer(page, state)
+        fill_answer(page, state, can_ask)
         page.object.content = right.object_html(state)
         page.image.content = bottom.image_html(state)
         page.log.content = bottom.log_html(log)
 
 
-def fill_answer(page: Page, state: State) -> None:
+def fill_answer(page: Page, state: State, can_ask: bool = True) -> None:
     """Fill what follows a box that is dragged."""
     page.modules.content = left.modules_html(state)
-    page.answer.content = right.answer_html(state)
+    page.answer.content = right.answer_html(state, can_ask)
     page.pairs.content = right.pairs_html(state)
     page.relations.content = right.relations_html(state)
     page.why.content = why.why_html(state)

@@ -20,13 +20,15 @@ SHOWN_PAIRS = 30
 KEPT: RGB = (53, 169, 107)
 
 
-def answer_html(state: State) -> str:
+def answer_html(state: State, can_ask: bool = True) -> str:
     """The answer in one line, its probability, and what to doubt about it."""
     trace = state.trace
     if state.error or state.problem:
         return panel('<div class="dim" style="padding:.7em 0">No answer: see the message at the left.</div>')
     if trace is None:
         hint = "Type TARGET RELATION REFERENCE at the left, for example “mug left of the laptop”, and press Enter."
+        if not can_ask:
+            hint = "Nothing can be asked: the dataset has no annotations, and no detector was named (--detector)."
         return panel(f'<div class="dim" style="padding:.7em 0">{hint}</div>')
     reason, before = why_no_answer(trace), before_html(state)
     if reason is not None:

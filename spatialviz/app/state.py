@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from pipeline.ask import Trace
+from pipeline.boxes import iou_2d
 from pipeline.diagnosis.live import Judgement
 from pipeline.objects import SceneObject
 from pipeline.palette import Role
@@ -190,9 +191,16 @@ class State:
             found += [Ghost(name, f"labelled {name}", box, "truth") for name, box in boxes.items()]
         pair = None if self.other is None else self.other.best
         if self.other is not None and self.other.trace is not None and pair is not None:
-            for name, place in (("target", pair.target), ("reference", pair.reference)):
+            mine = self.ranked[0] if self.ranked else None
+            ends = (
+                ("target", pair.target, None if mine is None else mine.target),
+                ("reference", pair.reference, None if mine is None else mine.reference),
+            )
+            for name, place, own in ends:
                 entry = None if place is None else self.other.trace.objects[place]
-                if entry is not None and entry.lifted.box is not None:
+                if entry is None or (own is not None and _same(self.trace, own, entry)):
+                    continue
+                if entry.lifted.box is not None:
                     text = f"{self.other.name}: {entry.label}"
                     found.append(Ghost(f"other-{name}", text, entry.lifted.box, "edited"))
         return found
@@ -207,6 +215,11 @@ class State:
     def at_place(self) -> Place:
         """What a reload brings back."""
         return Place(self.source, self.frame_id, self.text)
+
+
+def _same(trace: Trace | None, place: int, other: SceneObject) -> bool:
+    """Whether two answers mean one thing, as the comparison of two runs has it."""
+    return trace is not None and float(iou_2d(trace.objects[place].bbox, other.bbox)[0, 0]) >= 0.5
 
 
 def shown_objects(loaded: LoadedFrame, trace: Trace | None, exact: bool, before: Trace | None = None) -> Shown:

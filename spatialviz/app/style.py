@@ -180,6 +180,8 @@ if (!window.svTags) {
       const d = document.createElement('div');
       d.className = 'svtag' + (t.strong ? '' : ' weak');
       d.style.setProperty('--c', t.color);
+      const lum = .3 * parseInt(t.color.slice(1, 3), 16) + .59 * parseInt(t.color.slice(3, 5), 16) + .11 * parseInt(t.color.slice(5, 7), 16);
+      if (lum > 190) { d.style.color = '#111'; d.style.textShadow = 'none'; }
       d.textContent = t.text + ' ';
       const i = document.createElement('i');
       i.textContent = t.detail;
