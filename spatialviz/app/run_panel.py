@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 
 from pipeline.evaluation.run_folder import Run
 from spatialviz.app.failures import listing_html, offers_html, search_html
@@ -70,9 +71,13 @@ class RunPanel:
         return self._browsers.get(self._state().source)
 
     def follow(self) -> None:
-        """Show the run of the source that is looked at now."""
+        """Show the run of the source that is looked at now; no row is open any more in another frame."""
         source = self._state().source
         if source == self._source:
+            listing = self._state().listing
+            if listing is not None and listing.at is not None and listing.at[0] != self._state().frame_id:
+                self._show(replace(listing, at=None))
+                self._draw()
             return
         self._source, self._thumbs = source, {}
         browser = self._browser
