@@ -14,6 +14,7 @@ from pipeline.errors import InputError
 from pipeline.journal.cells import shown_value
 from pipeline.journal.effective import EffectiveLabels, effective_tables
 from pipeline.journal.journal import Journal, labels_version
+from pipeline.journal.records import who_and_what
 from pipeline.journal.replay import Unapplied
 from pipeline.labels.card import croissant, dataset_card
 from pipeline.labels.corrections import PROVENANCE_FILE
@@ -117,14 +118,7 @@ def unapplied_record(entry: Unapplied) -> dict[str, Any]:
     """An event that does not apply, as JSON."""
     event = entry.event
     return {
-        "id": event.id,
-        "event": event.ulid,
-        "author": event.author,
-        "time": event.time.isoformat(),
-        "kind": event.cell.kind,
-        "frame": event.cell.frame,
-        "key": event.cell.key,
-        "field": event.cell.field,
+        **who_and_what(event),
         "wanted": shown_value(event.cell, event.after),
         "because": entry.kind,
         "reason": entry.reason,

@@ -7,8 +7,8 @@ from typing import Any
 from pipeline.journal.events import Conflict, Event, Saved
 
 
-def event_record(event: Event) -> dict[str, Any]:
-    """`journal --json`, a line an event."""
+def who_and_what(event: Event) -> dict[str, Any]:
+    """Who changed which field when, as JSON."""
     return {
         "id": event.id,
         "event": event.ulid,
@@ -18,6 +18,13 @@ def event_record(event: Event) -> dict[str, Any]:
         "frame": event.cell.frame,
         "key": event.cell.key,
         "field": event.cell.field,
+    }
+
+
+def event_record(event: Event) -> dict[str, Any]:
+    """`journal --json`, a line an event."""
+    return {
+        **who_and_what(event),
         "before": event.before,
         "after": event.after,
         "base": event.base,
