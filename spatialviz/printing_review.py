@@ -76,7 +76,8 @@ def print_circle(circle: Circle) -> None:
     print_retraining(circle.retraining, circle.network)
     if circle.in_use is not None:
         before, after = circle.in_use.before.micro_f1, circle.in_use.after.micro_f1
-        console.print(f"the network in use: micro-F1 {before.value:.1%} on the same pairs; the new one {after.value:.1%}")
+        new = f"the new one {after.value:.1%}"
+        console.print(f"the network in use: micro-F1 {before.value:.1%} on the same pairs; {new}")
     for title, found in (("the labels alone", circle.mended), ("the new network", circle.replay)):
         if found is not None:
             gain = found.differences[found.measure]

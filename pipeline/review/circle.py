@@ -206,3 +206,8 @@ def _replay(run: Run, folder: Path, workers: int, tell: Progress) -> tuple[Compa
         )  # fmt: skip
         found.append(report.comparison)
     return found[0], found[1]
+
+
+def circle_in_background(job: CircleJob, report: Callable[[tuple[str, int, int]], None]) -> dict[str, Any]:
+    """`run_circle` for `pipeline.background`: its record."""
+    return run_circle(job, lambda what, done, of: report((what, done, of))).record()
