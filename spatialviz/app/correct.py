@@ -11,9 +11,9 @@ from pipeline.correcting.cards import pair_card
 from pipeline.correcting.desk import Desk, Outcome, Waiting
 from pipeline.correcting.scene import labelled_objects
 from pipeline.errors import InputError
-from pipeline.journal.edits import Edits, set_relation
+from pipeline.journal.edits import Edits, judge_relation, set_relation
 from pipeline.journal.effective_frame import EffectiveFrame
-from pipeline.journal.events import Conflict, Saved
+from pipeline.journal.events import Conflict, Event, Saved
 from pipeline.relations import F, T, U
 from pipeline.review.items import ItemKey
 from spatialviz.app.label_view import LabelView
@@ -85,13 +85,14 @@ class Correct:
         self._open_frame = open_frame
         self._desks: dict[str, Desk] = {}
         self._wanted: Wanted | None = None
+        self._listeners: list[Callable[[tuple[Event, ...]], None]] = []
+        self._said: tuple[str, bool] = "", False
 
     def commands(self) -> dict[str, Callable[[str], None]]:
         """What the page may ask for, by the first word of its message."""
         return {
             "labels": lambda _: self.toggle(),
             "labels-at": self.look_at_said,
-            "settle": self.settle,
             "relation-row": self.focus_relation,
             "next-row": lambda step: self.step_relation(int(step)),
             "swap": lambda _: self.swap(),
@@ -156,7 +157,7 @@ class Correct:
         except InputError as error:
             self._refuse(str(error))
             return
-        view = LabelView(frame)
+        view = LabelView(frame, said=self._said[0], bad=self._said[1])
         if wanted is None or wanted.frame != frame.frame:
             self._take(_looking_at(replace(state.unasked, labels=None), view))
             return
@@ -206,20 +207,46 @@ class Correct:
 
     # ---- edits ------------------------------------------------------------------------
 
-    def settle(self, said: str) -> None:
-        """Settle a relation of the chosen pair: "left:T", or "T" for the one that is looked at."""
-        view = self._state().labels
-        *named, letter = said.split(":")
-        if view is None or view.card is None or letter not in LETTERS:
-            return
-        relation = named[0] if named else view.relation
-        card = view.card
-        if relation is None:
-            return
-        self._take(replace(self._state(), labels=replace(view, relation=relation)))
-        self.save(lambda frame: set_relation(frame, card.a, card.b, relation, LETTERS[letter]))
+    def on_saved(self, listener: Callable[[tuple[Event, ...]], None]) -> None:
+        """Have something called with the events of everything that this client saves or takes back."""
+        self._listeners.append(listener)
 
-    def save(self, made: Callable[[EffectiveFrame], Edits]) -> Outcome | None:
+    @property
+    def waits(self) -> bool:
+        """Whether something could not be saved yet."""
+        return self.desk is not None and bool(self.desk.waiting)
+
+    def settle(self, said: str, draw: bool = True) -> tuple[str, tuple[int, int]] | None:
+        """Settle a relation of the chosen pair: "left:T", or "T" for the one that is looked at.
+
+        A label that is right already is accepted, under this person's name. One
+        that somebody else has settled by hand stays as it is, too: this person's
+        word on it is noted, and reviewers who differ are told.
+
+        Returns
+        -------
+        (relation, (a, b)), or None where nothing was saved.
+        """
+        view, desk = self._state().labels, self.desk
+        *named, letter = said.split(":")
+        if view is None or view.card is None or desk is None or letter not in LETTERS:
+            return None
+        relation = named[0] if named else view.relation
+        card, state = view.card, LETTERS[letter]
+        line = next((x for x in card.lines if x.relation == relation), None)
+        if line is None or relation is None:
+            return None
+        self._take(replace(self._state(), labels=replace(view, relation=relation)))
+        others = line.origin.source == "human" and line.origin.author != desk.author
+
+        def made(frame: EffectiveFrame) -> Edits:
+            if line.state == state or others:
+                return judge_relation(frame, card.a, card.b, line.relation, state, desk.author)
+            return set_relation(frame, card.a, card.b, line.relation, state)
+
+        return (relation, (card.a, card.b)) if self.save(made, draw=draw) is not None else None
+
+    def save(self, made: Callable[[EffectiveFrame], Edits], draw: bool = True) -> Outcome | None:
         """Save what an action comes down to, made on the labels as this client sees them; None where it is none."""
         view, desk = self._state().labels, self.desk
         if view is None or desk is None:
@@ -229,17 +256,25 @@ class Correct:
         except InputError as error:
             self._refuse(str(error))
             return None
-        self._came_to(outcome, "saved")
+        self._came_to(outcome, "saved", draw)
         return outcome
 
-    def _came_to(self, outcome: Outcome | None, verb: str) -> None:
-        said, bad = outcome_said(outcome, verb)
+    def redraw(self) -> None:
+        """Draw the page."""
+        self._draw()
+
+    def _came_to(self, outcome: Outcome | None, verb: str, draw: bool = True) -> None:
+        said, bad = self._said = outcome_said(outcome, verb)
         self.renew()
         view = self._state().labels
         if view is not None:
             self._take(replace(self._state(), labels=replace(view, said=said, bad=bad)))
         self._note(said)
-        self._draw()
+        if isinstance(outcome, Saved):
+            for listener in self._listeners:
+                listener(outcome.events)
+        if draw:
+            self._draw()
 
     def _taken_back(self, which: str) -> None:
         desk = self.desk

@@ -56,6 +56,7 @@ class Page:
     frames: viser.GuiHtmlHandle
     log: viser.GuiHtmlHandle
     review_head: viser.GuiHtmlHandle | None = None
+    review_item: viser.GuiHtmlHandle | None = None
     review_pair: viser.GuiHtmlHandle | None = None
     review_list: viser.GuiHtmlHandle | None = None
     review_train: viser.GuiHtmlHandle | None = None
@@ -81,7 +82,7 @@ def build(
     with form:
         expression = gui.add_text("Ask", "")
         ask = gui.add_button("Ask", icon=viser.Icon.PLAYER_PLAY)
-    parse, modules, controls, objects = (gui.add_html("") for _ in range(4))
+    parse, modules, controls, objects = (gui.add_html("") for _ in range(5))
     gui.add_html(keep_html())
     gui.main_panel.dock_left()
     gui.main_panel.set_width(LEFT_WIDTH)

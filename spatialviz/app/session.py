@@ -41,6 +41,7 @@ from spatialviz.app.layout import build, listed
 from spatialviz.app.paint import frame_colors
 from spatialviz.app.place import Place
 from spatialviz.app.retrain_panel import RetrainPanel
+from spatialviz.app.review_queue import ReviewQueue
 from spatialviz.app.run_browser import Listing
 from spatialviz.app.run_panel import RunPanel
 from spatialviz.app.scene import SceneView
@@ -121,6 +122,9 @@ class Session:
             client, dialog, store.sources, runs or {}, self._judge, opened_by, state=self._now,
             view=self._strings.now, note=self._note,
         )  # fmt: skip
+        self._queue = ReviewQueue(
+            self.page, store, journals or {}, self._correct, state=self._now, note=self._note, post=self.bridge.post
+        )
         self._retrain = RetrainPanel(
             client, self.page, store.sources, runs or {}, journals or {}, user_data_path("spatialviz") / "retrained",
             state=self._now, go=self._go, use=lambda name: self.handle(f"edit:set:scorer:{name}"), note=self._note,
@@ -128,7 +132,7 @@ class Session:
         )  # fmt: skip
         parts = (
             self._selection, self._view, self._runs, self._what_if, self._strings, keeping, self._correct,
-            self._retrain, dialog,
+            self._queue, self._retrain, dialog,
         )  # fmt: skip
         self._more = {name: run for part in parts for name, run in part.commands().items()}
         forward_inputs(self.page, self.post, self.bridge.alive)
@@ -140,6 +144,7 @@ class Session:
     def close(self) -> None:
         self._closed.set()
         self._retrain.close()
+        self._queue.close()
         self.bridge.close()
 
     def post(self, message: str) -> None:
@@ -440,6 +445,7 @@ class Session:
         self.fallback.update(state)
         self._runs.follow()
         self._correct.follow()
+        self._queue.follow()
         self._retrain.draw()
         self.bridge.remember(state.at_place.said())
 
