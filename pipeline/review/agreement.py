@@ -129,7 +129,7 @@ def pair_agreements(judgements: Judgements) -> tuple[PairAgreement, ...]:
     }
     found = []
     for first, second in combinations(said, 2):
-        both = sorted((said[first].keys() & said[second].keys()), key=lambda k: (*k[:3], -1 if k.b is None else k.b, k[4]))
+        both = sorted(said[first].keys() & said[second].keys(), key=ItemKey.text)
         if not both:
             continue
         pairs = [(k, said[first][k], said[second][k]) for k in both]

@@ -105,7 +105,7 @@ class Judgements:
         """The state of every item that anyone, or this person, has said something of."""
         if author is not None:
             return {k: w.status for k, w in self.of(author).items() if w.status != "unreviewed"}
-        found = {key: self.state(key) for key in {**self.words, **self.settled}}
+        found: dict[ItemKey, State] = {key: self.state(key) for key in {**self.words, **self.settled}}
         return {key: state for key, state in found.items() if state != "unreviewed"}
 
     def _open_words(self, key: ItemKey) -> list[Word]:
