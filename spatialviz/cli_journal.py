@@ -82,7 +82,7 @@ class ShowJournal:
     journal: OmitArgPrefixes[JournalOptions] = JournalOptions()
     author: str | None = None
     """Only this person's."""
-    kind: Literal["object", "relation", "expression", "frame"] | None = None
+    kind: Literal["object", "relation", "expression", "frame", "review"] | None = None
     """Only of entities of this kind."""
     frame: str | None = None
     """Only of this frame."""
@@ -121,8 +121,8 @@ class Correct:
     """Labels folder."""
     edits: Path
     """JSON: a list such as [{"edit": "relation", "frame": "000001/000000", "a": 2, "b": 5, "relation": "left",
-    "to": "T", "reason": "..."}]; edits are class, status, mask, bbox, box, new, merge, split, relation, text, answers,
-    ambiguous, mark, note."""
+    "to": "T", "reason": "..."}]; edits are class, status, judge, settle, mask, bbox, box, new, merge, split, relation,
+    text, answers, ambiguous, mark, note."""
     author: str
     """Who says so."""
     journal: OmitArgPrefixes[JournalOptions] = JournalOptions()

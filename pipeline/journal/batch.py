@@ -67,6 +67,25 @@ class Status(Action):
     to: str | None
 
 
+class Judge(Action):
+    """A reviewer's own word on an object, a relation or an expression: a status, or of a relation T, U or F."""
+
+    edit: Literal["judge"]
+    object: int | None = None
+    a: int | None = None
+    b: int | None = None
+    relation: str | None = None
+    expression: str | None = None
+    to: str | None
+
+
+class Settle(Judge):
+    """The last word where reviewers differ."""
+
+    edit: Literal["settle"]  # pyright: ignore[reportIncompatibleVariableOverride]
+    to: str  # pyright: ignore[reportIncompatibleVariableOverride]
+
+
 class NewObject(Action):
     edit: Literal["new"]
     label: str
@@ -124,8 +143,8 @@ class Note(Action):
 
 
 AnyAction = Annotated[
-    ClassName | Mask | Rectangle | Solid | Status | NewObject | Merge | Split | Relation | Text | Answers | Ambiguous
-    | Mark | Note,
+    ClassName | Mask | Rectangle | Solid | Status | Judge | Settle | NewObject | Merge | Split | Relation | Text
+    | Answers | Ambiguous | Mark | Note,
     Field(discriminator="edit"),
 ]  # fmt: skip
 _LIST: TypeAdapter[list[AnyAction]] = TypeAdapter(list[AnyAction])
@@ -162,7 +181,7 @@ def actions_of(entries: Any, path: Path | None = None) -> list[AnyAction]:
         raise InputError(said, got=repr(first.get("input"))[:60], path=path) from error
 
 
-def edits_of(action: AnyAction, frame: EffectiveFrame) -> tuple[Edit, ...]:
+def edits_of(action: AnyAction, frame: EffectiveFrame, author: str) -> tuple[Edit, ...]:
     """The edits that an action comes down to; InputError where it cannot be done to the frame."""
     a, why = action, action.reason
     if isinstance(a, ClassName):
@@ -175,6 +194,8 @@ def edits_of(action: AnyAction, frame: EffectiveFrame) -> tuple[Edit, ...]:
         return actions.set_box(frame, a.object, box_of(a.to), why)
     if isinstance(a, Status):
         return actions.set_status(frame, _status_cell(a), a.to, why)
+    if isinstance(a, Judge):
+        return _judged(a, frame, author)
     if isinstance(a, NewObject):
         box = None if a.box is None else box_of(a.box)
         return actions.add_object(frame, a.label, mask=a.mask, bbox=a.bbox, box=box, reason=why)
@@ -195,7 +216,21 @@ def edits_of(action: AnyAction, frame: EffectiveFrame) -> tuple[Edit, ...]:
     return actions.set_note(frame, a.to, why)
 
 
-def _status_cell(action: Status) -> Cell:
+def _judged(action: Judge, frame: EffectiveFrame, author: str) -> tuple[Edit, ...]:
+    cell, to, why = _status_cell(action), action.to, action.reason
+    if isinstance(action, Settle):
+        state = _STATES.get(action.to) if cell.kind == "relation" else None
+        if state is None:
+            return actions.settle(frame, cell, action.to, why)
+        now = frame.value(Cell("relation", cell.frame, cell.key, cell.field.removesuffix(".status")))
+        return actions.settle(frame, cell, "accepted" if state == now else "corrected", why, state)
+    if cell.kind == "relation" and to is not None and to in _STATES:
+        a, b = cell.numbers
+        return actions.judge_relation(frame, a, b, cell.field.removesuffix(".status"), _STATES[to], author, why)
+    return actions.judge(frame, cell, to, author, why)
+
+
+def _status_cell(action: Status | Judge) -> Cell:
     if action.object is not None:
         return Cell("object", action.frame, str(action.object), "status")
     if action.expression is not None:
@@ -227,7 +262,7 @@ def apply_actions(
         try:
             if action.frame not in frames:
                 frames[action.frame] = corrector.frame(action.frame, journal)
-            made = edits_of(action, frames[action.frame])
+            made = edits_of(action, frames[action.frame], author)
         except InputError as error:
             raise InputError(f"edit {k}: {error}") from error
         if action.base is not None:

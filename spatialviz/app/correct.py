@@ -10,6 +10,7 @@ import viser
 from pipeline.correcting.cards import pair_card
 from pipeline.correcting.desk import Desk, Outcome, Waiting
 from pipeline.correcting.scene import labelled_objects
+from pipeline.correcting.wording import action_said, conflict_said
 from pipeline.errors import InputError
 from pipeline.journal.edits import Edits, judge_relation, set_relation
 from pipeline.journal.effective_frame import EffectiveFrame
@@ -264,9 +265,9 @@ class Correct:
         self._draw()
 
     def _came_to(self, outcome: Outcome | None, verb: str, draw: bool = True) -> None:
-        said, bad = self._said = outcome_said(outcome, verb)
         self.renew()
         view = self._state().labels
+        said, bad = self._said = outcome_said(outcome, verb, None if view is None else view.frame)
         if view is not None:
             self._take(replace(self._state(), labels=replace(view, said=said, bad=bad)))
         self._note(said)
@@ -326,13 +327,14 @@ class Correct:
         self._client.add_notification("Not done", safe(problem), auto_close_seconds=8)
 
 
-def outcome_said(outcome: Outcome | None, verb: str) -> tuple[str, bool]:
+def outcome_said(outcome: Outcome | None, verb: str, frame: EffectiveFrame | None) -> tuple[str, bool]:
     """What came of an action in words, and whether it was not done."""
     if isinstance(outcome, Saved):
-        first, more = outcome.events[0], len(outcome.events) - 1
-        return f"{verb}: {first}" + (f" (and {more} more)" if more else ""), False
+        first = str(outcome.events[0]) if frame is None else action_said(outcome.events, frame)
+        return f"{verb}: {first}", False
     if isinstance(outcome, Conflict):
-        return "not saved, somebody was faster: " + "; ".join(map(str, outcome.rivals)), True
+        said = "; ".join(map(str, outcome.rivals)) if frame is None else conflict_said(outcome, frame)
+        return f"not saved, somebody was faster: {said}", True
     if isinstance(outcome, Waiting):
         return f"not saved yet: {outcome.problem}", True
     return "", False

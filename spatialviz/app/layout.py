@@ -82,7 +82,7 @@ def build(
     with form:
         expression = gui.add_text("Ask", "")
         ask = gui.add_button("Ask", icon=viser.Icon.PLAYER_PLAY)
-    parse, modules, controls, objects = (gui.add_html("") for _ in range(5))
+    parse, modules, controls, objects = (gui.add_html("") for _ in range(4))
     gui.add_html(keep_html())
     gui.main_panel.dock_left()
     gui.main_panel.set_width(LEFT_WIDTH)
@@ -100,7 +100,7 @@ def build(
     review: tuple[viser.GuiHtmlHandle, ...] = ()
     if with_labels:
         with upper.add_tab("Review", viser.Icon.CHECKLIST):
-            review = tuple(gui.add_html("") for _ in range(4))
+            review = tuple(gui.add_html("") for _ in range(5))
     # The first tab is the one that is open: with a run, what failed in it.
     for name in ("Failures", "Run", "Image") if with_run else ("Image", "Failures", "Run"):
         with lower.add_tab(name):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import tempfile
 import threading
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -206,10 +207,9 @@ class ReviewQueue:
         name, frame = self._state().source, after.frame
 
         def load() -> None:
-            try:
+            # Whoever opens it is told what is wrong with it.
+            with suppress(InputError):
                 self._store.load(name, frame)
-            except InputError:
-                pass  # Whoever opens it is told.
 
         threading.Thread(target=load, daemon=True).start()
 

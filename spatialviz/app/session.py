@@ -248,7 +248,7 @@ class Session:
         cleared = replace(self.state.unasked, frame_id=frame_id, problem="")
         try:
             loaded = self._store.load(self.state.source, frame_id)
-            scores = self._source().score(loaded.context, loaded.objects)
+            scores = None if correcting else self._source().score(loaded.context, loaded.objects)
         except InputError as error:
             self.state = replace(cleared, loaded=None, problem=str(error), shown=NOTHING)
             self._note(str(error))
@@ -264,7 +264,7 @@ class Session:
         self._view.show_context()
         if first or self.scene.viewpoint.untouched:
             self.scene.viewpoint.place(self.state.camera)
-        self._suggestions = suggest_expressions(loaded.objects, scores)
+        self._suggestions = () if scores is None else suggest_expressions(loaded.objects, scores)
         self._note(f"frame {frame_id}: {len(loaded.objects)} objects, up {loaded.context.viewer.up_source}")
         if loaded.problem:
             self._note(loaded.problem)
