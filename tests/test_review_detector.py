@@ -152,5 +152,5 @@ def test_a_detector_that_saw_none_of_the_frames_is_told(
         raise InputError("the picture is damaged", path=frame)
 
     monkeypatch.setattr(type(demo_dataset), "load", lambda self, frame: broken(frame))
-    with pytest.raises(InputError, match="none of the labelled frames.*damaged"):
+    with pytest.raises(InputError, match=r"none of the labelled frames.*damaged"):
         detector_evidence(demo_labels, demo_dataset, detector)

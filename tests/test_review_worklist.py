@@ -104,6 +104,7 @@ def test_a_stored_queue_reads_back(stored: tuple[Path, pa.Table], label_sets: di
     assert read_queue(path).equals(queue)
     assert [p.name for p in path.parent.iterdir()] == [path.name]
     first = worklist(found).next_item()
+    assert first is not None
     assert first == item_keys(queue)[0]
     assert worklist(found).row(first)["score"] == queue.column("score")[0].as_py()
     with pytest.raises(InputError, match="of other labels") as error:

@@ -115,10 +115,12 @@ def with_states(queue: pa.Table, states: Mapping[ItemKey, State]) -> pa.Table:
 
 def left_to_review(queue: pa.Table, states: Mapping[ItemKey, State]) -> pa.Table:
     """The rows that are not settled, in the order of the queue; those that someone is unsure of last."""
+    import pyarrow as pa
+
     known = with_states(queue, states)
     column = known.column("state").to_pylist()
     chosen = [[k for k, state in enumerate(column) if state == wanted] for wanted in ("unreviewed", "unsure")]
-    return known.take(chosen[0] + chosen[1])
+    return known.take(pa.array(chosen[0] + chosen[1], pa.int64()))
 
 
 def progress_counts(queue: pa.Table, states: Mapping[ItemKey, State]) -> dict[str, int]:

@@ -99,9 +99,10 @@ def review_queue(
         name; the text), probability (float64, that the relation holds, by networks that have not learnt from it; null
         without), wrong (float64, that the label is wrong by confident learning alone; null for U, for what is settled,
         and without networks), score (float64, the same by all evidence), reasons (list of string, the strongest first).
-        Metadata: `estimated_wrong` relation labels of those that are not settled; `elsewhere`, findings that are of no single label;
-        `labels_version`, the automatic labels that it is of. Where an object may be missing, `place` tells where
-        (x0,y0,x1,y1), `a` is -1, and the label is the class. The label of an object that was left out is null.
+        Metadata: `estimated_wrong` relation labels of those that are not settled; `elsewhere`, findings that are of no
+        single label; `labels_version`, the automatic labels that it is of. Where an object may be missing, `place`
+        tells where (x0,y0,x1,y1), `a` is -1, and the label is the class. The label of an object that was left out is
+        null.
 
     Raises
     ------
