@@ -48,7 +48,7 @@ def event_said(event: Event, frame: EffectiveFrame) -> str:
 
 
 def _judged(event: Event, frame: EffectiveFrame) -> str:
-    author, kind, a, b, what = judged_item(event.cell.key)
+    _, kind, a, b, what = judged_item(event.cell.key)
     if kind == "relation":
         said = f"{object_name(frame, a)} {PHRASE[what]} {object_name(frame, int(b or 0))}"
     elif kind == "object":
@@ -86,10 +86,10 @@ def rival_said(rival: Rival, frame: EffectiveFrame) -> str:
 
 def _mirrors(one: Event, other: Event) -> bool:
     """Whether an event says of "b ... a" what another says of "a ... b"."""
-    ends = [_pair(e) for e in (one, other)]
-    if None in ends or ends[0] is None or ends[1] is None:
+    first, second = _pair(one), _pair(other)
+    if first is None or second is None:
         return False
-    (a, b, relation), (c, d, mirrored) = ends
+    (a, b, relation), (c, d, mirrored) = first, second
     return (a, b) == (d, c) and mirrored == ("near" if relation == "near" else INVERSE.get(relation))
 
 
