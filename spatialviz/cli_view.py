@@ -16,6 +16,7 @@ from spatialviz.source_options import SourceOptions
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
+    from pipeline.correcting.journal_place import JournalPlace
     from pipeline.jobs import Source
     from pipeline.labels.reading import Labels
     from pipeline.whatif.state import ViewState
@@ -34,6 +35,13 @@ class View:
     """With --run: another run on the same dataset, whose answers are shown beside."""
     labels: Path | None = None
     """Labels that say what is true. Default: the run's, else the frame's annotations."""
+    journal: str | None = None
+    """Where corrections are kept: a path, or postgresql://user@host/database for a team. Default: journal.sqlite beside
+    the labels."""
+    project: str | None = None
+    """Whose corrections, where several datasets share a database. Default: the name of the dataset's folder."""
+    author: str | None = None
+    """Under whose name labels are corrected. Default: the name you are logged in with."""
     state: str | None = None
     """A view as a string, "sv1:...", as the page copies it: what is opened, and what is looked at first. No link can
     carry it: the page's address has no room for it."""
@@ -82,11 +90,19 @@ class View:
                 found = open_labels(self.labels)
                 _check_labels(found, next(iter(sources.values())))
                 labels = dict.fromkeys(sources, found)
+        corrected = dict(labels)
+        for name, run in runs.items():
+            try:
+                corrected[name] = run.labels
+            except InputError as error:
+                print(f"spatialviz: nothing can be corrected, the run's labels are not here: {error}", file=sys.stderr)
         serve(
             sources,
             runs=runs,
             others=others,
             labels=labels,
+            journals={name: self._journal(found) for name, found in corrected.items()},
+            author=_author(self.author),
             opened_by=self._words(dataset, folder),
             first_view=None if view is None else _in(view, sources),
             host=self.host,
@@ -95,6 +111,18 @@ class View:
             open_browser=self.open_browser,
         )
         return FINE
+
+    def _journal(self, labels: Labels) -> JournalPlace:
+        """Where corrections are kept; those of the built-in demo with the user's own data, not in the installation."""
+        from platformdirs import user_data_path
+
+        from pipeline.correcting.journal_place import JournalPlace
+        from pipeline.demo import demo_run
+
+        where: str | Path | None = self.journal
+        if where is None and labels.root.resolve().is_relative_to(demo_run().parent.resolve()):
+            where = user_data_path("spatialviz", ensure_exists=True) / "demo-journal.sqlite"
+        return JournalPlace(labels, where, self.project)
 
     def _named(self, view: ViewState) -> tuple[str, Path | None]:
         """The dataset and the run to open: those of the command line, else those that the view names."""
@@ -123,6 +151,18 @@ class View:
         for option, value in (("--run", folder), ("--compare", self.compare), ("--labels", self.labels)):
             words += [] if value is None else [option, str(value)]
         return words if folder is not None else [*words, *self.source.words()]
+
+
+def _author(said: str | None) -> str:
+    """The name that was given, else that of the login."""
+    import getpass
+
+    if said is not None and not said.strip():
+        raise InputError("--author must not be empty")
+    try:
+        return said or getpass.getuser()
+    except (OSError, KeyError):  # A container may know no name of its user.
+        return "somebody"
 
 
 def _check_labels(labels: Labels, source: Source) -> None:

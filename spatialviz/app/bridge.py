@@ -18,6 +18,7 @@ from dataclasses import asdict, dataclass
 
 import viser
 
+from spatialviz.app.label_style import LABEL_CSS
 from spatialviz.app.run_style import FIELD_SCRIPT, RUN_CSS
 from spatialviz.app.style import CSS, SCRIPT
 
@@ -64,7 +65,7 @@ class Bridge:
         bus = gui.add_text("bus", "", visible=False)
         uuid = bus._impl.uuid
         script = html.escape((SCRIPT.replace("BUS_UUID", uuid) + ";" + FIELD_SCRIPT).replace("\n", " "), quote=True)
-        gui.add_html(f'{CSS}{RUN_CSS}<img src="" style="display:none" onerror="{script}">', order=-1000)
+        gui.add_html(f'{CSS}{RUN_CSS}{LABEL_CSS}<img src="" style="display:none" onerror="{script}">', order=-1000)
         self._tags = gui.add_html("", order=1000)
         self._memory = gui.add_html("", order=1001)
 

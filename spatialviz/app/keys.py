@@ -42,8 +42,22 @@ KEYS: tuple[tuple[str, str, str], ...] = (
     ("Shift+F", "Show or hide the decision map", "edit-map"),
     ("Ctrl+Z", "Take the last edit back", "edit-undo"),
     ("0", "Take all edits back", "edit-reset"),
+    ("Shift+L", "Show the labels to correct them, or the answer again", "labels"),
     ("H", "List the keys (or ?)", "help"),
 )
+
+LABEL_KEYS: tuple[tuple[str, str, str], ...] = (
+    ("T", "Label: true", "settle:T"),
+    ("U", "Label: undecided", "settle:U"),
+    ("F", "Label: false", "settle:F"),
+    ("J", "Next item of the queue", "next-item:1"),
+    ("K", "Previous item of the queue", "next-item:-1"),
+    ("I", "Next relation of the pair", "next-row:1"),
+    ("X", "The pair the other way round", "swap"),
+    ("Ctrl+Z", "Undo", "take-back"),
+    ("Ctrl+Y", "Redo", "bring-back"),
+)
+"""What keys mean while labels are shown; all others mean the same as ever."""
 
 MOVE_KEYS: tuple[tuple[str, str, str], ...] = (
     ("7", "Turn left", "move:rotate_ccw"),
@@ -64,6 +78,15 @@ def keys_of(moving: bool) -> tuple[tuple[str, str, str], ...]:
     return (*KEYS, *MOVE_KEYS) if moving else KEYS
 
 
+def meant(message: str, correcting: bool) -> str:
+    """The message of a key that was pressed ("key:T"), which depends on whether labels are shown; others unchanged."""
+    kind, _, pressed = message.partition(":")
+    if kind != "key":
+        return message
+    rows = (*LABEL_KEYS, *KEYS, *MOVE_KEYS) if correcting else (*KEYS, *MOVE_KEYS)
+    return next((m for key, _, m in rows if key == pressed), "")
+
+
 def _pressed(key: str) -> str:
     return " ".join(f"<kbd>{safe(part)}</kbd>" for part in key.split("+"))
 
@@ -77,16 +100,19 @@ def help_html(moving: bool) -> str:
     )
 
 
-def add_keys(client: viser.ClientHandle, post: Callable[[str], None], moving: bool) -> None:
-    """Register every key as a command of this client."""
-    for key, label, message in keys_of(moving):
+def add_keys(client: viser.ClientHandle, post: Callable[[str], None], moving: bool, correcting: bool) -> None:
+    """Register every key as a command of this client; with `correcting`, those of labels, too."""
+    labels = {key: label for key, label, _ in LABEL_KEYS} if correcting else {}
+    rows = {key: label for key, label, _ in keys_of(moving)}
+    for key in {**rows, **labels}:
+        said = rows[key] if key not in labels else f"{rows[key]} | {labels[key]}" if key in rows else labels[key]
         held, _, pressed = key.rpartition("+")
         hotkey: Any = pressed
         modifier: Any = MODIFIERS[held]
-        command = client.gui.add_command(label, hotkey=hotkey, modifier=modifier)
+        command = client.gui.add_command(said, hotkey=hotkey, modifier=modifier)
 
-        def trigger(event: Any, message: str = message) -> None:
-            post(message)
+        def trigger(event: Any, key: str = key) -> None:
+            post(f"key:{key}")
 
         command.on_trigger(trigger)
 

@@ -55,6 +55,10 @@ class Page:
     edit: viser.GuiHtmlHandle
     frames: viser.GuiHtmlHandle
     log: viser.GuiHtmlHandle
+    review_head: viser.GuiHtmlHandle | None = None
+    review_pair: viser.GuiHtmlHandle | None = None
+    review_list: viser.GuiHtmlHandle | None = None
+    review_train: viser.GuiHtmlHandle | None = None
 
 
 def build(
@@ -64,6 +68,7 @@ def build(
     dataset: str,
     frame_ids: Sequence[str],
     with_run: bool = False,
+    with_labels: bool = False,
 ) -> Page:
     """Build the page of one client."""
     gui = client.gui
@@ -91,6 +96,10 @@ def build(
         answer, pairs, relations = (gui.add_html("") for _ in range(3))
     with upper.add_tab("Why", viser.Icon.HELP_CIRCLE):
         why = gui.add_html("")
+    review: tuple[viser.GuiHtmlHandle, ...] = ()
+    if with_labels:
+        with upper.add_tab("Review", viser.Icon.CHECKLIST):
+            review = tuple(gui.add_html("") for _ in range(4))
     # The first tab is the one that is open: with a run, what failed in it.
     for name in ("Failures", "Run", "Image") if with_run else ("Image", "Failures", "Run"):
         with lower.add_tab(name):
@@ -107,5 +116,5 @@ def build(
     return Page(
         dataset_box, frame_box, expression, ask, form, steps, parse, modules, controls, objects,
         answer, pairs, relations, why, object_, image, search, offers, listing,
-        run_summary, run_slices, run_confusion, cost, edit, frames, log,
+        run_summary, run_slices, run_confusion, cost, edit, frames, log, *review,
     )  # fmt: skip

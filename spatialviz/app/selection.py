@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from pipeline.boxes import Box3D
 from spatialviz.app import bottom
+from spatialviz.app.label_view import paired
 from spatialviz.app.state import State
 
 
@@ -46,7 +47,9 @@ class Selection:
         """Select an object, or nothing where it is selected already."""
         state = self._state()
         if 0 <= i < len(state.shown.objects):
-            self._take(replace(state, selected=None if i == state.selected else i))
+            now = None if i == state.selected else i
+            pair = state.pair if state.labels is None else paired(state.pair, now, state.selected)
+            self._take(replace(state, selected=now, pair=pair))
             self._draw()
 
     def select_on_ray(self, pixel: tuple[int, int] | None, boxes: list[int]) -> None:

@@ -12,6 +12,7 @@ from contextlib import redirect_stdout
 
 import viser
 
+from pipeline.correcting.journal_place import JournalPlace
 from pipeline.demo import DEMO_EXPRESSION, DEMO_NAME
 from pipeline.errors import InputError
 from pipeline.evaluation.run_folder import Run
@@ -31,6 +32,8 @@ def start(
     runs: Mapping[str, Run] | None = None,
     others: Mapping[str, Run] | None = None,
     labels: Mapping[str, Labels] | None = None,
+    journals: Mapping[str, JournalPlace] | None = None,
+    author: str = "",
     opened_by: Sequence[str] = (),
     first_view: ViewState | None = None,
     host: str = "127.0.0.1",
@@ -49,6 +52,10 @@ def start(
         Evaluations whose answers are shown beside, by the same names.
     labels : mapping of str to Labels, optional
         What is true where there is no run, by the same names.
+    journals : mapping of str to JournalPlace, optional
+        Labels that may be corrected, by the same names.
+    author : str
+        Under whose name they are, unless the page says another.
     opened_by : sequence of str, optional
         The words of the command line, for commands that open the page again.
     first_view : ViewState, optional
@@ -88,7 +95,9 @@ def start(
 
     @server.on_client_connect
     def _(client: viser.ClientHandle) -> None:
-        session = Session(client, store, first, DEMO_EXPRESSION, dark, runs, others, labels, opened_by, first_view)
+        session = Session(
+            client, store, first, DEMO_EXPRESSION, dark, runs, others, labels, opened_by, first_view, journals, author
+        )
         with lock:
             sessions[client.client_id] = session
         if client.client_id not in server.get_clients():
@@ -119,6 +128,8 @@ def serve(
     runs: Mapping[str, Run] | None = None,
     others: Mapping[str, Run] | None = None,
     labels: Mapping[str, Labels] | None = None,
+    journals: Mapping[str, JournalPlace] | None = None,
+    author: str = "",
     opened_by: Sequence[str] = (),
     first_view: ViewState | None = None,
     host: str = "127.0.0.1",
@@ -128,8 +139,8 @@ def serve(
 ) -> None:
     """Start the server, say where it is, and wait until it is stopped."""
     server = start(
-        sources, runs=runs, others=others, labels=labels, opened_by=opened_by, first_view=first_view, host=host,
-        port=port, dark=dark,
+        sources, runs=runs, others=others, labels=labels, journals=journals, author=author, opened_by=opened_by,
+        first_view=first_view, host=host, port=port, dark=dark,
     )  # fmt: skip
     shown = "127.0.0.1" if host in ("", "0.0.0.0", "::") else f"[{host}]" if ":" in host else host
     address = f"http://{shown}:{server.get_port()}"

@@ -9,8 +9,11 @@ from datetime import datetime
 from typing import Any
 
 import viser
+from platformdirs import user_data_path
 
 from pipeline.ask import Trace
+from pipeline.correcting.desk import Desk
+from pipeline.correcting.journal_place import JournalPlace
 from pipeline.datasets import has_moves, moves
 from pipeline.demo import DEMO_EXPRESSION
 from pipeline.diagnosis.live import Judgement
@@ -25,6 +28,7 @@ from pipeline.suggestions import suggest_expressions
 from pipeline.whatif.state import ViewState
 from spatialviz.app import bottom, left, right
 from spatialviz.app.bridge import HELLO_SECONDS, Bridge
+from spatialviz.app.correct import Correct
 from spatialviz.app.dialog import Dialog
 from spatialviz.app.fallback import Fallback
 from spatialviz.app.filling import fill_answer, fill_page
@@ -32,10 +36,11 @@ from spatialviz.app.frames import FrameStore, LoadedFrame
 from spatialviz.app.inputs import forward_inputs
 from spatialviz.app.judging import Judge
 from spatialviz.app.keeping import Keeping
-from spatialviz.app.keys import HelpDialog, add_keys
+from spatialviz.app.keys import HelpDialog, add_keys, meant
 from spatialviz.app.layout import build, listed
 from spatialviz.app.paint import frame_colors
 from spatialviz.app.place import Place
+from spatialviz.app.retrain_panel import RetrainPanel
 from spatialviz.app.run_browser import Listing
 from spatialviz.app.run_panel import RunPanel
 from spatialviz.app.scene import SceneView
@@ -70,6 +75,8 @@ class Session:
         labels: Mapping[str, Labels] | None = None,
         opened_by: Sequence[str] = (),
         first_view: ViewState | None = None,
+        journals: Mapping[str, JournalPlace] | None = None,
+        author: str = "",
     ) -> None:
         self._client = client
         self._store = store
@@ -86,7 +93,7 @@ class Session:
         self._help = HelpDialog(client, self.post, moving)
         ids = store.sources[source].dataset.frame_ids
         self.state = State(source=source, frame_id=ids[0], dark=dark, text=first_expression)
-        self.page = build(client, self.bridge, tuple(store.sources), source, ids, bool(runs))
+        self.page = build(client, self.bridge, tuple(store.sources), source, ids, bool(runs), bool(journals))
         self.scene = SceneView(
             client,
             on_ray=lambda pixel, boxes: self.bridge.post(lambda: self._selection.select_on_ray(pixel, boxes)),
@@ -100,6 +107,12 @@ class Session:
             client, self.page, self.scene, *reach, self._draw_edited, self._judged, self._note, self.bridge.post
         )
         dialog = Dialog(client)
+        desks = {name: self._opener(name, place, author) for name, place in (journals or {}).items()}
+        self._correct = Correct(
+            client, self.page, desks, state=self._now, take=self._take, draw=self._draw,
+            ask=lambda: self._open_frame(self.state.frame_id, first=True, asking=self.state.text),
+            open_frame=self._open_frame, note=self._note,
+        )  # fmt: skip
         self._strings = ViewStrings(
             dialog, store.sources, runs or {}, self._runs, self.scene.viewpoint, state=self._now, take=self._take,
             go=self._go, ask=self._ask, show_context=self._view.show_context, draw=self._draw, note=self._note,
@@ -108,16 +121,25 @@ class Session:
             client, dialog, store.sources, runs or {}, self._judge, opened_by, state=self._now,
             view=self._strings.now, note=self._note,
         )  # fmt: skip
-        parts = (self._selection, self._view, self._runs, self._what_if, self._strings, keeping, dialog)
+        self._retrain = RetrainPanel(
+            client, self.page, store.sources, runs or {}, journals or {}, user_data_path("spatialviz") / "retrained",
+            state=self._now, go=self._go, use=lambda name: self.handle(f"edit:set:scorer:{name}"), note=self._note,
+            post=self.bridge.post,
+        )  # fmt: skip
+        parts = (
+            self._selection, self._view, self._runs, self._what_if, self._strings, keeping, self._correct,
+            self._retrain, dialog,
+        )  # fmt: skip
         self._more = {name: run for part in parts for name, run in part.commands().items()}
         forward_inputs(self.page, self.post, self.bridge.alive)
-        add_keys(client, self.post, moving)
+        add_keys(client, self.post, moving, bool(journals))
         self.bridge.start()
         threading.Timer(PATIENCE_SECONDS, lambda: self.post("begin")).start()
         threading.Timer(HELLO_SECONDS, self._check_bridge).start()
 
     def close(self) -> None:
         self._closed.set()
+        self._retrain.close()
         self.bridge.close()
 
     def post(self, message: str) -> None:
@@ -128,6 +150,7 @@ class Session:
 
     def handle(self, message: str) -> None:
         """Carry out a command such as "pair:3"; unknown ones are ignored."""
+        message = meant(message, self.state.labels is not None)
         kind, _, argument = message.partition(":")
         number = int(argument) if argument.lstrip("-").isdecimal() else -1
         handlers: dict[str, Callable[[], None]] = {
@@ -152,6 +175,9 @@ class Session:
             handlers[kind]()
         elif kind in self._more:
             self._more[kind](argument)
+
+    def _opener(self, name: str, place: JournalPlace, author: str) -> Callable[[], Desk]:
+        return lambda: Desk(place.labels, place, author, self._store.sources[name].dataset)
 
     def _now(self) -> State:
         return self.state
@@ -213,6 +239,7 @@ class Session:
         self._show_working("finding the objects")
         self._thumbs = {}
         self._painted = ()
+        correcting = self._correct.stays and asking is None
         cleared = replace(self.state.unasked, frame_id=frame_id, problem="")
         try:
             loaded = self._store.load(self.state.source, frame_id)
@@ -238,6 +265,11 @@ class Session:
             self._note(loaded.problem)
         for remark in loaded.context.frame.notes:
             self._note(f"frame {frame_id}: {remark}")
+        if correcting:
+            self._correct.show()
+            self._draw()
+            self._browse()
+            return
         text = self.state.text if asking is None else asking
         if self._source().detector is None:
             text = ""
@@ -407,6 +439,8 @@ class Session:
         self._draw_scene()
         self.fallback.update(state)
         self._runs.follow()
+        self._correct.follow()
+        self._retrain.draw()
         self.bridge.remember(state.at_place.said())
 
     def _draw_scene(self, live: bool = False) -> None:

@@ -16,6 +16,7 @@ from pipeline.whatif import Edits
 from spatialviz.app.edited import Edited
 from spatialviz.app.frames import LoadedFrame
 from spatialviz.app.gizmo import EditMode
+from spatialviz.app.label_view import LabelView
 from spatialviz.app.place import Place
 from spatialviz.app.run_browser import Listing
 from spatialviz.app.scene import Ghost, SceneFlags
@@ -106,6 +107,8 @@ class State:
         `trace` is the answer under the edits, and this has the one without them; None where nothing is edited.
     mode : str
         What the handles in the scene do with the selected object's box.
+    labels : LabelView or None
+        The labels that are shown, and may be corrected, in place of an answer.
     """
 
     source: str
@@ -128,11 +131,14 @@ class State:
     edits: Edits = field(default_factory=Edits)
     edited: Edited | None = None
     mode: EditMode = "off"
+    labels: LabelView | None = None
 
     @property
     def unasked(self) -> State:
         """The same without any answer."""
-        return replace(self, trace=None, pair=None, selected=None, error="", judged=None, other=None, edited=None)
+        return replace(
+            self, trace=None, pair=None, selected=None, error="", judged=None, other=None, edited=None, labels=None
+        )
 
     def named(self, key: str) -> str:
         """The name of an object by its key (`pipeline.whatif.keys`)."""

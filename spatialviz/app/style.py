@@ -90,6 +90,14 @@ CSS = """<style>
 .sv kbd{font:inherit;font-size:10.5px;border:1px solid var(--mantine-color-default-border);border-radius:3px;padding:0 4px;background:var(--mantine-color-default-hover)}
 .sv .keys{display:grid;grid-template-columns:auto 1fr;gap:1px 14px;align-items:baseline;font-size:13px}
 .sv .log div{padding:2px 0;border-bottom:1px solid color-mix(in srgb,var(--mantine-color-default-border) 50%,transparent);overflow-wrap:anywhere}
+.sv .lab{display:grid;grid-template-columns:84px 84px 1fr auto;align-items:center;gap:8px;padding:2px 6px;margin:0 -6px;border-radius:4px;cursor:pointer}
+.sv .lab:hover{background:var(--mantine-color-default-hover)}
+.sv .lab.sel{background:color-mix(in srgb,var(--mantine-primary-color-filled) 20%,transparent);box-shadow:inset 3px 0 0 var(--mantine-primary-color-filled)}
+.sv .lab .n{text-align:right}
+.sv .tuf{display:flex;gap:3px}
+.sv .tuf span{flex:1;text-align:center;border-radius:3px;border:1px solid var(--mantine-color-default-border);line-height:17px;color:var(--mantine-color-dimmed)}
+.sv .tuf span:hover{border-color:var(--c)}
+.sv .tuf .on{background:var(--c);border-color:var(--c);color:#fff;font-weight:650}
 .sv .vd{display:inline-block;border-radius:4px;padding:0 6px;font-size:11px;font-weight:650;line-height:17px;color:#fff;background:var(--c);white-space:nowrap}
 .sv .vd i{font-style:normal;font-weight:450;opacity:.92}
 .sv .vline{display:flex;align-items:center;gap:7px;min-width:0;cursor:pointer;margin:1px 0 3px;border-radius:4px}

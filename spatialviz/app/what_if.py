@@ -258,6 +258,9 @@ class WhatIf:
     def follow(self, live: bool = False) -> None:
         """Bring the handles, what is drawn of the edits, and the Edit tab up to the state."""
         state = self._state()
+        if state.labels is not None:
+            self._gizmo.show(None, "off")
+            return
         selected = state.selected
         candidate = selected is not None and selected in state.shown.place.values()
         box = None

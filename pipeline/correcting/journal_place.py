@@ -1,0 +1,71 @@
+"""Where the corrections of labels are kept: opened when they are first needed, so that looking writes nothing."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from threading import Lock
+
+from pipeline.journal.connection import is_url
+from pipeline.journal.journal import JOURNAL_FILE, Journal, journal_of
+from pipeline.labels.reading import Labels
+
+
+class JournalPlace:
+    """The journal of labels, shared by everyone who corrects them in one process.
+
+    Parameters
+    ----------
+    labels : Labels
+    where : str or Path, optional
+        Path or URL; beside the labels by default.
+    project : str, optional
+        See `journal_of`.
+    """
+
+    def __init__(self, labels: Labels, where: str | Path | None = None, project: str | None = None) -> None:
+        self.labels, self.where, self.project = labels, where, project
+        self._journal: Journal | None = None
+        self._lock = Lock()
+
+    def __str__(self) -> str:
+        if self._journal is not None:
+            return self._journal.place
+        if self.where is not None and is_url(self.where):
+            return str(self.where).rpartition("@")[2]
+        return str(self.labels.root / JOURNAL_FILE if self.where is None else self.where)
+
+    def to_read(self) -> Journal | None:
+        """The journal; None where nothing was ever corrected.
+
+        Raises
+        ------
+        InputError
+            It is there and cannot be opened.
+        """
+        if self._journal is None and (self.where is None or not is_url(self.where)):
+            path = self.labels.root / JOURNAL_FILE if self.where is None else Path(self.where).expanduser()
+            if not path.exists():
+                return None
+        return self.to_write()
+
+    def to_write(self) -> Journal:
+        """The journal, made where there is none.
+
+        Raises
+        ------
+        InputError
+            It cannot be opened or made.
+        """
+        with self._lock:
+            if self._journal is None:
+                self._journal = journal_of(self.labels, self.where, project=self.project)
+            return self._journal
+
+    def close(self) -> None:
+        """Let go of the database."""
+        with self._lock:
+            if self._journal is not None:
+                self._journal.close()
+            self._journal = None
+
+

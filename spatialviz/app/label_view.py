@@ -1,0 +1,57 @@
+"""What of the labels one client looks at while they correct them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from pipeline.correcting.cards import PairCard
+from pipeline.journal.effective_frame import EffectiveFrame
+from pipeline.review.items import ItemKey
+
+
+@dataclass(frozen=True)
+class LabelView:
+    """The labels of the frame that is shown.
+
+    Attributes
+    ----------
+    frame : EffectiveFrame
+        Its objects, in the order of their numbers, are those of `State.shown`.
+    card : PairCard or None
+        Of the chosen pair.
+    relation : str or None
+        The one that the keys T, U and F settle.
+    item : ItemKey or None
+        What of the review queue is looked at.
+    said : str
+        What came of the last action.
+    bad : bool
+        It was not done.
+    """
+
+    frame: EffectiveFrame
+    card: PairCard | None = None
+    relation: str | None = None
+    item: ItemKey | None = None
+    said: str = ""
+    bad: bool = False
+
+    @property
+    def numbers(self) -> tuple[int, ...]:
+        """The objects that stand, as `State.shown` has them."""
+        return tuple(sorted(self.frame.objects))
+
+    def place(self, number: int) -> int | None:
+        """Where an object is in `State.shown`."""
+        numbers = self.numbers
+        return numbers.index(number) if number in numbers else None
+
+
+def paired(pair: tuple[int, ...] | None, selected: int | None, before: int | None) -> tuple[int, ...] | None:
+    """The pair after a selection: what is selected now, and what was selected before it."""
+    if selected is None or (pair is not None and selected in pair):
+        return pair
+    other = before if before is not None and before != selected else None
+    if other is None and pair is not None:
+        other = next((i for i in pair if i != selected), None)
+    return None if other is None else (selected, other)

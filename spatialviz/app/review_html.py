@@ -1,0 +1,67 @@
+"""The Review tab: what is to be looked at next, the labels of the pair, and how they came to be."""
+
+from __future__ import annotations
+
+from pipeline.correcting.cards import PairCard, RelationLine
+from pipeline.correcting.desk import Desk
+from pipeline.palette import palette
+from pipeline.relations import PHRASE, F, T, U, letter
+from spatialviz.app.state import State
+from spatialviz.app.text import BAD, DOUBT, GOOD, dot, heading, note, panel, safe
+
+STATES = {T: ("T", GOOD, "true"), U: ("U", DOUBT, "undecided"), F: ("F", "#8a919c", "false")}
+MARKS = {"auto": "", "human": "by hand", "recomputed": "recomputed", "stale": "stale"}
+
+
+def review_head_html(state: State, desk: Desk | None, left: tuple[int, int] | None) -> str:
+    """Whether labels are shown, under whose name they are corrected, what came of the last edit, and what waits."""
+    if desk is None:
+        return panel('<div class="dim" style="padding:.7em 0">No labels are open (--labels).</div>')
+    on = state.labels is not None
+    button = f'<span class="try{" on" if on else ""}" role="button" onclick="sv(\'labels\')" title="Shift+L">'
+    button += f'{"labels are shown" if on else "show the labels"}</span>'
+    progress = "" if left is None else f'<span class="dim">{left[0]} of {left[1]} left</span>'
+    parts = [f'<div class="nav" style="padding-top:.6em">{button}{progress}</div>']
+    if state.labels is not None and state.labels.said:
+        parts.append(note(state.labels.said, BAD if state.labels.bad else GOOD))
+    if desk.waiting:
+        count = len(desk.waiting)
+        what = f"{count} action{'s' if count > 1 else ''} not saved yet, kept here: {desk.waiting[-1].problem}"
+        parts.append(note(what, BAD))
+        parts.append('<span class="try go" role="button" onclick="sv(\'save-again\')">try again</span>')
+    return panel(*parts)
+
+
+def pair_html(state: State) -> str:
+    """Every relation of the pair, each settled by T, U or F."""
+    view = state.labels
+    if view is None:
+        return ""
+    card = view.card
+    if card is None:
+        return panel('<div class="dim">Select two objects, one after the other, or open an item of the queue.</div>')
+    colors = palette(state.dark)
+    swap = '<span class="try" role="button" onclick="sv(\'swap\')" title="the other way round (X)">swap</span>'
+    first = f'{dot(colors["target"])}{safe(card.names[0])}·{card.a}'
+    second = f'{dot(colors["reference"])}{safe(card.names[1])}·{card.b}'
+    head = heading(f"<b>{first}</b> … <b>{second}</b>", swap)
+    if card.why_none:
+        return panel(head, note(f"Takes part in no relation: {card.why_none}"))
+    return panel(head, "".join(_line(card, line, line.relation == view.relation) for line in card.lines))
+
+
+def _line(card: PairCard, line: RelationLine, focused: bool) -> str:
+    cells = "".join(
+        f'<span class="{"on" if line.state == state else ""}" style="--c:{color}" '
+        f'onclick="sv(\'settle:{line.relation}:{name}\')" title="{word} ({name})">{name}</span>'
+        for state, (name, color, word) in STATES.items()
+    )
+    margin = "" if line.margin is None else f"{line.margin * 100:+.1f} cm"
+    mark = MARKS[line.origin.source] + (f" · {line.status}" if line.status else "")
+    now = "none" if line.state is None else letter(line.state)
+    return (
+        f'<div class="lab{" sel" if focused else ""}" onclick="sv(\'relation-row:{line.relation}\')" '
+        f'title="{safe(f"{now}: {line.origin}")}"><span>{PHRASE[line.relation]}</span>'
+        f'<span class="tuf" onclick="event.stopPropagation()">{cells}</span>'
+        f'<span class="n dim">{margin}</span><span class="dim">{safe(mark)}</span></div>'
+    )
