@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pyarrow as pa
 from hypothesis import given
@@ -34,7 +36,7 @@ def test_items_stay_in_their_block_and_frames_together(
     frames = found.column("frame").to_pylist()
     for start in range(0, len(rows), block):
         part = frames[start : start + block]
-        changes = sum(x != y for x, y in zip(part, part[1:], strict=False))
+        changes = sum(x != y for x, y in pairwise(part))
         assert changes == len(set(part)) - 1
         # The worst item of a block still comes first.
         assert at[start] == start

@@ -10,6 +10,7 @@ import pytest
 from pipeline.errors import InputError
 from pipeline.srm import make_scorer, shipped_network
 from pipeline.srm.installed import install_network, installed_networks
+from pipeline.srm.model import OnnxScorer
 
 
 @pytest.fixture(autouse=True)
@@ -23,7 +24,11 @@ def test_an_installed_network_is_found_by_its_name(folder: Path) -> None:
     done = install_network(shipped_network(), "desk-2")
     assert installed_networks() == (done,)
     assert sorted(os.listdir(folder)) == ["desk-2.json", "desk-2.onnx"]
-    assert make_scorer("desk-2").fingerprint() == make_scorer("trained").fingerprint()
+    mine, shipped = (make_scorer(name) for name in ("desk-2", "trained"))
+    assert isinstance(mine, OnnxScorer)
+    assert isinstance(shipped, OnnxScorer)
+    assert mine.contract.vocabulary == shipped.contract.vocabulary
+    assert Path(folder / "desk-2.onnx").read_bytes() == shipped_network().read_bytes()
     with pytest.raises(InputError, match="desk-2"):
         make_scorer("desk-3")
 
