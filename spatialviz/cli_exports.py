@@ -6,7 +6,7 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
@@ -39,7 +39,7 @@ class Export:
     """Where the dataset is now, for its images and for corrected masks and boxes. Default: where it was labelled."""
     corrected: bool = False
     """Apply the journal first, as `effective` does."""
-    journal: OmitArgPrefixes[JournalOptions] = JournalOptions()
+    journal: OmitArgPrefixes[JournalOptions] = field(default_factory=JournalOptions)
     overwrite: bool = False
     """Replace an earlier export."""
     licence: str | None = None
@@ -81,7 +81,7 @@ class Export:
 
     @contextmanager
     def _labels(self, automatic: Labels) -> Iterator[Labels]:
-        """What is exported: the labels as they are, or with the journal applied, in a folder that is gone afterwards."""
+        """What is exported: the labels as they are, or with the journal applied, in a folder that does not stay."""
         if not self.corrected:
             yield automatic
             return
@@ -154,8 +154,8 @@ class Import:
     """Save what does not contradict later corrections, instead of nothing."""
     reason: str = ""
     """Kept with each correction. Default: the file's name."""
-    source: OmitArgPrefixes[DatasetOptions] = DatasetOptions()
-    journal: OmitArgPrefixes[JournalOptions] = JournalOptions()
+    source: OmitArgPrefixes[DatasetOptions] = field(default_factory=DatasetOptions)
+    journal: OmitArgPrefixes[JournalOptions] = field(default_factory=JournalOptions)
     dry_run: bool = False
     """Save nothing; say what would be done."""
     show: int = 20

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional
 
-from pipeline.errors import InputError
 from spatialviz.exits import FINE, NO
 from spatialviz.options import four_numbers, print_json, task_of
 

@@ -345,4 +345,5 @@ def _nested(table: str, field: pa.Field, *, single: bool) -> dict[str, Any]:
         }
         for part in field.type.value_type
     ]
-    return {"@type": "cr:Field", "@id": f"{table}/{field.name}", "name": field.name, "repeated": True, "subField": parts}
+    name = f"{table}/{field.name}"
+    return {"@type": "cr:Field", "@id": name, "name": field.name, "repeated": True, "subField": parts}

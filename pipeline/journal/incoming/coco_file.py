@@ -4,7 +4,8 @@ Tools such as CVAT write polygons for masks, round boxes, number annotations
 anew and keep none of our keys. Pictures are told by `frame`, else by the file
 name that the export gave them; annotations by `object`, also as an attribute.
 Where no annotation of a file has it any more, by where they lie: by the greatest
-overlap of 2D boxes in a picture, of one half at least. What is left is new.
+overlap of 2D boxes in a picture, of one half at least, or within an object's box
+and with its class name. What is left is new.
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ from pipeline.run_length import decode_run_length, encode_run_length
 LARGEST = 1 << 31
 """Bytes of a file that is read as a whole."""
 SAME_PLACE = 0.5
+WITHIN = 0.9
 ROUNDED = 0.02
 """Pixels by which a 2D box may differ and be the same: tools write two decimals."""
 _NAMED = re.compile(r"(?:.*[/\\])?(\d{6,})\.\w+")
@@ -235,12 +237,16 @@ class _Reader:
         objects = self.base.objects
         if not boxes or not objects:
             return {}
-        overlap = iou_2d(np.array(list(boxes.values())), np.array([row["bbox"] for row in objects.values()]))
+        theirs, ours = np.array(list(boxes.values())), np.array([row["bbox"] for row in objects.values()])
+        overlap = iou_2d(theirs, ours)
         names = [self.categories.get(found[p][1].get("category_id", -1)) for p in boxes]  # pyright: ignore
         same = np.array([[n == row["label"] for row in objects.values()] for n in names])
-        rows, columns = linear_sum_assignment(np.where(overlap >= SAME_PLACE, overlap + 0.01 * same, 0), maximize=True)
+        # Tools drop thin parts of an object: what is left lies within its box, and is called as it was.
+        within = same & (_share_within(theirs, ours) >= WITHIN)
+        likely = np.where(overlap >= SAME_PLACE, 1 + overlap + 0.01 * same, np.where(within, overlap, 0))
+        rows, columns = linear_sum_assignment(likely, maximize=True)
         places, numbers = list(boxes), list(objects)
-        matched = {places[r]: numbers[c] for r, c in zip(rows, columns, strict=True) if overlap[r, c] >= SAME_PLACE}
+        matched = {places[r]: numbers[c] for r, c in zip(rows, columns, strict=True) if likely[r, c] > 0}
         self.claims.notes["annotations told by where they lie, for none says which object it is of"] += len(matched)
         return matched
 
@@ -296,11 +302,14 @@ class _Reader:
                 if own is None or own == before:
                     return
                 box = own
-        # A tool that writes its polygon's own box has not moved it.
-        slack = self.options.outline
-        outlined = isinstance(row.get("segmentation"), list) and was["mask"] is not None
-        if (outlined and _near(box, before, slack)) or (drawn is not None and _near(box, bounds(drawn), max(slack, 1))):
+        # The box around the pixels that the file has follows from them, and was not moved.
+        slack, outline = max(self.options.outline, 1), row.get("segmentation")
+        if drawn is not None and _near(box, bounds(drawn), slack):
             return
+        if outline and isinstance(outline, list) and was["mask"] is not None:
+            corners = np.concatenate(polygons_of(outline))
+            if _near(box, before, slack) or _near(box, bounds_of(corners), slack):
+                return
         self._say(where, number, "bbox", box)
 
     def _new(self, where: str, row: Row, label: str, pixels: np.ndarray | None, box: Any) -> None:
@@ -328,6 +337,13 @@ def bounds(mask: np.ndarray) -> list[float]:
 def bounds_of(corners: np.ndarray) -> list[float]:
     """The rectangle around corners, (N, 2)."""
     return [*corners.min(axis=0).tolist(), *corners.max(axis=0).tolist()]
+
+
+def _share_within(boxes: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """(N, M) share of each box that lies within each of the others."""
+    low, high = (f(boxes[:, None, s], others[None, :, s]) for f, s in ((np.maximum, np.s_[:2]), (np.minimum, np.s_[2:])))
+    size = boxes[:, 2:] - boxes[:, :2]
+    return np.clip(high - low, 0, None).prod(axis=2) / size.prod(axis=1)[:, None]
 
 
 def _near(one: list[float], other: list[float], slack: float) -> bool:

@@ -13,6 +13,7 @@ from pipeline.errors import InputError
 from pipeline.journal.cells import relation_cell
 from pipeline.journal.incoming.claims import Claims
 from pipeline.journal.incoming.coco_file import expression_cell, images_of, listed, number_of
+from pipeline.journal.incoming.jsonl_file import check_pair
 from pipeline.labels.exports.provenance import ExportedFrom
 from pipeline.relations import PAIRWISE
 
@@ -117,6 +118,8 @@ def _columns(
     if len(a) != len(b) or len(set(zip(a, b, strict=True))) != len(a):
         raise InputError("the columns a and b do not give each pair once")
     claims.compared += len(a)
+    for m, n in zip(a, b, strict=True):
+        check_pair(base, m, n)
     for relation in relations:
         for m, n, said in zip(a, b, image[relation], strict=True):
             if said == base.pairs.state(m, n, relation) and type(said) in (int, type(None)):

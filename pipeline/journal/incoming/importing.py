@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
@@ -192,19 +193,22 @@ def _read(place: Path, format: str, claims: Claims, source: _Source, config: Imp
         content = load_coco(path)
         if isinstance(content, dict) and "annotations" in content:
             beside = content
-            _in_file(path, lambda: read_instances(beside, path.name, claims, source.state, options))
+            with _in_file(path):
+                read_instances(content, path.name, claims, source.state, options)
             continue
         if beside is None:
             beside = load_coco(path.with_name(COCO_FILES[0]))
         # What is wrong with instances.json is its own import's to tell.
         frames, objects, stated = annotated(beside, COCO_FILES[0], Claims(claims.states))
         state, read = source.state(stated), read_refs if isinstance(content, list) else read_relations
-        _in_file(path, lambda: read(content, path.name, frames, objects, state, claims))
+        with _in_file(path):
+            read(content, path.name, frames, objects, state, claims)
 
 
-def _in_file(path: Path, read: Callable[[], None]) -> None:
+@contextmanager
+def _in_file(path: Path) -> Iterator[None]:
     try:
-        read()
+        yield
     except InputError as error:
         if str(path) in str(error):
             raise

@@ -1,6 +1,7 @@
 """Corrections in JSON lines: rows as `export --format jsonl` writes them, with some of their keys or all.
 
-A key that is absent says nothing. `frame` must be there, and what names the row:
+A key that is absent says nothing; `base` is then that of the rows before. `frame`
+must be there, and what names the row:
 `object`; `a` and `b`; `id`. A row of objects whose `object` is absent or null is a
 new one: `label`, and `mask`, `bbox`, or `center`, `R` and `size`.
 """
@@ -14,6 +15,7 @@ from typing import Any
 
 from pipeline.errors import InputError
 from pipeline.journal.cells import Cell, object_cell, relation_cell, same_value
+from pipeline.journal.effective_frame import EffectiveFrame
 from pipeline.journal.effective_objects import BOX_COLUMNS
 from pipeline.journal.incoming.claims import Claims
 from pipeline.labels.exports.jsonl import BLOCK
@@ -35,16 +37,22 @@ def read_lines(path: Path, claims: Claims, state_of: StateOf, *, reject_deleted:
     Raises
     ------
     InputError
-        The file cannot be read, or holds no text.
+        The file cannot be read, holds no text, or comes from a state of the labels that is not known here.
     """
     table = path.stem if path.stem in TABLES else None
     seen: dict[str, tuple[set[int], ExportedFrom]] = {}
     twice: set[int] = set()
+    stated: Any = None
     for where, row in _rows(path, claims):
+        stated = row.get("base") or stated
+        try:
+            # What cannot be compared at all is not told line by line.
+            state = state_of(stated)
+        except InputError as error:
+            raise InputError(f"{where}: {error}") from error
         try:
             kind = table or _table(row)
             frame = _frame(row, claims)
-            state = state_of(row.get("base"))
             name = hash((kind, frame, *(str(row.get(key)) for key in ("object", "a", "b", "id"))))
             if name in twice and not (kind == "objects" and row.get("object") is None):
                 raise InputError("the second row of the same")
@@ -108,9 +116,9 @@ def _frame(row: Row, claims: Claims) -> str:
     frame = row.get("frame")
     if not isinstance(frame, str) or frame not in claims.states:
         raise InputError("the labels have no such frame", got=repr(frame)[:60])
-    index = row.get("frame_index", claims.states.index_of(frame))
-    if index != claims.states.index_of(frame):
-        raise InputError("frame_index is of another frame", got=repr(index)[:20], expected=claims.states.index_of(frame))
+    known = claims.states.index_of(frame)
+    if row.get("frame_index", known) != known:
+        raise InputError("frame_index is of another frame", got=repr(row["frame_index"])[:20], expected=known)
     return frame
 
 
@@ -163,9 +171,19 @@ def same_mask(code: Any, was: str | None, size: tuple[int, int]) -> bool:
         return False
 
 
+def check_pair(base: EffectiveFrame, a: int, b: int) -> None:
+    """Refuse a pair that the export cannot have had."""
+    if a == b:
+        raise InputError("an object has no relation to itself", got=a)
+    for number in (a, b):
+        if base.pairs.place(number) is None:
+            raise InputError(f"frame {base.frame} had no object {number} that takes part in relations")
+
+
 def _relation(where: str, row: Row, frame: str, state: ExportedFrom, claims: Claims) -> None:
     a, b = _number(row, "a"), _number(row, "b")
     base = claims.base(frame, state)
+    check_pair(base, a, b)
     relations = base.setting.relations
     for relation in PAIRWISE:
         if relation not in row:
@@ -183,10 +201,12 @@ def _relation(where: str, row: Row, frame: str, state: ExportedFrom, claims: Cla
 
 
 def _statuses(listed: Any, relations: tuple[str, ...]) -> dict[str, Any]:
-    found = listed if isinstance(listed, list) else [None]
-    if not all(isinstance(s, dict) and s.get("relation") in relations for s in found):
-        raise InputError('statuses is a list of {"relation": ..., "status": ...}', got=repr(listed)[:60])
-    return {s["relation"]: s.get("status") for s in found}
+    found = {}
+    for entry in listed if isinstance(listed, list) else [None]:
+        if not isinstance(entry, dict) or entry.get("relation") not in relations:
+            raise InputError('statuses is a list of {"relation": ..., "status": ...}', got=repr(listed)[:60])
+        found[entry["relation"]] = entry.get("status")
+    return found
 
 
 def _expression(where: str, row: Row, frame: str, state: ExportedFrom, claims: Claims) -> None:

@@ -86,7 +86,8 @@ class States:
             )
         if state.relifted and self._pixels and self._corrector(True) is None:
             raise InputError(
-                "the dataset is needed", cause="the file was exported with what follows from corrected pixels; --dataset"
+                "the dataset is needed", cause="what follows from corrected pixels is in the file",
+                expected="--dataset says where it is",
             )
 
     def frame(self, frame: str, state: ExportedFrom) -> EffectiveFrame:

@@ -63,7 +63,8 @@ def write_hub(job: Job) -> Written:
     extended_json_schemas(job.folder / "schemas")
     with text_file(job.folder / "README.md") as card:
         card.write(dataset_card(job.labels, licence=options.licence, files={n: f"data/{n}/*.parquet" for n in TABLES}))
-    write_json(job.folder / "croissant.json", croissant(job.labels, licence=options.licence, files=files, schema=extended_schema))
+    described = croissant(job.labels, licence=options.licence, files=files, schema=extended_schema)
+    write_json(job.folder / "croissant.json", described)
     written = ("README.md", "croissant.json", *(f.path for found in files.values() for f in found), "schemas/")
     return Written((*written, *copy_images(job)), rows)
 

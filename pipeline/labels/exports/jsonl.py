@@ -82,7 +82,9 @@ def read_rows(path: Path, name: str) -> pa.Table:
         found = pj.read_json(
             path,
             read_options=pj.ReadOptions(block_size=BLOCK),
-            parse_options=pj.ParseOptions(explicit_schema=extended_schema(name).remove_metadata(), unexpected_field_behavior="error"),
+            parse_options=pj.ParseOptions(
+                explicit_schema=extended_schema(name).remove_metadata(), unexpected_field_behavior="error"
+            ),
         )
     except FileNotFoundError as error:
         raise InputError(f"the table {name} is missing", path=path) from error
