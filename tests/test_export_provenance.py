@@ -142,7 +142,8 @@ def test_coco_kitti_and_questions(corrected: Any, tmp_path: Path) -> None:
     touched = [q for q in asked if ids["other"] in q["metadata"]["objects"]]
     assert touched
     for q in touched:
-        assert {"table": "objects", "key": str(ids["other"]), **by_column(found[ids["other"]])["label"]} in q["provenance"]
+        label = by_column(found[ids["other"]])["label"]
+        assert {"table": "objects", "key": str(ids["other"]), **label} in q["provenance"]
     assert not any(q["provenance"] for q in questions if q["metadata"]["frame"] != FRAME)
 
 

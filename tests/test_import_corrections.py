@@ -133,7 +133,8 @@ def test_edited_jsonl_is_what_the_labels_say_then(
     frames[0] |= {"note": "bright", "status": "accepted"}
     folder = tmp_path / "edited"
     folder.mkdir()
-    for name, rows in (("objects", objects), ("relations", relations), ("expressions", expressions), ("frames", frames)):
+    edited = {"objects": objects, "relations": relations, "expressions": expressions, "frames": frames}
+    for name, rows in edited.items():
         write(folder / f"{name}.jsonl", rows)
     report = take(folder)
     assert report.saved is not None, import_record(report)

@@ -341,7 +341,8 @@ def bounds_of(corners: np.ndarray) -> list[float]:
 
 def _share_within(boxes: np.ndarray, others: np.ndarray) -> np.ndarray:
     """(N, M) share of each box that lies within each of the others."""
-    low, high = (f(boxes[:, None, s], others[None, :, s]) for f, s in ((np.maximum, np.s_[:2]), (np.minimum, np.s_[2:])))
+    low = np.maximum(boxes[:, None, :2], others[None, :, :2])
+    high = np.minimum(boxes[:, None, 2:], others[None, :, 2:])
     size = boxes[:, 2:] - boxes[:, :2]
     return np.clip(high - low, 0, None).prod(axis=2) / size.prod(axis=1)[:, None]
 
