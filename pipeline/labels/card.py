@@ -315,7 +315,7 @@ def _record_set(table: str, schema: pa.Schema, *, single: bool) -> dict[str, Any
     for field in schema:
         listed = pa.types.is_list(field.type)
         if listed and pa.types.is_struct(field.type.value_type):
-            fields.append(_nested(table, field, single=single))
+            # Records within records: readers of Croissant do not agree on them, and the card tells of them.
             continue
         fields.append(
             {
@@ -330,20 +330,3 @@ def _record_set(table: str, schema: pa.Schema, *, single: bool) -> dict[str, Any
     description = (TABLES[table].__doc__ or "").strip().split("\n")[0]
     # A record set may not share its id with the file it is read from.
     return {"@type": "cr:RecordSet", "@id": f"{table}-rows", "name": table, "description": description, "field": fields}
-
-
-def _nested(table: str, field: pa.Field, *, single: bool) -> dict[str, Any]:
-    """A column of lists of records, as a field with sub-fields."""
-    source = {("fileObject" if single else "fileSet"): {"@id": table}, "extract": {"column": field.name}}
-    parts = [
-        {
-            "@type": "cr:Field",
-            "@id": f"{table}/{field.name}/{part.name}",
-            "name": part.name,
-            "dataType": "sc:Text",
-            "source": {**source, "transform": {"jsonPath": part.name}},
-        }
-        for part in field.type.value_type
-    ]
-    name = f"{table}/{field.name}"
-    return {"@type": "cr:Field", "@id": name, "name": field.name, "repeated": True, "subField": parts}
