@@ -54,7 +54,7 @@ def item_html(row: Mapping[str, Any] | None, names: Names, item: ItemKey | None)
     kind = {"relation": "T U F settle it", "object": "Y accepts", "expression": "Y accepts"}[item.kind]
     return (
         f'<div class="item"><div class="big"><b>{said(row, names)}</b>{wrong}</div>'
-        f'<div class="why">{reasons}</div><div class="dim">{kind}, Shift+X rejects, Shift+U unsure{network}</div></div>'
+        f'<div class="why">{reasons}</div><div class="dim">{kind}, Shift+Y rejects, Shift+U unsure{network}</div></div>'
     )
 
 
