@@ -13,17 +13,50 @@ from pipeline.frame import Frame
 from pipeline.lifting import LiftConfig
 from pipeline.normals import surface_normals
 
-TOLERANCE = 0.01
+TOLERANCE = 0.015
 """The default."""
 LEAST, MOST = 0.001, 0.05
-BEND = float(np.deg2rad(6)) / TOLERANCE
-"""By how much a surface may turn from one pixel to the next, radians for each unit of tolerance."""
+BEND = float(np.deg2rad(3.75)) / TOLERANCE
+"""By how much a surface may turn towards the viewer from one pixel to the next, radians for each unit of tolerance."""
 LOOSE = 0.03
-"""From this tolerance on, pixels without a normal (creases, strong curvature) do not stop a region."""
+"""From this tolerance on, creases and pixels without a normal do not end a region: only depth edges do."""
 NEAR = 3
 """A click on a pixel without depth, or without a normal, means one so close to it, pixels."""
-RIM = 6
+RADIUS = 3
+"""Of the window of a normal, pixels."""
+RIM = 5
 """Normals are known up to so many pixels from a crease or edge; a region is carried over that rim."""
+NOISE = 0.0012
+"""Standard deviation of 1/z of a structured-light camera, 1/m (Khoshelham and Elberink 2012)."""
+
+
+@dataclass(frozen=True)
+class Links:
+    """Of each pixel to its neighbour on the right, or below.
+
+    Attributes
+    ----------
+    joined : bool
+        Both have a depth, and there is no depth edge between them.
+    concave : float32
+        How far one rises out of the other's tangent plane, as a share of the depth; infinite where a normal is missing.
+    turn : float32
+        The angle between the normals where they turn towards each other, as in the crease between a cup and its
+        table; 0 where they turn away, as over the edge of a box. Radians.
+    step : float32
+        The difference of the depths, as a share of the depth.
+    """
+
+    joined: np.ndarray
+    concave: np.ndarray
+    turn: np.ndarray
+    step: np.ndarray
+
+    def alike(self, tolerance: float, loose: bool) -> np.ndarray:
+        """Where both are of one surface; with `loose`, creases and missing normals do not end one."""
+        if loose:
+            return self.joined & ((self.concave <= tolerance) | (np.isinf(self.concave) & (self.step <= tolerance)))
+        return self.joined & (self.concave <= tolerance) & (self.turn <= BEND * tolerance)
 
 
 @dataclass(frozen=True)
@@ -33,18 +66,18 @@ class Surface:
     Attributes
     ----------
     points, normals : (H, W, 3) float32
-        Camera frame, metres.
+        Camera frame, metres; the depth is smoothed within surfaces.
     known : (H, W) bool
         Where there is a normal.
-    right, down : (H, W - 1), (H - 1, W) bool
-        Neighbours that both have a depth, with no depth edge between them.
+    right, down : Links
+        (H, W - 1) and (H - 1, W).
     """
 
     points: np.ndarray
     normals: np.ndarray
     known: np.ndarray
-    right: np.ndarray
-    down: np.ndarray
+    right: Links
+    down: Links
 
     @property
     def measured(self) -> np.ndarray:
@@ -54,11 +87,41 @@ class Surface:
 
 def surface_of(frame: Frame, config: LiftConfig | None = None) -> Surface:
     """Points, normals and depth edges of a frame; an edge is what `lifting.depth_edges` calls one."""
-    v, u = np.indices(frame.depth.shape)
-    points = lift_pixels(frame.depth.ravel(), frame.camera, v.ravel(), u.ravel()).reshape(*frame.depth.shape, 3)
-    normals, known = surface_normals(frame.depth, frame.camera)
+    has = frame.depth > 0
+    inverse = np.divide(1, frame.depth, out=np.zeros_like(frame.depth), where=has)
+    # The noise of 1/z is the same at every depth, so that one width suits all.
+    smooth = cv2.bilateralFilter(inverse, 5, 4 * NOISE, 2.0)
+    depth = np.divide(1, smooth, out=np.zeros_like(smooth), where=has & (smooth > 0))
+    v, u = np.indices(depth.shape)
+    points = lift_pixels(depth.ravel(), frame.camera, v.ravel(), u.ravel()).reshape(*depth.shape, 3)
+    normals, known = surface_normals(depth, frame.camera, RADIUS)
     right, down = joined(frame.depth, config)
-    return Surface(points, normals, known, right, down)
+    every = slice(None)
+    return Surface(
+        points,
+        normals,
+        known,
+        _links(points, normals, known, right, (every, slice(None, -1)), (every, slice(1, None))),
+        _links(points, normals, known, down, (slice(None, -1), every), (slice(1, None), every)),
+    )
+
+
+def _links(
+    points: np.ndarray,
+    normals: np.ndarray,
+    known: np.ndarray,
+    joined: np.ndarray,
+    one: tuple[slice, slice],
+    other: tuple[slice, slice],
+) -> Links:
+    step = points[other] - points[one]
+    n, m, z = normals[one], normals[other], np.maximum(points[one][..., 2], np.float32(1e-6))
+    rises, falls = np.einsum("ijk,ijk->ij", n, step), np.einsum("ijk,ijk->ij", m, step)
+    both = known[one] & known[other]
+    concave = np.where(both, np.maximum(rises, -falls) / z, np.float32(np.inf))
+    # Two normals turn towards each other where each point rises above the other's plane.
+    angle = np.arccos(np.clip(np.einsum("ijk,ijk->ij", n, m), -1, 1))
+    return Links(joined, concave, np.where(rises > falls, angle, np.float32(0)), np.abs(step[..., 2]) / z)
 
 
 def joined(depth: np.ndarray, config: LiftConfig | None = None) -> tuple[np.ndarray, np.ndarray]:
@@ -75,8 +138,10 @@ def joined(depth: np.ndarray, config: LiftConfig | None = None) -> tuple[np.ndar
 def grown_region(surface: Surface, seeds: np.ndarray, tolerance: float = TOLERANCE) -> np.ndarray:
     """The surfaces that some pixels lie on.
 
-    From pixel to pixel a surface may leave its tangent plane by `tolerance`
-    times the depth, and turn by 6 degrees where the tolerance is 0.01.
+    A surface ends at depth edges and at concave creases, as where a cup stands
+    on its table (after the local convexity of Stein et al. 2014); it goes on
+    over the edges of a box. From pixel to pixel it may rise out of its tangent
+    plane by `tolerance` times the depth.
 
     Parameters
     ----------
@@ -99,8 +164,7 @@ def grown_region(surface: Surface, seeds: np.ndarray, tolerance: float = TOLERAN
         raise InputError("the tolerance is out of range", got=tolerance, expected=f"{LEAST} to {MOST}")
     loose = tolerance >= LOOSE
     bound = surface.measured if loose else surface.known
-    links = _alike(surface, tolerance, loose)
-    either = _alike(surface, tolerance, True)
+    links = surface.right.alike(tolerance, loose), surface.down.alike(tolerance, loose)
     found = np.zeros((height, width), np.bool_)
     for x, y in np.asarray(seeds, np.float64).reshape(-1, 2):
         if not (0 <= x < width and 0 <= y < height):
@@ -114,28 +178,10 @@ def grown_region(surface: Surface, seeds: np.ndarray, tolerance: float = TOLERAN
             seed = _nearest(surface.measured, pixel)
             if seed is None:
                 raise InputError("there is no depth at this point", got=f"{x:.1f}, {y:.1f}")
+            either = surface.right.alike(tolerance, True), surface.down.alike(tolerance, True)
             region = flooded(surface.measured & ~surface.known, *either, seed)
         found |= _with_rim(surface, region, tolerance)
     return found
-
-
-def _alike(surface: Surface, tolerance: float, loose: bool) -> tuple[np.ndarray, np.ndarray]:
-    """Neighbours of one surface, to the right and below."""
-    least = np.cos(min(BEND * tolerance, np.pi / 2))
-
-    def same(one: tuple[slice, slice], other: tuple[slice, slice], joined: np.ndarray) -> np.ndarray:
-        step = surface.points[other] - surface.points[one]
-        n, m = surface.normals[one], surface.normals[other]
-        reach = np.float32(tolerance) * surface.points[one][..., 2]
-        across = np.maximum(np.abs((n * step).sum(axis=-1)), np.abs((m * step).sum(axis=-1)))
-        flat = (across <= reach) & ((n * m).sum(axis=-1) >= least)
-        both = surface.known[one] & surface.known[other]
-        unknown = np.abs(step[..., 2]) <= reach if loose else np.False_
-        return joined & np.where(both, flat, unknown)
-
-    every = slice(None)
-    right = same((every, slice(None, -1)), (every, slice(1, None)), surface.right)
-    return right, same((slice(None, -1), every), (slice(1, None), every), surface.down)
 
 
 def _nearest(allowed: np.ndarray, pixel: tuple[int, int]) -> tuple[int, int] | None:
@@ -183,9 +229,10 @@ def _with_rim(surface: Surface, region: np.ndarray, tolerance: float) -> np.ndar
     place[label[region]] = np.flatnonzero(region)
     nearest = place[label[candidates]]
     normals, points = surface.normals.reshape(-1, 3)[nearest], surface.points.reshape(-1, 3)[nearest]
-    across = np.abs((normals * (surface.points[candidates] - points)).sum(axis=1))
-    candidates[candidates] = across <= np.float32(tolerance) * points[:, 2]
-    grid = link_grid(region | candidates, surface.right, surface.down)
+    # A round thing falls away behind its last normal; what rises there is something else.
+    rises = (normals * (surface.points[candidates] - points)).sum(axis=1)
+    candidates[candidates] = rises <= np.float32(tolerance) * points[:, 2]
+    grid = link_grid(region | candidates, surface.right.joined, surface.down.joined)
     _, parts = cv2.connectedComponents(grid, connectivity=4)
     pixels = np.asarray(parts[::2, ::2], np.int64)
     kept = np.zeros(int(pixels.max()) + 1, np.bool_)
