@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from pipeline.camera import Camera
 from pipeline.drawing.depth_region import Surface, grown_region, surface_of
-from pipeline.drawing.gestures import Canvas, Gesture, applied, drawn, goes_around, gesture_of, read_gesture
+from pipeline.drawing.gestures import Canvas, Gesture, applied, drawn, gesture_of, goes_around, read_gesture
 from pipeline.drawing.splitting import split_by_depth, split_by_line, split_by_polygon
 from pipeline.drawing.strokes import THINNEST, polygon_mask, rectangle_mask, stroke_mask
 from pipeline.errors import InputError

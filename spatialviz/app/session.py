@@ -38,6 +38,7 @@ from spatialviz.app.keeping import Keeping
 from spatialviz.app.keys import HelpDialog, add_keys, meant
 from spatialviz.app.layout import build, listed
 from spatialviz.app.paint import frame_colors
+from spatialviz.app.pixels import Pixels
 from spatialviz.app.place import Place
 from spatialviz.app.run_browser import Listing
 from spatialviz.app.run_panel import RunPanel
@@ -94,7 +95,9 @@ class Session:
         self.page = build(client, self.bridge, tuple(store.sources), source, ids, bool(runs), bool(journals))
         self.scene = SceneView(
             client,
-            on_ray=lambda pixel, boxes: self.bridge.post(lambda: self._selection.select_on_ray(pixel, boxes)),
+            on_ray=lambda pixel, boxes: self.bridge.post(
+                lambda: None if self._pixels.on_ray(pixel) else self._selection.select_on_ray(pixel, boxes)
+            ),
         )
         self._selection = Selection(self._now, self._take, self._draw, self.scene.viewpoint.focus)
         reach = (self._source, self._now, self._take)
@@ -110,6 +113,10 @@ class Session:
             client, self.page, desks, state=self._now, take=self._take, draw=self._draw,
             ask=lambda: self._open_frame(self.state.frame_id, first=True, asking=self.state.text), note=self._note,
         )  # fmt: skip
+        self._pixels = Pixels(
+            client, self.scene, self._correct, self._selection, state=self._now, take=self._take, draw=self._draw,
+            note=self._note,
+        )  # fmt: skip
         self._strings = ViewStrings(
             dialog, store.sources, runs or {}, self._runs, self.scene.viewpoint, state=self._now, take=self._take,
             go=self._go, ask=self._ask, show_context=self._view.show_context, draw=self._draw, note=self._note,
@@ -119,7 +126,7 @@ class Session:
             view=self._strings.now, note=self._note,
         )  # fmt: skip
         parts = (self._selection, self._view, self._runs, self._what_if, self._strings, keeping, self._correct, dialog)
-        self._more = {name: run for part in parts for name, run in part.commands().items()}
+        self._more = {name: run for part in (*parts, self._pixels) for name, run in part.commands().items()}
         forward_inputs(self.page, self.post, self.bridge.alive)
         add_keys(client, self.post, moving, bool(journals))
         self.bridge.start()
@@ -428,6 +435,7 @@ class Session:
         self.fallback.update(state)
         self._runs.follow()
         self._correct.follow()
+        self._pixels.follow()
         self.bridge.remember(state.at_place.said())
 
     def _draw_scene(self, live: bool = False) -> None:
