@@ -128,7 +128,8 @@ def shown_value(cell: Cell, value: Any) -> str:
     if cell.kind == "relation" and cell.field in PAIRWISE:
         return letter(value)
     if cell.field == "mask":
-        return f"a mask ({len(value)} characters)"
+        runs = run_lengths(value)
+        return "a mask" if isinstance(runs, str) else f"a mask ({int(runs[1::2].sum())} pixels)"
     if cell.field == "exists":
         return f"a new {value['label']}"
     if cell.field == "box":

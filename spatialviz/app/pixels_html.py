@@ -46,7 +46,8 @@ def pixel_row_html(state: State) -> str:
     cells.append(_cell("merge", "px-merge", hint, state.pair is not None, "w2"))
     said = state.labels.said
     told = note(said, BAD if state.labels.bad else IDLE) if said else ""
-    return f'<div class="pxrow">{"".join(cells)}</div>{told and f"<div style=margin-bottom:6px>{told}</div>"}'
+    shown = f'<div class="pxsaid" title="{safe(said)}">{told}</div>' if said else ""
+    return f'<div class="pxrow">{"".join(cells)}</div>{shown}'
 
 
 def _cell(name: str, message: str, hint: str, on: bool, more: str = "") -> str:

@@ -12,7 +12,7 @@ const HINTS = {
   select: 'Click an object to draw on it.',
   brush: 'Drag to paint; Shift erases. [ ] or Shift+wheel: size.',
   erase: 'Drag to erase; Shift paints. [ ] or Shift+wheel: size.',
-  polygon: 'Click corners, double click or Enter closes; Shift on closing removes; Backspace takes a corner back.',
+  polygon: 'Click corners; Enter or double click closes (with Shift: removes); Backspace: one back.',
   rectangle: 'Drag a rectangle; Shift removes. F: only the surface inside it.',
   depth: 'Click a surface to add it; Shift removes. [ ]: how alike it must be.',
   cut: 'Draw a line across the object, or around a part of it.',
@@ -56,7 +56,8 @@ const build = () => {
   canvas.oncontextmenu = e => e.preventDefault();
   canvas.addEventListener('wheel', wheel, {passive: false});
   new ResizeObserver(redraw).observe(room);
-  document.addEventListener('keydown', e => { if (S.on) keydown(e); }, true);
+  for (const k of ['pointerdown', 'pointermove', 'pointerup', 'mousedown', 'mousemove', 'mouseup', 'click', 'dblclick', 'wheel', 'contextmenu', 'touchstart', 'touchmove', 'touchend']) box.addEventListener(k, e => e.stopPropagation());
+  window.addEventListener('keydown', e => { if (S.on) keydown(e); }, true);
   window.addEventListener('keyup', e => { if (e.key === 'Shift') redraw(e); if (e.code === 'Space') S.space = false; }, true);
 };
 

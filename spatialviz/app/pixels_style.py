@@ -35,6 +35,10 @@ PIXELS_CSS = """<style>
 .svpx.slim .low{margin-top:-4px}
 .svpx .low{min-height:27px;color:var(--mantine-color-dimmed);padding-top:3px;padding-bottom:3px;border-top:1px solid var(--mantine-color-default-border)}
 .svpx:not(.slim) .low{border-bottom:0}
+.svpx .low{flex-wrap:nowrap}
+.svpx .low .note,.svpx .low .hint{min-width:0;overflow:hidden;text-overflow:ellipsis;white-space:nowrap}
+.svpx .low .info{white-space:nowrap}
+.sv .pxsaid .note{margin:0 0 6px;display:-webkit-box;-webkit-line-clamp:2;-webkit-box-orient:vertical;overflow:hidden;font-size:11.5px;padding:2px 8px}
 .svpx .low .bad{color:#e5484d;font-weight:600}
 .svpx .low .note{color:var(--mantine-color-text)}
 .svpx .tip{position:absolute;pointer-events:none;background:rgba(20,22,26,.88);color:#fff;border-radius:4px;padding:1px 6px;font-size:11.5px;transform:translate(12px,12px);display:none}
