@@ -1,4 +1,4 @@
-"""Drafts of pixels on labels: what is drawn is one edit, what follows from it is told, and files of edits say the same."""
+"""Drafts of pixels: what is drawn is one edit, what follows from it is told, and files of edits say the same."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The editor of pixels: what one client draws by hand becomes a draft, and what is applied one action of the journal."""
+"""The editor of pixels: what a client draws by hand becomes a draft, and what is applied one action of the journal."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class Pixels:
         self._tool, self._view, self._kind = "brush", "picture", "rgb"
         self._adds, self._tolerance = True, TOLERANCE
         self._seen = 0
-        self._said, self._bad = "", False
+        self._said, self._bad, self._label = "", False, ""
         self._saving = False
 
     def commands(self) -> dict[str, Callable[[str], None]]:
@@ -262,7 +262,10 @@ class Pixels:
             self._tell(str(error), True)
             self.follow()
             return
-        self._saving = True
+        self._label, self._saving = label, True
+        if not stay:
+            # Closed at once: drawing the whole page takes longer than saving.
+            self._host.content = _call("svPixels", {"on": False})
         try:
             outcome = self._correct.save(lambda _: made)
         finally:
@@ -272,7 +275,7 @@ class Pixels:
             self._tell("not saved" if after is None else after.said, True)
             self.follow()
             return
-        number = made[0].cell.numbers[0]
+        number, self._label = made[0].cell.numbers[0], ""
         self._drafts.pop(self._key, None)
         state = self._state()
         self._take(replace(state, selected=after.place(number)))
@@ -368,6 +371,7 @@ class Pixels:
             "h": draft.height,
             "title": "new object" if row is None else f"{row['label']}·{draft.number}",
             "fresh": fresh,
+            "label": self._label,
             "cuttable": not fresh,
             "names": list(view.frame.setting.class_names) if fresh else None,
             "color": hex_color(PART_COLORS[0]),

@@ -13,7 +13,7 @@ from pipeline.frame import Frame
 from pipeline.palette import palette
 from spatialviz.app.scene import SceneView
 
-POINT = 0.006
+POINT = 0.004
 MOST_POINTS = 60_000
 
 

@@ -34,7 +34,9 @@ const build = () => {
   const views = el('div', 'seg views');
   for (const [k, n, t] of [['picture', 'picture', 'draw on the picture (O)'], ['scene', '3D', 'click surfaces in the scene (O)']]) { const s = el('span', '', n); s.dataset.k = k; s.title = t; s.onclick = () => window.sv('px-view:' + k); views.append(s); }
   const button = (cls, text, title, f) => { const b = el('button', cls, text); b.title = title; b.onclick = f; b.onmousedown = e => e.preventDefault(); return b; };
-  top.append(title, field, list, views, el('span', 'grow'),
+  const pict = el('div', 'seg pict');
+  for (const [k, n] of [['rgb', 'colour'], ['depth', 'depth']]) { const s = el('span', '', n); s.dataset.k = k; s.title = 'I'; s.onclick = () => window.sv('px-picture:' + k); pict.append(s); }
+  top.append(title, field, list, views, pict, button('zoom', 'fit', 'whole picture, or the object (0); wheel: zoom; right or Space drag: move', refit), el('span', 'grow'),
     button('back', 'undo', 'take the last step back (Ctrl+Z)', () => window.sv('px-undo')), button('forth', 'redo', 'Ctrl+Y', () => window.sv('px-redo')),
     button('cancel', 'cancel', 'Escape', cancel), button('go', 'apply', 'Enter; Shift+Enter: and go on drawing', e => apply(e.shiftKey)));
   const seg = el('div', 'seg tools');
@@ -43,10 +45,8 @@ const build = () => {
   for (const [k, n] of [['add', 'add'], ['remove', 'remove']]) { const s = el('span', '', n); s.dataset.k = k; s.onclick = () => { S.adds = k === 'add'; show(); tell(); }; mode.append(s); }
   const range = (cls, name, min, max, f) => { const l = el('label', cls, name), i = el('input'), o = el('output'); i.type = 'range'; i.min = min; i.max = max; i.step = 'any'; i.oninput = () => { f(+i.value); show(); }; i.onchange = () => { i.blur(); tell(); }; l.append(i, o); return l; };
   const surf = el('div', 'seg surf'); const f1 = hotname('surface only', 'f'); f1.title = 'only what the depth and colour in the rectangle say (F)'; f1.onclick = () => { S.surface = !S.surface; show(); }; surf.append(f1);
-  const pict = el('div', 'seg pict');
-  for (const [k, n] of [['rgb', 'colour'], ['depth', 'depth']]) { const s = el('span', '', n); s.dataset.k = k; s.title = 'I'; s.onclick = () => window.sv('px-picture:' + k); pict.append(s); }
   tools.append(seg, mode, range('size', 'size', -7, -1.6, v => { S.radius = Math.exp(v); }), range('tol', 'alike', Math.log(.001), Math.log(.05), v => { S.tol = Math.exp(v); }), surf,
-    button('apart', 'split in depth', 'into the parts that no surface joins (G)', () => window.sv('px-apart')), el('span', 'grow'), pict, button('zoom', 'fit', 'whole picture, or the object (0); wheel: zoom; right or Space drag: move', refit));
+    button('apart', 'split in depth', 'into the parts that no surface joins (G)', () => window.sv('px-apart')));
   room = el('div', 'room'); canvas = el('canvas'); tip = el('div', 'tip'); room.append(canvas, tip);
   low.append(el('span', 'note'), el('span', 'hint'), el('span', 'grow'), el('span', 'info'));
   box.append(top, tools, room, low);

@@ -22,17 +22,16 @@ PIXELS_CSS = """<style>
 .svpx button:hover{background:var(--mantine-color-default-hover)}
 .svpx button:disabled{opacity:.4;cursor:default}
 .svpx button.go{background:var(--mantine-primary-color-filled);border-color:var(--mantine-primary-color-filled);color:#fff}
-.svpx input[type=text]{font:inherit;color:inherit;width:150px;background:var(--mantine-color-default-hover);border:1px solid var(--mantine-color-default-border);border-radius:5px;padding:2px 8px;outline:none}
+.svpx input[type=text]{font:inherit;color:inherit;width:130px;background:var(--mantine-color-default-hover);border:1px solid var(--mantine-color-default-border);border-radius:5px;padding:2px 8px;outline:none}
 .svpx input[type=text]:focus{border-color:var(--mantine-primary-color-filled)}
 .svpx input[type=text].miss{border-color:#e5484d}
 .svpx label{display:flex;align-items:center;gap:6px;color:var(--mantine-color-dimmed);white-space:nowrap}
 .svpx label output{color:var(--mantine-color-text);min-width:42px}
-.svpx input[type=range]{width:96px;accent-color:var(--mantine-primary-color-filled)}
+.svpx input[type=range]{width:84px;accent-color:var(--mantine-primary-color-filled)}
 .svpx .room{position:relative;flex:1;min-height:0;background:var(--mantine-color-body);pointer-events:auto;overflow:hidden}
 .svpx .room canvas{position:absolute;inset:0;width:100%;height:100%;touch-action:none}
 .svpx.slim .room{display:none}
-.svpx.slim .bar{border-bottom:0;margin:8px;border-radius:7px;box-shadow:0 1px 8px rgba(0,0,0,.35)}
-.svpx.slim .low{margin-top:-4px}
+.svpx.slim .bar{border-bottom:0;margin:6px 8px 0;border-radius:7px;box-shadow:0 1px 8px rgba(0,0,0,.35)}
 .svpx .low{min-height:27px;color:var(--mantine-color-dimmed);padding-top:3px;padding-bottom:3px;border-top:1px solid var(--mantine-color-default-border)}
 .svpx:not(.slim) .low{border-bottom:0}
 .svpx .low{flex-wrap:nowrap}
