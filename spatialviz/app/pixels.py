@@ -242,6 +242,10 @@ class Pixels:
             self.follow()
         else:
             self._correct.take_back(which)
+            view = self._state().labels
+            if view is not None:
+                self._tell(view.said, view.bad)
+            self.follow()
 
     # ---- saving -----------------------------------------------------------------------
 
@@ -337,6 +341,7 @@ class Pixels:
         selected = self._selected()
         if draft.number is not None and draft.number not in view.frame.objects:
             self._drafts.pop(self._key)
+            self._note(f"object {draft.number} stands no longer: what was drawn for it is dropped")
             self._open = None
             self.follow()
             return
