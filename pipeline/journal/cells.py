@@ -171,7 +171,8 @@ def shown_value(cell: Cell, value: Any) -> str:
     if cell.kind == "relation" and cell.field in PAIRWISE:
         return letter(value)
     if cell.field == "mask":
-        return f"a mask ({len(value)} characters)"
+        runs = run_lengths(value)
+        return "a mask" if isinstance(runs, str) else f"a mask ({int(runs[1::2].sum())} pixels)"
     if cell.kind == "review":
         state = value.get("value")
         return value["status"] if state is None else f"{value['status']}: {letter(state)}"

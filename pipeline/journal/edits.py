@@ -118,7 +118,7 @@ def merge_objects(frame: EffectiveFrame, numbers: Iterable[int], reason: str = "
     ids = list(dict.fromkeys(numbers))
     if len(ids) < 2:
         raise InputError("a merge needs two objects", got=ids)
-    mask = np.logical_or.reduce([_pixels(frame, n) for n in ids])
+    mask = np.logical_or.reduce([pixels_of(frame, n) for n in ids])
     note = reason or f"merged into object {ids[0]}"
     first = _object_edit(frame, ids[0], "mask", _code(frame, mask), reason or f"merged with {_listed(ids[1:])}")
     return (first, *(_object_edit(frame, n, "status", "rejected", note) for n in ids[1:]))
@@ -361,7 +361,8 @@ def _code(frame: EffectiveFrame, mask: np.ndarray | str) -> str:
     return mask if isinstance(mask, str) else encode_run_length(pixels)
 
 
-def _pixels(frame: EffectiveFrame, number: int) -> np.ndarray:
+def pixels_of(frame: EffectiveFrame, number: int) -> np.ndarray:
+    """(H, W) bool: an object's mask, or the filled 2D box where it has none; InputError where there is no object."""
     from pipeline.proposals.annotations import box_mask
 
     row = _row(frame, number)

@@ -19,6 +19,8 @@ from dataclasses import asdict, dataclass
 import viser
 
 from spatialviz.app.label_style import LABEL_CSS
+from spatialviz.app.pixels_script import PIXELS_SCRIPT
+from spatialviz.app.pixels_style import PIXELS_CSS
 from spatialviz.app.run_style import FIELD_SCRIPT, RUN_CSS
 from spatialviz.app.style import CSS, SCRIPT
 
@@ -64,8 +66,10 @@ class Bridge:
         gui = self._client.gui
         bus = gui.add_text("bus", "", visible=False)
         uuid = bus._impl.uuid
-        script = html.escape((SCRIPT.replace("BUS_UUID", uuid) + ";" + FIELD_SCRIPT).replace("\n", " "), quote=True)
-        gui.add_html(f'{CSS}{RUN_CSS}{LABEL_CSS}<img src="" style="display:none" onerror="{script}">', order=-1000)
+        scripts = ";".join((SCRIPT.replace("BUS_UUID", uuid), FIELD_SCRIPT, PIXELS_SCRIPT))
+        script = html.escape(scripts.replace("\n", " "), quote=True)
+        styles = "".join((CSS, RUN_CSS, LABEL_CSS, PIXELS_CSS))
+        gui.add_html(f'{styles}<img src="" style="display:none" onerror="{script}">', order=-1000)
         self._tags = gui.add_html("", order=1000)
         self._memory = gui.add_html("", order=1001)
 

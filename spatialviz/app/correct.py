@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import viser
 
 from pipeline.correcting.cards import pair_card
+from pipeline.correcting.consequences import consequences
 from pipeline.correcting.desk import Desk, Outcome, Waiting
 from pipeline.correcting.scene import labelled_objects
 from pipeline.correcting.wording import action_said, conflict_said
@@ -97,8 +98,8 @@ class Correct:
             "relation-row": self.focus_relation,
             "next-row": lambda step: self.step_relation(int(step)),
             "swap": lambda _: self.swap(),
-            "take-back": lambda _: self._taken_back("undo"),
-            "bring-back": lambda _: self._taken_back("redo"),
+            "take-back": lambda _: self.take_back("undo"),
+            "bring-back": lambda _: self.take_back("redo"),
             "save-again": lambda _: self.save_again(),
         }
 
@@ -265,9 +266,13 @@ class Correct:
         self._draw()
 
     def _came_to(self, outcome: Outcome | None, verb: str, draw: bool = True) -> None:
+        before = self._state().labels
         self.renew()
         view = self._state().labels
-        said, bad = self._said = outcome_said(outcome, verb, None if view is None else view.frame)
+        said, bad = outcome_said(outcome, verb, None if view is None else view.frame)
+        if view is not None and before is not None and (followed := str(consequences(before.frame, view.frame))):
+            said = f"{said} · {followed}"
+        self._said = said, bad
         if view is not None:
             self._take(replace(self._state(), labels=replace(view, said=said, bad=bad)))
         self._note(said)
@@ -277,7 +282,8 @@ class Correct:
         if draw:
             self._draw()
 
-    def _taken_back(self, which: str) -> None:
+    def take_back(self, which: str) -> None:
+        """Take this person's newest action back ("undo"), or bring the last such back ("redo")."""
         desk = self.desk
         if desk is None or self._state().labels is None:
             return

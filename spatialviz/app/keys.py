@@ -58,6 +58,11 @@ LABEL_KEYS: tuple[tuple[str, str, str], ...] = (
     ("Shift+U", "Unsure of it", "unsure-item"),
     ("Shift+G", "Retrain on the labels as they are", "retrain"),
     ("X", "The pair the other way round", "swap"),
+    ("Shift+I", "Edit the pixels of the selected object", "px-tool:brush"),
+    ("Shift+X", "Cut the selected object in parts", "px-tool:cut"),
+    ("Shift+N", "New object, drawn on the picture", "px-new"),
+    ("Shift+T", "New object, by clicks in the scene", "px-new:scene"),
+    ("Shift+M", "Merge the selected object into the one before", "px-merge"),
     ("Ctrl+Z", "Undo", "take-back"),
     ("Ctrl+Y", "Redo", "bring-back"),
 )

@@ -39,6 +39,7 @@ from spatialviz.app.keeping import Keeping
 from spatialviz.app.keys import HelpDialog, add_keys, meant
 from spatialviz.app.layout import build, listed
 from spatialviz.app.paint import frame_colors
+from spatialviz.app.pixels import Pixels
 from spatialviz.app.place import Place
 from spatialviz.app.retrain_panel import RetrainPanel
 from spatialviz.app.review_queue import ReviewQueue
@@ -97,7 +98,9 @@ class Session:
         self.page = build(client, self.bridge, tuple(store.sources), source, ids, bool(runs), bool(journals))
         self.scene = SceneView(
             client,
-            on_ray=lambda pixel, boxes: self.bridge.post(lambda: self._selection.select_on_ray(pixel, boxes)),
+            on_ray=lambda pixel, boxes: self.bridge.post(
+                lambda: None if self._pixels.on_ray(pixel) else self._selection.select_on_ray(pixel, boxes)
+            ),
         )
         self._selection = Selection(self._now, self._take, self._draw, self.scene.viewpoint.focus)
         reach = (self._source, self._now, self._take)
@@ -113,6 +116,10 @@ class Session:
             client, self.page, desks, state=self._now, take=self._take, draw=self._draw,
             ask=lambda: self._open_frame(self.state.frame_id, first=True, asking=self.state.text),
             open_frame=self._open_frame, note=self._note,
+        )  # fmt: skip
+        self._pixels = Pixels(
+            client, self.scene, self._correct, self._selection, state=self._now, take=self._take, draw=self._draw,
+            note=self._note,
         )  # fmt: skip
         self._strings = ViewStrings(
             dialog, store.sources, runs or {}, self._runs, self.scene.viewpoint, state=self._now, take=self._take,
@@ -132,7 +139,7 @@ class Session:
         )  # fmt: skip
         parts = (
             self._selection, self._view, self._runs, self._what_if, self._strings, keeping, self._correct,
-            self._queue, self._retrain, dialog,
+            self._queue, self._retrain, self._pixels, dialog,
         )  # fmt: skip
         self._more = {name: run for part in parts for name, run in part.commands().items()}
         forward_inputs(self.page, self.post, self.bridge.alive)
@@ -447,6 +454,7 @@ class Session:
         self._correct.follow()
         self._queue.follow()
         self._retrain.draw()
+        self._pixels.follow()
         self.bridge.remember(state.at_place.said())
 
     def _draw_scene(self, live: bool = False) -> None:
