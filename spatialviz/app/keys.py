@@ -42,6 +42,7 @@ KEYS: tuple[tuple[str, str, str], ...] = (
     ("Shift+F", "Show or hide the decision map", "edit-map"),
     ("Ctrl+Z", "Take the last edit back", "edit-undo"),
     ("0", "Take all edits back", "edit-reset"),
+    ("Shift+M", "Correct the label that the verdict is by", "mend"),
     ("Shift+L", "Show the labels to correct them, or the answer again", "labels"),
     ("H", "List the keys (or ?)", "help"),
 )
@@ -54,6 +55,14 @@ LABEL_KEYS: tuple[tuple[str, str, str], ...] = (
     ("K", "Previous item of the queue", "next-item:-1"),
     ("I", "Next relation of the pair", "next-row:1"),
     ("X", "The pair the other way round", "swap"),
+    ("Shift+J", "Next expression", "next-expression:1"),
+    ("Shift+I", "Edit the expression's text", "edit-text"),
+    ("Shift+T", "The expression is true of the selected object, or not", "true-of:sure"),
+    ("Shift+U", "The expression may be true of the selected object, or not", "true-of:likely"),
+    ("Shift+B", "Several objects are an acceptable answer, or one", "ambiguous"),
+    ("Shift+M", "Mark the expression: label wrong, box wrong, neither", "mark:next"),
+    ("Shift+Y", "Accept the expression", "expression-status:accepted"),
+    ("Shift+N", "Reject the expression", "expression-status:rejected"),
     ("Ctrl+Z", "Undo", "take-back"),
     ("Ctrl+Y", "Redo", "bring-back"),
 )
