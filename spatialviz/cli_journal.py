@@ -122,7 +122,7 @@ class Correct:
     edits: Path
     """JSON: a list such as [{"edit": "relation", "frame": "000001/000000", "a": 2, "b": 5, "relation": "left",
     "to": "T", "reason": "..."}]; edits are class, status, mask, bbox, box, new, merge, split, relation, text, answers,
-    ambiguous, mark, note."""
+    ambiguous, mark, note, and value: any one field as the journal keeps it (kind, key, field, to)."""
     author: str
     """Who says so."""
     journal: OmitArgPrefixes[JournalOptions] = JournalOptions()

@@ -7,12 +7,11 @@ from datetime import datetime, timezone
 
 from pipeline.correcting.disputes import Dispute, disputes
 from pipeline.errors import InputError
-from pipeline.journal.cells import Cell, shown_value
 from pipeline.journal.effective_frame import EffectiveFrame
 from pipeline.journal.events import Conflict
-from pipeline.relations import PHRASE
 from spatialviz.app.correct import Correct
 from spatialviz.app.dialog import Dialog
+from spatialviz.app.label_words import said_cell, said_value
 from spatialviz.app.text import safe
 
 
@@ -79,7 +78,7 @@ def conflict_html(found: tuple[Dispute, ...], frame: EffectiveFrame | None) -> s
         if event is None:
             theirs, who = "not what you saw", "It was taken back in the meantime"
         else:
-            theirs = shown_value(cell, event.after)
+            theirs = said_value(cell, event.after, frame)
             who = f"<b>{safe(event.author)}</b> changed it {safe(_when(event.time))}"
             who += f" · {safe(event.reason)}" if event.reason else ""
         buttons = ""
@@ -91,32 +90,14 @@ def conflict_html(found: tuple[Dispute, ...], frame: EffectiveFrame | None) -> s
             )
         rows.append(
             f'<div class="dispute"><div class="what">{safe(said_cell(cell, frame))}</div><div class="dim">{who}</div>'
-            f'<div class="two"><span>you saw</span><b>{safe(shown_value(cell, edit.before))}</b>'
+            f'<div class="two"><span>you saw</span><b>{safe(said_value(cell, edit.before, frame))}</b>'
             f"<span>theirs</span><b>{safe(theirs)}</b>"
-            f"<span>yours</span><b>{safe(shown_value(cell, edit.after))}</b></div>{buttons}</div>"
+            f"<span>yours</span><b>{safe(said_value(cell, edit.after, frame))}</b></div>{buttons}</div>"
         )
     said = "Nothing of yours was saved, and nothing of theirs is lost." if len(found) == 1 else (
         "Nothing of yours was saved yet, and nothing of theirs is lost. Choose for each field."
     )
     return f'<div class="conflict"><div>{said}</div>{"".join(rows)}</div>'
-
-
-def said_cell(cell: Cell, frame: EffectiveFrame | None) -> str:
-    """A field in words, with the classes of the objects."""
-
-    def name(number: int) -> str:
-        row = None if frame is None else frame.objects.get(number) or frame.left_out.get(number)
-        return f"{'object' if row is None else row['label']}·{number}"
-
-    if cell.kind == "relation":
-        a, b = cell.numbers
-        return f"{name(a)} {PHRASE.get(cell.field, cell.field)} {name(b)}"
-    if cell.kind == "object":
-        return f"{cell.field} of {name(cell.numbers[0])}"
-    row = None if frame is None else frame.expression(cell.key)
-    if cell.kind == "expression" and row is not None:
-        return f"{cell.field} of “{row['text']}”"
-    return f"{cell.field} of the {cell.kind}"
 
 
 def _when(time: datetime) -> str:

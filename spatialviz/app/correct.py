@@ -19,6 +19,7 @@ from pipeline.journal.effective_frame import EffectiveFrame
 from pipeline.journal.events import Conflict, Event, Saved
 from pipeline.relations import F, T, U
 from spatialviz.app.label_view import LabelView
+from spatialviz.app.label_words import said_cell, said_events
 from spatialviz.app.layout import Page
 from spatialviz.app.place import Place
 from spatialviz.app.review_html import pair_html, review_head_html
@@ -145,6 +146,8 @@ class Correct:
             self.refuse(str(error))
             return
         self._take(_looking_at(replace(state.unasked, labels=None), LabelView(frame)))
+        if desk.disputed:
+            self.on_conflict()
 
     def renew(self) -> None:
         """Look at the labels again after they changed; what is selected and chosen stays by its number."""
@@ -226,7 +229,8 @@ class Correct:
 
     def came_to(self, outcome: Outcome | None, verb: str) -> None:
         """Show what came of an action."""
-        self.tell(*outcome_said(outcome, verb))
+        view = self._state().labels
+        self.tell(*outcome_said(outcome, verb, None if view is None else view.frame))
         if isinstance(outcome, Conflict):
             self.on_conflict()
 
@@ -243,7 +247,7 @@ class Correct:
         """Others have saved something in a frame: look at it, and say who did what."""
         state = self._state()
         if state.labels is not None and state.frame_id == frame and state.labels.frame.last < events[-1].id:
-            self.tell(news_said(events))
+            self.tell(f"{events[-1].author}: {said_events(events[::-1], state.labels.frame)}")
 
     def frame_of(self, conflict: Conflict) -> EffectiveFrame | None:
         """The labels of the frame that a conflict is in, as they are now; None where they cannot be read."""
@@ -305,19 +309,14 @@ class Correct:
         self._client.add_notification("Not done", safe(problem), auto_close_seconds=8)
 
 
-def news_said(events: tuple[Event, ...]) -> str:
-    """What others changed, in one line: the newest edit, and how many more."""
-    more = len(events) - 1
-    return f"{events[-1].author}: {events[-1]}" + (f" (and {more} more)" if more else "")
-
-
-def outcome_said(outcome: Outcome | None, verb: str) -> tuple[str, bool]:
+def outcome_said(outcome: Outcome | None, verb: str, frame: EffectiveFrame | None = None) -> tuple[str, bool]:
     """What came of an action in words, and whether it was not done."""
     if isinstance(outcome, Saved):
-        first, more = outcome.events[0], len(outcome.events) - 1
-        return f"{verb}: {first}" + (f" (and {more} more)" if more else ""), False
+        return f"{verb}: {said_events(outcome.events, frame)}", False
     if isinstance(outcome, Conflict):
-        return "not saved, somebody was faster: " + "; ".join(map(str, outcome.rivals)), True
+        rival = outcome.rivals[0]
+        who = "somebody" if rival.event is None else rival.event.author
+        return f"not saved, {who} was faster: {said_cell(rival.edit.cell, frame)}", True
     if isinstance(outcome, Waiting) and verb == "taken back":
         return "taken back before it was saved", False
     if isinstance(outcome, Waiting):

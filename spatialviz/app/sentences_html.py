@@ -6,8 +6,8 @@ from pipeline.correcting.event_lines import EventLine
 from pipeline.correcting.expression_cards import ExpressionCard
 from pipeline.palette import RGB, hex_color, palette
 from pipeline.relations import PHRASE
-from spatialviz.app.conflict import said_cell
 from spatialviz.app.label_view import LabelView
+from spatialviz.app.label_words import said_cell, said_value
 from spatialviz.app.state import State
 from spatialviz.app.text import BAD, DOUBT, GOOD, dot, heading, note, panel, safe
 
@@ -48,7 +48,7 @@ def sentence_html(state: State) -> str:
         '<div class="sets">',
         f"<label>true of</label>{_answers(state, view, card)}",
         f"<label>selected</label>{_selected(state, view, card)}",
-        f"<label>it is</label>{_verdicts(card)}",
+        _verdicts(card),
         "</div>",
         said,
     ]
@@ -115,7 +115,7 @@ def _verdicts(card: ExpressionCard) -> str:
             for mark, words in MARKED.items()
         ),
     ]
-    return f'<div class="acts">{"".join(cells)}</div>'
+    return f'<div class="acts all">{"".join(cells)}</div>'
 
 
 def _hint(card: ExpressionCard, field: str, key: str) -> str:
@@ -184,7 +184,7 @@ def history_html(state: State) -> str:
 
 def _event(view: LabelView, line: EventLine) -> str:
     event = line.event
-    before, after = line.change
+    before, after = (said_value(event.cell, value, view.frame) for value in (event.before, event.after))
     what = said_cell(event.cell, view.frame)
     change = f"{safe(before)} → <b>{safe(after)}</b>"
     when = event.time.astimezone().strftime("%d %b %H:%M:%S")

@@ -19,6 +19,8 @@ SENTENCES_CSS = """<style>
 .sv .sets>label{color:var(--mantine-color-dimmed)}
 .sv .acts{display:flex;flex-wrap:wrap;gap:4px;font-size:11.5px}
 .sv .acts span{border:1px solid var(--mantine-color-default-border);border-radius:4px;padding:0 7px;line-height:19px;cursor:pointer;white-space:nowrap;color:var(--mantine-color-dimmed)}
+.sv .acts.all{grid-column:1/-1;flex-wrap:nowrap;padding-top:1px}
+.sv .acts.all span{flex:1 1 auto;text-align:center;padding:0 3px}
 .sv .acts span:hover{color:var(--mantine-color-text);background:var(--mantine-color-default-hover)}
 .sv .acts .on{color:var(--mantine-color-text);border-color:var(--c,var(--mantine-primary-color-filled));background:color-mix(in srgb,var(--c,var(--mantine-primary-color-filled)) 22%,transparent)}
 .sv .ex{border-radius:4px;padding:3px 6px;margin:0 -6px;cursor:pointer}
@@ -45,6 +47,8 @@ SENTENCES_CSS = """<style>
 .sv .dispute .seg{max-width:260px}
 .sv .seg.pick span{cursor:pointer}
 .sv .mend{margin-left:auto;flex:none}
+.sv .under{display:flex;gap:8px;align-items:center;justify-content:space-between}
+.sv .under>span:first-child{min-width:0;overflow:hidden;text-overflow:ellipsis;white-space:nowrap}
 </style>"""
 
 SENTENCES_SCRIPT = r"""

@@ -33,7 +33,7 @@ def verdict_line(state: State) -> str:
         detail = "lucky" if d.lucky else d.detail
         return (
             f'<div class="vline" onclick="svTab(\'Why\')" title="{safe(state.judged.said)}">'
-            f"{verdict_chip(d.verdict, detail)}<span>{safe(state.judged.said)}</span>{mend_button(state)}</div>"
+            f"{verdict_chip(d.verdict, detail)}<span>{safe(state.judged.said)}</span></div>"
         )
     return ""
 
