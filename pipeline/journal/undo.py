@@ -6,8 +6,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from pipeline.errors import InputError
-from pipeline.journal.events import Conflict, Edit, Event, Saved
+from pipeline.journal.events import Conflict, Event, Saved
 from pipeline.journal.journal import Journal
+from pipeline.journal.taking_back import edits_back
 
 
 @dataclass(frozen=True)
@@ -52,8 +53,8 @@ def undo(journal: Journal, author: str, *, group: str | None = None) -> Saved | 
     Returns
     -------
     Saved, Conflict or None
-        None where there is nothing to take back; Conflict where somebody has
-        edited one of its cells since: then nothing is changed.
+        None where there is nothing to take back; Conflict where one of its
+        cells was edited since, and that still stands: then nothing is changed.
 
     Raises
     ------
@@ -80,9 +81,7 @@ def _take_back(
     if not stack:
         return None
     members = stack[-1]
-    edits = [
-        Edit(e.cell, before=e.after, after=e.before, base=e.version, reason=e.reason, anchor=e.anchor) for e in members
-    ]
+    edits = edits_back(journal, members)
     return journal.write(
         edits, author, "undo" if action == "undo" else "redo", undo_of=[e.ulid for e in members]
     )
