@@ -22,7 +22,7 @@ from spatialviz.cli_detect import Calibrate, Detect
 from spatialviz.cli_eval import BenchEval, Eval
 from spatialviz.cli_journal import Correct, Effective, Redo, ShowJournal, Undo
 from spatialviz.cli_labels import BenchLabel, Check, Export, Label, Merge
-from spatialviz.cli_review import BenchReview, Retrain, Review
+from spatialviz.cli_review import BenchReview, Install, Retrain, Review
 from spatialviz.cli_runs import Failures, Query
 from spatialviz.cli_training import Train
 from spatialviz.cli_view import View
@@ -272,6 +272,7 @@ Command = Union[
     Annotated[Effective, subcommand("effective")],
     Annotated[Train, subcommand("train")],
     Annotated[Retrain, subcommand("retrain")],
+    Annotated[Install, subcommand("install")],
     Annotated[Detect, subcommand("detect")],
     Annotated[Calibrate, subcommand("calibrate")],
     Annotated[Eval, subcommand("eval")],

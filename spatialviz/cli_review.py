@@ -5,13 +5,14 @@ from __future__ import annotations
 import os
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Annotated, Literal
 
-from tyro.conf import Positional
+from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from pipeline.errors import InputError
+from spatialviz.cli_journal import DatasetOptions, JournalOptions
 from spatialviz.exits import FINE, NO
-from spatialviz.options import print_json
+from spatialviz.options import four_numbers, print_json
 
 Features = Literal["2d", "3d", "canon", "rel14"]
 
@@ -79,14 +80,22 @@ class Review:
 
 @dataclass(frozen=True)
 class Retrain:
-    """Train relation networks on labels before and after they were mended, and compare them on held-out frames."""
+    """Train relation networks on labels before and after they were mended, and compare them on held-out frames.
 
-    before: Positional[Path]
-    """Labels folder as it was."""
-    after: Positional[Path]
-    """Labels folder as it is."""
-    out: Path
-    """ONNX file of the network after; beside it its card (.json) and the comparison (.comparison.json, .md)."""
+    The labels after are those of the folder AFTER, or LABELS with the corrections of their journal; with --run, the run
+    is made again with the mended labels and the new network."""
+
+    labels: Positional[Path]
+    """Labels folder as it was made."""
+    after: Positional[Path | None] = None
+    """Labels folder as it is. Default: the labels with the journal's corrections."""
+    out: Path = Path("retrained")
+    """With AFTER an ONNX file, beside which its card and the comparison are written; else a new folder, which gets the
+    mended labels and the runs, too."""
+    run_folder: Annotated[Path | None, arg(name="run")] = None
+    """A run that `eval` wrote on these labels, made again."""
+    source: OmitArgPrefixes[DatasetOptions] = DatasetOptions()
+    journal: OmitArgPrefixes[JournalOptions] = JournalOptions()
     features: Features = "rel14"
     """What the networks are given of a pair."""
     epochs: int = 10
@@ -97,30 +106,77 @@ class Retrain:
     """Default: scene where there are at least three, else blocks of camera positions. random leaks."""
     seed: int = 0
     """Of the split and of both networks."""
+    workers: int = os.cpu_count() or 1
+    """Processes at once, with --run."""
     json: bool = False
-    """Print the comparison as one JSON object."""
+    """Print one JSON object."""
 
     def run(self) -> int:
         from pipeline.labels.reading import open_labels
+        from pipeline.review.circle import CircleJob, run_circle
         from pipeline.review.retraining import RetrainConfig, retrain
         from pipeline.srm.features import CLI_FEATURES
         from pipeline.srm.train import TrainConfig
         from spatialviz.printing import progress_bars
-        from spatialviz.printing_review import print_retraining
+        from spatialviz.printing_review import print_circle, print_retraining
 
         train = TrainConfig(CLI_FEATURES[self.features], epochs=self.epochs, batch=self.batch, seed=self.seed)
+        config = RetrainConfig(train, self.split)
+        if self.after is None:
+            options = {
+                "intrinsics": four_numbers(self.source.intrinsics), "depth_scale": self.source.depth_scale
+            }
+            job = CircleJob(
+                self.labels, self.out, self.journal.journal, self.journal.project, self.source.dataset, options,
+                self.run_folder, config, self.workers,
+            )  # fmt: skip
+            with progress_bars() as advance:
+                circle = run_circle(job, advance)
+            if self.json:
+                print_json(circle.record())
+            else:
+                print_circle(circle)
+            return FINE
+        if self.run_folder is not None:
+            raise InputError("--run goes with the labels' own journal, not with AFTER")
+        if self.out.suffix != ".onnx":
+            raise InputError("with AFTER, --out is the ONNX file to write", got=str(self.out))
         with progress_bars() as advance:
             found = retrain(
-                open_labels(self.before),
+                open_labels(self.labels),
                 open_labels(self.after),
                 self.out,
-                RetrainConfig(train, self.split),
+                config,
                 progress=lambda name, epoch: advance(f"epochs {name}", epoch.number, self.epochs),
             )
         if self.json:
             print_json(found.record())
         else:
             print_retraining(found, self.out)
+        return FINE
+
+
+@dataclass(frozen=True)
+class Install:
+    """Install a relation network under a name that --srm takes."""
+
+    network: Positional[Path]
+    """ONNX file that `train` or `retrain` wrote."""
+    name: str
+    """Letters, digits, and . _ -"""
+    overwrite: bool = False
+    """Replace a network of that name."""
+    json: bool = False
+    """Print one JSON object."""
+
+    def run(self) -> int:
+        from pipeline.srm.installed import install_network
+
+        done = install_network(self.network, self.name, overwrite=self.overwrite)
+        if self.json:
+            print_json({"name": done.name, "path": str(done.path)})
+        else:
+            print(f"--srm {done.name} is now {done.path}")
         return FINE
 
 

@@ -15,6 +15,7 @@ from spatialviz.printing_eval import print_table
 if TYPE_CHECKING:
     import pyarrow as pa
 
+    from pipeline.review.circle import Circle
     from pipeline.review.retraining import Retraining
 
 SHOWN_CELLS = 5
@@ -65,6 +66,26 @@ def print_retraining(found: Retraining, out: Path) -> None:
                 f"{cell['before']:.2f} -> {cell['after']:.2f}"
             )
     console.print(Text(f"-> {out}, {out.with_suffix('.comparison.md')}", "dim"))
+
+
+def print_circle(circle: Circle) -> None:
+    """What the corrections did: to the labels, to the network, to the answers."""
+    console = make_console()
+    made = circle.corrections
+    console.print(f"{made['events']} events of the journal")
+    print_retraining(circle.retraining, circle.network)
+    if circle.in_use is not None:
+        before, after = circle.in_use.before.micro_f1, circle.in_use.after.micro_f1
+        new = f"the new one {after.value:.1%}"
+        console.print(f"the network in use: micro-F1 {before.value:.1%} on the same pairs; {new}")
+    for title, found in (("the labels alone", circle.mended), ("the new network", circle.replay)):
+        if found is not None:
+            gain = found.differences[found.measure]
+            console.print(
+                f"{title}: {len(found.fixed)} answers became right, {len(found.broken)} wrong, of {found.shared} "
+                f"({gain.value * 100:+.1f} points [{gain.low * 100:.1f}, {gain.high * 100:.1f}])"
+            )
+    console.print(Text(f"-> {circle.folder}; spatialviz install {circle.network} --name NAME takes it into use", "dim"))
 
 
 def print_review_bench(record: dict[str, Any]) -> None:

@@ -203,6 +203,12 @@ class Journal:
         with reading(self.engine) as connection:
             return self._select(connection, EVENTS.c.id > after, *wanted, last=last)
 
+    def count(self) -> int:
+        """How many events there are; InputError where the journal cannot be read."""
+        with reading(self.engine) as connection:
+            wanted = sa.select(sa.func.count()).select_from(EVENTS).where(EVENTS.c.project == self.project)
+            return int(connection.execute(wanted).scalar_one())
+
     def heads(self, cells: Sequence[Cell]) -> dict[Cell, Event]:
         """The newest event of each of the cells that has any; InputError where the journal cannot be read."""
         with reading(self.engine) as connection:

@@ -18,6 +18,7 @@ from dataclasses import asdict, dataclass
 
 import viser
 
+from spatialviz.app.label_style import LABEL_CSS
 from spatialviz.app.run_style import FIELD_SCRIPT, RUN_CSS
 from spatialviz.app.sentences_style import SENTENCES_CSS, SENTENCES_SCRIPT
 from spatialviz.app.style import CSS, SCRIPT
@@ -68,7 +69,8 @@ class Bridge:
         uuid = bus._impl.uuid
         whole = ";".join((SCRIPT.replace("BUS_UUID", uuid), FIELD_SCRIPT, SENTENCES_SCRIPT))
         script = html.escape(whole.replace("\n", " "), quote=True)
-        gui.add_html(f'{CSS}{RUN_CSS}{SENTENCES_CSS}<img src="" style="display:none" onerror="{script}">', order=-1000)
+        style = f"{CSS}{RUN_CSS}{LABEL_CSS}{SENTENCES_CSS}"
+        gui.add_html(f'{style}<img src="" style="display:none" onerror="{script}">', order=-1000)
         self._tags = gui.add_html("", order=1000)
         self._memory = gui.add_html("", order=1001)
         self._errand = gui.add_html("", order=1002)

@@ -45,7 +45,7 @@ class Conflicts:
         found = disputes(conflict, desk.corrector.setting)
         self._dialog.show(
             "Somebody was faster", conflict_html(found, frame),
-            *([] if len(found) > 1 else [("Keep theirs (T)", "sv('decide:')"), ("Mine instead (M)", "sv('decide:0')")]),
+            *([] if len(found) > 1 else [("Mine instead (M)", "sv('decide:0')"), ("Keep theirs (T)", "sv('decide:')")]),
             *([("Save as chosen", "svDecide()")] if len(found) > 1 else []),
         )  # fmt: skip
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import viser
 
@@ -18,6 +18,7 @@ from pipeline.journal.edits import Edits, set_relation
 from pipeline.journal.effective_frame import EffectiveFrame
 from pipeline.journal.events import Conflict, Event, Saved
 from pipeline.relations import F, T, U
+from pipeline.review.items import ItemKey
 from spatialviz.app.label_view import LabelView
 from spatialviz.app.label_words import said_cell, said_events
 from spatialviz.app.layout import Page
@@ -27,6 +28,26 @@ from spatialviz.app.state import Shown, State
 from spatialviz.app.text import safe
 
 LETTERS = {"T": T, "U": U, "F": F}
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What of the labels is to be looked at.
+
+    Attributes
+    ----------
+    frame : str
+    objects : tuple of int
+        Numbers: of one object, or of a pair.
+    relation : str or None
+    item : ItemKey or None
+        The item of the review queue that it is.
+    """
+
+    frame: str
+    objects: tuple[int, ...] = ()
+    relation: str | None = None
+    item: ItemKey | None = None
 
 
 class Correct:
@@ -45,6 +66,8 @@ class Correct:
     draw : callable
     ask : callable
         Asks the question of the state again, where labels are shown no longer.
+    open_frame : callable
+        Shows another frame, with its labels where `stays` says so.
     note : callable
         Writes a line of the log.
     """
@@ -59,18 +82,22 @@ class Correct:
         take: Callable[[State], None],
         draw: Callable[[], None],
         ask: Callable[[], None],
+        open_frame: Callable[[str], None],
         note: Callable[[str], None],
     ) -> None:
         self._client, self._page, self._openers = client, page, desks
         self._state, self._take, self._draw, self._ask, self._note = state, take, draw, ask, note
+        self._open_frame = open_frame
         self._desks: dict[str, Desk] = {}
         self._author = ""
         self.on_conflict: Callable[[], None] = lambda: None
+        self._wanted: Wanted | None = None
 
     def commands(self) -> dict[str, Callable[[str], None]]:
         """What the page may ask for, by the first word of its message."""
         return {
             "labels": lambda _: self.toggle(),
+            "labels-at": self.look_at_said,
             "settle": self.settle,
             "relation-row": self.focus_relation,
             "next-row": lambda step: self.step_relation(int(step)),
@@ -120,6 +147,26 @@ class Correct:
             desk.sign(name)
         self._author = name
 
+    @property
+    def stays(self) -> bool:
+        """Whether a frame that is opened shows its labels."""
+        return self._state().labels is not None or self._wanted is not None
+
+    def look_at_said(self, said: str) -> None:
+        """Show a pair: "a,b,relation,frame"."""
+        parts = said.split(",", 3)
+        if len(parts) == 4 and parts[0].isdecimal() and parts[1].isdecimal():
+            self.look_at(Wanted(parts[3], (int(parts[0]), int(parts[1])), parts[2] or None))
+
+    def look_at(self, wanted: Wanted) -> None:
+        """Show the labels of a frame, and in it a pair or an object."""
+        self._wanted = wanted
+        if wanted.frame == self._state().frame_id:
+            self.show()
+            self._draw()
+        else:
+            self._open_frame(wanted.frame)
+
     def toggle(self) -> None:
         """Show the labels, or the answer again."""
         if self._state().labels is not None:
@@ -132,6 +179,7 @@ class Correct:
     def show(self) -> None:
         """Show the labels of the frame that is looked at, where there are any."""
         state, desk = self._state(), self.desk
+        wanted, self._wanted = self._wanted, None
         if desk is None:
             self.refuse("no labels are open: `spatialviz view DATASET --labels LABELS`")
             return
@@ -145,9 +193,17 @@ class Correct:
         except InputError as error:
             self.refuse(str(error))
             return
-        self._take(_looking_at(replace(state.unasked, labels=None), LabelView(frame)))
-        if desk.disputed:
-            self.on_conflict()
+        view = LabelView(frame)
+        if wanted is None or wanted.frame != frame.frame:
+            self._take(_looking_at(replace(state.unasked, labels=None), view))
+            if desk.disputed:
+                self.on_conflict()
+            return
+        view = replace(view, relation=wanted.relation, item=wanted.item)
+        standing = [n for n in wanted.objects if n in frame.objects]
+        chosen = tuple(standing) if len(standing) > 1 else None
+        selected = standing[0] if standing else None
+        self._take(_looking_at(replace(state.unasked, labels=None), view, chosen, selected))
 
     def renew(self) -> None:
         """Look at the labels again after they changed; what is selected and chosen stays by its number."""

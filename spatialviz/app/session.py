@@ -9,6 +9,7 @@ from datetime import datetime
 from typing import Any
 
 import viser
+from platformdirs import user_data_path
 
 from pipeline.ask import Trace
 from pipeline.correcting.desk import Desk
@@ -39,6 +40,7 @@ from spatialviz.app.keys import HelpDialog, add_keys, meant
 from spatialviz.app.layout import build, listed
 from spatialviz.app.paint import frame_colors
 from spatialviz.app.place import Place
+from spatialviz.app.retrain_panel import RetrainPanel
 from spatialviz.app.run_browser import Listing
 from spatialviz.app.run_panel import RunPanel
 from spatialviz.app.scene import SceneView
@@ -110,7 +112,8 @@ class Session:
         desks = {name: self._opener(name, place, author) for name, place in (journals or {}).items()}
         self._correct = Correct(
             client, self.page, desks, state=self._now, take=self._take, draw=self._draw,
-            ask=lambda: self._open_frame(self.state.frame_id, first=True, asking=self.state.text), note=self._note,
+            ask=lambda: self._open_frame(self.state.frame_id, first=True, asking=self.state.text),
+            open_frame=self._open_frame, note=self._note,
         )  # fmt: skip
         spoken = sentences_and_conflicts(self._correct, dialog, self.bridge, self._now, self._take, self._draw)
         self._strings = ViewStrings(
@@ -121,9 +124,14 @@ class Session:
             client, dialog, store.sources, runs or {}, self._judge, opened_by, state=self._now,
             view=self._strings.now, note=self._note,
         )  # fmt: skip
+        self._retrain = RetrainPanel(
+            client, self.page, store.sources, runs or {}, journals or {}, user_data_path("spatialviz") / "retrained",
+            state=self._now, go=self._go, use=lambda name: self.handle(f"edit:set:scorer:{name}"), note=self._note,
+            post=self.bridge.post,
+        )  # fmt: skip
         parts = (
-            self._selection, self._view, self._runs, self._what_if, self._strings, keeping, self._correct, dialog,
-            *spoken,
+            self._selection, self._view, self._runs, self._what_if, self._strings, keeping, self._correct,
+            self._retrain, dialog, *spoken,
         )  # fmt: skip
         self._more = {name: run for part in parts for name, run in part.commands().items()}
         forward_inputs(self.page, self.post, self.bridge.alive)
@@ -136,6 +144,7 @@ class Session:
 
     def close(self) -> None:
         self._closed.set()
+        self._retrain.close()
         self.bridge.close()
 
     def post(self, message: str) -> None:
@@ -235,7 +244,7 @@ class Session:
         self._show_working("finding the objects")
         self._thumbs = {}
         self._painted = ()
-        correcting = self.state.labels is not None and asking is None
+        correcting = self._correct.stays and asking is None
         cleared = replace(self.state.unasked, frame_id=frame_id, problem="")
         try:
             loaded = self._store.load(self.state.source, frame_id)
@@ -437,6 +446,7 @@ class Session:
         self.fallback.update(state)
         self._runs.follow()
         self._correct.follow()
+        self._retrain.draw()
         self.bridge.remember(state.at_place.said())
 
     def _draw_scene(self, live: bool = False) -> None:
