@@ -116,9 +116,13 @@ class Desk:
         InputError
             The journal cannot be read.
         """
-        known = self._events.get(frame, ())
         journal = self.place.to_read()
-        return () if journal is None else journal.events(frame=frame, after=known[-1].id if known else 0)
+        return () if journal is None else journal.events(frame=frame, after=self.seen(frame))
+
+    def seen(self, frame: str) -> int:
+        """`id` of the newest saved event of a frame when it was last looked at; 0 where it has none."""
+        known = self._events.get(frame, ())
+        return known[-1].id if known else 0
 
     def _read(self, frame: str) -> tuple[Event, ...]:
         known = self._events.get(frame)

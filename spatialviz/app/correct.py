@@ -301,8 +301,11 @@ class Correct:
 
     def took(self, frame: str, events: tuple[Event, ...]) -> None:
         """Others have saved something in a frame: look at it, and say who did what."""
-        state = self._state()
-        if state.labels is not None and state.frame_id == frame and state.labels.frame.last < events[-1].id:
+        state, desk = self._state(), self.desk
+        if desk is None or state.labels is None or state.frame_id != frame:
+            return
+        events = tuple(e for e in events if e.id > desk.seen(frame))
+        if events:
             self.tell(f"{events[-1].author}: {said_events(events[::-1], state.labels.frame)}")
 
     def frame_of(self, conflict: Conflict) -> EffectiveFrame | None:
