@@ -299,6 +299,11 @@ class Correct:
         self._note(said)
         self._draw()
 
+    def refresh(self) -> None:
+        """Show what waits, and what it is made on, as it is now."""
+        self.renew()
+        self._draw()
+
     def took(self, frame: str, events: tuple[Event, ...]) -> None:
         """Others have saved something in a frame: look at it, and say who did what."""
         state, desk = self._state(), self.desk

@@ -37,7 +37,7 @@ class Watch:
         closed: threading.Event,
     ) -> None:
         self._correct, self._state, self._post, self._closed = correct, state, post, closed
-        self._problem = ""
+        self._told: object = None
         threading.Thread(target=self._work, daemon=True, name="labels-watch").start()
 
     def _work(self) -> None:
@@ -50,15 +50,16 @@ class Watch:
 
     def _save_again(self) -> None:
         desk = self._correct.open_desk
-        if desk is None or not desk.waiting:
+        if desk is None:
             return
-        for outcome in desk.retry():
+        for outcome in desk.retry() if desk.waiting else ():
             if not isinstance(outcome, Waiting):
-                self._problem = ""
                 self._post(lambda outcome=outcome: self._correct.came_to(outcome, "saved at last"))
-            elif outcome.problem != self._problem:
-                self._problem = outcome.problem
-                self._post(self._correct.follow)
+        # Another page of the same author may have saved or decided something, too.
+        kept = tuple((w.group, w.problem) for w in desk.waiting), desk.disputed
+        if kept != (self._told or ((), ())):
+            self._told = kept
+            self._post(self._correct.refresh)
 
     def _look(self) -> None:
         state, desk = self._state(), self._correct.open_desk
