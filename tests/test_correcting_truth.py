@@ -107,6 +107,25 @@ def test_a_wrong_label_fails_a_right_answer_and_correcting_it_mends_that(
     assert verdict() == "CORRECT"
 
 
+def test_who_accepts_an_ambiguous_expression_means_all_its_answers(
+    bare_corrector: Corrector, journal: Journal, source: Source, context: FrameContext
+) -> None:
+    frame = bare_corrector.frame(FRAME, journal)
+    truth = effective_truth(frame)
+    for case in truth.cases:
+        trace = source.ask(context, case.text)
+        answer = trace.ranking.pairs[0].target if trace.ranking and trace.ranking.pairs else None
+        others = [k for k in case.strict.tolist() if k != case.target_object]
+        if answer is None or not others or trace.objects[answer].id not in truth.numbers[others]:
+            continue
+        assert judged(frame, case.id, trace, source, context) == "LABEL"
+        status = Cell("expression", FRAME, case.id, "status")
+        saved(journal, edits.set_status(frame, status, "accepted"))
+        assert judged(bare_corrector.frame(FRAME, journal), case.id, trace, source, context) == "CORRECT"
+        return
+    raise AssertionError("no answer of the demo is another right one")
+
+
 def test_a_flipped_relation_changes_the_verdict_and_flipping_it_back_mends_it(
     bare_corrector: Corrector, journal: Journal, source: Source, context: FrameContext
 ) -> None:

@@ -73,13 +73,16 @@ def withdrawn_by(frame: EffectiveFrame, expression: str) -> str | None:
 
 
 def answered_case(frame: EffectiveFrame, truth: FrameCases, case: Case, trace: Trace) -> Case:
-    """The case by which an answer is judged, where a person has named the right targets of its expression.
+    """The case by which an answer is judged, where a person has named the right targets of its expression or has
+    accepted it with those that it has.
 
     They are all meant then, and not one of them alone: the labelled pair
     becomes that of the one that was answered, else it stays, or becomes that of
     the first one where its own target is no longer right.
     """
-    if frame.origin(Cell("expression", frame.frame, case.id, "targets")).source != "human" or not len(case.strict):
+    targets, status = (Cell("expression", frame.frame, case.id, field) for field in ("targets", "status"))
+    vouched = frame.origin(targets).source == "human" or frame.statuses.get(status) in ("accepted", "corrected")
+    if not vouched or not len(case.strict):
         return case
     target = case.target_object if case.target_object in case.strict else int(case.strict[0])
     if trace.ranking is not None and trace.ranking.pairs:
