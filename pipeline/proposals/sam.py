@@ -3,11 +3,13 @@
 A picture is scaled to a long side of 1024 and lies at the top left of a square.
 The encoder takes either that picture as it is ((h, w, 3), 0..255; what follows
 is in its graph), or the normalised square (1, 3, 1024, 1024), zero where the
-picture is not. A box is two points with the labels 2 and 3 in that frame,
-followed by the padding point 0, 0 with the label -1: with it an export of a
-single mask chooses the one for unambiguous prompts, which is the first of an
-export of four. This is what `SamPredictor.predict(box=..., multimask_output=False)`
-does (https://github.com/facebookresearch/segment-anything).
+picture is not. A box is two points with the labels 2 and 3 in that frame. Of an
+export of four masks the first is taken: exactly what
+`SamPredictor.predict(box=..., multimask_output=False)` does
+(https://github.com/facebookresearch/segment-anything). An export of a single
+mask chooses that one only where there are more than two points, and so gets the
+padding point 0, 0 with the label -1 as well; the network sees it, and the mask
+differs a little from the predictor's.
 
 The decoder's masks in picture size are not used where it gives those of 256x256
 too: segment-anything 1.0 freezes the crop of the padding at the aspect ratio of
@@ -29,6 +31,8 @@ from pipeline.proposals.prompted import best_mask, corners, resampled, stretched
 OPTION = "--segmenter sam"
 VERSION = "1"
 SIDE = 1024
+ALL_MASKS = 4
+"""Masks of an export that leaves the choice to its reader: the one for unambiguous prompts, then three others."""
 MEAN = np.array([123.675, 116.28, 103.53], np.float32)
 STD = np.array([58.395, 57.12, 57.375], np.float32)
 
@@ -99,7 +103,10 @@ class SamModel:
     def __init__(self, paths: Sequence[Path]) -> None:
         self.pair = open_pair(OPTION, paths, ENCODERS, DECODERS)
         (self._input,) = self.pair.encoder_inputs.values()
-        self._low_res = "low_res_masks" in self.pair.decoder_outputs()
+        outputs = self.pair.decoder_outputs()
+        self._low_res = "low_res_masks" in outputs
+        count = outputs["iou_predictions"].shape[-1:]
+        self._padded = count[0] != ALL_MASKS if count and isinstance(count[0], int) else None
 
     def fingerprint(self) -> str:
         return f"sam:{VERSION}:{self.pair.content_hash}"
@@ -117,12 +124,28 @@ class SamModel:
         return 1
 
     def decode(self, features: dict[str, np.ndarray], boxes: np.ndarray, height: int, width: int) -> np.ndarray:
+        if self._padded is None:
+            # Where the file does not declare how many masks it gives, a run tells.
+            _, scores = self._run(features, boxes, height, width, padded=True)
+            self._padded = scores.shape[-1] != ALL_MASKS
+        masks, scores = self._run(features, boxes, height, width, self._padded)
+        if masks.ndim == 4 and masks.shape[1] == ALL_MASKS:
+            return masks[:, 0]
+        return best_mask(masks, scores)
+
+    def _run(
+        self, features: dict[str, np.ndarray], boxes: np.ndarray, height: int, width: int, padded: bool
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Mask logits ((1, M, h, w)) and predicted IoUs ((1, M)) of one box."""
         new_height, new_width = resized_shape(height, width)
         points, labels = corners(boxes * np.array([new_width / width, new_height / height] * 2, np.float32))
+        if padded:
+            points = np.concatenate([points, np.zeros((1, 1, 2), np.float32)], axis=1)
+            labels = np.concatenate([labels, np.full((1, 1), -1, np.float32)], axis=1)
         feed = {
             **features,
-            "point_coords": np.concatenate([points, np.zeros((1, 1, 2), np.float32)], axis=1),
-            "point_labels": np.concatenate([labels, np.full((1, 1), -1, np.float32)], axis=1),
+            "point_coords": points,
+            "point_labels": labels,
             "mask_input": np.zeros((1, 1, 256, 256), np.float32),
             "has_mask_input": np.zeros(1, np.float32),
             "orig_im_size": np.array([height, width], np.float32),
@@ -130,11 +153,7 @@ class SamModel:
         outputs = ["masks", "iou_predictions", *(["low_res_masks"] if self._low_res else [])]
         masks, scores, *low_res = self.pair.decode(feed, outputs)
         # A low-resolution output of one value throughout is one that the file does not fill.
-        if low_res and np.ptp(low_res[0]) > 0:
-            masks = low_res[0]
-        if masks.ndim == 4 and masks.shape[1] == 4:
-            return masks[:, 0]
-        return best_mask(masks, scores)
+        return (low_res[0] if low_res and np.ptp(low_res[0]) > 0 else masks), scores
 
     def to_picture(self, logits: np.ndarray, height: int, width: int) -> np.ndarray:
         if logits.shape == (height, width) and logits.shape != (256, 256):
