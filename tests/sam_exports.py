@@ -126,7 +126,7 @@ def export_sam(folder: Path) -> Export:
         pixel_mean=[123.675, 116.28, 103.53],
         pixel_std=[58.395, 57.12, 57.375],
     )
-    shaken(sam, 1, 1.6)
+    shaken(sam, 1, 1.4)
 
     class Preprocessing(torch.nn.Module):
         """What samexporter puts before the encoder with --use-preprocess."""
