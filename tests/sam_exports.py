@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-
 SAM2_SIDE = 512
 """Of the SAM 2 made here; the public ones are 1024. The code is the same, and four times as fast."""
 
@@ -61,7 +60,9 @@ class Export:
     decoders: dict[str, Path]
 
 
-def save(module: Any, values: dict[str, Any], path: Path, outputs: list[str], axes: dict[str, Any] | None = None) -> Path:
+def save(
+    module: Any, values: dict[str, Any], path: Path, outputs: list[str], axes: dict[str, Any] | None = None
+) -> Path:
     """A module as ONNX with the names of its inputs as given."""
     import torch
 
@@ -128,11 +129,13 @@ def export_sam(folder: Path) -> Export:
     )
     shaken(sam, 1, 1.4)
 
+    mean, std = torch.tensor([123.675, 116.28, 103.53]), torch.tensor([58.395, 57.12, 57.375])
+
     class Preprocessing(torch.nn.Module):
         """What samexporter puts before the encoder with --use-preprocess."""
 
         def forward(self, image: Any) -> Any:
-            image = ((image - sam.pixel_mean.flatten()) / sam.pixel_std.flatten()).permute(2, 0, 1)
+            image = ((image - mean) / std).permute(2, 0, 1)
             height, width = image.shape[-2:]
             return sam.image_encoder(pad(image, (0, 1024 - width, 0, 1024 - height))[None])
 
@@ -222,7 +225,8 @@ def export_sam2(folder: Path) -> Export:
             return masks_of(fine, middle, coarse, input_points=points, input_labels=labels, input_boxes=boxes)
 
     square = torch.randn(1, 3, SAM2_SIDE, SAM2_SIDE)
-    fine, middle, coarse = (torch.randn(1, c, SAM2_SIDE // k, SAM2_SIDE // k) for c, k in ((32, 4), (64, 8), (256, 16)))
+    sizes = ((32, 4), (64, 8), (256, 16))
+    fine, middle, coarse = (torch.randn(1, c, SAM2_SIDE // k, SAM2_SIDE // k) for c, k in sizes)
     encoders = {
         "samexporter": save(
             Encoder(), {"image": square}, folder / "a.onnx", ["high_res_feats_0", "high_res_feats_1", "image_embed"]

@@ -85,7 +85,7 @@ def test_sam_is_what_the_official_predictor_gives(
     for mask, box in zip(masks, boxes, strict=True):
         reference, _, low_res = predictor.predict(box=box, multimask_output=False)
         logits = model.decode(segmenter._encoded(frame), box[None], *shape)[0]
-        assert_same(mask, reference[0], logits, low_res[0])
+        assert_same(mask, np.asarray(reference[0]), logits, np.asarray(low_res[0]))
 
 
 def test_an_export_of_one_mask_gets_the_padding_point(sam: Export, picture: Frame) -> None:
@@ -146,7 +146,7 @@ def test_the_contract_stub_gives_the_boxes_back(shared_data: Path, picture: Fram
     assert has_mask.all()
     v, u = np.mgrid[0 : picture.height, 0 : picture.width]
     for mask, (x0, y0, x1, y1) in zip(masks, boxes, strict=True):
-        assert iou(mask, (u > x0) & (u < x1) & (v > y0) & (v < y1)) > 0.97
+        assert iou(mask, (u > x0) & (u < x1) & (v > y0) & (v < y1)) > 0.95
 
 
 # EfficientSAM: the box of each query, drawn; the first and the last candidate are too small and too large.
@@ -166,7 +166,8 @@ def export_efficientsam(folder: Path, *, half: bool = False, queries: bool = Tru
             v = torch.arange(size[0])[:, None].float()
             u = torch.arange(size[1])[None].float()
             inside = torch.minimum(
-                torch.minimum(u - first[:, :, 0], last[:, :, 0] - u), torch.minimum(v - first[:, :, 1], last[:, :, 1] - v)
+                torch.minimum(u - first[:, :, 0], last[:, :, 0] - u),
+                torch.minimum(v - first[:, :, 1], last[:, :, 1] - v),
             )
             masks = torch.stack([inside - 9, inside + 9, inside], dim=2) + 0 * embeddings.float().mean()
             scores = torch.tensor([[[0.2, 0.5, 0.9]]]) + 0 * labels.sum(2, keepdim=True)
@@ -326,10 +327,8 @@ def declare(path: Path, inputs: dict[str, Any], outputs: dict[str, Any]) -> Path
     def value(name: str, kind: str, shape: Sequence[Any]) -> Any:
         return helper.make_tensor_value_info(name, getattr(TensorProto, kind), shape)
 
-    filled = [
-        helper.make_tensor(f"shape of {n}", TensorProto.INT64, [len(spec[1])], [d if isinstance(d, int) else 1 for d in spec[1]])
-        for n, spec in outputs.items()
-    ]
+    sizes = {n: [d if isinstance(d, int) else 1 for d in shape] for n, (_, shape) in outputs.items()}
+    filled = [helper.make_tensor(f"shape of {n}", TensorProto.INT64, [len(s)], s) for n, s in sizes.items()]
     graph = helper.make_graph(
         [helper.make_node("ConstantOfShape", [f"shape of {n}"], [n]) for n in outputs],
         "declared",
@@ -422,7 +421,7 @@ def test_a_question_is_answered_with_masks_of_sam(sam: Export, tmp_path: Path, p
 
 def test_a_run_names_both_files(tmp_path: Path) -> None:
     files = (tmp_path / "models/a.onnx", tmp_path / "models/b.onnx")
-    spec = EvalSpec("demo", tmp_path / "labels", {"segmenter": "sam", "segmenter_model": files}, "x")
+    spec = EvalSpec("demo", str(tmp_path / "labels"), {"segmenter": "sam", "segmenter_model": files}, "pipeline")
     record = json.loads(json.dumps(spec_record(spec, tmp_path)))
     assert record["options"]["segmenter_model"] == ["models/a.onnx", "models/b.onnx"]
     assert _read_spec(record, tmp_path).options["segmenter_model"] == files

@@ -56,11 +56,11 @@ class CachedSegmenter:
             else:
                 masks[i] = known
         if missing:
-            made, has_mask = self.segmenter.segment(frame, boxes[missing], [labels[i] for i in missing])
+            made, has_mask = self.segmenter.segment(frame, boxes[missing], [str(labels[i]) for i in missing])
             for i, mask, has in zip(missing, made, has_mask, strict=True):
                 masks[i] = mask & has
                 _store(paths[i], masks[i])
-        return masks, masks.any(axis=(1, 2))
+        return masks, np.asarray(masks.any(axis=(1, 2)))
 
     def path(self, frame: Frame, box: np.ndarray) -> Path:
         """Where the mask of a box ((4,) float32) is kept."""

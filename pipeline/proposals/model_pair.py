@@ -96,7 +96,7 @@ def declared(values: Iterable[Any]) -> tuple[TensorSpec, ...]:
     def shape(value: Any) -> tuple[int | str, ...]:
         return tuple(size if isinstance(size, int) else str(size or "?") for size in value.shape)
 
-    return tuple(TensorSpec(v.name, _DTYPES.get(v.type, v.type), shape(v)) for v in values)
+    return tuple(TensorSpec(v.name, _DTYPES.get(v.type, str(v.type)), shape(v)) for v in values)
 
 
 def run(session: Any, outputs: Sequence[str], feed: dict[str, np.ndarray], path: Path) -> list[np.ndarray]:

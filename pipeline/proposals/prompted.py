@@ -83,7 +83,7 @@ class PromptedSegmenter:
             boxes = np.clip(boxes, 0, np.array([frame.width, frame.height] * 2, np.float32))
             for i, logits in enumerate(self._logits(frame, boxes)):
                 masks[i] = self.model.to_picture(logits, frame.height, frame.width) > 0
-        return masks, masks.any(axis=(1, 2))
+        return masks, np.asarray(masks.any(axis=(1, 2)))
 
     def _logits(self, frame: Frame, boxes: np.ndarray) -> list[np.ndarray]:
         features = self._encoded(frame)
