@@ -4,44 +4,14 @@ from __future__ import annotations
 
 import warnings
 from dataclasses import dataclass
-from functools import lru_cache
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pytest
+from reference_code import import_reference
 
 SAM2_SIDE = 512
 """Of the SAM 2 made here; the public ones are 1024. The code is the same, and four times as fast."""
-
-
-@lru_cache(maxsize=1)
-def missing_operators() -> Any:
-    """Lets torchvision be imported where its compiled part is for another build of PyTorch.
-
-    Both reference libraries import it, and use of it only what is Python. What is returned must be kept.
-    """
-    import torch
-
-    spec = find_spec("torchvision")
-    if spec is None or not spec.submodule_search_locations:
-        return None
-    try:
-        for library in Path(spec.submodule_search_locations[0]).glob("_C*.so"):
-            torch.ops.load_library(str(library))
-    except OSError:
-        operators = torch.library.Library("torchvision", "FRAGMENT")
-        for name in ("nms", "qnms"):
-            operators.define(f"{name}(Tensor dets, Tensor scores, float iou_threshold) -> Tensor")
-        return operators
-
-
-def import_reference(name: str) -> Any:
-    """A reference library, or the test is skipped."""
-    missing_operators()
-    pytest.importorskip("torchvision", reason="the reference code needs torchvision: pip install 'spatialviz[dev]'")
-    return pytest.importorskip(name, reason=f"the reference code {name} is not installed")
 
 
 @dataclass(frozen=True)
@@ -214,7 +184,8 @@ def export_sam2(folder: Path) -> Export:
         """As samexporter: boxes are points with the labels 2 and 3."""
 
         def forward(self, coarse: Any, fine: Any, middle: Any, points: Any, labels: Any, mask: Any, has: Any) -> Any:
-            scores, masks, _ = masks_of(fine, middle, coarse, input_points=points[None], input_labels=labels.long()[None])
+            prompt = {"input_points": points[None], "input_labels": labels.long()[None]}
+            scores, masks, _ = masks_of(fine, middle, coarse, **prompt)
             # The file declares an empty mask prompt; using it keeps it an input of the graph.
             return masks[0] + 0 * mask.sum() * has.sum(), scores[0]
 
