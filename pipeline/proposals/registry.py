@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 from pipeline.errors import InputError
 from pipeline.naming import Synonyms
@@ -54,6 +55,29 @@ def _yolo_seg(request: DetectorRequest) -> Detector:
     return CachedDetector(YoloSegDetector(path, synonyms=request.synonyms, min_score=request.min_score))
 
 
+def _grounding_dino(request: DetectorRequest) -> Detector:
+    from pipeline.proposals.grounding_dino import GroundingDinoDetector
+
+    path = _needed(request, "grounding-dino", "an ONNX file with its tokenizer beside it")
+    return CachedDetector(
+        GroundingDinoDetector(path, default_labels=request.class_names, **_threshold(request))
+    )
+
+
+def _owl(kind: Literal["owlv2", "owlvit"]) -> Callable[[DetectorRequest], Detector]:
+    def make(request: DetectorRequest) -> Detector:
+        from pipeline.proposals.owl import OwlDetector
+
+        path = _needed(request, kind, "an ONNX file with its tokenizer.json beside it")
+        return CachedDetector(OwlDetector(path, kind, default_labels=request.class_names, **_threshold(request)))
+
+    return make
+
+
+def _threshold(request: DetectorRequest) -> dict[str, float]:
+    return {} if request.min_score is None else {"min_score": request.min_score}
+
+
 def _simulated(request: DetectorRequest) -> Detector:
     from pipeline.proposals.simulated import SimulatedDetector, read_options
 
@@ -75,6 +99,9 @@ DETECTORS: dict[str, Callable[[DetectorRequest], Detector]] = {
     "annotations": _annotations,
     "recorded": _recorded,
     "yolo-seg": _yolo_seg,
+    "grounding-dino": _grounding_dino,
+    "owlv2": _owl("owlv2"),
+    "owlvit": _owl("owlvit"),
     "simulated": _simulated,
 }
 
