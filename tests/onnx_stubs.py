@@ -32,13 +32,12 @@ def write_stub(
     *,
     opset: int = 17,
     external: bool = False,
-    more: Sequence[Any] = (),
 ) -> Path:
     """A model of these inputs whose outputs are constants."""
     weights = [numpy_helper.from_array(value, f"{name}_value") for name, value in outputs.items()]
     nodes = [helper.make_node("Identity", [f"{name}_value"], [name]) for name in outputs]
     graph = helper.make_graph(
-        [*nodes, *more],
+        nodes,
         "stub",
         [helper.make_tensor_value_info(n, kind, list(shape)) for n, (kind, shape) in inputs.items()],
         [

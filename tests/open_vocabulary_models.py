@@ -50,14 +50,15 @@ def grounding_dino(folder: Path) -> tuple[Any, Any]:
     torch.manual_seed(0)
     config = GroundingDinoConfig(
         backbone_config=SwinConfig(
-            image_size=64, embed_dim=12, depths=[1, 1, 1, 1], num_heads=[1, 1, 2, 2], window_size=4,
-            out_features=["stage2", "stage3", "stage4"],
+            image_size=64, embed_dim=12, depths=[1, 1, 1], num_heads=[1, 1, 2], window_size=4,
+            out_features=["stage2", "stage3"],
         ),
         text_config=BertConfig(
             vocab_size=1100, hidden_size=32, num_hidden_layers=1, num_attention_heads=2, intermediate_size=32,
             max_position_embeddings=256,
         ),
-        num_feature_levels=3, encoder_n_points=2, decoder_n_points=2, num_queries=60, d_model=32, encoder_layers=1, decoder_layers=2, encoder_ffn_dim=32, decoder_ffn_dim=32,
+        num_feature_levels=3, encoder_n_points=2, decoder_n_points=2, num_queries=60, d_model=32,
+        encoder_layers=1, decoder_layers=2, encoder_ffn_dim=32, decoder_ffn_dim=32,
         encoder_attention_heads=2, decoder_attention_heads=2, disable_custom_kernels=True,
     )  # fmt: skip
     tokenizer = BertTokenizer(vocab=bert_vocabulary(), do_lower_case=True)

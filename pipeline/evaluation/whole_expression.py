@@ -47,7 +47,7 @@ class WholeExpression(Protocol):
 
 @dataclass(frozen=True)
 class Referring:
-    """The detector fed the whole expression, as a sentence or as if it were a class name: its best box is the answer."""
+    """The detector fed the whole expression, as a sentence or as a class name: its best box is the answer."""
 
     detector: Detector
 

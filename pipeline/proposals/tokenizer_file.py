@@ -65,10 +65,7 @@ def load_tokenizer(path: Path) -> Any:
     if not path.is_file():
         raise InputError("there is no tokenizer file", path=path)
     try:
-        if path.suffix == ".txt":
-            tokenizer = _word_pieces(path)
-        else:
-            tokenizer = tokenizers.Tokenizer.from_file(str(path))
+        tokenizer = _word_pieces(path) if path.suffix == ".txt" else tokenizers.Tokenizer.from_file(str(path))
     except Exception as error:  # The library raises bare Exceptions.
         raise InputError("the tokenizer cannot be read", got=first_line(error), path=path) from error
     tokenizer.no_padding()
