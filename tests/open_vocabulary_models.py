@@ -48,8 +48,9 @@ def bert_vocabulary() -> dict[str, int]:
 def grounding_dino(folder: Path) -> tuple[Any, Any]:
     """The reference model and its tokenizer, whose file is written to the folder."""
     torch.manual_seed(0)
+    swin: Any = SwinConfig
     config = GroundingDinoConfig(
-        backbone_config=SwinConfig(
+        backbone_config=swin(
             image_size=64, embed_dim=12, depths=[1, 1, 1], num_heads=[1, 1, 2], window_size=4,
             out_features=["stage2", "stage3"],
         ),
@@ -98,19 +99,24 @@ class _Grounding(torch.nn.Module):
         super().__init__()
         self.model = model
 
-    def forward(self, pixels: Any, ids: Any, types: Any, valid: Any, pixel_mask: Any = None) -> Any:
+    def forward(self, pixels: Any, ids: Any, types: Any, valid: Any, pixel_mask: Any) -> Any:
         found = self.model(
             pixel_values=pixels, input_ids=ids, token_type_ids=types, attention_mask=valid, pixel_mask=pixel_mask
         )
         return found.logits, found.pred_boxes
 
 
-class _GroundingFromOutside(_Grounding):
+class _GroundingFromOutside(torch.nn.Module):
     """As the original code's export: the blocks of tokens are inputs."""
+
+    def __init__(self, model: Any) -> None:
+        super().__init__()
+        self.model = model
 
     def forward(self, pixels: Any, ids: Any, valid: Any, types: Any, positions: Any, blocks: Any) -> Any:
         self.blocks = blocks, positions
-        return super().forward(pixels, ids, types, valid.long())
+        found = self.model(pixel_values=pixels, input_ids=ids, token_type_ids=types, attention_mask=valid.long())
+        return found.logits, found.pred_boxes
 
 
 def export_grounding_dino(model: Any, path: Path, *, outside: bool = False) -> None:
@@ -165,7 +171,8 @@ def owl(kind: str, folder: Path) -> tuple[Any, Any]:
         # At the random start all scores are 0 or 1 and all boxes the whole picture.
         for layer in (model.class_head.logit_shift, model.class_head.logit_scale, model.box_head.dense2):
             layer.weight.mul_(0.03)
-    tokenizer = CLIPTokenizer(vocab=vocabulary, merges=merges, pad_token="!")
+    tokenizer_of: Any = CLIPTokenizer
+    tokenizer = tokenizer_of(vocab=vocabulary, merges=merges, pad_token="!")
     tokenizer.backend_tokenizer.save(str(folder / "tokenizer.json"))
     return model, tokenizer
 

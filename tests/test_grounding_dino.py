@@ -117,7 +117,8 @@ def test_detections_are_those_of_the_reference(
     text = "mug. hot dog. coffee mug. laptop."
     offsets = export.tokenizer(text, return_offsets_mapping=True)["offset_mapping"]
     starts = [text.index(n) if n != "mug" else 0 for n in plain]
-    inside = np.array([[s <= a and b <= s + len(n) and b > a for a, b in offsets] for s, n in zip(starts, plain, strict=True)])
+    stretches = [(s, s + len(n)) for s, n in zip(starts, plain, strict=True)]
+    inside = np.array([[s <= a < b <= e for a, b in offsets] for s, e in stretches])
     p = answer.logits.sigmoid()[0, queries, : len(offsets)].numpy()
     by_name = np.where(inside[None], p[:, None], 0).max(axis=2)
     assert found.label_index[place].tolist() == by_name.argmax(axis=1).tolist()

@@ -232,7 +232,8 @@ def test_half_precision_and_open_sizes(
     tmp_path: Path, exported: dict[str, Export], frame: Frame, kind: int
 ) -> None:
     dtype = np.float16 if kind == TensorProto.FLOAT16 else np.float32
-    inputs: dict[str, Any] = OWL | {"pixel_values": (kind, ("B", 3, "H", "W")), "input_ids": (TensorProto.INT32, ("L", "S"))}
+    inputs: dict[str, Any] = dict(OWL)
+    inputs |= {"pixel_values": (kind, ("B", 3, "H", "W")), "input_ids": (TensorProto.INT32, ("L", "S"))}
     outputs = {"logits": np.ones((1, 9, 1), dtype), "pred_boxes": np.full((1, 9, 4), 0.25, dtype)}
     path = write_stub(tmp_path / "model.onnx", inputs, outputs)
     tokenizer = exported["owlv2"].path.with_name("tokenizer.json")

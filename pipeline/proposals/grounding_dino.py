@@ -67,6 +67,8 @@ CONTRACTS = (
 )
 """Inputs that do not bear on an output may be missing, as exporters drop them."""
 PICTURES = ("pixel_values", "img")
+BOX_THRESHOLD, TEXT_THRESHOLD = 0.15, 0.10
+"""Those of the paper."""
 MAX_PER_NAME = 100
 
 
@@ -90,9 +92,9 @@ class GroundingDinoDetector:
     tokenizer : Path, optional
         By default tokenizer.json or vocab.txt in the file's folder or the one above.
     min_score : float
-        The box threshold: queries with no token above it are dropped. The paper's 0.15.
+        The box threshold: queries with no token above it are dropped.
     text_threshold : float
-        Queries with no name above it are dropped. The paper's 0.10.
+        Queries with no name above it are dropped.
     default_labels : sequence of str
         What is looked for where no names are asked for.
     nms_iou : float
@@ -118,8 +120,8 @@ class GroundingDinoDetector:
         path: str | Path,
         *,
         tokenizer: str | Path | None = None,
-        min_score: float = 0.15,
-        text_threshold: float = 0.10,
+        min_score: float = BOX_THRESHOLD,
+        text_threshold: float = TEXT_THRESHOLD,
         default_labels: Sequence[str] = (),
         nms_iou: float = NMS_IOU,
         k: int = MAX_PER_NAME,

@@ -34,6 +34,8 @@ MAX_QUERIES = 256
 SIDES = {"owlv2": 960, "owlvit": 768}
 """The side of the input where the file leaves it open: that of the base models."""
 PROMPT = "a photo of a {}"
+MIN_SCORE = 0.1
+"""That of the reference code."""
 MAX_PER_NAME = 100
 Kind = Literal["owlv2", "owlvit"]
 
@@ -97,7 +99,7 @@ class OwlDetector:
         kind: Kind = "owlv2",
         *,
         tokenizer: str | Path | None = None,
-        min_score: float = 0.1,
+        min_score: float = MIN_SCORE,
         default_labels: Sequence[str] = (),
         prompt: str = PROMPT,
         fill: float = 0.0,

@@ -56,26 +56,22 @@ def _yolo_seg(request: DetectorRequest) -> Detector:
 
 
 def _grounding_dino(request: DetectorRequest) -> Detector:
-    from pipeline.proposals.grounding_dino import GroundingDinoDetector
+    from pipeline.proposals.grounding_dino import BOX_THRESHOLD, GroundingDinoDetector
 
     path = _needed(request, "grounding-dino", "an ONNX file with its tokenizer beside it")
-    return CachedDetector(
-        GroundingDinoDetector(path, default_labels=request.class_names, **_threshold(request))
-    )
+    min_score = BOX_THRESHOLD if request.min_score is None else request.min_score
+    return CachedDetector(GroundingDinoDetector(path, min_score=min_score, default_labels=request.class_names))
 
 
 def _owl(kind: Literal["owlv2", "owlvit"]) -> Callable[[DetectorRequest], Detector]:
     def make(request: DetectorRequest) -> Detector:
-        from pipeline.proposals.owl import OwlDetector
+        from pipeline.proposals.owl import MIN_SCORE, OwlDetector
 
         path = _needed(request, kind, "an ONNX file with its tokenizer.json beside it")
-        return CachedDetector(OwlDetector(path, kind, default_labels=request.class_names, **_threshold(request)))
+        min_score = MIN_SCORE if request.min_score is None else request.min_score
+        return CachedDetector(OwlDetector(path, kind, min_score=min_score, default_labels=request.class_names))
 
     return make
-
-
-def _threshold(request: DetectorRequest) -> dict[str, float]:
-    return {} if request.min_score is None else {"min_score": request.min_score}
 
 
 def _simulated(request: DetectorRequest) -> Detector:
