@@ -82,7 +82,7 @@ def test_a_box_that_sinks_in_is_lifted_and_one_that_hangs_far_above_is_left_alon
 
 def test_where_only_a_wall_is_seen_there_is_nothing_to_stand_on() -> None:
     frame = table_scene()
-    context, objects = seen(frame)
+    _, objects = seen(frame)
     wall = FrameContext(replace(frame, depth=np.full_like(frame.depth, 2.0)))
     box = objects[3].lifted.box
     assert box is not None

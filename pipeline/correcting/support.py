@@ -82,7 +82,7 @@ class _Level:
 
 @dataclass(frozen=True)
 class _Candidate:
-    """A level surface that may carry the box: its points are places in `_Level`, none where only its height is known."""
+    """A level surface that may carry the box; its points are places in `_Level`, none where only height is known."""
 
     height: float
     owner: int

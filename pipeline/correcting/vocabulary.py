@@ -6,9 +6,14 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from pipeline.naming import Synonyms, default_synonyms, normal_form
+
+if TYPE_CHECKING:
+    from pipeline.datasets import Dataset
+    from pipeline.journal.journal import Journal
+    from pipeline.labels.reading import Labels
 
 MOST = 8
 _EXACT, _PREFIX, _WORD, _WITHIN, _NONE = range(5)
@@ -85,6 +90,15 @@ class Vocabulary:
             if of_classes.isdisjoint(group):
                 found.update({(alias, alias): "" for alias in group})
         return tuple((spoken, name, via) for (spoken, name), via in found.items())
+
+
+def vocabulary_of(labels: Labels, dataset: Dataset | None = None, journal: Journal | None = None) -> Vocabulary:
+    """The class names of labels, of their dataset, and those that people have given since."""
+    words = Vocabulary.of(labels.objects.column("label").to_pylist(), () if dataset is None else dataset.class_names)
+    events = () if journal is None else journal.events(kind="object")
+    given = (e.after if e.cell.field == "label" else e.after.get("label") for e in events
+             if e.cell.field == "label" or (e.cell.field == "exists" and e.after is not None))  # fmt: skip
+    return words.with_names(name for name in given if name)
 
 
 def completions(typed: str, vocabulary: Vocabulary, most: int = MOST) -> tuple[Completion, ...]:

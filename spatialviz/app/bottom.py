@@ -36,13 +36,16 @@ def image_html(state: State) -> str:
     return panel(
         f'<div class="pic" style="--wh:{frame.width / frame.height:.3f}" onclick="{safe(CLICK)}" '
         f'onmousedown="svPaint(this,event)">'
-        f'<img src="{url}">{_overlay(state)}</div>',
+        f'<img src="{url}"><svg viewBox="0 0 {frame.width} {frame.height}" preserveAspectRatio="none">'
+        f"{overlay_marks(state)}</svg></div>",
         style="padding-top:.6em",
     )
 
 
-def _overlay(state: State) -> str:
-    assert state.loaded is not None
+def overlay_marks(state: State) -> str:
+    """What is drawn over the picture: boxes and names, as elements of SVG in pixels of the frame."""
+    if state.loaded is None:
+        return ""
     frame, colors, roles = state.loaded.context.frame, palette(True), state.roles
     unit = frame.width / 360
     parts = []
@@ -88,7 +91,7 @@ def _overlay(state: State) -> str:
             f'<text x="{x + 4 * unit:.1f}" y="{y + 10.4 * unit:.1f}" font-size="{10.5 * unit:.1f}" font-weight="600" '
             f'fill="#fff" font-family="system-ui,sans-serif">{safe(text)}</text>'
         )
-    return f'<svg viewBox="0 0 {frame.width} {frame.height}" preserveAspectRatio="none">{"".join(parts)}</svg>'
+    return "".join(parts)
 
 
 def object_at(state: State, x: float, y: float) -> int | None:

@@ -56,6 +56,14 @@ LABEL_KEYS: tuple[tuple[str, str, str], ...] = (
     ("X", "The pair the other way round", "swap"),
     ("Ctrl+Z", "Undo", "take-back"),
     ("Ctrl+Y", "Redo", "bring-back"),
+    ("Shift+N", "Name the class of the object", "class-focus"),
+    ("Shift+Y", "Object: accept", "object-status:accepted"),
+    ("Shift+U", "Object: unsure", "object-status:unsure"),
+    ("Shift+X", "Object: reject", "object-status:rejected"),
+    ("Shift+B", "Bring the object back that was rejected last", "object-back"),
+    ("Shift+T", "Fit the box to its points", "box-fit"),
+    ("Shift+G", "Extend the box to what the object stands on", "box-snap:extend"),
+    ("Shift+M", "Move the box to what the object stands on", "box-snap:move"),
 )
 """What keys mean while labels are shown; all others mean the same as ever."""
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from pipeline.correcting.cards import PairCard
+from pipeline.correcting.moving import Moved
 from pipeline.journal.effective_frame import EffectiveFrame
 from pipeline.review.items import ItemKey
 
@@ -27,6 +28,8 @@ class LabelView:
         What came of the last action.
     bad : bool
         It was not done.
+    moved : Moved or None
+        What follows from the box that is being dragged.
     """
 
     frame: EffectiveFrame
@@ -35,6 +38,7 @@ class LabelView:
     item: ItemKey | None = None
     said: str = ""
     bad: bool = False
+    moved: Moved | None = None
 
     @property
     def numbers(self) -> tuple[int, ...]:

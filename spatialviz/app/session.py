@@ -36,6 +36,7 @@ from spatialviz.app.inputs import forward_inputs
 from spatialviz.app.judging import Judge
 from spatialviz.app.keeping import Keeping
 from spatialviz.app.keys import HelpDialog, add_keys, meant
+from spatialviz.app.label_object import LabelObject
 from spatialviz.app.layout import build, listed
 from spatialviz.app.paint import frame_colors
 from spatialviz.app.place import Place
@@ -110,6 +111,10 @@ class Session:
             client, self.page, desks, state=self._now, take=self._take, draw=self._draw,
             ask=lambda: self._open_frame(self.state.frame_id, first=True, asking=self.state.text), note=self._note,
         )  # fmt: skip
+        self._object = LabelObject(
+            client, self.page, self.scene, self.bridge, self._correct, state=self._now, take=self._take,
+            draw=self._draw_edited, note=self._note,
+        )  # fmt: skip
         self._strings = ViewStrings(
             dialog, store.sources, runs or {}, self._runs, self.scene.viewpoint, state=self._now, take=self._take,
             go=self._go, ask=self._ask, show_context=self._view.show_context, draw=self._draw, note=self._note,
@@ -119,6 +124,7 @@ class Session:
             view=self._strings.now, note=self._note,
         )  # fmt: skip
         parts = (self._selection, self._view, self._runs, self._what_if, self._strings, keeping, self._correct, dialog)
+        parts = (*parts, self._object)
         self._more = {name: run for part in parts for name, run in part.commands().items()}
         forward_inputs(self.page, self.post, self.bridge.alive)
         add_keys(client, self.post, moving, bool(journals))
@@ -448,6 +454,7 @@ class Session:
             )
             self.bridge.show_tags(tags)
         self._what_if.follow(live)
+        self._object.follow(live)
 
     def _draw_edited(self, live: bool) -> None:
         """Draw an answer under edits: all of the page, or while a hand is at it only what follows the hand."""
@@ -458,6 +465,7 @@ class Session:
         with self._client.atomic():
             fill_answer(self.page, self.state)
             self._draw_scene(live=True)
+            self.bridge.call("svOverlay", bottom.overlay_marks(self.state))
 
     def _set_listing(self, listing: Listing | None) -> None:
         self.state = replace(self.state, listing=listing)
