@@ -188,7 +188,8 @@ def back_to_automatic(frame: EffectiveFrame, number: int, field: str, reason: st
         raise InputError("an object has no such field", got=repr(field), expected=", ".join(FIELDS))
     if not line.settled:
         raise InputError(f"nobody has changed the {field} of object {number}")
-    return set_value(frame, object_cell(frame.frame, number, field), _automatic(frame, number, field), reason)
+    said = {"status": "", "box": "as its points make it"}.get(field, "as the labeller had it")
+    return set_value(frame, object_cell(frame.frame, number, field), _automatic(frame, number, field), reason or said)
 
 
 def _automatic(frame: EffectiveFrame, number: int, field: str) -> Any:

@@ -63,9 +63,8 @@ def object_html(card: ObjectCard, name: str, color: RGB, mode: str) -> str:
         _class_row(card),
         _status_row(card),
         concern,
-        heading("3D box", "Shift+E"),
-        f'<div class="row"><label>Handles</label>{segments("edit-mode", MODES, mode)}</div>',
-        _box_rows(card),
+        f'<div class="row" title="Shift+E"><label>Handles</label>{segments("edit-mode", MODES, mode)}</div>',
+        f'<div class="tight">{_box_rows(card)}</div>',
         heading("Where it comes from"),
         "".join(_from(line, card) for line in card.fields),
         style="padding-bottom:.2em",
@@ -75,7 +74,7 @@ def object_html(card: ObjectCard, name: str, color: RGB, mode: str) -> str:
 def _class_row(card: ObjectCard) -> str:
     return (
         '<div class="row"><label>Class</label><div class="cls">'
-        f'<input class="find" spellcheck="false" autocomplete="off" value="{safe(card.label)}" '
+        f'<input class="find" aria-label="Class" spellcheck="false" autocomplete="off" value="{safe(card.label)}" '
         'title="Enter saves it, Tab completes it (Shift+N)" oninput="svClassTyped(this)" '
         'onkeydown="svClassKey(event,this)" onblur="svClassLeft()"><div class="offers"></div></div></div>'
     )
@@ -99,19 +98,19 @@ def _box_rows(card: ObjectCard) -> str:
     for kind, label in (("center", "Centre"), ("size", "Size")):
         cells = "".join(
             field(f"box-set:{kind}:{axis}", getattr(card.numbers, kind)[axis], hint=f"{word}, {unit}", step="0.01",
-                  name=word, digits=3)
+                  name=word[0], digits=3)
             for axis, (word, unit) in enumerate(AXES[kind])
         )  # fmt: skip
         rows.append(f'<div class="row"><label>{label}</label><div class="fields">{cells}</div></div>')
-    turn = field("box-set:yaw", card.numbers.yaw, hint="degrees, from right towards forward", step="1", name="yaw °",
+    turn = field("box-set:yaw", card.numbers.yaw, hint="degrees, from right towards forward", step="1", name="°",
                  digits=1)  # fmt: skip
     buttons = (
         button("fit to points", "sv('box-fit')", "the box that its cleaned points make (Shift+T)"),
         button("extend", "sv('box-snap:extend')", "its bottom to what the object stands on, its top stays (Shift+G)"),
         button("set down", "sv('box-snap:move')", "all of it to what the object stands on (Shift+M)"),
     )
-    rows.append(f'<div class="row"><label>Turn</label><div class="fields">{turn}<span></span><span></span></div></div>')
-    rows.append(f'<div class="row"><label></label><div class="chips">{"".join(buttons)}</div></div>')
+    beside = f'<div class="chips beside">{"".join(buttons)}</div>'
+    rows.append(f'<div class="row"><label>Turn</label><div class="fields">{turn}{beside}</div></div>')
     return "".join(rows)
 
 

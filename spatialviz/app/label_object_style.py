@@ -3,7 +3,7 @@
 OBJECT_CSS = """<style>
 .sv .mode{margin:.6em 0 .45em;padding:2px 8px;border-left:3px solid var(--c,var(--mantine-color-dimmed));border-radius:0 4px 4px 0;background:color-mix(in srgb,var(--c,var(--mantine-color-dimmed)) 13%,transparent);font-size:11.5px;display:flex;gap:8px;align-items:center;justify-content:space-between}
 .sv .mode b{font-weight:650}
-.sv .mode .said2{min-width:0;overflow:hidden;text-overflow:ellipsis;white-space:nowrap}
+.sv .said2{min-width:0;overflow:hidden;text-overflow:ellipsis;white-space:nowrap}
 .sv .cls{position:relative;flex:1;min-width:0}
 .sv .cls .find{padding:2px 7px}
 .sv .cls .offers{position:absolute;left:0;right:0;top:100%;z-index:5;margin-top:2px;border-radius:5px;overflow:hidden;background:var(--mantine-color-body);box-shadow:0 3px 12px rgba(0,0,0,.35);border:1px solid var(--mantine-color-default-border)}
@@ -23,7 +23,11 @@ OBJECT_CSS = """<style>
 .sv .from .x:hover{background:var(--mantine-color-default-hover);color:var(--mantine-color-text)}
 .sv .gone{display:flex;gap:8px;align-items:center;justify-content:space-between;padding:1px 0 2px 7px;border-left:3px solid #8a919c;margin-bottom:3px}
 .sv .gone>span:first-child{min-width:0;overflow:hidden;text-overflow:ellipsis;white-space:nowrap}
-.sv .flow{display:flex;flex-wrap:wrap;gap:2px 12px;font-size:12px}
+.sv .tight .field{flex-direction:row;align-items:center;gap:5px;padding:0}
+.sv .tight .field i{flex:none;width:8px;text-align:center}
+.sv .tight .row{margin-bottom:4px}
+.sv .beside{grid-column:span 2;align-content:end;gap:3px 4px;font-size:11.5px}
+.sv .beside .try{padding:0 7px}
 </style>"""
 
 OBJECT_SCRIPT = r"""

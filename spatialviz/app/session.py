@@ -80,7 +80,7 @@ class Session:
         self._client = client
         self._store = store
         self._log: list[tuple[str, str]] = []
-        self._thumbs: dict[int, str] = {}
+        self._thumbs: dict[bytes, str] = {}
         self._suggestions: tuple[str, ...] = ()
         self._painted: tuple[Any, ...] = ()
         self._closed = threading.Event()
