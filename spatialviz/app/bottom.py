@@ -81,7 +81,7 @@ def overlay_marks(state: State) -> str:
             continue
         color = hex_color(colors[roles.get(i, "other")])
         text = state.shown.names[i]
-        x0, y0 = float(state.shown.objects[i].bbox[0]), float(state.shown.objects[i].bbox[1])
+        x0, y0 = _name_place(state, i)
         width, height = (len(text) * 6.2 + 8) * unit, 14 * unit
         x = float(np.clip(x0, 0, max(frame.width - width, 0)))
         y = float(np.clip(y0 - height, 0, frame.height - height))
@@ -92,6 +92,16 @@ def overlay_marks(state: State) -> str:
             f'fill="#fff" font-family="system-ui,sans-serif">{safe(text)}</text>'
         )
     return "".join(parts)
+
+
+def _name_place(state: State, i: int) -> tuple[float, float]:
+    """Where the name of an object stands: at its 2D box; where its 3D box is being dragged, at that."""
+    entry, moved = state.shown.objects[i], None if state.labels is None else state.labels.moved
+    if state.loaded is not None and moved is not None and moved.number == entry.id:
+        edges = box_edges_2d(moved.box, state.loaded.context.frame.camera)
+        if len(edges):
+            return float(edges[..., 0].min()), float(edges[..., 1].min())
+    return float(entry.bbox[0]), float(entry.bbox[1])
 
 
 def object_at(state: State, x: float, y: float) -> int | None:
