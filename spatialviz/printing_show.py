@@ -40,6 +40,8 @@ def print_objects(cards: Sequence[ObjectCard], *, whole: bool) -> None:
         console.print(fields)
         more = f"; {card.concern}" if card.concern else ""
         added = f"; added by {card.added_by}" if card.added_by else ""
+        for name, status in card.said.items():
+            console.print(Text(f"{name} says: {status}"))
         console.print(Text(f"{card.points} points of {card.mask_pixels} pixels; {card.expressions} expressions"
                            f"{more}{added}", "dim"))  # fmt: skip
 

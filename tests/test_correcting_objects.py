@@ -15,7 +15,7 @@ from pipeline.boxes import Box3D
 from pipeline.correcting.box_edits import fit_to_points, snap_to_support, support_of
 from pipeline.correcting.cards import pair_card
 from pipeline.correcting.moving import MovingBox
-from pipeline.correcting.object_card import FIELDS, back_to_automatic, object_card
+from pipeline.correcting.object_card import FIELDS, back_to_automatic, bring_back, object_card
 from pipeline.correcting.scene import labelled_box
 from pipeline.errors import InputError
 from pipeline.journal import edits
@@ -91,6 +91,26 @@ def test_a_rejected_object_has_a_card_and_comes_back(full_corrector: Corrector, 
     assert object_card(after, number).status is None
     with pytest.raises(InputError, match="no object 77"):
         object_card(after, 77)
+
+
+def test_each_person_judges_an_object_and_bringing_it_back_takes_the_own_word_back(
+    full_corrector: Corrector, journal: Journal
+) -> None:
+    before = full_corrector.frame(FRAME, journal)
+    number = widest(before)
+    cell = object_cell(FRAME, number, "status")
+    with pytest.raises(InputError, match="not rejected"):
+        bring_back(before, number, "ann")
+    saved(journal, edits.set_status(before, cell, "unsure", author="bob"), "bob")
+    saved(journal, edits.set_status(full_corrector.frame(FRAME, journal), cell, "rejected", author="ann"))
+    gone = full_corrector.frame(FRAME, journal)
+    card = object_card(gone, number)
+    assert (card.stands, card.status, card.said) == (False, "rejected", {"ann": "rejected", "bob": "unsure"})
+    assert len(saved(journal, bring_back(gone, number, "ann"))) == 2
+    after = full_corrector.frame(FRAME, journal)
+    assert same_tables(before, after)
+    assert object_card(after, number).said == {"bob": "unsure"}
+    assert object_card(after, number).record()["said"] == {"bob": "unsure"}
 
 
 @pytest.mark.parametrize("field", FIELDS)

@@ -101,6 +101,10 @@ class Desk:
         known = len(self._events.get(frame, ()))
         return len(self._read(frame)) != known
 
+    def events(self, frame: str) -> tuple[Event, ...]:
+        """What everybody saved in a frame, in the order of the saving; InputError where the journal cannot be read."""
+        return self._read(frame)
+
     def _read(self, frame: str) -> tuple[Event, ...]:
         known = self._events.get(frame, ())
         journal = self.place.to_read()

@@ -9,8 +9,8 @@ import numpy as np
 
 from pipeline.correcting.scene import labelled_box
 from pipeline.errors import InputError
-from pipeline.journal.cells import object_cell, same_value, shown_value
-from pipeline.journal.edits import Edits, set_value
+from pipeline.journal.cells import judged_item, object_cell, same_value, shown_value
+from pipeline.journal.edits import Edits, judge, set_status, set_value
 from pipeline.journal.effective_frame import EffectiveFrame
 from pipeline.journal.effective_objects import object_value
 from pipeline.journal.origins import Origin
@@ -79,6 +79,9 @@ class ObjectCard:
     added_by : str
         Who added it; "" where the labeller found it.
     status : str or None
+        For all: "rejected", or what was said before judgements were each person's own.
+    said : dict of str to str
+        Status by reviewer.
     concern : str
         Why it is not asked for; "" where it is.
     score : float
@@ -100,6 +103,7 @@ class ObjectCard:
     stands: bool
     added_by: str
     status: str | None
+    said: dict[str, str]
     concern: str
     score: float
     mask_pixels: int
@@ -125,6 +129,7 @@ class ObjectCard:
             "stands": self.stands,
             "added_by": self.added_by or None,
             "status": self.status,
+            "said": self.said,
             "concern": self.concern or None,
             "score": self.score,
             "mask_pixels": self.mask_pixels,
@@ -157,6 +162,7 @@ def object_card(frame: EffectiveFrame, number: int) -> ObjectCard:
         number in frame.objects,
         _added_by(frame, number) if created else "",
         frame.statuses.get(object_cell(frame.frame, number, "status")),
+        judgements(frame, number),
         row["reason"] or "",
         float(row["score"]),
         int(row["mask_pixels"]),
@@ -190,6 +196,32 @@ def back_to_automatic(frame: EffectiveFrame, number: int, field: str, reason: st
         raise InputError(f"nobody has changed the {field} of object {number}")
     said = {"status": "", "box": "as its points make it"}.get(field, "as the labeller had it")
     return set_value(frame, object_cell(frame.frame, number, field), _automatic(frame, number, field), reason or said)
+
+
+def judgements(frame: EffectiveFrame, number: int) -> dict[str, str]:
+    """What reviewers say of an object: status by author."""
+    found = {}
+    for cell, value in frame.statuses.items():
+        if cell.kind == "review" and cell.field == "said" and cell.numbers == (number,):
+            author, kind, *_ = judged_item(cell.key)
+            if kind == "object":
+                found[author] = value["status"]
+    return dict(sorted(found.items()))
+
+
+def bring_back(frame: EffectiveFrame, number: int, author: str, reason: str = "") -> Edits:
+    """Have a rejected object stand again; what this person said of it is taken back with that.
+
+    Raises
+    ------
+    InputError
+        It is not rejected.
+    """
+    if number not in frame.left_out:
+        raise InputError(f"object {number} is not rejected")
+    cell = object_cell(frame.frame, number, "status")
+    own = judge(frame, cell, None, author, reason) if author in judgements(frame, number) else ()
+    return (*own, *set_status(frame, cell, None, reason))
 
 
 def _automatic(frame: EffectiveFrame, number: int, field: str) -> Any:

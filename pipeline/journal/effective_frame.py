@@ -20,6 +20,7 @@ from pipeline.journal.effective_objects import (
 from pipeline.journal.effective_pairs import correct_pairs
 from pipeline.journal.events import Event
 from pipeline.journal.frame_rows import FrameRows, Pairs
+from pipeline.journal.judgements import replayed_judgement
 from pipeline.journal.origins import Origin, Origins
 from pipeline.journal.replay import Unapplied, by_cell, replay
 from pipeline.journal.setting import Setting
@@ -111,7 +112,7 @@ class EffectiveFrame:
         """What a cell says now; None where there is no such entity."""
         if cell.field not in FIELDS[cell.kind]:
             return None
-        if cell.kind == "frame" or cell.field.endswith("status"):
+        if cell.kind in ("frame", "review") or cell.field.endswith("status"):
             return self.statuses.get(cell)
         if cell.kind == "object":
             row = self.objects.get(cell.numbers[0]) or self.left_out.get(cell.numbers[0])
@@ -131,7 +132,8 @@ class EffectiveFrame:
 
     def origin(self, cell: Cell) -> Origin:
         """Where the value of a cell comes from."""
-        table = {"object": "objects", "relation": "relations", "expression": "expressions", "frame": "frames"}
+        table = {"object": "objects", "relation": "relations", "expression": "expressions", "frame": "frames",
+                 "review": "reviews"}  # fmt: skip
         column = "center" if cell.field == "box" else cell.field
         found = self.origins.get(table[cell.kind], cell.key, column)
         return found or Origin("auto", made_by=self.setting.made_by)
@@ -181,8 +183,16 @@ def effective_frame(
     versions = {**objects.versions, **pairs.versions, **expressions.versions}
     statuses: dict[Cell, Any] = {**objects.statuses, **pairs.statuses, **expressions.statuses}
     unapplied = [*objects.unapplied, *pairs.unapplied, *expressions.unapplied]
+    known = {n: row["bbox"] for n, row in auto.objects.items()}
     for cell, members in cells.items():
-        if cell.kind == "frame" or cell.field == "exists":
+        if cell.kind == "review":
+            # A judgement is of labels, and never one itself: nothing follows from it.
+            after = replayed_judgement(cell, members, known, {*objects.rows, *objects.left_out}, auto.expressions)
+            versions[cell] = after.version
+            unapplied += after.unapplied
+            if after.value is not None:
+                statuses[cell] = after.value
+        elif cell.kind == "frame" or cell.field == "exists":
             after = replay(None, members)
             versions[cell] = after.version
             if cell.kind == "frame":

@@ -182,6 +182,7 @@ class Journal:
         field: str | None = None,
         group: str | None = None,
         after: int = 0,
+        before: int | None = None,
         last: int | None = None,
     ) -> tuple[Event, ...]:
         """Events in the order of their saving, of all or of what is asked for.
@@ -190,6 +191,8 @@ class Journal:
         ----------
         after : int
             Only those with a greater `id`: what is new since then.
+        before : int, optional
+            Only those with a smaller `id`.
         last : int, optional
             Only the newest so many.
 
@@ -200,8 +203,16 @@ class Journal:
         """
         named = {"author": author, "kind": kind, "frame": frame, "key": key, "field": field, "group": group}
         wanted = [EVENTS.c[name] == value for name, value in named.items() if value is not None]
+        if before is not None:
+            wanted.append(EVENTS.c.id < before)
         with reading(self.engine) as connection:
             return self._select(connection, EVENTS.c.id > after, *wanted, last=last)
+
+    def count(self) -> int:
+        """How many events there are; InputError where the journal cannot be read."""
+        with reading(self.engine) as connection:
+            wanted = sa.select(sa.func.count()).select_from(EVENTS).where(EVENTS.c.project == self.project)
+            return int(connection.execute(wanted).scalar_one())
 
     def heads(self, cells: Sequence[Cell]) -> dict[Cell, Event]:
         """The newest event of each of the cells that has any; InputError where the journal cannot be read."""

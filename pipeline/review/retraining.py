@@ -204,7 +204,7 @@ def retrain(
     require_training()
     vocabulary = VOCABULARIES[config.train.vocabulary]
     was, now = (read_label_data(labels, config.train.features, vocabulary) for labels in (before, after))
-    plan = _shared_split(was, now, config)
+    plan = shared_split(was, now, config)
     out.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(dir=out.parent, prefix=".retrain-") as folder:
         files = Path(folder) / "before" / out.name, Path(folder) / out.name
@@ -228,7 +228,7 @@ def retrain(
     return found
 
 
-def _shared_split(was: LabelData, now: LabelData, config: RetrainConfig) -> SplitPlan:
+def shared_split(was: LabelData, now: LabelData, config: RetrainConfig) -> SplitPlan:
     """One split of the frames of both."""
     keys = {frame.key.frame: frame.key for data in (was, now) for frame in data.frames}
     plan = split_frames(sorted(keys.values(), key=lambda k: k.index), config.split, config.train.seed)

@@ -4,6 +4,7 @@ from pathlib import Path
 
 from pipeline.assets import asset_path
 from pipeline.errors import InputError
+from pipeline.srm.installed import installed_network, installed_networks
 from pipeline.srm.scorer import RelationScorer, RelationScores, RuleScorer
 
 __all__ = ["RelationScorer", "RelationScores", "RuleScorer", "make_scorer", "shipped_network"]
@@ -23,7 +24,8 @@ def shipped_network() -> Path:
 
 
 def make_scorer(name: str | Path = RULE, vectors: Path | None = None) -> RelationScorer:
-    """The relation scorer of that name: "rule", "trained" (the shipped network), or the path of an ONNX file.
+    """The relation scorer of that name: "rule", "trained" (the shipped network), the path of an ONNX file, or the
+    name of an installed network.
 
     `vectors` is the file of text vectors that a language network was trained with: it needs it for classes that were
     not in its training.
@@ -39,7 +41,14 @@ def make_scorer(name: str | Path = RULE, vectors: Path | None = None) -> Relatio
         return RuleScorer()
     path = shipped_network() if name == TRAINED else Path(name)
     if path.suffix.lower() != ".onnx" and not path.is_file():
-        raise InputError(f"there is no relation scorer {str(name)!r}", expected="trained, rule, or an ONNX file")
+        installed = installed_network(str(name))
+        if installed is None:
+            names = ", ".join(n.name for n in installed_networks())
+            expected = "trained, rule, an ONNX file, or the name of an installed network"
+            raise InputError(
+                f"there is no relation scorer {str(name)!r}", expected=f"{expected} ({names})" if names else expected
+            )
+        path = installed
     from pipeline.srm.model import OnnxScorer
 
     return OnnxScorer(path, vectors)

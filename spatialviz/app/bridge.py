@@ -19,6 +19,9 @@ from dataclasses import asdict, dataclass
 import viser
 
 from spatialviz.app.label_object_style import OBJECT_CSS, OBJECT_SCRIPT
+from spatialviz.app.label_style import LABEL_CSS
+from spatialviz.app.pixels_script import PIXELS_SCRIPT
+from spatialviz.app.pixels_style import PIXELS_CSS
 from spatialviz.app.run_style import FIELD_SCRIPT, RUN_CSS
 from spatialviz.app.style import CSS, SCRIPT
 
@@ -68,9 +71,10 @@ class Bridge:
         gui = self._client.gui
         bus = gui.add_text("bus", "", visible=False)
         uuid = bus._impl.uuid
-        scripts = ";".join((SCRIPT.replace("BUS_UUID", uuid), FIELD_SCRIPT, OBJECT_SCRIPT))
+        scripts = ";".join((SCRIPT.replace("BUS_UUID", uuid), FIELD_SCRIPT, PIXELS_SCRIPT, OBJECT_SCRIPT))
         script = html.escape(scripts.replace("\n", " "), quote=True)
-        gui.add_html(f'{CSS}{RUN_CSS}{OBJECT_CSS}<img src="" style="display:none" onerror="{script}">', order=-1000)
+        styles = "".join((CSS, RUN_CSS, LABEL_CSS, PIXELS_CSS, OBJECT_CSS))
+        gui.add_html(f'{styles}<img src="" style="display:none" onerror="{script}">', order=-1000)
         self._tags = gui.add_html("", order=1000)
         self._memory = gui.add_html("", order=1001)
         self._called = {name: gui.add_html("", order=1002) for name in CALLED}

@@ -3,18 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import viser
 
 from pipeline.correcting.cards import pair_card
+from pipeline.correcting.consequences import consequences
 from pipeline.correcting.desk import Desk, Outcome, Waiting
 from pipeline.correcting.scene import labelled_objects
+from pipeline.correcting.wording import action_said, conflict_said
 from pipeline.errors import InputError
-from pipeline.journal.edits import Edits, set_relation
+from pipeline.journal.edits import Edits, judge_relation, set_relation
 from pipeline.journal.effective_frame import EffectiveFrame
-from pipeline.journal.events import Conflict, Saved
+from pipeline.journal.events import Conflict, Event, Saved
 from pipeline.relations import F, T, U
+from pipeline.review.items import ItemKey
 from spatialviz.app.label_view import LabelView
 from spatialviz.app.layout import Page
 from spatialviz.app.review_html import pair_html, review_head_html
@@ -22,6 +25,26 @@ from spatialviz.app.state import Shown, State
 from spatialviz.app.text import safe
 
 LETTERS = {"T": T, "U": U, "F": F}
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """What of the labels is to be looked at.
+
+    Attributes
+    ----------
+    frame : str
+    objects : tuple of int
+        Numbers: of one object, or of a pair.
+    relation : str or None
+    item : ItemKey or None
+        The item of the review queue that it is.
+    """
+
+    frame: str
+    objects: tuple[int, ...] = ()
+    relation: str | None = None
+    item: ItemKey | None = None
 
 
 class Correct:
@@ -40,6 +63,8 @@ class Correct:
     draw : callable
     ask : callable
         Asks the question of the state again, where labels are shown no longer.
+    open_frame : callable
+        Shows another frame, with its labels where `stays` says so.
     note : callable
         Writes a line of the log.
     """
@@ -54,22 +79,27 @@ class Correct:
         take: Callable[[State], None],
         draw: Callable[[], None],
         ask: Callable[[], None],
+        open_frame: Callable[[str], None],
         note: Callable[[str], None],
     ) -> None:
         self._client, self._page, self._openers = client, page, desks
         self._state, self._take, self._draw, self._ask, self._note = state, take, draw, ask, note
+        self._open_frame = open_frame
         self._desks: dict[str, Desk] = {}
+        self._wanted: Wanted | None = None
+        self._listeners: list[Callable[[tuple[Event, ...]], None]] = []
+        self._said: tuple[str, bool] = "", False
 
     def commands(self) -> dict[str, Callable[[str], None]]:
         """What the page may ask for, by the first word of its message."""
         return {
             "labels": lambda _: self.toggle(),
-            "settle": self.settle,
+            "labels-at": self.look_at_said,
             "relation-row": self.focus_relation,
             "next-row": lambda step: self.step_relation(int(step)),
             "swap": lambda _: self.swap(),
-            "take-back": lambda _: self._taken_back("undo"),
-            "bring-back": lambda _: self._taken_back("redo"),
+            "take-back": lambda _: self.take_back("undo"),
+            "bring-back": lambda _: self.take_back("redo"),
             "save-again": lambda _: self.save_again(),
         }
 
@@ -83,6 +113,26 @@ class Correct:
             self._desks[name] = self._openers[name]()
         return self._desks.get(name)
 
+    @property
+    def stays(self) -> bool:
+        """Whether a frame that is opened shows its labels."""
+        return self._state().labels is not None or self._wanted is not None
+
+    def look_at_said(self, said: str) -> None:
+        """Show a pair: "a,b,relation,frame"."""
+        parts = said.split(",", 3)
+        if len(parts) == 4 and parts[0].isdecimal() and parts[1].isdecimal():
+            self.look_at(Wanted(parts[3], (int(parts[0]), int(parts[1])), parts[2] or None))
+
+    def look_at(self, wanted: Wanted) -> None:
+        """Show the labels of a frame, and in it a pair or an object."""
+        self._wanted = wanted
+        if wanted.frame == self._state().frame_id:
+            self.show()
+            self._draw()
+        else:
+            self._open_frame(wanted.frame)
+
     def toggle(self) -> None:
         """Show the labels, or the answer again."""
         if self._state().labels is not None:
@@ -95,6 +145,7 @@ class Correct:
     def show(self) -> None:
         """Show the labels of the frame that is looked at, where there are any."""
         state, desk = self._state(), self.desk
+        wanted, self._wanted = self._wanted, None
         if desk is None:
             self._refuse("no labels are open: `spatialviz view DATASET --labels LABELS`")
             return
@@ -108,7 +159,15 @@ class Correct:
         except InputError as error:
             self._refuse(str(error))
             return
-        self._take(_looking_at(replace(state.unasked, labels=None), LabelView(frame)))
+        view = LabelView(frame, said=self._said[0], bad=self._said[1])
+        if wanted is None or wanted.frame != frame.frame:
+            self._take(_looking_at(replace(state.unasked, labels=None), view))
+            return
+        view = replace(view, relation=wanted.relation, item=wanted.item)
+        standing = [n for n in wanted.objects if n in frame.objects]
+        chosen = tuple(standing) if len(standing) > 1 else None
+        selected = standing[0] if standing else None
+        self._take(_looking_at(replace(state.unasked, labels=None), view, chosen, selected))
 
     def renew(self) -> None:
         """Look at the labels again after they changed; what is selected and chosen stays by its number."""
@@ -150,20 +209,46 @@ class Correct:
 
     # ---- edits ------------------------------------------------------------------------
 
-    def settle(self, said: str) -> None:
-        """Settle a relation of the chosen pair: "left:T", or "T" for the one that is looked at."""
-        view = self._state().labels
-        *named, letter = said.split(":")
-        if view is None or view.card is None or letter not in LETTERS:
-            return
-        relation = named[0] if named else view.relation
-        card = view.card
-        if relation is None:
-            return
-        self._take(replace(self._state(), labels=replace(view, relation=relation)))
-        self.save(lambda frame: set_relation(frame, card.a, card.b, relation, LETTERS[letter]))
+    def on_saved(self, listener: Callable[[tuple[Event, ...]], None]) -> None:
+        """Have something called with the events of everything that this client saves or takes back."""
+        self._listeners.append(listener)
 
-    def save(self, made: Callable[[EffectiveFrame], Edits]) -> Outcome | None:
+    @property
+    def waits(self) -> bool:
+        """Whether something could not be saved yet."""
+        return self.desk is not None and bool(self.desk.waiting)
+
+    def settle(self, said: str, draw: bool = True) -> tuple[str, tuple[int, int]] | None:
+        """Settle a relation of the chosen pair: "left:T", or "T" for the one that is looked at.
+
+        A label that is right already is accepted, under this person's name. One
+        that somebody else has settled by hand stays as it is, too: this person's
+        word on it is noted, and reviewers who differ are told.
+
+        Returns
+        -------
+        (relation, (a, b)), or None where nothing was saved.
+        """
+        view, desk = self._state().labels, self.desk
+        *named, letter = said.split(":")
+        if view is None or view.card is None or desk is None or letter not in LETTERS:
+            return None
+        relation = named[0] if named else view.relation
+        card, state = view.card, LETTERS[letter]
+        line = next((x for x in card.lines if x.relation == relation), None)
+        if line is None or relation is None:
+            return None
+        self._take(replace(self._state(), labels=replace(view, relation=relation)))
+        others = line.origin.source == "human" and line.origin.author != desk.author
+
+        def made(frame: EffectiveFrame) -> Edits:
+            if line.state == state or others:
+                return judge_relation(frame, card.a, card.b, line.relation, state, desk.author)
+            return set_relation(frame, card.a, card.b, line.relation, state)
+
+        return (relation, (card.a, card.b)) if self.save(made, draw=draw) is not None else None
+
+    def save(self, made: Callable[[EffectiveFrame], Edits], draw: bool = True) -> Outcome | None:
         """Save what an action comes down to, made on the labels as this client sees them; None where it is none."""
         view, desk = self._state().labels, self.desk
         if view is None or desk is None:
@@ -173,19 +258,32 @@ class Correct:
         except InputError as error:
             self._refuse(str(error))
             return None
-        self._came_to(outcome, "saved")
+        self._came_to(outcome, "saved", draw)
         return outcome
 
-    def _came_to(self, outcome: Outcome | None, verb: str) -> None:
-        said, bad = outcome_said(outcome, verb)
+    def redraw(self) -> None:
+        """Draw the page."""
+        self._draw()
+
+    def _came_to(self, outcome: Outcome | None, verb: str, draw: bool = True) -> None:
+        before = self._state().labels
         self.renew()
         view = self._state().labels
+        said, bad = outcome_said(outcome, verb, None if view is None else view.frame)
+        if view is not None and before is not None and (followed := str(consequences(before.frame, view.frame))):
+            said = f"{said} · {followed}"
+        self._said = said, bad
         if view is not None:
             self._take(replace(self._state(), labels=replace(view, said=said, bad=bad)))
         self._note(said)
-        self._draw()
+        if isinstance(outcome, Saved):
+            for listener in self._listeners:
+                listener(outcome.events)
+        if draw:
+            self._draw()
 
-    def _taken_back(self, which: str) -> None:
+    def take_back(self, which: str) -> None:
+        """Take this person's newest action back ("undo"), or bring the last such back ("redo")."""
         desk = self.desk
         if desk is None or self._state().labels is None:
             return
@@ -235,13 +333,14 @@ class Correct:
         self._client.add_notification("Not done", safe(problem), auto_close_seconds=8)
 
 
-def outcome_said(outcome: Outcome | None, verb: str) -> tuple[str, bool]:
+def outcome_said(outcome: Outcome | None, verb: str, frame: EffectiveFrame | None) -> tuple[str, bool]:
     """What came of an action in words, and whether it was not done."""
     if isinstance(outcome, Saved):
-        first, more = outcome.events[0], len(outcome.events) - 1
-        return f"{verb}: {first}" + (f" (and {more} more)" if more else ""), False
+        first = str(outcome.events[0]) if frame is None else action_said(outcome.events, frame)
+        return f"{verb}: {first}", False
     if isinstance(outcome, Conflict):
-        return "not saved, somebody was faster: " + "; ".join(map(str, outcome.rivals)), True
+        said = "; ".join(map(str, outcome.rivals)) if frame is None else conflict_said(outcome, frame)
+        return f"not saved, somebody was faster: {said}", True
     if isinstance(outcome, Waiting):
         return f"not saved yet: {outcome.problem}", True
     return "", False

@@ -12,6 +12,7 @@ from pipeline.diagnosis.live import Judgement
 from pipeline.errors import InputError
 from pipeline.jobs import Source
 from pipeline.objects import SceneObject
+from pipeline.srm.installed import installed_network
 from pipeline.whatif import Edits
 from pipeline.whatif.box_numbers import box_numbers, with_numbers
 from pipeline.whatif.masks import grown, labelled_mask, rectangle
@@ -193,8 +194,8 @@ def _setting(state: State, source: Source, keys: tuple[str, ...], rest: list[str
 
 
 def _known_scorer(name: str) -> str:
-    if name not in ("rule", "trained"):
-        raise InputError("there is no such relation scorer", got=name, expected="rule or trained")
+    if name not in ("rule", "trained") and installed_network(name) is None:
+        raise InputError("there is no such relation scorer", got=name, expected="rule, trained, or an installed one")
     return name
 
 

@@ -10,6 +10,7 @@ from pipeline.diagnosis.live import Judgement
 from pipeline.jobs import Source
 from pipeline.palette import hex_color, palette
 from pipeline.relations import PHRASE, Profile
+from pipeline.srm.installed import installed_networks
 from pipeline.whatif.box_numbers import box_numbers
 from pipeline.whatif.decision_map import DecisionMap
 from pipeline.whatif.edit_list import each_edit
@@ -187,7 +188,11 @@ def _settings(state: State, source: Source) -> str:
     weights = [_setting(name, getattr(rank, name), "0.1") for name in WEIGHTS]
     thresholds = [_setting(n, getattr(profile, n), "1" if "cone" in n else "0.01") for n in PROFILE_SETTINGS]
     scorers = {"own": f"own: {safe(source.scorer.name)}", "trained": "trained", "rule": "rule"}
+    own = {n.name: n.name for n in installed_networks()}
     aggregates = {"max": "best pair", "marginal": "sum of pairs"}
+    installed = ""
+    if own:
+        installed = f'<div class="row"><label></label>{segments("edit:set:scorer", own, edits.scorer or "")}</div>'
     detector = f'<div class="row"><label>OPM</label><div class="fields">{"".join(fields)}<span></span></div></div>'
     return (
         heading("Settings")
@@ -195,6 +200,7 @@ def _settings(state: State, source: Source) -> str:
         + f'<div class="row"><label>PRM</label><div class="fields">{"".join(weights)}</div></div>'
         + f'<div class="row"><label></label>{segments("edit:set:aggregate", aggregates, rank.aggregate)}</div>'
         + f'<div class="row"><label>SRM</label>{segments("edit:set:scorer", scorers, edits.scorer or "own")}</div>'
+        + installed
         + f'<div class="row"><label>Rule</label><div class="fields four">{"".join(thresholds)}</div></div>'
     )
 

@@ -13,7 +13,7 @@ from pipeline.boxes import Box3D
 from pipeline.correcting.box_edits import fit_to_points, snap_to_support
 from pipeline.correcting.desk import Desk
 from pipeline.correcting.moving import MovingBox
-from pipeline.correcting.object_card import back_to_automatic, object_card
+from pipeline.correcting.object_card import back_to_automatic, bring_back, judgements, object_card
 from pipeline.correcting.vocabulary import Vocabulary, completions, vocabulary_of
 from pipeline.errors import InputError
 from pipeline.journal.cells import object_cell
@@ -154,26 +154,26 @@ class LabelObject:
 
     def set_status(self, status: str) -> None:
         """Accept, reject or doubt the object; what it is already is taken off again."""
-        chosen = self._selected
-        if chosen is None or status not in STATUS_WORDS:
+        chosen, desk = self._selected, self._correct.desk
+        if chosen is None or desk is None or status not in STATUS_WORDS:
             return
         view, number = chosen
-        cell = object_cell(view.frame.frame, number, "status")
-        wanted = None if view.frame.statuses.get(cell) == status else status
-        if self._edit(lambda f, n, c: set_status(f, cell, wanted)) and wanted == "rejected":
+        cell, author = object_cell(view.frame.frame, number, "status"), desk.author
+        wanted = None if judgements(view.frame, number).get(author) == status else status
+        if self._edit(lambda f, n, c: set_status(f, cell, wanted, author=author)) and wanted == "rejected":
             self._rejected.append((view.frame.frame, number))
 
     def bring_back(self, said: str) -> None:
         """Bring a rejected object back, by its number, else the one that was rejected last, and select it."""
-        view = self._state().labels
-        if view is None:
+        view, desk = self._state().labels, self._correct.desk
+        if view is None or desk is None:
             return
         gone = [n for frame, n in self._rejected if frame == view.frame.frame and n in view.frame.left_out]
         number = int(said) if said.isdecimal() else next(reversed(gone or sorted(view.frame.left_out)), None)
         if number is None or number not in view.frame.left_out:
             self._note("no rejected object to bring back")
             return
-        self._correct.save(lambda frame: back_to_automatic(frame, number, "status"))
+        self._correct.save(lambda frame: bring_back(frame, number, desk.author))
         view = self._state().labels
         place = None if view is None else view.place(number)
         if place is not None:
@@ -279,5 +279,5 @@ class LabelObject:
         card = object_card(view.frame, chosen[1])
         color = palette(state.dark)[state.roles.get(state.selected, "other")]
         name = state.shown.names[state.selected]
-        self._page.edit.content = object_html(card, name, color, state.mode) + gone
+        self._page.edit.content = object_html(card, name, color, state.mode, desk.author) + gone
 

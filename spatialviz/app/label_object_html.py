@@ -7,15 +7,14 @@ from typing import Any
 
 from pipeline.correcting.moving import Moved
 from pipeline.correcting.object_card import FieldLine, ObjectCard
-from pipeline.journal.cells import STATUSES
 from pipeline.palette import RGB
 from pipeline.relations import PHRASE, letter
 from spatialviz.app.edit_panel import AXES, MODES, button, field
 from spatialviz.app.text import BAD, DOUBT, GOOD, dot, heading, note, panel, safe, segments
 
 STATUS_WORDS = {
-    "accepted": ("accept", GOOD, "Shift+Y"), "unsure": ("unsure", DOUBT, "Shift+U"),
-    "rejected": ("reject", BAD, "Shift+X"),
+    "accepted": ("accept", GOOD, "Y"), "unsure": ("unsure", DOUBT, "Shift+U"),
+    "rejected": ("reject", BAD, "Shift+Y"),
 }  # fmt: skip
 FIELD_NAMES = {"label": "class", "status": "status", "mask": "mask", "bbox": "2D box", "box": "3D box"}
 SOURCES = {"auto": ("auto", "#8a919c", False), "human": ("", GOOD, True),
@@ -50,7 +49,7 @@ def _moved(moved: Moved) -> str:
     return f"{would or 'no relation of the pair changes'} · {cost}"
 
 
-def object_html(card: ObjectCard, name: str, color: RGB, mode: str) -> str:
+def object_html(card: ObjectCard, name: str, color: RGB, mode: str, author: str) -> str:
     """The selected object."""
     facts = [f"{card.points:,} points", *([] if card.distance is None else [f"{card.distance:.2f} m"])]
     asked = f"{card.expressions} expression{'' if card.expressions == 1 else 's'}"
@@ -61,7 +60,7 @@ def object_html(card: ObjectCard, name: str, color: RGB, mode: str) -> str:
         heading(f"<b>{dot(color)}{safe(name)}</b>", " · ".join(facts)),
         f'<div class="dim" style="margin:-2px 0 5px">relations {counts} · in {asked}{added}</div>',
         _class_row(card),
-        _status_row(card),
+        _status_row(card, author),
         concern,
         f'<div class="row" title="Shift+E"><label>Handles</label>{segments("edit-mode", MODES, mode)}</div>',
         f'<div class="tight">{_box_rows(card)}</div>',
@@ -75,20 +74,22 @@ def _class_row(card: ObjectCard) -> str:
     return (
         '<div class="row"><label>Class</label><div class="cls">'
         f'<input class="find" aria-label="Class" spellcheck="false" autocomplete="off" value="{safe(card.label)}" '
-        'title="Enter saves it, Tab completes it (Shift+N)" oninput="svClassTyped(this)" '
+        'title="Enter saves it, Tab completes it (Shift+O)" oninput="svClassTyped(this)" '
         'onkeydown="svClassKey(event,this)" onblur="svClassLeft()"><div class="offers"></div></div></div>'
     )
 
 
-def _status_row(card: ObjectCard) -> str:
+def _status_row(card: ObjectCard, author: str) -> str:
+    """What this person says of it; beside, what others do."""
+    own = card.said.get(author)
     cells = "".join(
-        f'<span class="{"go" if card.status == status else ""}" style="--c:{color}" title="{key}" '
+        f'<span class="{"go" if own == status else ""}" style="--c:{color}" title="{key}" '
         f"onclick=\"sv('object-status:{status}')\">{word}</span>"
         for status, (word, color, key) in STATUS_WORDS.items()
     )
-    if card.status in STATUSES and card.status not in STATUS_WORDS:
-        cells += f'<span class="on">{safe(card.status)}</span>'
-    return f'<div class="row"><label>Status</label><div class="seg">{cells}</div></div>'
+    others = ", ".join(f"{name}: {status}" for name, status in card.said.items() if name != author)
+    beside = f'<div class="dim" style="padding:0 0 4px 60px">{safe(others)}</div>' if others else ""
+    return f'<div class="row"><label>Status</label><div class="seg">{cells}</div></div>{beside}'
 
 
 def _box_rows(card: ObjectCard) -> str:
@@ -105,9 +106,9 @@ def _box_rows(card: ObjectCard) -> str:
     turn = field("box-set:yaw", card.numbers.yaw, hint="degrees, from right towards forward", step="1", name="°",
                  digits=1)  # fmt: skip
     buttons = (
-        button("fit to points", "sv('box-fit')", "the box that its cleaned points make (Shift+T)"),
-        button("extend", "sv('box-snap:extend')", "its bottom to what the object stands on, its top stays (Shift+G)"),
-        button("set down", "sv('box-snap:move')", "all of it to what the object stands on (Shift+M)"),
+        button("fit to points", "sv('box-fit')", "the box that its cleaned points make (Shift+J)"),
+        button("extend", "sv('box-snap:extend')", "its bottom to what the object stands on, its top stays (Shift+B)"),
+        button("set down", "sv('box-snap:move')", "all of it to what the object stands on (Shift+Z)"),
     )
     beside = f'<div class="chips beside">{"".join(buttons)}</div>'
     rows.append(f'<div class="row"><label>Turn</label><div class="fields">{turn}{beside}</div></div>')
@@ -153,7 +154,7 @@ def rejected_html(left_out: Mapping[int, Mapping[str, Any]]) -> str:
         return ""
     rows = "".join(
         f'<div class="gone"><span>{safe(row["label"])}·{number}</span>'
-        + button("bring back", f"sv('object-back:{number}')", "unreviewed again (Shift+B brings the last one back)")
+        + button("bring back", f"sv('object-back:{number}')", "unreviewed again")
         + "</div>"
         for number, row in sorted(left_out.items())
     )

@@ -9,6 +9,7 @@ from datetime import datetime
 from typing import Any
 
 import viser
+from platformdirs import user_data_path
 
 from pipeline.ask import Trace
 from pipeline.correcting.desk import Desk
@@ -39,7 +40,10 @@ from spatialviz.app.keys import HelpDialog, add_keys, meant
 from spatialviz.app.label_object import LabelObject
 from spatialviz.app.layout import build, listed
 from spatialviz.app.paint import frame_colors
+from spatialviz.app.pixels import Pixels
 from spatialviz.app.place import Place
+from spatialviz.app.retrain_panel import RetrainPanel
+from spatialviz.app.review_queue import ReviewQueue
 from spatialviz.app.run_browser import Listing
 from spatialviz.app.run_panel import RunPanel
 from spatialviz.app.scene import SceneView
@@ -95,7 +99,9 @@ class Session:
         self.page = build(client, self.bridge, tuple(store.sources), source, ids, bool(runs), bool(journals))
         self.scene = SceneView(
             client,
-            on_ray=lambda pixel, boxes: self.bridge.post(lambda: self._selection.select_on_ray(pixel, boxes)),
+            on_ray=lambda pixel, boxes: self.bridge.post(
+                lambda: None if self._pixels.on_ray(pixel) else self._selection.select_on_ray(pixel, boxes)
+            ),
         )
         self._selection = Selection(self._now, self._take, self._draw, self.scene.viewpoint.focus)
         reach = (self._source, self._now, self._take)
@@ -109,7 +115,12 @@ class Session:
         desks = {name: self._opener(name, place, author) for name, place in (journals or {}).items()}
         self._correct = Correct(
             client, self.page, desks, state=self._now, take=self._take, draw=self._draw,
-            ask=lambda: self._open_frame(self.state.frame_id, first=True, asking=self.state.text), note=self._note,
+            ask=lambda: self._open_frame(self.state.frame_id, first=True, asking=self.state.text),
+            open_frame=self._open_frame, note=self._note,
+        )  # fmt: skip
+        self._pixels = Pixels(
+            client, self.scene, self._correct, self._selection, state=self._now, take=self._take, draw=self._draw,
+            note=self._note,
         )  # fmt: skip
         self._object = LabelObject(
             client, self.page, self.scene, self.bridge, self._correct, state=self._now, take=self._take,
@@ -123,8 +134,18 @@ class Session:
             client, dialog, store.sources, runs or {}, self._judge, opened_by, state=self._now,
             view=self._strings.now, note=self._note,
         )  # fmt: skip
-        parts = (self._selection, self._view, self._runs, self._what_if, self._strings, keeping, self._correct, dialog)
-        parts = (*parts, self._object)
+        self._queue = ReviewQueue(
+            self.page, store, journals or {}, self._correct, state=self._now, note=self._note, post=self.bridge.post
+        )
+        self._retrain = RetrainPanel(
+            client, self.page, store.sources, runs or {}, journals or {}, user_data_path("spatialviz") / "retrained",
+            state=self._now, go=self._go, use=lambda name: self.handle(f"edit:set:scorer:{name}"), note=self._note,
+            post=self.bridge.post,
+        )  # fmt: skip
+        parts = (
+            self._selection, self._view, self._runs, self._what_if, self._strings, keeping, self._correct,
+            self._queue, self._retrain, self._pixels, self._object, dialog,
+        )  # fmt: skip
         self._more = {name: run for part in parts for name, run in part.commands().items()}
         forward_inputs(self.page, self.post, self.bridge.alive)
         add_keys(client, self.post, moving, bool(journals))
@@ -134,6 +155,8 @@ class Session:
 
     def close(self) -> None:
         self._closed.set()
+        self._retrain.close()
+        self._queue.close()
         self.bridge.close()
 
     def post(self, message: str) -> None:
@@ -233,11 +256,11 @@ class Session:
         self._show_working("finding the objects")
         self._thumbs = {}
         self._painted = ()
-        correcting = self.state.labels is not None and asking is None
+        correcting = self._correct.stays and asking is None
         cleared = replace(self.state.unasked, frame_id=frame_id, problem="")
         try:
             loaded = self._store.load(self.state.source, frame_id)
-            scores = self._source().score(loaded.context, loaded.objects)
+            scores = None if correcting else self._source().score(loaded.context, loaded.objects)
         except InputError as error:
             self.state = replace(cleared, loaded=None, problem=str(error), shown=NOTHING)
             self._note(str(error))
@@ -253,7 +276,7 @@ class Session:
         self._view.show_context()
         if first or self.scene.viewpoint.untouched:
             self.scene.viewpoint.place(self.state.camera)
-        self._suggestions = suggest_expressions(loaded.objects, scores)
+        self._suggestions = () if scores is None else suggest_expressions(loaded.objects, scores)
         self._note(f"frame {frame_id}: {len(loaded.objects)} objects, up {loaded.context.viewer.up_source}")
         if loaded.problem:
             self._note(loaded.problem)
@@ -434,6 +457,9 @@ class Session:
         self.fallback.update(state)
         self._runs.follow()
         self._correct.follow()
+        self._queue.follow()
+        self._retrain.draw()
+        self._pixels.follow()
         self.bridge.remember(state.at_place.said())
 
     def _draw_scene(self, live: bool = False) -> None:

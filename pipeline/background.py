@@ -1,0 +1,92 @@
+"""Long work in a process of its own, so that whoever waits for it stays responsive and can end it."""
+
+from __future__ import annotations
+
+import multiprocessing
+import threading
+from collections.abc import Callable
+from multiprocessing.connection import Connection
+from typing import Any
+
+from pipeline.errors import InputError
+
+
+class Background:
+    """A function that runs in another process; `start_background` starts one.
+
+    Attributes
+    ----------
+    done : bool
+        It has ended: by itself, by an error, or cancelled.
+    """
+
+    def __init__(self, process: Any, receiver: Connection) -> None:
+        self._process, self._receiver = process, receiver
+        self._cancelled = False
+        self.done = False
+
+    def cancel(self) -> None:
+        """End it now; what it was writing is left to its own care."""
+        self._cancelled = True
+        self._process.terminate()
+
+    def _listen(self, on_progress: Callable[[Any], None], on_end: Callable[[Any, str], None]) -> None:
+        result, problem = None, "it ended without a result"
+        try:
+            while True:
+                kind, value = self._receiver.recv()
+                if kind == "progress":
+                    on_progress(value)
+                    continue
+                result, problem = (value, "") if kind == "result" else (None, value)
+                break
+        except (EOFError, OSError):
+            pass
+        self._process.join()
+        if self._cancelled:
+            problem = "cancelled"
+        elif problem and self._process.exitcode not in (0, None):
+            problem = problem if problem != "it ended without a result" else f"{problem} ({self._process.exitcode})"
+        self.done = True
+        on_end(result, problem)
+
+
+def start_background(
+    function: Callable[..., Any],
+    *args: Any,
+    on_progress: Callable[[Any], None],
+    on_end: Callable[[Any, str], None],
+) -> Background:
+    """Run `function(*args, progress)` in a process of its own.
+
+    Parameters
+    ----------
+    function : callable
+        Of a module, so that the other process finds it; its arguments, what it
+        reports and what it returns must be picklable.
+    on_progress : callable
+        Called on a thread of this process with each value that the function hands to `progress`.
+    on_end : callable
+        Called there at the end with (result, ""), or (None, the problem).
+    """
+    context = multiprocessing.get_context("spawn")
+    receiver, sender = context.Pipe(duplex=False)
+    process = context.Process(target=_work, args=(function, args, sender), daemon=True)
+    process.start()
+    sender.close()
+    job = Background(process, receiver)
+    threading.Thread(target=job._listen, args=(on_progress, on_end), daemon=True).start()
+    return job
+
+
+def _work(function: Callable[..., Any], args: tuple[Any, ...], sender: Connection) -> None:
+    import signal
+
+    # Ctrl-C in the terminal is for the process that waits: it ends this one.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        sender.send(("result", function(*args, lambda value: sender.send(("progress", value)))))
+    except InputError as error:
+        sender.send(("problem", str(error)))
+    except Exception as error:  # Whatever it is, the one who waits must hear of it.
+        sender.send(("problem", f"{type(error).__name__}: {error}"))
