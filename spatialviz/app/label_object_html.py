@@ -145,6 +145,8 @@ def _short(line: FieldLine, card: ObjectCard) -> str:
         return f"{x0:.0f}, {y0:.0f}, {x1 - x0:.0f} × {y1 - y0:.0f} px"
     if line.field == "box":
         return "none" if card.numbers is None else " × ".join(f"{100 * s:.0f}" for s in card.numbers.size) + " cm"
+    if line.field == "status" and value is None and card.said:
+        return ", ".join(f"{status} ({name})" for name, status in card.said.items())
     return line.said
 
 
