@@ -122,9 +122,9 @@ class Correct:
     edits: Path
     """JSON: a list such as [{"edit": "relation", "frame": "000001/000000", "a": 2, "b": 5, "relation": "left",
     "to": "T", "reason": "..."}]; edits are class, status, judge, settle, mask, bbox, box, new, merge, split, relation,
-    text, answers, ambiguous, mark, note, value. Pixels of mask and new are a run-length code, or "polygon": [[x, y],
-    ...], "rectangle": [x0, y0, x1, y1], "strokes": [{"points", "radius"}], "seeds": [[x, y], ...]; with "mode": add,
-    remove, replace."""
+    text, answers, ambiguous, mark, note, and value: any one field as the journal keeps it (kind, key, field, to).
+    Pixels of mask and new are a run-length code, or "polygon": [[x, y], ...], "rectangle": [x0, y0, x1, y1], "strokes":
+    [{"points", "radius"}], "seeds": [[x, y], ...]; with "mode": add, remove, replace."""
     author: str
     """Who says so."""
     journal: OmitArgPrefixes[JournalOptions] = JournalOptions()

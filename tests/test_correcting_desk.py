@@ -9,10 +9,11 @@ import pytest
 from journal_world import FRAME, an_expression
 
 from pipeline.correcting.cards import pair_card
-from pipeline.correcting.desk import Desk, Waiting
+from pipeline.correcting.desk import Desk
 from pipeline.correcting.journal_place import JournalPlace
 from pipeline.correcting.scene import labelled_objects
-from pipeline.correcting.wording import action_said, conflict_said
+from pipeline.correcting.unsaved import Waiting
+from pipeline.correcting.wording import said_events
 from pipeline.datasets import Dataset
 from pipeline.errors import InputError
 from pipeline.journal.edits import judge_relation, set_class, set_relation, set_text
@@ -45,8 +46,7 @@ def test_what_is_saved_is_seen_by_everyone_taken_back_and_brought_back(
     assert was in (T, F)
     assert was is not None
     assert isinstance(ann.save(set_relation(frame, a, b, "left", T if was == F else F)), Saved)
-    assert ben.news(FRAME)
-    assert not ben.news(FRAME)
+    assert len(ben.news(FRAME)) == 2
     for desk in (ann, ben):
         line = pair_card(desk.frame(FRAME), a, b).lines[0]
         assert (line.relation, line.state) == ("left", -was)
@@ -64,7 +64,7 @@ def test_who_comes_second_is_told_and_overwrites_nothing(demo_labels: Labels, pl
     assert isinstance(ann.save(set_class(seen[0], 3, "beaker")), Saved)
     outcome = ben.save(set_class(seen[1], 3, "jar"))
     assert isinstance(outcome, Conflict)
-    said = conflict_said(outcome, ben.frame(FRAME))
+    said = str(outcome.rivals[0])
     assert "ann" in said
     assert "beaker" in said
     assert ben.frame(FRAME).objects[3]["label"] == "beaker"
@@ -170,14 +170,14 @@ def test_actions_in_words_name_the_objects_and_do_not_count_the_mirror(
     assert state in (T, F)
     done = desk.save(judge_relation(frame, a, b, "left", state, "ann"))
     assert isinstance(done, Saved)
-    assert action_said(done.events, frame) == f"{names[0]} left of {names[1]} is {'T' if state == T else 'F'}: accepted"
+    assert said_events(done.events, frame) == f"{names[0]} left of {names[1]} is {'T' if state == T else 'F'}: accepted"
     done = desk.save(set_relation(frame, a, b, "left", -state))
     assert isinstance(done, Saved)
     assert len(done.events) == 2
-    said = action_said(done.events, frame)
+    said = said_events(done.events, frame)
     assert said.startswith(f"{names[0]} left of {names[1]}: ")
     assert "more" not in said
     row = an_expression(frame)
     done = desk.save(set_text(frame, row["id"], "the one over there"))
     assert isinstance(done, Saved)
-    assert "the one over there" in action_said(done.events, desk.frame(FRAME))
+    assert "the one over there" in said_events(done.events, desk.frame(FRAME))

@@ -165,9 +165,19 @@ class Note(Action):
     to: str | None
 
 
+class Value(Action):
+    """One field of one entity, as the journal keeps it; nothing else is set with it."""
+
+    edit: Literal["value"]
+    kind: Literal["object", "relation", "expression", "frame"]
+    key: str
+    field: str
+    to: Any
+
+
 AnyAction = Annotated[
     ClassName | Mask | Rectangle | Solid | Status | Judge | Settle | NewObject | Merge | Split | Relation | Text
-    | Answers | Ambiguous | Mark | Note,
+    | Answers | Ambiguous | Mark | Note | Value,
     Field(discriminator="edit"),
 ]  # fmt: skip
 _LIST: TypeAdapter[list[AnyAction]] = TypeAdapter(list[AnyAction])
@@ -244,6 +254,8 @@ def edits_of(action: AnyAction, frame: EffectiveFrame, author: str, canvas: Canv
         return actions.set_ambiguous(frame, a.expression, a.to, why)
     if isinstance(a, Mark):
         return actions.set_mark(frame, a.expression, a.to, why)
+    if isinstance(a, Value):
+        return actions.set_value(frame, Cell(a.kind, a.frame, a.key, a.field), a.to, why)
     return actions.set_note(frame, a.to, why)
 
 
@@ -306,4 +318,4 @@ def apply_actions(
             heads = journal.heads([e.cell for e in made])
             rivals += [Rival(e, heads[e.cell]) for e in made if e.cell in heads and heads[e.cell].author != author]
         edits += made
-    return Conflict(tuple(rivals)) if rivals else journal.append(edits, author)
+    return Conflict(tuple(rivals), tuple(edits)) if rivals else journal.append(edits, author)

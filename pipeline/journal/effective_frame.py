@@ -123,8 +123,13 @@ class EffectiveFrame:
             return self.pairs.state(*cell.numbers, cell.field)  # pyright: ignore[reportCallIssue]
         if cell.field == "mark":
             return self.marks.get(cell.key)
-        row = self.expressions.get(cell.key) or self.auto.expressions.get(cell.key)
+        row = self.expression(cell.key)
         return None if row is None else row[cell.field]
+
+    def expression(self, name: str) -> Row | None:
+        """The row of an expression as it is now, also of one that was left out; None where there never was one."""
+        left_out = (w.row for w in self.withdrawn if w.id == name)
+        return self.expressions.get(name) or next(left_out, None) or self.auto.expressions.get(name)
 
     def version(self, cell: Cell) -> int:
         """How many events a cell has: what an edit of it is based on."""

@@ -135,14 +135,14 @@ class Journal:
                     if e.base != (heads[e.cell].version if e.cell in heads else 0)
                 )
                 if rivals:
-                    return Conflict(rivals)
+                    return Conflict(rivals, tuple(edits))
                 connection.execute(EVENTS.insert(), rows)
                 saved = self._select(connection, EVENTS.c.group == group)
             return Saved(saved)
         except IntegrityError:
             # Writers take turns; a writer that does not, for it is of another program, is caught here.
             heads = self.heads([e.cell for e in edits])
-            return Conflict(tuple(Rival(e, heads.get(e.cell)) for e in edits))
+            return Conflict(tuple(Rival(e, heads.get(e.cell)) for e in edits), tuple(edits))
         except DATABASE_ERRORS as error:
             reason = reason_of(error)
             raise NotSaved(

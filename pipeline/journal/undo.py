@@ -7,8 +7,9 @@ from dataclasses import dataclass
 from typing import Literal
 
 from pipeline.errors import InputError
-from pipeline.journal.events import Conflict, Edit, Event, Saved
+from pipeline.journal.events import Conflict, Event, Saved
 from pipeline.journal.journal import Journal
+from pipeline.journal.taking_back import edits_back
 
 Turn = Literal["undo", "redo"]
 PAGE = 32
@@ -57,8 +58,8 @@ def undo(journal: Journal, author: str, *, group: str | None = None) -> Saved | 
     Returns
     -------
     Saved, Conflict or None
-        None where there is nothing to take back; Conflict where somebody has
-        edited one of its cells since: then nothing is changed.
+        None where there is nothing to take back; Conflict where one of its
+        cells was edited since, and that still stands: then nothing is changed.
 
     Raises
     ------
@@ -158,7 +159,5 @@ def _take_back(journal: Journal, author: str, action: Turn, group: str | None) -
     members = _newest(journal, author, action) if group is None else _of_group(journal, author, action, group)
     if members is None:
         return None
-    edits = [
-        Edit(e.cell, before=e.after, after=e.before, base=e.version, reason=e.reason, anchor=e.anchor) for e in members
-    ]
+    edits = edits_back(journal, members)
     return journal.write(edits, author, action, undo_of=[e.ulid for e in members])

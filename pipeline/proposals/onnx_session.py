@@ -25,7 +25,7 @@ def open_session(path: Path, threads: int | None = None) -> Any:
         Where the file is missing or is not an ONNX model.
     """
     if not path.is_file():
-        raise InputError("there is no model file", path=path, cause="give the path of an ONNX file with --model")
+        raise InputError("there is no model file", path=path, cause="give the path of an ONNX file")
     import onnxruntime as ort
 
     options = ort.SessionOptions()
@@ -37,8 +37,27 @@ def open_session(path: Path, threads: int | None = None) -> Any:
     try:
         return ort.InferenceSession(str(path), sess_options=options, providers=providers)
     except Exception as error:  # ONNX Runtime raises its own classes, which differ between releases.
-        first = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise InputError("ONNX Runtime cannot load the model", got=first[:200], path=path) from error
+        # Some float16 and quantised graphs are spoilt by the optimiser and load without it.
+        options.graph_optimization_level = ort.GraphOptimizationLevel.ORT_DISABLE_ALL
+        try:
+            return ort.InferenceSession(str(path), sess_options=options, providers=providers)
+        except Exception:
+            first = str(error).splitlines()[0] if str(error) else type(error).__name__
+            raise InputError(
+                "ONNX Runtime cannot load the model", got=first[:200], cause=_likely_cause(str(error)), path=path
+            ) from error
+
+
+def _likely_cause(message: str) -> str | None:
+    """What ONNX Runtime's words for a file that it cannot load come from."""
+    words = message.lower()
+    if any(part in words for part in ("external data", "external initializer", "_data", "model_path must not")):
+        return "its weights are in a file of their own: keep it beside the model, under the name it was exported with"
+    if "opset" in words:
+        return "the file is newer than this ONNX Runtime: update onnxruntime, or export with an older opset"
+    if "protobuf" in words or "parse" in words:
+        return "the file is damaged, incomplete, or no ONNX file"
+    return None
 
 
 def signature(session: Any) -> str:

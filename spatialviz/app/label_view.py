@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from pipeline.correcting.cards import PairCard
+from pipeline.correcting.event_lines import EventLine
+from pipeline.correcting.expression_cards import ExpressionCard
 from pipeline.correcting.moving import Moved
 from pipeline.journal.effective_frame import EffectiveFrame
 from pipeline.review.items import ItemKey
@@ -30,6 +32,14 @@ class LabelView:
         It was not done.
     moved : Moved or None
         What follows from the box that is being dragged.
+    expression : str or None
+        The id of the expression that is looked at.
+    about : tuple of int
+        Numbers of the pair whose expressions are listed first.
+    expressions : tuple of ExpressionCard
+        All of the frame.
+    history : tuple of EventLine
+        Of what is selected.
     """
 
     frame: EffectiveFrame
@@ -39,6 +49,15 @@ class LabelView:
     said: str = ""
     bad: bool = False
     moved: Moved | None = None
+    expression: str | None = None
+    about: tuple[int, ...] = ()
+    expressions: tuple[ExpressionCard, ...] = ()
+    history: tuple[EventLine, ...] = ()
+
+    @property
+    def sentence(self) -> ExpressionCard | None:
+        """The expression that is looked at."""
+        return next((c for c in self.expressions if c.id == self.expression), None)
 
     @property
     def numbers(self) -> tuple[int, ...]:

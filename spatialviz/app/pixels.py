@@ -241,7 +241,7 @@ class Pixels:
             self._drafts[self._key] = moved
             self.follow()
         else:
-            self._correct.take_back(which)
+            self._correct.taken_back(which)
             view = self._state().labels
             if view is not None:
                 self._tell(view.said, view.bad)

@@ -48,10 +48,12 @@ from spatialviz.app.run_browser import Listing
 from spatialviz.app.run_panel import RunPanel
 from spatialviz.app.scene import SceneView
 from spatialviz.app.selection import Selection
+from spatialviz.app.sentences import sentences_and_conflicts
 from spatialviz.app.state import NOTHING, State, shown_objects
 from spatialviz.app.view_settings import ViewSettings
 from spatialviz.app.view_string import BEGINS
 from spatialviz.app.view_strings import ViewStrings
+from spatialviz.app.watch import Watch
 from spatialviz.app.what_if import WhatIf
 
 LOG_LENGTH = 200
@@ -89,13 +91,13 @@ class Session:
         self._painted: tuple[Any, ...] = ()
         self._closed = threading.Event()
         self._begun = False
-        self._judge = Judge(runs or {}, others or {}, labels)
+        self._judge = Judge(runs or {}, others or {}, labels, lambda *at: self._correct.corrected(*at))
         self._first_view = first_view
         self.bridge = Bridge(client, self.handle)
         moving = any(has_moves(opened.dataset) for opened in store.sources.values())
         self._help = HelpDialog(client, self.post, moving)
         ids = store.sources[source].dataset.frame_ids
-        self.state = State(source=source, frame_id=ids[0], dark=dark, text=first_expression)
+        self.state = State(source, ids[0], dark=dark, text=first_expression, correctable=bool(journals))
         self.page = build(client, self.bridge, tuple(store.sources), source, ids, bool(runs), bool(journals))
         self.scene = SceneView(
             client,
@@ -126,6 +128,7 @@ class Session:
             client, self.page, self.scene, self.bridge, self._correct, state=self._now, take=self._take,
             draw=self._draw_edited, note=self._note,
         )  # fmt: skip
+        spoken = sentences_and_conflicts(self._correct, dialog, self.bridge, self._now, self._take, self._draw)
         self._strings = ViewStrings(
             dialog, store.sources, runs or {}, self._runs, self.scene.viewpoint, state=self._now, take=self._take,
             go=self._go, ask=self._ask, show_context=self._view.show_context, draw=self._draw, note=self._note,
@@ -144,12 +147,14 @@ class Session:
         )  # fmt: skip
         parts = (
             self._selection, self._view, self._runs, self._what_if, self._strings, keeping, self._correct,
-            self._queue, self._retrain, self._pixels, self._object, dialog,
+            self._queue, self._retrain, self._pixels, self._object, dialog, *spoken,
         )  # fmt: skip
         self._more = {name: run for part in parts for name, run in part.commands().items()}
         forward_inputs(self.page, self.post, self.bridge.alive)
         add_keys(client, self.post, moving, bool(journals))
         self.bridge.start()
+        if journals:
+            Watch(self._correct, self._now, self.bridge.post, self._closed)
         threading.Timer(PATIENCE_SECONDS, lambda: self.post("begin")).start()
         threading.Timer(HELLO_SECONDS, self._check_bridge).start()
 
@@ -184,7 +189,7 @@ class Session:
             "move": lambda: self._move(argument),
             "clear": self._clear,
             "begin": self._begin,
-            "hello": lambda: self._begin(argument),
+            "hello": lambda: self._begin(self._correct.signed(argument)),
             "help": self._help.toggle,
             "close-help": self._help.close,
         }
@@ -439,6 +444,7 @@ class Session:
     def _draw(self) -> None:
         """Bring the whole page up to the state. Handles that would not change send nothing."""
         self._what_if.check()
+        self._correct.chosen()
         state = self.state
         fill_page(
             self.page,

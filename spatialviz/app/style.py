@@ -241,7 +241,7 @@ if (!window.svTags) {
     }
   });
 }
-const hello = n => { const m = window.__viserMutable; if (m && m.sendMessage) { window.sv('hello:' + (sessionStorage.getItem('sv') || '')); } else if (n < 40) { setTimeout(() => hello(n + 1), 250); } };
+const hello = n => { const m = window.__viserMutable; if (m && m.sendMessage) { window.sv('hello:' + (sessionStorage.getItem('sv') || '') + '&author=' + encodeURIComponent(localStorage.getItem('svAuthor') || '')); } else if (n < 40) { setTimeout(() => hello(n + 1), 250); } };
 hello(0);
 })()
 """
