@@ -25,7 +25,7 @@ DATABASE_ERRORS = (SQLAlchemyError, sqlite3.Error, OSError)
 """What goes wrong in a database; the second where a connection is only being made, the third on the network."""
 _HELP = (
     (("is full", "no space", "quota"), "the disk is full: free some space and save again"),
-    (("disk i/o error",), "the disk does not take it, being full, over a limit or broken: make room and save again"),
+    (("disk i/o error",), "the disk is full, over a limit, read-only or broken: mend that and save again"),
     (("file is gone", "no such table"), "put the journal back where it was, and save again"),
     (("read-only transaction",), "the database takes no edits now: save again when it does"),
     (("readonly", "read-only", "unable to open", "permission denied"),

@@ -13,6 +13,7 @@ import re
 import socket
 import ssl
 import stat
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -173,20 +174,27 @@ def _connect(address: Address) -> Any:
     """A new connection; whatever goes wrong on the way is an error of the driver."""
     import pg8000
 
-    place = f"{address.host}:{address.port}"
+    class Connection(pg8000.Connection):
+        def close(self) -> None:
+            # One that broke says so a second time when it is let go of, and the pool would print it.
+            with suppress(pg8000.Error, OSError):
+                super().close()
+
     link = None
     try:
         link = _socket(address)
-        return pg8000.Connection(
+        # Where a password is asked for and there is none, the driver fails in its own code: "" is refused instead.
+        return Connection(
             address.user, host=address.host, database=address.database, port=address.port,
-            password=address.password, ssl_context=address.ssl, application_name=address.application, sock=link,
+            password=address.password or "", ssl_context=address.ssl, application_name=address.application, sock=link,
         )  # fmt: skip
-    except BaseException as error:
+    except Exception as error:
         if link is not None:
             link.close()
-        if not isinstance(error, OSError):
+        if isinstance(error, pg8000.Error):
             raise
-        raise pg8000.InterfaceError(f"cannot connect to {place}: {error.strerror or error}") from error
+        said = (error.strerror if isinstance(error, OSError) else None) or str(error)
+        raise pg8000.InterfaceError(f"cannot connect to {address.host}:{address.port}: {said}") from None
 
 
 def _socket(address: Address) -> socket.socket:
