@@ -5,12 +5,14 @@ from __future__ import annotations
 import os
 import ssl
 from collections.abc import Callable, Iterator
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import pytest
 import sqlalchemy as sa
 from postgres_cluster import Cluster, missing, started_cluster
+from sqlalchemy import event
 
 from pipeline.errors import InputError
 from pipeline.journal.cells import object_cell
@@ -118,16 +120,17 @@ def test_a_taken_back_action_whose_answer_was_lost_is_taken_back_once(
 ) -> None:
     monkeypatch.setenv("PGPASSWORD", SECRET)
     with open_journal(locked.url, project="undo") as journal:
-        for number, name in enumerate(("cup", "bowl", "vase")):
-            journal.append([Edit(NAME, None, name, number)], "ann")
+        names = ("mug", "cup", "bowl", "vase")
+        for number, (before, after) in enumerate(pairwise(names)):
+            journal.append([Edit(NAME, before, after, number)], "ann")
         for take_back in (undo, redo, undo):
-            before = len(journal.events())
+            count = len(journal.events())
             with pytest.raises(NotSaved, match="cannot be reached") as error:
                 _cut_after_commit(journal, locked, lambda step=take_back: step(journal, "ann"))
             done = take_back(journal, "ann", again=error.value.group)
             assert isinstance(done, Saved)
             assert done.group == error.value.group
-            assert len(journal.events()) == before + 1
+            assert len(journal.events()) == count + 1
         assert [e.after for e in journal.events()] == ["cup", "bowl", "vase", "bowl", "vase", "bowl"]
 
 
@@ -144,14 +147,15 @@ def _cut_after_commit(journal: Journal, cluster: Cluster, action: Callable[[], o
     def watch(_: Any, __: Any, statement: str, *___: Any) -> None:
         writes.extend([statement] if statement.startswith("INSERT") else [])
 
-    sa.event.listen(journal.engine, "before_cursor_execute", watch)
+    event.listen(journal.engine, "before_cursor_execute", watch)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(journal.engine.dialect, "do_commit", lost)
         try:
             action()
         finally:
-            sa.event.remove(journal.engine, "before_cursor_execute", watch)
-            cluster.start()
+            event.remove(journal.engine, "before_cursor_execute", watch)
+            if writes:
+                cluster.start()
 
 
 def test_a_server_that_restarts_takes_the_next_edit(locked: Cluster, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -208,7 +208,9 @@ def main(arguments: Sequence[str]) -> int:
     import tempfile
 
     with tempfile.TemporaryDirectory(prefix="spatialviz-") as notes:
-        found = survive(arguments[0], Path(notes), *(int(n) for n in arguments[1:4]))
+        names = ("rounds", "writers", "seed")
+        numbers: dict[str, Any] = {name: int(n) for name, n in zip(names, arguments[1:4], strict=False)}
+        found = survive(arguments[0], Path(notes), **numbers)
     print(json.dumps({**asdict(found), "holds": found.holds}))
     return 0 if found.holds else 1
 
