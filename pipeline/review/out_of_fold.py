@@ -29,6 +29,9 @@ REVIEWED = "all"
 """The vocabulary of the networks: every relation is judged alone; those that were not labelled teach nothing."""
 EPOCHS = 5
 """Half of the usual: longer training ranks no better, and takes wrong labels to heart."""
+PASSES = 3
+"""The first networks learn from wrong labels, and are unsure just where two answers meet; there they overlook errors,
+and errors there cost the most F1."""
 PRUNED = 0.5
 """A label that is more probably wrong than right is not learnt from in the next pass."""
 
@@ -41,14 +44,14 @@ class DoubtConfig:
     ----------
     folds : int
     passes : int
-        After the first, networks are trained once more without the labels that were found probably wrong: somewhat
-        better, for as long again. Which labels are left out is then known from networks that have seen the others.
+        After the first, networks are trained once more without the labels that were found probably wrong: better, for
+        as long again. Which labels are left out is then known from networks that have seen the others.
     train : TrainConfig
         Its features are those of the labels' rows; every relation is judged alone, whatever its vocabulary.
     """
 
     folds: int = FOLDS
-    passes: int = 1
+    passes: int = PASSES
     train: TrainConfig = field(default_factory=lambda: TrainConfig(vocabulary=REVIEWED, epochs=EPOCHS))
 
     def check(self) -> None:
