@@ -254,7 +254,7 @@ class Correct:
             return
         state = self._state()
         opened = self._openers.get(state.source) is not None
-        self._page.review_head.content = review_head_html(state, self.desk if opened else None, None)
+        self._page.review_head.content = review_head_html(state, opened, self.open_desk)
         self._page.review_pair.content = pair_html(state)
 
     # ---- edits ------------------------------------------------------------------------

@@ -51,10 +51,10 @@ def item_html(row: Mapping[str, Any] | None, names: Names, item: ItemKey | None)
     wrong = f'<span class="p" title="how probably the label is wrong">{row["score"]:.0%}</span>'
     network = "" if row["probability"] is None else f" · networks: {row['probability']:.2f} that it holds"
     reasons = "".join(f"<div>{safe(reason)}</div>" for reason in row["reasons"])
-    kind = {"relation": "T U F settle it", "object": "Y accepts", "expression": "Y accepts"}[item.kind]
+    ways = "T U F settle it, Y accepts" if item.kind == "relation" else "Y accepts, Shift+Y rejects"
     return (
         f'<div class="item"><div class="big"><b>{said(row, names)}</b>{wrong}</div>'
-        f'<div class="why">{reasons}</div><div class="dim">{kind}, Shift+Y rejects, Shift+U unsure{network}</div></div>'
+        f'<div class="why">{reasons}</div><div class="dim">{ways}, Shift+U unsure{network}</div></div>'
     )
 
 
