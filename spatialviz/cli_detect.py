@@ -20,7 +20,8 @@ class DetectorOptions:
     """Which detector is run, and how."""
 
     detector: str | None = None
-    """annotations | recorded | yolo-seg | simulated. Default: annotations, where the dataset has them."""
+    """annotations | recorded | yolo-seg | grounding-dino | owlv2 | owlvit | simulated. Default: annotations, where the
+    dataset has them."""
     model: Path | None = None
     """Model file or recording for the detector, or options (TOML or JSON) of the simulated one."""
     min_score: float | None = None

@@ -24,7 +24,8 @@ class LabelSource:
     """What is labelled, and what finds the objects."""
 
     detector: str | None = None
-    """annotations | recorded | yolo-seg | simulated. Default: annotations, where the dataset has them."""
+    """annotations | recorded | yolo-seg | grounding-dino | owlv2 | owlvit | simulated. Default: annotations, where the
+    dataset has them."""
     model: Path | None = None
     """Model file or recording for the detector, or options (TOML or JSON) of the simulated one."""
     segmenter: str | None = "depth"

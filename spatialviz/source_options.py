@@ -31,7 +31,8 @@ class SourceOptions:
     """What is opened, and with which models."""
 
     detector: str | None = None
-    """annotations | recorded | yolo-seg | simulated. Default: annotations, where the dataset has them."""
+    """annotations | recorded | yolo-seg | grounding-dino | owlv2 | owlvit | simulated. Default: annotations, where the
+    dataset has them."""
     model: Path | None = None
     """Model file or recording for the detector, or options (TOML or JSON) of the simulated one."""
     min_score: float | None = None

@@ -13,7 +13,7 @@ from pipeline.errors import InputError
 from pipeline.evaluation.cases import Case, FrameCases
 from pipeline.evaluation.records import COLUMNS, HIT, matched, overlaps
 from pipeline.frame import Frame
-from pipeline.proposals.base import Detector
+from pipeline.proposals.base import Detector, detect_expression
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ class WholeExpression(Protocol):
 
 @dataclass(frozen=True)
 class Referring:
-    """The detector fed the whole expression as if it were a class name: its best box is the answer."""
+    """The detector fed the whole expression, as a sentence or as a class name: its best box is the answer."""
 
     detector: Detector
 
@@ -59,7 +59,7 @@ class Referring:
         found = []
         for text in texts:
             try:
-                proposals = self.detector.detect(frame, [text])
+                proposals = detect_expression(self.detector, frame, text)
             except InputError as error:
                 found.append(Pointed(None, problem=str(error)))
                 continue

@@ -141,6 +141,12 @@ class Detector(Protocol):
         ...
 
 
+def detect_expression(detector: Detector, frame: Frame, text: str) -> Proposals:
+    """Detections of a whole expression: as a sentence where the detector can (`detect_expression`), else as a name."""
+    own = getattr(detector, "detect_expression", None)
+    return detector.detect(frame, [text]) if own is None else own(frame, text)
+
+
 def reads_annotations(detector: Detector) -> bool:
     """Whether the frame's annotations bear on what a detector finds; those that look at the picture alone say so.
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import tempfile
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +13,7 @@ import platformdirs
 import xxhash
 
 from pipeline.frame import Frame
-from pipeline.proposals.base import Detector, Proposals
+from pipeline.proposals.base import Detector, Proposals, detect_expression
 
 _IN_MEMORY = 8
 _VERSION = "1"
@@ -53,23 +53,34 @@ class CachedDetector:
         return self.detector.fingerprint()
 
     def detect(self, frame: Frame, labels: Sequence[str] | None) -> Proposals:
-        key = self.key(frame, labels)
+        return self._kept(self.key(frame, labels), lambda: self.detector.detect(frame, labels))
+
+    def detect_expression(self, frame: Frame, text: str) -> Proposals:
+        """What the detector finds of a whole expression, see `pipeline.proposals.base.detect_expression`."""
+        return self._kept(
+            self.key(frame, ["", "expression", text]), lambda: detect_expression(self.detector, frame, text)
+        )
+
+    def key(self, frame: Frame, labels: Sequence[str] | None) -> str:
+        """Cache key of a run on a frame."""
+        if labels is None:
+            # What a detector of any names looks for where it is asked for none is no part of its fingerprint.
+            labels = getattr(self.detector, "default_labels", None)
+        parts = [_VERSION, frame.content_hash, self.fingerprint(), *(("*",) if labels is None else sorted(labels))]
+        return xxhash.xxh3_128_hexdigest("\x1f".join(parts).encode())
+
+    def _kept(self, key: str, run: Callable[[], Proposals]) -> Proposals:
         found = self._recent.get(key)
         if found is None:  # An empty result is a result.
             found = _load(self.folder / f"{key}.npz")
         if found is None:
-            found = self.detector.detect(frame, labels)
+            found = run()
             _store(self.folder / f"{key}.npz", found)
         self._recent[key] = found
         self._recent.move_to_end(key)
         while len(self._recent) > _IN_MEMORY:
             self._recent.popitem(last=False)
         return found
-
-    def key(self, frame: Frame, labels: Sequence[str] | None) -> str:
-        """Cache key of a run on a frame."""
-        parts = [_VERSION, frame.content_hash, self.fingerprint(), *(("*",) if labels is None else sorted(labels))]
-        return xxhash.xxh3_128_hexdigest("\x1f".join(parts).encode())
 
 
 def _store(path: Path, proposals: Proposals) -> None:

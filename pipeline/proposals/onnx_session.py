@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import xxhash
 
 from pipeline.errors import InputError
@@ -12,6 +14,9 @@ from pipeline.errors import InputError
 
 def open_session(path: Path, threads: int | None = None) -> Any:
     """An `onnxruntime.InferenceSession` on the CPU (or on CUDA where it is installed).
+
+    A graph that ONNX Runtime cannot load with its optimisations, as happens with half-precision files, is loaded
+    without them.
 
     Parameters
     ----------
@@ -25,20 +30,84 @@ def open_session(path: Path, threads: int | None = None) -> Any:
         Where the file is missing or is not an ONNX model.
     """
     if not path.is_file():
-        raise InputError("there is no model file", path=path, cause="give the path of an ONNX file with --model")
+        raise InputError("there is no model file", path=path, cause="give the path of an ONNX file")
     import onnxruntime as ort
 
     options = ort.SessionOptions()
-    options.log_severity_level = 3
+    # Errors are raised as exceptions; the log would print them a second time.
+    options.log_severity_level = 4
     if threads is not None:
         options.intra_op_num_threads = threads
     available = ort.get_available_providers()
     providers = [p for p in ("CUDAExecutionProvider", "CPUExecutionProvider") if p in available]
+    failure: Exception | None = None
+    for level in (ort.GraphOptimizationLevel.ORT_ENABLE_ALL, ort.GraphOptimizationLevel.ORT_DISABLE_ALL):
+        options.graph_optimization_level = level
+        try:
+            return ort.InferenceSession(str(path), sess_options=options, providers=providers)
+        except Exception as error:  # ONNX Runtime raises its own classes, which differ between releases.
+            failure = failure or error
+    raise InputError(
+        "ONNX Runtime cannot load the model", got=first_line(failure), cause=_likely_cause(str(failure)), path=path
+    ) from failure
+
+
+def _likely_cause(message: str) -> str | None:
+    """What ONNX Runtime's words for a file that it cannot load come from."""
+    words = message.lower()
+    if any(part in words for part in ("external data", "external initializer", "_data", "model_path must not")):
+        return "its weights are in a file of their own: keep it beside the model, under the name it was exported with"
+    if "opset" in words:
+        return "the file is newer than this ONNX Runtime: update onnxruntime, or export with an older opset"
+    if "protobuf" in words or "parse" in words:
+        return "the file is damaged, incomplete, or no ONNX file"
+    return None
+
+
+def first_line(error: object) -> str:
+    """The first line of an error, or its class where it says nothing."""
+    return str(error).splitlines()[0][:200] if str(error) else type(error).__name__
+
+
+def run_session(session: Any, outputs: Sequence[str], feed: Mapping[str, np.ndarray], path: Path) -> list[np.ndarray]:
+    """The outputs asked for, floating-point ones as float32, of inputs cast to the types that the file declares.
+
+    Raises
+    ------
+    InputError
+        Where ONNX Runtime cannot run the model on them, or an output holds NaN.
+    """
+    declared = {i.name: NUMPY_TYPES.get(i.type) for i in session.get_inputs()}
+    cast = {n: np.ascontiguousarray(v, dtype=declared.get(n) or v.dtype) for n, v in feed.items()}
     try:
-        return ort.InferenceSession(str(path), sess_options=options, providers=providers)
-    except Exception as error:  # ONNX Runtime raises its own classes, which differ between releases.
-        first = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise InputError("ONNX Runtime cannot load the model", got=first[:200], path=path) from error
+        values = [np.asarray(v) for v in session.run(list(outputs), cast)]
+    except Exception as error:  # As above.
+        text = str(error)
+        wrong_text = "out of data bounds" in text or "out of bounds" in text
+        cause = "a token is not in the model's vocabulary: is the tokenizer that of another model?"
+        raise InputError(
+            "the model cannot be run", got=first_line(text), cause=cause if wrong_text else None, path=path
+        ) from error
+    values = [v.astype(np.float32) if v.dtype.kind == "f" else v for v in values]
+    for name, value in zip(outputs, values, strict=True):
+        if value.dtype.kind == "f" and np.isnan(value).any():
+            raise InputError(
+                f"the model's output {name!r} holds NaN",
+                cause="half-precision files overflow on some processors: try the full-precision one",
+                path=path,
+            )
+    return values
+
+
+NUMPY_TYPES: dict[str, type[np.generic]] = {
+    "tensor(float)": np.float32,
+    "tensor(float16)": np.float16,
+    "tensor(double)": np.float64,
+    "tensor(int64)": np.int64,
+    "tensor(int32)": np.int32,
+    "tensor(bool)": np.bool_,
+}
+"""ONNX Runtime's names of the types that inputs may have."""
 
 
 def signature(session: Any) -> str:
@@ -57,3 +126,9 @@ def file_hash(path: Path) -> str:
         while block := file.read(1 << 20):
             digest.update(block)
     return digest.hexdigest()
+
+
+def model_hash(path: Path) -> str:
+    """Hash of a model file and of the weights that stand beside it, as exporters name them."""
+    beside = [path.with_name(path.name + ending) for ending in ("_data", ".data")]
+    return "+".join(file_hash(p) for p in (path, *beside) if p.is_file())

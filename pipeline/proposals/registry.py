@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 from pipeline.errors import InputError
 from pipeline.naming import Synonyms
@@ -54,6 +55,25 @@ def _yolo_seg(request: DetectorRequest) -> Detector:
     return CachedDetector(YoloSegDetector(path, synonyms=request.synonyms, min_score=request.min_score))
 
 
+def _grounding_dino(request: DetectorRequest) -> Detector:
+    from pipeline.proposals.grounding_dino import BOX_THRESHOLD, GroundingDinoDetector
+
+    path = _needed(request, "grounding-dino", "an ONNX file with its tokenizer beside it")
+    min_score = BOX_THRESHOLD if request.min_score is None else request.min_score
+    return CachedDetector(GroundingDinoDetector(path, min_score=min_score, default_labels=request.class_names))
+
+
+def _owl(kind: Literal["owlv2", "owlvit"]) -> Callable[[DetectorRequest], Detector]:
+    def make(request: DetectorRequest) -> Detector:
+        from pipeline.proposals.owl import MIN_SCORE, OwlDetector
+
+        path = _needed(request, kind, "an ONNX file with its tokenizer.json beside it")
+        min_score = MIN_SCORE if request.min_score is None else request.min_score
+        return CachedDetector(OwlDetector(path, kind, min_score=min_score, default_labels=request.class_names))
+
+    return make
+
+
 def _simulated(request: DetectorRequest) -> Detector:
     from pipeline.proposals.simulated import SimulatedDetector, read_options
 
@@ -75,6 +95,9 @@ DETECTORS: dict[str, Callable[[DetectorRequest], Detector]] = {
     "annotations": _annotations,
     "recorded": _recorded,
     "yolo-seg": _yolo_seg,
+    "grounding-dino": _grounding_dino,
+    "owlv2": _owl("owlv2"),
+    "owlvit": _owl("owlvit"),
     "simulated": _simulated,
 }
 

@@ -11,7 +11,7 @@ import numpy as np
 from pipeline.errors import InputError
 from pipeline.frame import Frame
 from pipeline.proposals.annotations import box_mask
-from pipeline.proposals.base import Detector, Proposals
+from pipeline.proposals.base import Detector, Proposals, detect_expression
 
 BEST = 50
 """Of a detector that is not exact, at most so many boxes of a run get a mask, the best first."""
@@ -101,6 +101,10 @@ class Segmented:
             segmented[i] = mask is not None
             masks[i] = box_mask(found.boxes[i], *shape) if mask is None else mask
         return replace(found, masks=masks, has_mask=~bare | segmented, segmented=segmented)
+
+    def detect_expression(self, frame: Frame, text: str) -> Proposals:
+        """What the detector finds of a whole expression: boxes are all that is asked of it, so none is segmented."""
+        return detect_expression(self.detector, frame, text)
 
     def _of_all(self, frame: Frame) -> dict[int, np.ndarray]:
         """The masks of a frame's exact boxes by their identities, kept for the next question about it."""

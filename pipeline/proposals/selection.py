@@ -8,6 +8,8 @@ from pipeline.boxes import iou_2d
 from pipeline.proposals.base import Proposals
 
 NMS_IOU = 0.5
+MAX_CANDIDATES = 1000
+"""Boxes of a class that go into non-maximum suppression at most, best first."""
 
 
 def top_k(proposals: Proposals, k: int, *, min_score: float = 0.0, nms_iou: float = NMS_IOU) -> Proposals:
@@ -30,3 +32,23 @@ def suppress(boxes: np.ndarray, nms_iou: float = NMS_IOU) -> np.ndarray:
         if alive[i]:
             alive[i + 1 :] &= ~overlap[i, i + 1 :]
     return np.flatnonzero(alive)
+
+
+def class_wise(
+    boxes: np.ndarray, scores: np.ndarray, classes: np.ndarray, k: int, *, nms_iou: float = NMS_IOU
+) -> np.ndarray:
+    """(M,) int64: the best `k` of each class after non-maximum suppression within it, best first.
+
+    Parameters
+    ----------
+    boxes : (N, 4) float
+    scores : (N,) float
+    classes : (N,) int
+    """
+    order = np.argsort(-scores, kind="stable")
+    kept = [np.zeros(0, np.int64)]
+    for one in np.unique(classes):
+        own = order[classes[order] == one][:MAX_CANDIDATES]
+        kept.append(own[suppress(boxes[own], nms_iou)][:k])
+    chosen = np.concatenate(kept)
+    return chosen[np.argsort(-scores[chosen], kind="stable")]

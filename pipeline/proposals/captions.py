@@ -1,0 +1,159 @@
+"""Class names as GroundingDINO's captions: "mug. laptop.", with the place of every name in the tokens."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.errors import InputError
+
+MAX_TOKENS = 256
+SPECIAL = {"[CLS]": 101, "[SEP]": 102, ".": 1012, "?": 1029}
+"""The tokens that part a caption, by the numbers that the network has built in."""
+_CLS, _SEP, _STOP = 101, 102, 1012
+_SEPARATORS = re.compile(r"[.?]")
+_GAPS = re.compile(r"[\s_]+")
+
+
+@dataclass(frozen=True)
+class Caption:
+    """One run's text.
+
+    Attributes
+    ----------
+    text : str
+    ids : (S,) int64
+        Tokens, with those that begin and end the text.
+    names : (N,) int64
+        Which of the names asked for, in their order in the text.
+    spans : (N, 2) int64
+        The first token of each name, and the one after its last.
+    """
+
+    text: str
+    ids: np.ndarray
+    names: np.ndarray
+    spans: np.ndarray
+
+
+def plain_name(name: str) -> str:
+    """A class name as a caption may hold it: lower case, no separators (`T.V._stand` becomes `tv stand`)."""
+    return _GAPS.sub(" ", _SEPARATORS.sub("", name)).strip().lower()
+
+
+def check_bert(tokenizer: Any, path: Path) -> None:
+    """Raise InputError unless the tokenizer has the numbers of the uncased BERT that GroundingDINO has built in."""
+    found = {token: tokenizer.token_to_id(token) for token in SPECIAL}
+    if found != SPECIAL:
+        raise InputError(
+            "the tokenizer is not the one of GroundingDINO",
+            got=", ".join(f"{t} = {n}" for t, n in found.items()),
+            expected=", ".join(f"{t} = {n}" for t, n in SPECIAL.items()),
+            cause="it must be that of bert-base-uncased",
+            path=path,
+        )
+
+
+def build_captions(names: Sequence[str], tokenizer: Any, limit: int = MAX_TOKENS) -> list[Caption]:
+    """As few captions as hold all names in their order, each of at most `limit` tokens; no name is ever cut.
+
+    Names that read the same stand in a caption once, for the first of them.
+
+    Raises
+    ------
+    InputError
+        For a name without a word, with no word that the tokenizer knows, or longer than a caption.
+    """
+    groups: list[list[tuple[int, str, list[int]]]] = [[]]
+    length = 2
+    seen: set[str] = set()
+    for number, name in enumerate(names):
+        plain = plain_name(name)
+        if plain in seen:
+            continue
+        seen.add(plain)
+        tokens = _tokens(name, plain, tokenizer, limit)
+        if length + len(tokens) + 1 > limit:
+            groups.append([])
+            length = 2
+        groups[-1].append((number, plain, tokens))
+        length += len(tokens) + 1
+    return [_caption(group) for group in groups if group]
+
+
+def _tokens(name: str, plain: str, tokenizer: Any, limit: int) -> list[int]:
+    if not plain:
+        raise InputError("a name has no words that can be looked for", got=repr(name[:60]))
+    tokens = tokenizer.encode(plain, add_special_tokens=False).ids
+    unknown = tokenizer.token_to_id("[UNK]")
+    if not tokens or all(t == unknown for t in tokens):
+        raise InputError("the model's tokenizer knows no word of a name", got=repr(name[:60]))
+    if set(tokens) & set(SPECIAL.values()):
+        raise InputError("a name holds a mark that parts names", got=repr(name[:60]))
+    if len(tokens) + 3 > limit:
+        raise InputError(
+            "a name is too long for the model",
+            got=f"{len(tokens)} tokens in {name[:40]!r}",
+            expected=f"at most {limit - 3}",
+        )
+    return tokens
+
+
+def _caption(group: list[tuple[int, str, list[int]]]) -> Caption:
+    ids = [_CLS]
+    spans = []
+    for _, _, tokens in group:
+        spans.append((len(ids), len(ids) + len(tokens)))
+        ids += [*tokens, _STOP]
+    return Caption(
+        ". ".join(plain for _, plain, _ in group) + ".",
+        np.array([*ids, _SEP], np.int64),
+        np.array([number for number, _, _ in group], np.int64),
+        np.array(spans, np.int64),
+    )
+
+
+def token_blocks(ids: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What tokens may attend to, and their positions: each name by itself, with the stop behind it.
+
+    As `generate_masks_with_special_tokens_and_transfer_map` of IDEA-Research/GroundingDINO (bertwarper.py): a block
+    ends with its special token, which belongs to it; the first and the last token, and those behind the last special
+    one, attend to themselves.
+
+    Parameters
+    ----------
+    ids : (S,) int64
+
+    Returns
+    -------
+    mask : (S, S) bool
+    positions : (S,) int64
+        Counted from 0 in each block.
+    """
+    special = np.isin(ids, list(SPECIAL.values()))
+    block = np.cumsum(special) - special
+    last = len(ids) - 1
+    closed = np.append(np.flatnonzero(special), len(ids))[block]
+    inside = (closed > 0) & (closed < last)
+    mask = (block[:, None] == block[None, :]) & inside[:, None]
+    np.fill_diagonal(mask, True)
+    begins = np.append(0, np.flatnonzero(special) + 1)[block]
+    return mask, np.where(inside, np.arange(len(ids)) - begins, 0)
+
+
+def span_scores(probabilities: np.ndarray, spans: np.ndarray) -> np.ndarray:
+    """(Q, N): the greatest probability of each name's tokens, of (Q, S) probabilities and (N, 2) spans."""
+    edges = spans.reshape(-1)
+    # Each name is followed by its stop, so that the maxima between spans are those of single tokens, left out.
+    return np.maximum.reduceat(probabilities, edges, axis=1)[:, ::2]
+
+
+def sigmoid(logits: np.ndarray) -> np.ndarray:
+    """1 / (1 + exp(-x)) in float32 for any x, the infinities included."""
+    # Beyond 88 the exponential of float32 is infinite.
+    return (0.5 * (1 + np.tanh(np.clip(logits.astype(np.float64), -80, 80) / 2))).astype(np.float32)

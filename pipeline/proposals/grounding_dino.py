@@ -1,0 +1,249 @@
+"""GroundingDINO by ONNX Runtime: objects by any names, or by a whole sentence.
+
+Both public exports are read, told apart by their declared inputs: that of transformers
+(onnx-community/grounding-dino-tiny-ONNX) and that of the original code, which wants the tokens' blocks from outside.
+A query is kept where its best token is above the box threshold, as in both code bases. Its name is the one whose
+own tokens are likeliest: their way of reading a phrase off all tokens above the text threshold gives "cat dog"
+where that threshold is low.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xxhash
+
+from pipeline.errors import InputError
+from pipeline.frame import Frame
+from pipeline.proposals.base import Proposals
+from pipeline.proposals.captions import (
+    MAX_TOKENS,
+    Caption,
+    build_captions,
+    check_bert,
+    sigmoid,
+    span_scores,
+    token_blocks,
+)
+from pipeline.proposals.contracts import Contract, TensorSpec
+from pipeline.proposals.onnx_session import file_hash, model_hash, open_session, run_session, signature
+from pipeline.proposals.relative_boxes import box_output, proposals_of, to_pixels
+from pipeline.proposals.resampling import IMAGENET_MEAN, IMAGENET_STD, normalised, pillow_resized, shortest_edge
+from pipeline.proposals.selection import NMS_IOU, class_wise
+from pipeline.proposals.tokenizer_file import TOKENIZER, find_tokenizer, load_tokenizer
+
+TOKENIZERS = (TOKENIZER, "vocab.txt", "*vocab*.txt")
+_OUTPUTS = (TensorSpec("logits", "float32", (1, "Q", "T")), TensorSpec("pred_boxes", "float32", (1, "Q", 4)))
+_TEXT = (TensorSpec("input_ids", "int64", (1, "S")), TensorSpec("token_type_ids", "int64", (1, "S")))
+CONTRACTS = (
+    Contract(
+        "--detector grounding-dino",
+        "GroundingDINO as transformers has it (onnx-community/grounding-dino-tiny-ONNX), with its tokenizer.json",
+        (
+            TensorSpec("pixel_values", "float32", (1, 3, "H", "W")),
+            *_TEXT,
+            TensorSpec("attention_mask", "int64", (1, "S")),
+            TensorSpec("pixel_mask", "int64", (1, "H", "W")),
+        ),
+        _OUTPUTS,
+    ),
+    Contract(
+        "--detector grounding-dino",
+        "GroundingDINO exported from the original code, with the tokenizer.json or vocab.txt of bert-base-uncased",
+        (
+            TensorSpec("img", "float32", (1, 3, "H", "W")),
+            *_TEXT,
+            TensorSpec("attention_mask", "bool", (1, "S")),
+            TensorSpec("position_ids", "int64", (1, "S")),
+            TensorSpec("text_token_mask", "bool", (1, "S", "S")),
+        ),
+        _OUTPUTS,
+    ),
+)
+"""Inputs that do not bear on an output may be missing, as exporters drop them."""
+PICTURES = ("pixel_values", "img")
+BOX_THRESHOLD, TEXT_THRESHOLD = 0.15, 0.10
+"""Those of the paper."""
+MAX_PER_NAME = 100
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What one caption found: queries above the thresholds, as (N, ...) arrays."""
+
+    boxes: np.ndarray
+    scores: np.ndarray
+    names: np.ndarray
+    ids: np.ndarray
+
+
+class GroundingDinoDetector:
+    """GroundingDINO, asked for any names.
+
+    Parameters
+    ----------
+    path : Path
+        The ONNX file.
+    tokenizer : Path, optional
+        By default tokenizer.json or vocab.txt in the file's folder or the one above.
+    min_score : float
+        The box threshold: queries with no token above it are dropped.
+    text_threshold : float
+        Queries with no name above it are dropped.
+    default_labels : sequence of str
+        What is looked for where no names are asked for.
+    nms_iou : float
+        Overlap above which the weaker of two boxes of one name goes; 1 keeps all.
+    k : int
+        Detections of each name that are kept at most.
+
+    Raises
+    ------
+    InputError
+        Where the file does not follow a contract, or the tokenizer is another model's.
+    MissingExtra
+        Where the library `tokenizers` is not installed.
+    """
+
+    name = "grounding-dino"
+    vocabulary: tuple[str, ...] | None = None
+    exact = False
+    reads_annotations = False
+
+    def __init__(
+        self,
+        path: str | Path,
+        *,
+        tokenizer: str | Path | None = None,
+        min_score: float = BOX_THRESHOLD,
+        text_threshold: float = TEXT_THRESHOLD,
+        default_labels: Sequence[str] = (),
+        nms_iou: float = NMS_IOU,
+        k: int = MAX_PER_NAME,
+    ) -> None:
+        self.path = Path(path)
+        self.min_score, self.text_threshold = min_score, text_threshold
+        self.default_labels = tuple(default_labels) or None
+        self.nms_iou, self.k = nms_iou, k
+        self._session = open_session(self.path)
+        self._picture, self._outputs = _check_contract(self._session, self.path)
+        self._inputs = {i.name: tuple(i.shape) for i in self._session.get_inputs()}
+        self.tokenizer_path = Path(tokenizer) if tokenizer is not None else find_tokenizer(self.path, TOKENIZERS)
+        self._tokenizer = load_tokenizer(self.tokenizer_path)
+        check_bert(self._tokenizer, self.tokenizer_path)
+        self._pixels: tuple[str, np.ndarray] | None = None
+
+    @cached_property
+    def _hash(self) -> str:
+        return f"{model_hash(self.path)}:{file_hash(self.tokenizer_path)}"
+
+    def fingerprint(self) -> str:
+        return f"grounding-dino:{self._hash}:{self.min_score}:{self.text_threshold}:{self.nms_iou}:{self.k}"
+
+    def detect(self, frame: Frame, labels: Sequence[str] | None) -> Proposals:
+        """Detections of the given names, the better first; `ids` tell captions and queries apart.
+
+        Raises
+        ------
+        InputError
+            For a name that cannot be asked for, or where none is and there are no default ones.
+        """
+        names = self.default_labels if labels is None else tuple(labels)
+        if names is None:
+            raise InputError(
+                "grounding-dino finds what it is asked for by name", expected="class names", cause="none were given"
+            )
+        found = [self._run(frame, caption) for caption in build_captions(names, self._tokenizer, self._limit)]
+        if not found:
+            return proposals_of(np.zeros((0, 4)), np.zeros(0), np.zeros(0), names, np.zeros(0), frame)
+        boxes, scores, which, ids = (
+            np.concatenate([getattr(f, part) for f in found]) for part in ("boxes", "scores", "names", "ids")
+        )
+        kept = class_wise(boxes, scores, which, self.k, nms_iou=self.nms_iou)
+        return proposals_of(boxes[kept], scores[kept], which[kept], names, ids[kept], frame)
+
+    def detect_expression(self, frame: Frame, text: str) -> Proposals:
+        """Detections of a whole sentence, as one phrase: the referring baseline."""
+        return self.detect(frame, [text])
+
+    @property
+    def _limit(self) -> int:
+        declared = [n for n in (self._inputs["input_ids"][-1],) if isinstance(n, int)]
+        return min([MAX_TOKENS, *declared])
+
+    def _run(self, frame: Frame, caption: Caption) -> _Found:
+        feed = self._feed(frame, caption)
+        logits, relative = run_session(self._session, self._outputs, feed, self.path)
+        tokens = len(caption.ids)
+        if logits.ndim != 3 or relative.shape != (*logits.shape[:2], 4) or logits.shape[2] < tokens:
+            raise InputError(
+                "the model's outputs do not fit one another",
+                got=f"logits {list(logits.shape)}, boxes {list(relative.shape)} for {tokens} tokens",
+                expected="logits [1, Q, T], boxes [1, Q, 4]",
+                path=self.path,
+            )
+        probabilities = sigmoid(logits[0])
+        best = probabilities.max(axis=1)
+        by_name = span_scores(probabilities[:, :tokens], caption.spans)
+        winner = by_name.argmax(axis=1)
+        queries = np.flatnonzero((best > self.min_score) & (by_name.max(axis=1) > self.text_threshold))
+        boxes = to_pixels(relative[0][queries], frame.width, frame.height, frame)
+        run = xxhash.xxh3_64_intdigest(caption.text.encode()) >> 17
+        return _Found(boxes, best[queries], caption.names[winner[queries]], (run << 16) + queries)
+
+    def _feed(self, frame: Frame, caption: Caption) -> dict[str, np.ndarray]:
+        size = self._inputs["input_ids"][-1]
+        tokens = len(caption.ids)
+        ids = np.zeros(size if isinstance(size, int) else tokens, np.int64)
+        ids[:tokens] = caption.ids
+        mask, positions = token_blocks(ids)
+        pixels = self._tensor(frame)
+        values = {
+            self._picture: pixels,
+            "input_ids": ids[None],
+            "token_type_ids": np.zeros((1, len(ids)), np.int64),
+            "attention_mask": (np.arange(len(ids)) < tokens)[None],
+            "pixel_mask": np.ones((1, *pixels.shape[2:]), np.bool_),
+            "position_ids": positions[None],
+            "text_token_mask": mask[None],
+        }
+        return {name: values[name] for name in self._inputs}
+
+    def _tensor(self, frame: Frame) -> np.ndarray:
+        """The picture is resized once, however many captions are asked of it."""
+        if self._pixels is None or self._pixels[0] != frame.content_hash:
+            free = shortest_edge(frame.height, frame.width)
+            declared = self._inputs[self._picture][2:]
+            height, width = (d if isinstance(d, int) else f for d, f in zip(declared, free, strict=True))
+            image = pillow_resized(frame.rgb, height, width)
+            self._pixels = frame.content_hash, normalised(image, IMAGENET_MEAN, IMAGENET_STD)
+        return self._pixels[1]
+
+
+def _check_contract(session: Any, path: Path) -> tuple[str, list[str]]:
+    """The name of the picture's input, and those of the logits and the boxes."""
+    inputs = {i.name: i.shape for i in session.get_inputs()}
+    picture = next((n for n in PICTURES if n in inputs), None)
+    known = {t.name for c in CONTRACTS for t in c.inputs}
+    boxes = box_output(session)
+    outputs = [o for o in session.get_outputs() if o.name != boxes and len(o.shape) == 3]
+    logits = next((o.name for o in outputs if o.name == "logits"), outputs[0].name if outputs else None)
+    shape = inputs[picture] if picture else []
+    fits = len(shape) == 4 and (shape[1] == 3 or not isinstance(shape[1], int))
+    if picture is None or not fits or "input_ids" not in inputs or set(inputs) - known or not boxes or not logits:
+        odd = ", ".join(sorted(set(inputs) - known))
+        raise InputError(
+            "the ONNX file is not a GroundingDINO model",
+            got=signature(session)[:240],
+            expected=" or ".join(
+                ", ".join(f"{t.name} {list(t.shape)}" for t in c.inputs) + " -> [1, Q, T], [1, Q, 4]" for c in CONTRACTS
+            ),
+            cause=f"no contract has the input {odd}" if picture and odd else "is this a file for another --detector?",
+            path=path,
+        )
+    return picture, [logits, boxes]

@@ -1,0 +1,268 @@
+"""OWLv2 and OWL-ViT by ONNX Runtime, as transformers.js and optimum export them: objects by any names.
+
+The two differ in how they see a picture. OWL-ViT has it squashed to a square, so its boxes are shares of the
+picture's width and height. OWLv2 has it padded to a square below or to the right, so its boxes are shares of the
+longer side, on both axes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from pipeline.errors import InputError
+from pipeline.frame import Frame
+from pipeline.proposals.base import Proposals
+from pipeline.proposals.captions import plain_name, sigmoid
+from pipeline.proposals.contracts import Contract, TensorSpec
+from pipeline.proposals.onnx_session import file_hash, model_hash, open_session, run_session, signature
+from pipeline.proposals.relative_boxes import box_output, proposals_of, to_pixels
+from pipeline.proposals.resampling import CLIP_MEAN, CLIP_STD, normalised, padded_square, pillow_resized
+from pipeline.proposals.selection import NMS_IOU, class_wise
+from pipeline.proposals.tokenizer_file import find_tokenizer, load_tokenizer
+
+BEGIN, END = "<|startoftext|>", "<|endoftext|>"
+PAD = 0
+TOKENS = 16
+"""Tokens of a name where the file does not say."""
+MAX_QUERIES = 256
+"""Names that are asked for in one run at most."""
+SIDES = {"owlv2": 960, "owlvit": 768}
+"""The side of the input where the file leaves it open: that of the base models."""
+PROMPT = "a photo of a {}"
+MIN_SCORE = 0.1
+"""That of the reference code."""
+MAX_PER_NAME = 100
+Kind = Literal["owlv2", "owlvit"]
+
+
+def _contract(kind: Kind, what: str) -> Contract:
+    return Contract(
+        f"--detector {kind}",
+        f"{what} as transformers.js and optimum export it, with its tokenizer.json",
+        (
+            TensorSpec("input_ids", "int64", ("L", TOKENS)),
+            TensorSpec("pixel_values", "float32", (1, 3, SIDES[kind], SIDES[kind])),
+            TensorSpec("attention_mask", "int64", ("L", TOKENS)),
+        ),
+        (TensorSpec("logits", "float32", (1, "Q", "L")), TensorSpec("pred_boxes", "float32", (1, "Q", 4))),
+    )
+
+
+CONTRACTS = (_contract("owlv2", "OWLv2"), _contract("owlvit", "OWL-ViT"))
+"""Their files declare the same tensors, but for the size: which of the two it is must be said."""
+
+
+class OwlDetector:
+    """OWLv2 or OWL-ViT, asked for any names.
+
+    Parameters
+    ----------
+    path : Path
+        The ONNX file.
+    kind : "owlv2" or "owlvit"
+    tokenizer : Path, optional
+        By default tokenizer.json in the file's folder or the one above.
+    min_score : float
+        Detections below it are dropped.
+    default_labels : sequence of str
+        What is looked for where no names are asked for. Where there are none, and the file gives objectness, any
+        objects are, under the name "object".
+    prompt : str
+        What is asked for a name, which stands for {}.
+    fill : float
+        What OWLv2's padding is made of; see `padded_square`.
+    nms_iou : float
+        Overlap above which the weaker of two boxes of one name goes; 1 keeps all.
+    k : int
+        Detections of each name that are kept at most.
+
+    Raises
+    ------
+    InputError
+        Where the file does not follow the contract, or the tokenizer is another model's.
+    MissingExtra
+        Where the library `tokenizers` is not installed.
+    """
+
+    vocabulary: tuple[str, ...] | None = None
+    exact = False
+    reads_annotations = False
+
+    def __init__(
+        self,
+        path: str | Path,
+        kind: Kind = "owlv2",
+        *,
+        tokenizer: str | Path | None = None,
+        min_score: float = MIN_SCORE,
+        default_labels: Sequence[str] = (),
+        prompt: str = PROMPT,
+        fill: float = 0.0,
+        nms_iou: float = NMS_IOU,
+        k: int = MAX_PER_NAME,
+    ) -> None:
+        self.path, self.name = Path(path), kind
+        self.min_score, self.prompt, self.fill = min_score, prompt, fill
+        self.default_labels = tuple(default_labels) or None
+        self.nms_iou, self.k = nms_iou, k
+        self._session = open_session(self.path)
+        self._outputs = _check_contract(self._session, kind, self.path)
+        self._inputs = {i.name: tuple(i.shape) for i in self._session.get_inputs()}
+        self.tokenizer_path = Path(tokenizer) if tokenizer is not None else find_tokenizer(self.path)
+        self._tokenizer = load_tokenizer(self.tokenizer_path)
+        self._begin, self._end = _marks(self._tokenizer, self.tokenizer_path)
+        self._pixels: tuple[str, np.ndarray] | None = None
+
+    @cached_property
+    def _hash(self) -> str:
+        return f"{model_hash(self.path)}:{file_hash(self.tokenizer_path)}"
+
+    def fingerprint(self) -> str:
+        return f"{self.name}:{self._hash}:{self.min_score}:{self.prompt}:{self.fill}:{self.nms_iou}:{self.k}"
+
+    def detect(self, frame: Frame, labels: Sequence[str] | None) -> Proposals:
+        """Detections of the given names, the better first; `ids` are the patches, whatever is asked for.
+
+        Raises
+        ------
+        InputError
+            For a name that is too long, or where none is asked for and there are no default ones.
+        """
+        names = self.default_labels if labels is None else tuple(labels)
+        if names is None and "objectness_logits" not in self._outputs:
+            raise InputError(
+                f"{self.name} finds what it is asked for by name", expected="class names", cause="none were given"
+            )
+        if names is None:
+            return self._objects(frame)
+        plain = [plain_name(n) for n in names]
+        return self._asked(frame, names, [self.prompt.format(p) if p else "" for p in plain])
+
+    def detect_expression(self, frame: Frame, text: str) -> Proposals:
+        """Detections of a whole sentence, which is asked as it is: the referring baseline."""
+        return self._asked(frame, (text,), [text.strip().lower()])
+
+    def _asked(self, frame: Frame, names: tuple[str, ...], prompts: list[str]) -> Proposals:
+        if not names:
+            return proposals_of(np.zeros((0, 4)), np.zeros(0), np.zeros(0), names, np.zeros(0), frame)
+        rows = np.stack([self._tokens(n, p) for n, p in zip(names, prompts, strict=True)])
+        logits, relative = self._run(frame, rows)
+        scores = sigmoid(logits.max(axis=1))
+        return self._chosen(frame, relative, scores, logits.argmax(axis=1), names)
+
+    def _objects(self, frame: Frame) -> Proposals:
+        _, relative, objectness = self._run_once(frame, self._tokens("object", self.prompt.format("object"))[None])
+        scores = sigmoid(objectness[0])
+        return self._chosen(frame, relative[0], scores, np.zeros(len(scores), np.int64), ("object",))
+
+    def _chosen(
+        self, frame: Frame, relative: np.ndarray, scores: np.ndarray, names: np.ndarray, labels: tuple[str, ...]
+    ) -> Proposals:
+        patches = np.flatnonzero(scores > self.min_score)
+        longer = max(frame.height, frame.width)
+        width, height = (longer, longer) if self.name == "owlv2" else (frame.width, frame.height)
+        boxes = to_pixels(relative[patches], width, height, frame)
+        # A box in the padding is no rival of one in the picture.
+        inside = (boxes[:, 2] > boxes[:, 0]) & (boxes[:, 3] > boxes[:, 1])
+        patches, boxes = patches[inside], boxes[inside]
+        kept = class_wise(boxes, scores[patches], names[patches], self.k, nms_iou=self.nms_iou)
+        patches = patches[kept]
+        return proposals_of(boxes[kept], scores[patches], names[patches], labels, patches, frame)
+
+    def _run(self, frame: Frame, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Logits (Q, L) of all rows (L, S) of tokens, a batch after another, and boxes (Q, 4)."""
+        fixed = self._inputs["input_ids"][0]
+        batch = fixed if isinstance(fixed, int) else min(MAX_QUERIES, len(rows))
+        logits, relative = [], np.zeros((1, 0, 4), np.float32)
+        for start in range(0, len(rows), batch):
+            part = rows[start : start + batch]
+            missing = batch - len(part) if isinstance(fixed, int) else 0
+            # An empty row would be a text without an end; a name asked twice does no harm.
+            filled = np.concatenate([part, np.repeat(part[:1], missing, axis=0)])
+            found, relative, *_ = self._run_once(frame, filled)
+            logits.append(found[0][:, : len(part)])
+        return np.concatenate(logits, axis=1), relative[0]
+
+    def _run_once(self, frame: Frame, rows: np.ndarray) -> list[np.ndarray]:
+        # The end's number is the greatest, which is how the text tower itself finds it.
+        ends = rows.argmax(axis=1)
+        feed = {
+            "input_ids": rows,
+            "pixel_values": self._tensor(frame),
+            "attention_mask": np.arange(rows.shape[1])[None, :] <= ends[:, None],
+        }
+        outputs = run_session(self._session, self._outputs, {n: feed[n] for n in self._inputs}, self.path)
+        logits, relative = outputs[:2]
+        if logits.ndim != 3 or relative.shape != (1, logits.shape[1], 4) or logits.shape[::2] != (1, len(rows)):
+            raise InputError(
+                "the model's outputs do not fit what was asked",
+                got=f"logits {list(logits.shape)}, boxes {list(relative.shape)} for {len(rows)} names",
+                expected="logits [1, Q, L], boxes [1, Q, 4]",
+                path=self.path,
+            )
+        return outputs
+
+    def _tokens(self, name: str, prompt: str) -> np.ndarray:
+        """(S,) int64: the marked tokens of a text, padded."""
+        declared = self._inputs["input_ids"][1]
+        size = declared if isinstance(declared, int) else TOKENS
+        if not prompt:
+            raise InputError("a name has no words that can be looked for", got=repr(name[:60]))
+        ids = [self._begin, *self._tokenizer.encode(prompt, add_special_tokens=False).ids, self._end]
+        if len(ids) > size:
+            raise InputError(
+                "a text is too long for the model",
+                got=f"{len(ids)} tokens of {prompt[:60]!r}",
+                expected=f"at most {size}",
+            )
+        return np.array(ids + [PAD] * (size - len(ids)), np.int64)
+
+    def _tensor(self, frame: Frame) -> np.ndarray:
+        """The picture is resized once, however many names are asked for in turn."""
+        if self._pixels is None or self._pixels[0] != frame.content_hash:
+            sides = [s if isinstance(s, int) else SIDES[self.name] for s in self._inputs["pixel_values"][2:]]
+            if self.name == "owlv2":
+                image = padded_square(frame.rgb, sides[0], self.fill)
+            else:
+                image = pillow_resized(frame.rgb, sides[0], sides[1], cubic=True)
+            self._pixels = frame.content_hash, normalised(image, CLIP_MEAN, CLIP_STD)
+        return self._pixels[1]
+
+
+def _marks(tokenizer: Any, path: Path) -> tuple[int, int]:
+    """The numbers of the tokens that begin and end a text."""
+    begin, end = tokenizer.token_to_id(BEGIN), tokenizer.token_to_id(END)
+    if begin is None or end is None or end != tokenizer.get_vocab_size() - 1:
+        raise InputError(
+            "the tokenizer is not CLIP's",
+            got=f"{BEGIN} = {begin}, {END} = {end} of {tokenizer.get_vocab_size()} tokens",
+            expected="both, the last of them the very last token",
+            path=path,
+        )
+    return begin, end
+
+
+def _check_contract(session: Any, kind: Kind, path: Path) -> list[str]:
+    """The names of the logits, the boxes and, where it is there, the objectness."""
+    inputs = {i.name: i.shape for i in session.get_inputs()}
+    names = [o.name for o in session.get_outputs()]
+    picture = inputs.get("pixel_values", [])
+    wanted = {t.name for t in CONTRACTS[0].inputs}
+    square = len(picture) == 4 and len({n for n in picture[2:] if isinstance(n, int)}) < 2
+    boxes = box_output(session)
+    fits = len(inputs.get("input_ids", [])) == 2 and square and not set(inputs) - wanted
+    if not fits or boxes is None or "logits" not in names:
+        contract = next(c for c in CONTRACTS if c.option.endswith(kind))
+        raise InputError(
+            f"the ONNX file is not an {kind} model",
+            got=signature(session)[:240],
+            expected=", ".join(f"{t.name} {list(t.shape)}" for t in contract.inputs) + " -> logits, pred_boxes",
+            cause="is this a file for another --detector?",
+            path=path,
+        )
+    return ["logits", boxes, *(["objectness_logits"] if "objectness_logits" in names else [])]
