@@ -78,7 +78,8 @@ class Trace:
     missing : tuple of str
         Class names that were not found.
     timings : dict of str to float
-        Seconds by stage: parse, frame (up vector and depth edges, once for a frame), opm, lift, srm, prm.
+        Seconds by stage: parse, frame (up vector and depth edges, once for a frame), opm, lift, srm, prm; and masks,
+        what a segmenter took where it was run.
     detector, scorer : str
     exact : bool
         The objects are the dataset's own.
@@ -149,8 +150,12 @@ def ask(
     calibration = None if detector.exact else config.score_calibration
     context = frame if isinstance(frame, FrameContext) else FrameContext(frame, config.lift)
     timings["frame"] = context.seconds
+    before = getattr(detector, "seconds", 0.0)
     with _timed(timings, "opm"):
         found = {name: propose(context, detector, name, config.k) for name in names}
+    masks = getattr(detector, "seconds", 0.0) - before
+    if masks:
+        timings |= {"opm": timings["opm"] - masks, "masks": masks}
     with _timed(timings, "lift"):
         objects, candidates = merged(context, detector, found, calibration)
     with _timed(timings, "srm"):

@@ -17,6 +17,7 @@ from pipeline.frame import Frame
 from pipeline.naming import Synonyms
 from pipeline.objects import FrameContext, SceneObject, all_objects
 from pipeline.proposals import Detector, Segmented, make_detector, make_segmenter
+from pipeline.proposals.segmenters import SegmenterFiles
 from pipeline.relations import PAIRWISE
 from pipeline.srm import RelationScorer, RelationScores, make_scorer
 from pipeline.srm.appearance import appearance_of
@@ -103,7 +104,7 @@ def open_source(
     model: Path | None = None,
     min_score: float | None = None,
     segmenter: str | None = None,
-    segmenter_model: Path | None = None,
+    segmenter_model: SegmenterFiles = None,
     srm: str | Path = "trained",
     vectors: Path | None = None,
     synonyms: Path | None = None,
@@ -111,7 +112,8 @@ def open_source(
 ) -> Source:
     """Open a dataset and the models for it; the path "demo" is the built-in one.
 
-    `segmenter` makes masks for boxes that have none ("depth", "recorded", "yolo-seg"); by default there is none.
+    `segmenter` makes masks for boxes that have none ("depth", "recorded", "yolo-seg", "sam", "sam2", "efficientsam");
+    by default there is none. `segmenter_model` is its file, or its encoder and decoder.
     `srm` is "trained" (the shipped network), "rule", or the path of a network that `spatialviz train` wrote;
     `vectors` the file of text vectors it was trained with, for classes it was not trained on.
 
@@ -142,7 +144,7 @@ def open_source(
 
     found = make(min_score)
     if segmenter is None and segmenter_model is not None:
-        raise InputError("--segmenter-model needs --segmenter", cause="what is it for?", path=segmenter_model)
+        raise InputError("--segmenter-model needs --segmenter", cause="what is it for?")
     if segmenter is not None:
         masks = make_segmenter(segmenter, model=segmenter_model, synonyms=table)
         found = None if found is None else Segmented(found, masks)

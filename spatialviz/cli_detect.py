@@ -27,9 +27,9 @@ class DetectorOptions:
     min_score: float | None = None
     """Drop detections below this score. Default: the detector's own."""
     segmenter: str | None = None
-    """depth | recorded | yolo-seg: makes masks for boxes that have none. Default: none."""
-    segmenter_model: Path | None = None
-    """Model file or recording for the segmenter; depth needs none."""
+    """depth | recorded | yolo-seg | sam | sam2 | efficientsam: makes masks for boxes that have none. Default: none."""
+    segmenter_model: Path | tuple[Path, Path] | None = None
+    """Model file or recording for the segmenter, ENCODER DECODER for the SAM kinds; depth needs none."""
     k: int = 10
     """Proposals of each name."""
     frames: str = "all"

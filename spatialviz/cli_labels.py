@@ -29,9 +29,9 @@ class LabelSource:
     model: Path | None = None
     """Model file or recording for the detector, or options (TOML or JSON) of the simulated one."""
     segmenter: str | None = "depth"
-    """depth | recorded | yolo-seg: masks for the boxes that have none."""
-    segmenter_model: Path | None = None
-    """Model file or recording for the segmenter."""
+    """depth | recorded | yolo-seg | sam | sam2 | efficientsam: masks for the boxes that have none."""
+    segmenter_model: Path | tuple[Path, Path] | None = None
+    """Model file or recording for the segmenter, ENCODER DECODER for the SAM kinds."""
     min_score: float | None = None
     """Drop detections below this score. Default: the detector's own."""
     synonyms: Path | None = None
@@ -55,7 +55,10 @@ class LabelSource:
             "intrinsics": four_numbers(self.intrinsics),
             "depth_scale": self.depth_scale,
         }
-        return SourceSpec(dataset, {k: str(v) if isinstance(v, Path) else v for k, v in options.items()})
+        plain = {k: str(v) if isinstance(v, Path) else v for k, v in options.items()}
+        if isinstance(self.segmenter_model, tuple):
+            plain["segmenter_model"] = [str(path) for path in self.segmenter_model]
+        return SourceSpec(dataset, plain)
 
 
 @dataclass(frozen=True)

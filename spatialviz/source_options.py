@@ -38,9 +38,10 @@ class SourceOptions:
     min_score: float | None = None
     """Drop detections below this score. Default: the detector's own."""
     segmenter: str | None = None
-    """Makes masks for boxes that have none: depth | recorded | yolo-seg. Default: none, the whole box is lifted."""
-    segmenter_model: Path | None = None
-    """Model file or recording for the segmenter; depth needs none."""
+    """Makes masks for boxes that have none: depth | recorded | yolo-seg | sam | sam2 | efficientsam.
+    Default: none, the whole box is lifted."""
+    segmenter_model: Path | tuple[Path, Path] | None = None
+    """Model file or recording for the segmenter, ENCODER DECODER for the SAM kinds; depth needs none."""
     srm: str = "trained"
     """What scores relations: trained (the network that comes with the program) | rule | an ONNX file."""
     vectors: Path | None = None
@@ -89,7 +90,8 @@ class SourceOptions:
         for field in fields(self):
             value = getattr(self, field.name)
             if value != field.default:
-                words += [f"--{field.name.replace('_', '-')}", *([] if value is True else [str(value)])]
+                parts = value if isinstance(value, tuple) else () if value is True else (value,)
+                words += [f"--{field.name.replace('_', '-')}", *map(str, parts)]
         return words
 
     def open(self, dataset: str) -> Source:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -81,7 +81,7 @@ def spec_record(spec: EvalSpec, folder: Path) -> dict[str, Any]:
     """
     options = {k: v for k, v in spec.options.items() if k != "config" and v is not None}
     for name in _files(options):
-        options[name] = written_path(options[name], folder)
+        options[name] = _each(options[name], lambda path: written_path(path, folder))
     config = spec.options.get("config")
     return {
         "dataset": spec.dataset if spec.dataset == DEMO_NAME else written_path(spec.dataset, folder),
@@ -108,6 +108,11 @@ def written_path(path: str | Path, folder: Path) -> str:
 def resolved_path(written: str, folder: Path) -> str:
     """What `written_path` wrote into the manifest of a run in `folder`."""
     return os.path.normpath(folder / written)
+
+
+def _each(value: Any, change: Callable[[Any], Any]) -> Any:
+    """A path, or an encoder's and a decoder's, changed."""
+    return tuple(change(path) for path in value) if isinstance(value, list | tuple) else change(value)
 
 
 def _files(options: Mapping[str, Any]) -> tuple[str, ...]:
@@ -156,7 +161,7 @@ def open_run(folder: str | Path, *, dataset: str | None = None, labels: str | No
 def _read_spec(record: Mapping[str, Any], folder: Path) -> EvalSpec:
     options: dict[str, Any] = dict(record["options"])
     for name in _files(options):
-        options[name] = Path(resolved_path(options[name], folder))
+        options[name] = _each(options[name], lambda path: Path(resolved_path(path, folder)))
     if isinstance(options.get("intrinsics"), list):
         options["intrinsics"] = tuple(options["intrinsics"])
     if record["config"] is not None:

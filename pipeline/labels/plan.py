@@ -41,9 +41,14 @@ class SourceSpec:
 
     def absolute(self) -> SourceSpec:
         """The same with absolute paths: workers, and later readers of the plan, may stand in another folder."""
-        named = {n: str(Path(self.options[n]).absolute()) for n in _PATHS if self.options.get(n) is not None}
+        named = {n: _absolute(self.options[n]) for n in _PATHS if self.options.get(n) is not None}
         path = Path(self.path)
         return SourceSpec(str(path.absolute()) if path.exists() else self.path, {**self.options, **named})
+
+
+def _absolute(path: str | Path | Sequence[str | Path]) -> str | list[str]:
+    """A path, or several, as absolute words."""
+    return str(Path(path).absolute()) if isinstance(path, str | Path) else [str(Path(p).absolute()) for p in path]
 
 
 @dataclass(frozen=True)

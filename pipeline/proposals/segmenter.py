@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from time import perf_counter
 from typing import Protocol, runtime_checkable
 
 import numpy as np
@@ -20,6 +21,9 @@ BEST = 50
 @runtime_checkable
 class Segmenter(Protocol):
     """Makes masks from boxes.
+
+    One whose mask of a box does not depend on the other boxes says so by an
+    attribute `independent`, and may then be given guesses at the same thing.
 
     Attributes
     ----------
@@ -59,7 +63,8 @@ class Segmented:
     """A detector whose proposals without masks get them from a segmenter; masks it has are kept.
 
     The boxes of an exact detector are segmented together, all of the frame, so that a mask does not depend on what
-    was asked for. Those of any other may be guesses at one and the same thing: each is segmented by itself.
+    was asked for. Those of any other may be guesses at one and the same thing: each is segmented by itself, unless
+    the segmenter treats boxes independently anyway.
 
     Parameters
     ----------
@@ -70,6 +75,8 @@ class Segmented:
     def __init__(self, detector: Detector, segmenter: Segmenter) -> None:
         self.detector = detector
         self.segmenter = segmenter
+        self.seconds = 0.0
+        """What the segmenter has taken so far."""
         self._last: tuple[Frame, dict[int, np.ndarray]] | None = None
 
     @property
@@ -117,6 +124,8 @@ class Segmented:
 
     def _one_by_one(self, frame: Frame, found: Proposals, bare: np.ndarray) -> dict[int, np.ndarray]:
         best = bare[np.argsort(-found.scores[bare], kind="stable")][:BEST]
+        if getattr(self.segmenter, "independent", False):
+            return self._segment(frame, found, best)
         made: dict[int, np.ndarray] = {}
         for i in best:
             made |= self._segment(frame, found, np.array([i]))
@@ -125,7 +134,9 @@ class Segmented:
     def _segment(self, frame: Frame, found: Proposals, which: np.ndarray) -> dict[int, np.ndarray]:
         """Masks by place in `found`; boxes without one are left out."""
         labels = [found.label(int(i)) for i in which]
+        start = perf_counter()
         masks, has_mask = self.segmenter.segment(frame, found.boxes[which], labels)
+        self.seconds += perf_counter() - start
         expected = (len(which), frame.height, frame.width)
         if masks.shape != expected or masks.dtype != np.bool_ or has_mask.shape != expected[:1]:
             raise InputError(

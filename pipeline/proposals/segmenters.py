@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from pipeline.errors import InputError
 from pipeline.naming import Synonyms
@@ -12,6 +13,9 @@ from pipeline.plugins import load_plugins
 from pipeline.proposals.depth_segmenter import DepthSegmenter
 from pipeline.proposals.detector_masks import DetectorSegmenter
 from pipeline.proposals.segmenter import Segmenter
+
+if TYPE_CHECKING:
+    from pipeline.proposals.prompted import PromptModel
 
 
 @dataclass(frozen=True)
@@ -21,12 +25,15 @@ class SegmenterRequest:
     Attributes
     ----------
     model : Path or None
-        Model file, or recording.
+        Model file, or recording; the first of several.
     synonyms : Synonyms or None
+    models : tuple of Path
+        All that was given.
     """
 
     model: Path | None
     synonyms: Synonyms | None
+    models: tuple[Path, ...] = ()
 
 
 def _depth(request: SegmenterRequest) -> Segmenter:
@@ -50,6 +57,31 @@ def _yolo_seg(request: SegmenterRequest) -> Segmenter:
     return DetectorSegmenter(CachedDetector(YoloSegDetector(path, synonyms=request.synonyms)), request.synonyms)
 
 
+def _sam(request: SegmenterRequest) -> Segmenter:
+    from pipeline.proposals.sam import SamModel
+
+    return _prompted(SamModel(request.models))
+
+
+def _sam2(request: SegmenterRequest) -> Segmenter:
+    from pipeline.proposals.sam2 import Sam2Model
+
+    return _prompted(Sam2Model(request.models))
+
+
+def _efficientsam(request: SegmenterRequest) -> Segmenter:
+    from pipeline.proposals.efficientsam import EfficientSamModel
+
+    return _prompted(EfficientSamModel(request.models))
+
+
+def _prompted(model: PromptModel) -> Segmenter:
+    from pipeline.proposals.mask_cache import CachedSegmenter
+    from pipeline.proposals.prompted import PromptedSegmenter
+
+    return CachedSegmenter(PromptedSegmenter(model))
+
+
 def _needed(request: SegmenterRequest, name: str, what: str) -> Path:
     if request.model is None:
         raise InputError(f"--segmenter {name} needs --segmenter-model", expected=what)
@@ -60,13 +92,28 @@ SEGMENTERS: dict[str, Callable[[SegmenterRequest], Segmenter]] = {
     "depth": _depth,
     "recorded": _recorded,
     "yolo-seg": _yolo_seg,
+    "sam": _sam,
+    "sam2": _sam2,
+    "efficientsam": _efficientsam,
 }
+TWO_FILES = ("sam", "sam2", "efficientsam")
+"""Those that are made of an encoder and a decoder."""
+
+SegmenterFiles = Path | tuple[Path, ...] | None
+"""What a segmenter is made from: a file, or an encoder and a decoder."""
 
 ENTRY_POINT_GROUP = "spatialviz.segmenters"
 """Entry points of this group name a function of a SegmenterRequest, and so add a segmenter."""
 
 
-def make_segmenter(name: str, *, model: Path | None = None, synonyms: Synonyms | None = None) -> Segmenter:
+def segmenter_files(given: SegmenterFiles | str | Sequence[str]) -> tuple[Path, ...]:
+    """The files in their order; words, as plans and manifests hold them, will do."""
+    if given is None:
+        return ()
+    return (Path(given),) if isinstance(given, str | Path) else tuple(Path(part) for part in given)
+
+
+def make_segmenter(name: str, *, model: SegmenterFiles = None, synonyms: Synonyms | None = None) -> Segmenter:
     """The segmenter of that name.
 
     Raises
@@ -79,4 +126,11 @@ def make_segmenter(name: str, *, model: Path | None = None, synonyms: Synonyms |
         known = {**dict(load_plugins(ENTRY_POINT_GROUP, "segmenter", Callable)), **known}
     if name not in known:
         raise InputError(f"there is no segmenter {name!r}", expected=" or ".join(known))
-    return known[name](SegmenterRequest(model, synonyms))
+    files = segmenter_files(model)
+    if len(files) > 1 and name in SEGMENTERS and name not in TWO_FILES:
+        raise InputError(
+            f"--segmenter {name} takes one file at most",
+            got=" ".join(map(str, files)),
+            cause=f"an encoder and a decoder are for --segmenter {' or '.join(TWO_FILES)}",
+        )
+    return known[name](SegmenterRequest(files[0] if files else None, synonyms, files))

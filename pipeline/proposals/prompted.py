@@ -1,0 +1,177 @@
+"""Masks by a network that is prompted with boxes: one run over the picture, then a cheap one for each few boxes."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from collections.abc import Sequence
+from typing import Protocol
+
+import cv2
+import numpy as np
+
+from pipeline.errors import InputError
+from pipeline.frame import Frame
+
+_KEPT = 4
+"""Pictures whose features are kept in memory; those of one are 4 to 20 MB."""
+_TOLERANCE = 1e-2
+"""By how much mask logits may differ, of their spread, between a box alone and the same box among others."""
+
+
+class PromptModel(Protocol):
+    """An encoder and a decoder, with what goes in and comes out."""
+
+    @property
+    def name(self) -> str: ...
+
+    def fingerprint(self) -> str:
+        """Content of both files and the version of the code around them."""
+        ...
+
+    def encode(self, rgb: np.ndarray) -> dict[str, np.ndarray]:
+        """Features of a picture ((H, W, 3) uint8), by the decoder's names for them."""
+        ...
+
+    def boxes_at_once(self, height: int, width: int) -> int:
+        """How many boxes the decoder may take in a run, by what it declares."""
+        ...
+
+    def decode(self, features: dict[str, np.ndarray], boxes: np.ndarray, height: int, width: int) -> np.ndarray:
+        """(N, h, w) float32 mask logits of boxes ((N, 4) float32, picture pixels); h, w are the model's own."""
+        ...
+
+    def to_picture(self, logits: np.ndarray, height: int, width: int) -> np.ndarray:
+        """(height, width) float32 mask logits of one box ((h, w) float32)."""
+        ...
+
+
+class PromptedSegmenter:
+    """A segmenter that asks a network for the thing in each box; a box does not bear on another's mask.
+
+    Parameters
+    ----------
+    model : PromptModel
+    """
+
+    independent = True
+
+    def __init__(self, model: PromptModel) -> None:
+        self.model = model
+        self.encoder_runs = 0
+        self._features: OrderedDict[str, dict[str, np.ndarray]] = OrderedDict()
+        self._batches: bool | None = None
+
+    @property
+    def name(self) -> str:
+        return self.model.name
+
+    def fingerprint(self) -> str:
+        return self.model.fingerprint()
+
+    def segment(self, frame: Frame, boxes: np.ndarray, labels: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+        """(N, H, W) bool masks, where the logits are above zero; (N,) bool, false where a mask is empty.
+
+        Raises
+        ------
+        InputError
+            The network cannot be run, or gives something else than its contract says.
+        """
+        masks = np.zeros((len(boxes), frame.height, frame.width), np.bool_)
+        if len(boxes):
+            boxes = boxes.astype(np.float32)
+            # A point outside the picture is none that the network was trained with.
+            boxes = np.clip(boxes, 0, np.array([frame.width, frame.height] * 2, np.float32))
+            for i, logits in enumerate(self._logits(frame, boxes)):
+                masks[i] = self.model.to_picture(logits, frame.height, frame.width) > 0
+        return masks, np.asarray(masks.any(axis=(1, 2)))
+
+    def _logits(self, frame: Frame, boxes: np.ndarray) -> list[np.ndarray]:
+        features = self._encoded(frame)
+        size = (frame.height, frame.width)
+        step = 1 if self._batches is False else self.model.boxes_at_once(*size)
+        found: list[np.ndarray] = []
+        for start in range(0, len(boxes), step):
+            some = boxes[start : start + step]
+            if len(some) > 1 and self._batches is None:
+                self._batches, made = self._tried(features, some, size)
+            elif self._batches is False:
+                made = [self._checked(features, box[None], size)[0] for box in some]
+            else:
+                made = list(self._checked(features, some, size))
+            found += made
+        return found
+
+    def _tried(
+        self, features: dict[str, np.ndarray], boxes: np.ndarray, size: tuple[int, int]
+    ) -> tuple[bool, list[np.ndarray]]:
+        """Whether several boxes in a run come out as they do alone, and the logits.
+
+        An exported graph may declare a free number of boxes and still hold the one that it was traced with.
+        """
+        last = self._checked(features, boxes[-1:], size)[0]
+        try:
+            together = self._checked(features, boxes, size)
+        except InputError:
+            together = None
+        if together is not None:
+            spread = float(np.abs(last).max())
+            if np.allclose(together[-1], last, rtol=0, atol=_TOLERANCE * spread):
+                return True, list(together)
+        return False, [*(self._checked(features, box[None], size)[0] for box in boxes[:-1]), last]
+
+    def _checked(self, features: dict[str, np.ndarray], boxes: np.ndarray, size: tuple[int, int]) -> np.ndarray:
+        logits = self.model.decode(features, boxes, *size)
+        if logits.ndim != 3 or len(logits) != len(boxes):
+            raise InputError(
+                f"the decoder of --segmenter {self.name} must give one mask a box",
+                got=f"{list(logits.shape)} for {len(boxes)} boxes",
+            )
+        if not np.isfinite(logits).all():
+            raise InputError(
+                f"the decoder of --segmenter {self.name} gives values that are not finite",
+                cause="is it a float16 file that overflows? try the float32 one",
+            )
+        return logits
+
+    def _encoded(self, frame: Frame) -> dict[str, np.ndarray]:
+        """The features of the picture; the encoder, the slow part, is run once for each."""
+        key = frame.content_hash
+        if key not in self._features:
+            self._features[key] = self.model.encode(frame.rgb)
+            self.encoder_runs += 1
+        self._features.move_to_end(key)
+        while len(self._features) > _KEPT:
+            self._features.popitem(last=False)
+        return self._features[key]
+
+
+def resampled(rgb: np.ndarray, height: int, width: int) -> np.ndarray:
+    """(height, width, 3) uint8: the picture as Pillow scales it, which the networks were trained with.
+
+    Its bilinear filter widens as the picture shrinks; OpenCV's does not.
+    """
+    from PIL import Image
+
+    if rgb.shape[:2] == (height, width):
+        return rgb
+    return np.asarray(Image.fromarray(rgb).resize((width, height), Image.Resampling.BILINEAR))
+
+
+def stretched(logits: np.ndarray, height: int, width: int) -> np.ndarray:
+    """(height, width) float32: bilinear between pixel centres, as `torch.nn.functional.interpolate` does it."""
+    return cv2.resize(np.ascontiguousarray(logits, np.float32), (width, height), interpolation=cv2.INTER_LINEAR)
+
+
+def corners(boxes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Boxes as points: (N, 2, 2) float32 x, y of the corners, and (N, 2) float32 their labels, 2 and 3."""
+    return boxes.reshape(-1, 2, 2), np.tile(np.array([2.0, 3.0], np.float32), (len(boxes), 1))
+
+
+def best_mask(masks: np.ndarray, scores: np.ndarray) -> np.ndarray:
+    """(N, h, w): of each box's masks ((N, M, h, w)) the one with the best predicted IoU ((N, M))."""
+    if masks.ndim != 4 or scores.shape != masks.shape[:2]:
+        raise InputError(
+            "the decoder must give masks [N, M, h, w] and as many predicted IoUs",
+            got=f"{list(masks.shape)}, {list(scores.shape)}",
+        )
+    return masks[np.arange(len(masks)), scores.argmax(axis=1)]
