@@ -100,7 +100,8 @@ def create_session(path: str, options: Any) -> Any:
         options.enable_mem_pattern = False
         options.execution_mode = ort.ExecutionMode.ORT_SEQUENTIAL
     try:
-        session = _session(path, options, [accelerator, CPU])
+        # ONNX Runtime's own fallback prints four lines to standard output.
+        session = ort.InferenceSession(path, sess_options=options, providers=[accelerator, CPU], enable_fallback=0)
     except Exception as error:  # ONNX Runtime raises its own classes, which differ between releases.
         session = cpu_session(path, options)
         reason = str(error).splitlines()[0][:160] if str(error) else type(error).__name__
@@ -113,11 +114,6 @@ def create_session(path: str, options: Any) -> Any:
 
 def cpu_session(path: str, options: Any) -> Any:
     """The same on the CPU, whatever is wanted."""
-    return _session(path, options, [CPU])
-
-
-def _session(path: str, options: Any, providers: list[str]) -> Any:
     import onnxruntime as ort
 
-    # Its own fallback prints four lines to standard output.
-    return ort.InferenceSession(path, sess_options=options, providers=providers, enable_fallback=0)
+    return ort.InferenceSession(path, sess_options=options, providers=[CPU])
