@@ -101,16 +101,7 @@ class DeticDetector:
         inside = metadata_names(self._session)
         if inside is not None:
             return inside
-        beside = [self.path.with_name(n.format(stem=self.path.stem)) for n in NAME_FILES]
-        found = next((p for p in beside if p.is_file()), None)
-        if found is None:
-            raise InputError(
-                "the class names of the Detic model are not known",
-                expected=f"{beside[0].name} beside it, or --model-config FILE",
-                cause="one name a line, or the categories of LVIS's annotations",
-                path=self.path,
-            )
-        return read_class_names(found)
+        return read_class_names(find_names(self.path))
 
     @cached_property
     def _hash(self) -> str:
@@ -179,6 +170,26 @@ class DeticDetector:
         found = [boxes, scores, classes, masks[:, 0]]
         self._last = (frame.content_hash, found)
         return found
+
+
+def find_names(model: Path) -> Path:
+    """The file of the class names beside a model.
+
+    Raises
+    ------
+    InputError
+        Where there is none.
+    """
+    beside = [model.with_name(n.format(stem=model.stem)) for n in NAME_FILES]
+    found = next((p for p in beside if p.is_file()), None)
+    if found is None:
+        raise InputError(
+            "the class names of the Detic model are not known",
+            expected=f"{beside[0].name} beside it, or --model-config FILE",
+            cause="one name a line, or the categories of LVIS's annotations",
+            path=model,
+        )
+    return found
 
 
 def resized_shape(height: int, width: int) -> tuple[int, int]:
