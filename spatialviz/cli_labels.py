@@ -44,7 +44,7 @@ class LabelSource:
     depth_scale: float | None = None
     """Depth units in one metre (1000 for millimetres), for recordings without a camera file."""
     provider: Provider | None = None
-    """What networks compute on. Default: the first that this ONNX Runtime has of cuda, directml, coreml, else the CPU."""
+    """What networks compute on. Default: cuda, directml or coreml where ONNX Runtime has it, else the CPU."""
     verbose: bool = False
     """Show ONNX Runtime's own messages."""
 

@@ -103,7 +103,7 @@ def print_file(report: FileReport) -> None:
         return
     console.print(Text(f"  {shapes(report.inputs)} -> {shapes(report.outputs)}", "dim"))
     if report.kind is None:
-        console.print(Text("  nothing here reads such a file; a detector of boxes is described in a TOML file", "yellow"))
+        console.print(Text("  no option reads it; a detector of boxes can be described in a TOML file", "yellow"))
         return
     console.print(Text(f"  {report.kind.sentence}", "" if report.kind.options else "yellow"))
     if report.class_names:

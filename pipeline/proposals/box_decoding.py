@@ -63,9 +63,7 @@ def decode(outputs: Mapping[str, np.ndarray], config: BoxOutput, classes: int, s
     return Candidates(_corners(boxes.astype(np.float64), config.box), _foreground(scores, config))
 
 
-def _rows(
-    values: np.ndarray, columns: Sequence[str], activation: str, count: int
-) -> tuple[np.ndarray, np.ndarray]:
+def _rows(values: np.ndarray, columns: Sequence[str], activation: str, count: int) -> tuple[np.ndarray, np.ndarray]:
     widths = {"box": 4, "scores": count, "objectness": 1, "score": 1, "class": 1}
     total = sum(widths[c] for c in columns)
     table = _unbatched(values, 2, "rows")
@@ -126,7 +124,12 @@ def _distances(
         table, spread = _unbatched(outputs[score_name], 2, score_name), _unbatched(outputs[name], 2, name)
         height, width = -(-size[0] // stride), -(-size[1] // stride)
         bins = spread.shape[1] // 4
-        if table.shape != (height * width, count) or len(spread) != len(table) or spread.shape[1] != 4 * bins or not bins:
+        if (
+            table.shape != (height * width, count)
+            or len(spread) != len(table)
+            or spread.shape[1] != 4 * bins
+            or not bins
+        ):
             raise InputError(
                 f"the outputs of stride {stride} have other shapes",
                 got=f"{list(table.shape)}, {list(spread.shape)}",

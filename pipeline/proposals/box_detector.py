@@ -171,7 +171,5 @@ class BoxDetector:
         wanted = output_names(self.config.output)
         missing = [n for n in wanted if n not in known]
         if missing:
-            raise InputError(
-                f"the model has no output {missing[0]}", got=", ".join(known)[:240], path=self.config_path
-            )
+            raise InputError(f"the model has no output {missing[0]}", got=", ".join(known)[:240], path=self.config_path)
         return wanted

@@ -59,7 +59,7 @@ def metadata_names(session: Any) -> tuple[str, ...] | None:
         names = [names.get(i) for i in range(len(names))]
     if not isinstance(names, list) or not names or not all(isinstance(n, str) for n in names):
         return None
-    return tuple(names)
+    return tuple(str(n) for n in names)
 
 
 def read_class_names(path: Path) -> tuple[str, ...]:

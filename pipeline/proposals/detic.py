@@ -117,7 +117,7 @@ class DeticDetector:
         wanted = wanted_names(labels, names, self.synonyms, f"the model {self.path.name}")
         boxes, scores, classes, masks = self._forward(frame)
         place = {name: k for k, name in enumerate(wanted)}
-        which = np.array([place.get(names[c], -1) for c in classes], np.int64)
+        which = np.array([place.get(names[int(c)], -1) for c in classes], np.int64)
         chosen = np.flatnonzero((which >= 0) & (scores >= self.min_score))
         chosen = chosen[np.argsort(-scores[chosen], kind="stable")]
         pasted = paste_masks(masks[chosen], boxes[chosen], frame.height, frame.width)
@@ -137,9 +137,7 @@ class DeticDetector:
         height, width = (s if isinstance(s, int) else f for s, f in zip(sides, free, strict=True))
         image = pillow_resized(frame.rgb, height, width)
         tensor = np.ascontiguousarray(image.transpose(2, 0, 1)[None], np.float32)
-        boxes, scores, classes, masks = run_session(
-            self._session, self._outputs, {self._input.name: tensor}, self.path
-        )
+        boxes, scores, classes, masks = run_session(self._session, self._outputs, {self._input.name: tensor}, self.path)
         count = len(scores)
         vocabulary = len(self.vocabulary or ())
         if (

@@ -89,7 +89,7 @@ def warn_once(message: str) -> None:
 
 
 def create_session(path: str, options: Any) -> Any:
-    """An `onnxruntime.InferenceSession` on the wanted provider, or on the CPU with one warning; raises as ONNX Runtime."""
+    """A session on the wanted provider, or on the CPU with one warning; raises what ONNX Runtime raises."""
     import onnxruntime as ort
 
     accelerator = wanted_accelerator(ort.get_available_providers())

@@ -100,8 +100,10 @@ def _relatives(session: Any) -> FileKind | None:
 
 def _yolo_rows(outputs: Sequence[TensorSpec]) -> bool:
     shapes = [s.shape for s in outputs]
-    return len(shapes) == 1 and len(shapes[0]) == 3 and (
-        6 in shapes[0][1:] or any(isinstance(n, int) and n > 1000 for n in shapes[0][1:])
+    return (
+        len(shapes) == 1
+        and len(shapes[0]) == 3
+        and (6 in shapes[0][1:] or any(isinstance(n, int) and n > 1000 for n in shapes[0][1:]))
     )
 
 
@@ -132,13 +134,11 @@ def explain_mismatch(session: Any, option: str) -> str:
 
 
 def shapes(specs: Sequence[TensorSpec]) -> str:
-    """"pixel_values [1, 3, 800, 800], input_ids [1, S]"."""
+    """ "pixel_values [1, 3, 800, 800], input_ids [1, S]"."""
     return ", ".join(f"{s.name} [{', '.join(str(d) for d in s.shape)}]" for s in specs)
 
 
-def not_fitting(
-    what: str, option: str, session: Any, path: Path, contracts: Sequence[Contract]
-) -> InputError:
+def not_fitting(what: str, option: str, session: Any, path: Path, contracts: Sequence[Contract]) -> InputError:
     """The error for a file that was given to the wrong option.
 
     Parameters
@@ -165,6 +165,4 @@ def not_fitting(
 
 
 def _alike(wanted: Sequence[TensorSpec], given: Sequence[TensorSpec]) -> bool:
-    return len(wanted) == len(given) and all(
-        len(a.shape) == len(b.shape) for a, b in zip(wanted, given, strict=True)
-    )
+    return len(wanted) == len(given) and all(len(a.shape) == len(b.shape) for a, b in zip(wanted, given, strict=True))

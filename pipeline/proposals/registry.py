@@ -54,9 +54,7 @@ def _yolo_seg(request: DetectorRequest) -> Detector:
 
     path = _network(request, "yolo-seg", "an ONNX file")
     min_score = MIN_SCORE if request.min_score is None else request.min_score
-    return CachedDetector(
-        YoloSegDetector(path, names=request.config, synonyms=request.synonyms, min_score=min_score)
-    )
+    return CachedDetector(YoloSegDetector(path, names=request.config, synonyms=request.synonyms, min_score=min_score))
 
 
 def _detic(request: DetectorRequest) -> Detector:
@@ -64,9 +62,7 @@ def _detic(request: DetectorRequest) -> Detector:
 
     path = _network(request, "detic", "an ONNX file with its class names beside it")
     min_score = MIN_SCORE if request.min_score is None else request.min_score
-    return CachedDetector(
-        DeticDetector(path, names=request.config, synonyms=request.synonyms, min_score=min_score)
-    )
+    return CachedDetector(DeticDetector(path, names=request.config, synonyms=request.synonyms, min_score=min_score))
 
 
 def _boxes(request: DetectorRequest) -> Detector:

@@ -251,7 +251,5 @@ def _checked_names(names: tuple[str, ...] | None, classes: int | None, path: Pat
             path=path,
         )
     if classes is not None and len(names) != classes:
-        raise InputError(
-            "the class names are not those of the model", got=len(names), expected=classes, path=path
-        )
+        raise InputError("the class names are not those of the model", got=len(names), expected=classes, path=path)
     return names
