@@ -16,6 +16,7 @@ from typing import Any
 
 from pipeline.errors import InputError, MissingExtra
 from pipeline.proposals.cache import cache_folder
+from pipeline.proposals.execution import is_verbose
 from pipeline.proposals.known_models import KnownFile, known_models
 
 _ID = re.compile(
@@ -60,7 +61,8 @@ def parse_hub_id(given: str | Path) -> HubId | None:
         return None
     if found["file"] is None and found["revision"] is None and found["repo"].lower().endswith(_FILE_ENDINGS):
         return None
-    if found["file"] is not None and ".." in PurePosixPath(found["file"]).parts:
+    inside = PurePosixPath(found["file"] or "model.onnx")
+    if inside.is_absolute() or ".." in inside.parts:
         return None
     return HubId(found["repo"], found["file"], found["revision"])
 
@@ -157,12 +159,19 @@ def _fetch_file(hub_id: HubId, name: str, commit: str, expected: KnownFile, endp
     if target.is_file():
         return
     partial = _folder(hub_id.repo) / f"{commit}.partial"
+    log = huggingface_hub.utils.logging
+    before = log.get_verbosity()
+    if not is_verbose():
+        # Each of its attempts would be told of; what they come to is in the error.
+        log.set_verbosity_error()
     try:
         path = Path(
             huggingface_hub.hf_hub_download(hub_id.repo, name, revision=commit, local_dir=partial, endpoint=endpoint)
         )
     except Exception as error:  # As above.
         raise _unreachable(hub_id, error) from error
+    finally:
+        log.set_verbosity(before)
     size = path.stat().st_size
     if expected.bytes is not None and size != expected.bytes:
         path.unlink()
@@ -222,7 +231,7 @@ def _only_model(hub_id: HubId, listed: dict[str, Any]) -> str:
     if len(models) == 1:
         return models[0]
     raise InputError(
-        f"{hub_id.repo} holds {len(models) or 'no'} ONNX files" if len(models) != 1 else "",
+        f"{hub_id.repo} holds {len(models) or 'no'} ONNX files",
         got=_some(models) or None,
         expected=f"one of them: {hub_id.repo}:FILE" if models else None,
     )
