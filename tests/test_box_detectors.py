@@ -73,7 +73,8 @@ STRETCH = NAMES + '[input]\nfit = "stretch"\n[output]\n'
     ('form = "rows"\nrows = "o"\nactivation = "softmax"', {"o": array([*CORNERS, 0, np.log(3)])}),
     ('form = "rows"\nrows = "o"\nbackground = "last"', {"o": array([*CORNERS, 0.1, 0.75, 0.15])}),
     ('form = "rows"\nrows = "o"\nbackground = "first"', {"o": array([*CORNERS, 0.15, 0.1, 0.75])}),
-    ('form = "separate"\nboxes = "b"\nscores = "s"\nunits = "share"', {"b": array(SHARES)[None], "s": array([0.1, 0.75])[None]}),
+    ('form = "separate"\nboxes = "b"\nscores = "s"\nunits = "share"',
+     {"b": array(SHARES)[None], "s": array([0.1, 0.75])[None]}),
     ('form = "separate"\nboxes = "b"\nscores = "s"', {"b": array(CORNERS)[None], "s": array([0.1], [0.75])[None]}),
     ('form = "separate"\nboxes = "b"\nscores = "s"\nclasses = "c"\nunits = "picture"',
      {"b": array(STRETCHED)[None], "s": array([0.75]), "c": np.array([[1]], np.int64)}),
@@ -222,7 +223,7 @@ def test_what_is_wrong_in_the_toml_file_is_one_line(tmp_path: Path, frame: Frame
 
 def test_logits_are_not_taken_for_probabilities(tmp_path: Path, frame: Frame) -> None:
     made = detector(tmp_path, STRETCH + 'form = "rows"\nrows = "o"', {"o": array([*CORNERS, -3, 4.5])})
-    with pytest.raises(InputError, match="no probabilities; got -3 to 4.5.*activation"):
+    with pytest.raises(InputError, match=r"no probabilities; got -3 to 4\.5.*activation"):
         made.detect(frame, None)
 
 

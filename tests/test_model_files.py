@@ -57,7 +57,8 @@ def hub(monkeypatch: pytest.MonkeyPatch) -> Iterator[Hub]:
     ("owner/repo:m.onnx@0123abc", HubId("owner/repo", "m.onnx", "0123abc")),
     ("owner/my.repo-2@v1.0", HubId("owner/my.repo-2", None, "v1.0")),
     ("models/yolo.onnx", None), ("models/found.json", None), ("yolo.onnx", None), ("/a/b", None),
-    ("a/b/c", None), ("owner/repo:../../etc/passwd", None), ("..:x", None), ("owner/repo:/etc/passwd", None), ("a b/c", None), ("", None),
+    ("a/b/c", None), ("owner/repo:../../etc/passwd", None), ("..:x", None),
+    ("owner/repo:/etc/passwd", None), ("a b/c", None), ("", None),
     ("owner/repo:a\\b", None), ("https://x/y", None),
 ])  # fmt: skip
 def test_what_is_an_id_and_what_a_path(text: str, expected: HubId | None) -> None:
