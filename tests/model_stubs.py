@@ -116,7 +116,7 @@ def write_model(kind: str, folder: Path, *, opset: int = 17, external: bool = Fa
     inputs, outputs = STUBS[kind]()
     path = write_stub(folder / "model.onnx", inputs, outputs, opset=opset, external=external)
     if kind.startswith("yolo-seg"):
-        change(path, _name_classes)
+        change(path, _name_classes, external=external)
     elif kind == "grounding-dino":
         words = [f"[unused{k}]" for k in range(1100)]
         for place, word in {0: "[PAD]", 100: "[UNK]", 101: "[CLS]", 102: "[SEP]", 103: "[MASK]", 1012: ".",
@@ -147,11 +147,16 @@ def _write_clip(path: Path) -> None:
     tokenizer.save(str(path))
 
 
-def change(path: Path, edit: Callable[[Any], None]) -> None:
-    """Edit a file in place; its weights are taken in."""
+def change(path: Path, edit: Callable[[Any], None], *, external: bool = False) -> None:
+    """Edit a file in place; its weights are taken in, or put into a file of their own again."""
     model = onnx.load(path)
     edit(model)
-    onnx.save(model, path)
+    if external:
+        weights = path.name + "_data"
+        path.with_name(weights).unlink()
+        onnx.save(model, path, save_as_external_data=True, location=weights, size_threshold=0)
+    else:
+        onnx.save(model, path)
 
 
 def halved(model: Any) -> None:
