@@ -20,8 +20,9 @@ from spatialviz.cli_bench_srm import BenchSrm
 from spatialviz.cli_cases import Replay, Report, SaveCase
 from spatialviz.cli_detect import Calibrate, Detect
 from spatialviz.cli_eval import BenchEval, Eval
+from spatialviz.cli_exports import Export, Import
 from spatialviz.cli_journal import Correct, Effective, Redo, ShowJournal, Undo
-from spatialviz.cli_labels import BenchLabel, Check, Export, Label, Merge
+from spatialviz.cli_labels import BenchLabel, Check, Label, Merge
 from spatialviz.cli_models import BenchDetect, Models
 from spatialviz.cli_review import BenchReview, Install, Retrain, Review
 from spatialviz.cli_runs import Failures, Query
@@ -265,6 +266,7 @@ Command = Union[
     Annotated[Merge, subcommand("merge")],
     Annotated[Check, subcommand("check")],
     Annotated[Export, subcommand("export")],
+    Annotated[Import, subcommand("import")],
     Annotated[Review, subcommand("review")],
     Annotated[ShowJournal, subcommand("journal")],
     Annotated[Correct, subcommand("correct")],

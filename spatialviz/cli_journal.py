@@ -82,7 +82,7 @@ class ShowJournal:
     journal: OmitArgPrefixes[JournalOptions] = JournalOptions()
     author: str | None = None
     """Only this person's."""
-    kind: Literal["object", "relation", "expression", "frame"] | None = None
+    kind: Literal["object", "relation", "expression", "frame", "review"] | None = None
     """Only of entities of this kind."""
     frame: str | None = None
     """Only of this frame."""
@@ -121,23 +121,28 @@ class Correct:
     """Labels folder."""
     edits: Path
     """JSON: a list such as [{"edit": "relation", "frame": "000001/000000", "a": 2, "b": 5, "relation": "left",
-    "to": "T", "reason": "..."}]; edits are class, status, mask, bbox, box, new, merge, split, relation, text, answers,
-    ambiguous, mark, note."""
+    "to": "T", "reason": "..."}]; edits are class, status, judge, settle, mask, bbox, box, new, merge, split, relation,
+    text, answers, ambiguous, mark, note, and value: any one field as the journal keeps it (kind, key, field, to).
+    Pixels of mask and new are a run-length code, or "polygon": [[x, y], ...], "rectangle": [x0, y0, x1, y1], "strokes":
+    [{"points", "radius"}], "seeds": [[x, y], ...]; with "mode": add, remove, replace."""
     author: str
     """Who says so."""
     journal: OmitArgPrefixes[JournalOptions] = JournalOptions()
+    pictures: OmitArgPrefixes[DatasetOptions] = DatasetOptions()
     json: bool = False
     """Print one JSON object."""
 
     def run(self) -> int:
         from pipeline.journal.batch import apply_actions, read_actions
+        from pipeline.journal.batch_shapes import needs_pictures
         from pipeline.journal.effective import Corrector
         from pipeline.labels.reading import open_labels
 
         labels = open_labels(self.labels)
         actions = read_actions(self.edits)
+        dataset = self.pictures.open(labels) if needs_pictures(actions) else None
         with self.journal.open(labels) as journal:
-            done = apply_actions(Corrector(labels), journal, actions, self.author)
+            done = apply_actions(Corrector(labels, dataset), journal, actions, self.author)
         return _told(done, "saved", self.json)
 
 

@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional
 
-from pipeline.errors import InputError
 from pipeline.proposals.execution import Provider
 from spatialviz.exits import FINE, NO
 from spatialviz.options import four_numbers, print_json, task_of
@@ -253,65 +252,6 @@ class Check:
             if not self.json:
                 print(f"-> {page}")
         return NO if errors else FINE
-
-
-@dataclass(frozen=True)
-class Export:
-    """Write labels in another format."""
-
-    labels: Positional[Path]
-    """Labels folder."""
-    out: Path
-    """Folder to write; it must not exist, or be empty."""
-    format: Literal["jsonl", "coco", "kitti", "vqa", "parquet"]
-    """kitti: boxes only. vqa: conversations for tuning a vision-language model. parquet: Hugging Face's layout."""
-    images: Literal["none", "copy"] = "none"
-    """copy: write the colour images beside the labels too."""
-    dataset: str | None = None
-    """Where the dataset is now, for its images. Default: where it was labelled."""
-    overwrite: bool = False
-    """Replace an earlier export."""
-    licence: str | None = None
-    """The labels' licence, for the card of parquet. Default: said to be unknown."""
-
-    def run(self) -> int:
-        from pipeline.labels.exports import export_labels
-        from pipeline.labels.exports.hub import HubConfig
-        from pipeline.labels.reading import open_labels
-        from spatialviz.printing import rate_bar
-
-        labels = open_labels(self.labels)
-        options = None
-        if self.licence is not None:
-            if self.format != "parquet":
-                raise InputError("--licence is for the card of --format parquet")
-            options = HubConfig(licence=self.licence)
-        dataset = None
-        if self.images == "copy":
-            from pipeline.labels.plan import load_plan
-            from pipeline.labels.store import Store
-
-            plan = load_plan(Store(self.labels))
-            spec = plan.spec if self.dataset is None else type(plan.spec)(self.dataset, plan.spec.options)
-            dataset = spec.open(plan.config).dataset
-        with rate_bar("exporting", "frames") as advance:
-            report = export_labels(
-                labels,
-                self.format,
-                self.out,
-                images=self.images,
-                dataset=dataset,
-                overwrite=self.overwrite,
-                options=options,
-                progress=advance,
-            )
-        for note in report.notes:
-            print(f"spatialviz: {note}", file=sys.stderr)
-        if self.format in ("coco", "vqa") and self.images == "none":
-            print("spatialviz: the files name images/ that are not there; --images copy writes them", file=sys.stderr)
-        rows = ", ".join(f"{count} {name}" for name, count in report.rows.items())
-        print(f"{rows} -> {self.out}")
-        return FINE
 
 
 @dataclass(frozen=True)

@@ -3,32 +3,63 @@
 from __future__ import annotations
 
 import os
+import tempfile
+from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from pipeline.errors import InputError
 from spatialviz.cli_journal import DatasetOptions, JournalOptions
 from spatialviz.exits import FINE, NO
-from spatialviz.options import four_numbers, print_json
+from spatialviz.options import four_numbers, print_json, warn_skipped
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+    from pipeline.labels.reading import Labels
+    from pipeline.review.evidence import ItemEvidence
+    from pipeline.review.items import ItemKey, State
+    from pipeline.review.reviewed import Reviewed
 
 Features = Literal["2d", "3d", "canon", "rel14"]
 
 
 @dataclass(frozen=True)
 class Review:
-    """Rank labels by how probably they are wrong, each with the reasons."""
+    """Rank labels by how probably they are wrong, each with the reasons; tell how far a review of them has come."""
 
     labels: Positional[Path]
     """Labels folder."""
     limit: int = 50
     """Show so many; --out holds all."""
     out: Path | None = None
-    """Write the whole queue as Parquet."""
+    """Write the whole queue as Parquet: with what is settled."""
+    queue: Path | None = None
+    """Read a queue that --out wrote, and do not make it anew."""
+    all: bool = False
+    """Show what is settled too."""
+    author: str | None = None
+    """What is left for this reviewer, without what others said."""
+    overlap: float = 0.0
+    """With --author: ask again this share of what others have settled, so that agreement can be measured."""
+    second_opinion_of: str | None = None
+    """With --author: only what this person has judged."""
+    agreement: bool = False
+    """Print how far each two reviewers agree (Cohen's kappa), and on what they differ; exit status 1 where no two have
+    judged the same item."""
+    progress: bool = False
+    """Print how far the review has come."""
+    journal: OmitArgPrefixes[JournalOptions] = JournalOptions()
     other: Path | None = None
     """Labels of the same dataset by another detector or run: what they say otherwise counts too."""
+    detector: str | None = None
+    """Let this detector look at the labelled frames too: recorded | yolo-seg | simulated | annotations."""
+    model: Path | None = None
+    """Its model file or recording."""
+    source: OmitArgPrefixes[DatasetOptions] = DatasetOptions()
     networks: bool = True
     """Ask networks that have not learnt from a label (confident learning)."""
     linter: bool = True
@@ -46,36 +77,115 @@ class Review:
 
     def run(self) -> int:
         from pipeline.labels.reading import open_labels
-        from pipeline.labels.tables import write_table
+        from pipeline.review.agreement import pair_agreements
+        from pipeline.review.cells import read_cells
+        from pipeline.review.progress import review_progress
+        from pipeline.review.reviewed import states_on_labels
+        from pipeline.review.worklist import write_queue
+        from spatialviz.printing_review import print_agreement, print_progress, print_queue
+
+        self._check()
+        labels = open_labels(self.labels)
+        with tempfile.TemporaryDirectory(prefix="spatialviz-") as folder:
+            reviewed = self._reviewed(labels, Path(folder) / "labels")
+            if self.agreement:
+                pairs = pair_agreements(reviewed.judgements)
+                if self.json:
+                    for pair in pairs:
+                        print_json(pair.record())
+                else:
+                    print_agreement(pairs, self.limit)
+                return FINE if pairs else NO
+            queue = self._queue(reviewed, labels)
+            states = states_on_labels(reviewed.judgements, read_cells(reviewed.labels))
+        if self.out is not None:
+            write_queue(queue, self.out)
+        if self.progress:
+            record = review_progress(queue, reviewed.judgements, states)
+            print_json(record) if self.json else print_progress(record)
+            return FINE
+        shown = self._shown(queue, reviewed, states)
+        if self.json:
+            for row in shown.slice(0, self.limit).to_pylist():
+                print_json(row)
+        else:
+            print_queue(shown, self.limit, self.out, settled=queue.num_rows - shown.num_rows)
+        return FINE if shown.num_rows else NO
+
+    def _check(self) -> None:
+        if self.limit < 0:
+            raise InputError("--limit must not be negative", got=self.limit)
+        if self.model is not None and self.detector is None:
+            raise InputError("--model needs --detector", cause="which kind of model is it?", path=self.model)
+        if self.author is None and (self.overlap or self.second_opinion_of is not None):
+            raise InputError("--overlap and --second-opinion-of need --author", cause="whose second opinion?")
+        if self.author is not None and self.all:
+            raise InputError("--all and --author exclude each other")
+        if self.queue is not None and (self.other is not None or self.detector is not None):
+            raise InputError("--queue is a queue that was made before", cause="leave out --queue, or the other options")
+
+    def _reviewed(self, labels: Labels, folder: Path) -> Reviewed:
+        from pipeline.journal.journal import JOURNAL_FILE
+        from pipeline.review.reviewed import Reviewed, reviewed_labels
+
+        named = self.journal.journal is not None
+        if not named and not (labels.root / JOURNAL_FILE).exists():
+            return Reviewed(labels)
+        with self.journal.open(labels, must_exist=True) as journal:
+            return reviewed_labels(labels, journal, folder, self.source.open(labels))
+
+    def _queue(self, reviewed: Reviewed, labels: Labels) -> pa.Table:
+        from pipeline.labels.reading import open_labels
         from pipeline.review.out_of_fold import EPOCHS, REVIEWED, DoubtConfig
         from pipeline.review.queue import QueueConfig, review_queue
+        from pipeline.review.reviewed import automatic_version
+        from pipeline.review.worklist import read_queue
         from pipeline.srm.features import CLI_FEATURES
         from pipeline.srm.train import TrainConfig
         from spatialviz.printing import progress_bars
-        from spatialviz.printing_review import print_queue
 
-        if self.limit < 0:
-            raise InputError("--limit must not be negative", got=self.limit)
+        if self.queue is not None:
+            return read_queue(self.queue, automatic_version(labels.manifest))
         train = TrainConfig(CLI_FEATURES[self.features], REVIEWED, epochs=EPOCHS, seed=self.seed)
         doubts = DoubtConfig(self.folds, self.passes, train) if self.networks else None
         other = None if self.other is None else open_labels(self.other)
-        labels = open_labels(self.labels)
         with progress_bars() as advance:
-            queue = review_queue(
-                labels,
+            return review_queue(
+                reviewed.labels,
                 QueueConfig(doubts, linter=self.linter),
                 other=other,
+                found_elsewhere=self._seen(reviewed.labels, labels, advance),
+                judgements=reviewed.judgements,
                 progress=lambda done, of: advance("networks", done, of),
             )
-        if self.out is not None:
-            self.out.parent.mkdir(parents=True, exist_ok=True)
-            write_table(queue, self.out)
-        if self.json:
-            for row in queue.slice(0, self.limit).to_pylist():
-                print_json(row)
-        else:
-            print_queue(queue, self.limit, self.out)
-        return FINE if queue.num_rows else NO
+
+    def _seen(
+        self, labels: Labels, automatic: Labels, advance: Callable[[str, int, int], None]
+    ) -> tuple[ItemEvidence, ...]:
+        from pipeline.proposals import make_detector
+        from pipeline.review.detector_evidence import detector_evidence
+
+        if self.detector is None:
+            return ()
+        dataset = self.source.open(automatic)
+        if dataset is None:
+            raise InputError("--detector needs the pictures", expected="--dataset DATASET")
+        detector = make_detector(self.detector, model=self.model, class_names=dataset.class_names)
+        found = detector_evidence(labels, dataset, detector, progress=lambda n, of: advance("frames", n, of))
+        for frame, reason in found.skipped.items():
+            warn_skipped(frame, reason)
+        return found.items
+
+    def _shown(self, queue: pa.Table, reviewed: Reviewed, states: dict[ItemKey, State]) -> pa.Table:
+        from pipeline.review.items import left_to_review, with_states
+        from pipeline.review.second_opinions import left_for
+
+        if self.author is not None:
+            return left_for(
+                queue, reviewed.judgements, states, self.author, overlap=self.overlap,
+                second_opinion_of=self.second_opinion_of,
+            )  # fmt: skip
+        return with_states(queue, states) if self.all else left_to_review(queue, states)
 
 
 @dataclass(frozen=True)

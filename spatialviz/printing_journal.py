@@ -11,6 +11,7 @@ from rich.text import Text
 from pipeline.journal.cells import shown_value
 from pipeline.journal.effective import EffectiveLabels
 from pipeline.journal.events import Conflict, Event, Saved
+from pipeline.journal.incoming.importing import ImportReport
 from spatialviz.printing import make_console
 
 
@@ -61,3 +62,24 @@ def print_effective(found: EffectiveLabels, out: Path, show: int) -> None:
     if len(found.unapplied) > show:
         console.print(Text(f"and {len(found.unapplied) - show} more, in unapplied.json", "yellow"))
     console.print(Text(f"-> {out}", "dim"))
+
+
+def print_import(report: ImportReport, show: int) -> None:
+    """What a file changes, and what stands against it."""
+    console = make_console()
+    for edit in report.edits[:show]:
+        values = (shown_value(edit.cell, value) for value in (edit.before, edit.after))
+        console.print(Text(f"{edit.cell}: {' -> '.join(values)}"))
+    for lines, style in ((report.conflicts, "yellow"), (report.problems, "red"), (report.notes, "dim")):
+        for line in lines[:show]:
+            console.print(Text(line, style))
+        if len(lines) > show:
+            console.print(Text(f"and {len(lines) - show} more", style))
+    if len(report.edits) > show:
+        console.print(f"{len(report.edits) - show} changes are not shown")
+    counted = f"{report.compared} rows compared, {len(report.edits)} changes, {report.agreed} made here already"
+    console.print(f"{counted}, {len(report.conflicts)} conflicts, {len(report.problems)} problems")
+    if report.saved is not None:
+        console.print(Text(f"saved: {len(report.saved.events)} changes, group {report.saved.group}"))
+    else:
+        console.print("nothing was saved")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,14 +16,15 @@ from spatialviz.printing_eval import print_table
 if TYPE_CHECKING:
     import pyarrow as pa
 
+    from pipeline.review.agreement import PairAgreement
     from pipeline.review.circle import Circle
     from pipeline.review.retraining import Retraining
 
 SHOWN_CELLS = 5
 
 
-def print_queue(queue: pa.Table, limit: int, out: Path | None) -> None:
-    """The first items with their reasons, and how many there are."""
+def print_queue(queue: pa.Table, limit: int, out: Path | None, settled: int = 0) -> None:
+    """The first items with their reasons, and how many there are; `settled` of them are not shown."""
     console = make_console()
     table = Table(box=None, pad_edge=False, header_style="dim")
     table.add_column("wrong", justify="right")
@@ -34,6 +36,8 @@ def print_queue(queue: pa.Table, limit: int, out: Path | None) -> None:
         console.print(table)
     metadata = {k.decode(): v.decode() for k, v in (queue.schema.metadata or {}).items()}
     told = f"{queue.num_rows} labels to look at"
+    if settled:
+        told += f" ({settled} more are settled, or others': --all)"
     if "estimated_wrong" in metadata:
         told += f"; networks take {metadata['estimated_wrong']} relation labels to be wrong"
     if metadata.get("elsewhere", "0") != "0":
@@ -46,9 +50,60 @@ def print_queue(queue: pa.Table, limit: int, out: Path | None) -> None:
 def _said(row: dict[str, Any]) -> str:
     if row["kind"] == "relation":
         return f"{row['a']} {PHRASE[row['relation']]} {row['b']}: {row['label']}"
+    if row["place"] is not None:
+        return f"no object at {row['place']}: {row['label']}?"
     if row["kind"] == "object":
         return f"object {row['a']}: {row['label']}"
     return f"{row['expression']}: {row['label']!r}"
+
+
+def print_agreement(pairs: Sequence[PairAgreement], limit: int) -> None:
+    """Kappa of each two reviewers by kind, the table, and the first items on which they differ."""
+    console = make_console()
+    if not pairs:
+        console.print("no two reviewers have judged the same item")
+    for pair in pairs:
+        console.print(Text(f"{pair.first} and {pair.second}: {pair.all.items} items judged by both", "bold"))
+        for kind, found in (("all", pair.all), *pair.kinds.items()):
+            kappa = "-" if found.kappa != found.kappa else f"{found.kappa:.2f}"
+            console.print(f"  {kind}: kappa {kappa}, {_share(found.observed)} of {found.items} judged alike")
+        table = Table(box=None, pad_edge=False, header_style="dim", title_justify="left")
+        table.add_column(f"{pair.first} \\ {pair.second}")
+        for judgement in pair.all.judgements:
+            table.add_column(judgement, justify="right")
+        for judgement, row in zip(pair.all.judgements, pair.all.table.tolist(), strict=True):
+            table.add_row(judgement, *map(str, row))
+        console.print(table)
+        for key, one, other in pair.differ[:limit]:
+            place = f"{key.a} {PHRASE[key.what]} {key.b}" if key.kind == "relation" else f"{key.what or key.a}"
+            console.print(
+                Text(f"  {key.frame}, {key.kind} {place}: {pair.first} says {one}, {pair.second} says {other}")
+            )
+        if len(pair.differ) > limit:
+            console.print(f"  and {len(pair.differ) - limit} more")
+
+
+def print_progress(record: dict[str, Any]) -> None:
+    """How many items are in each state, by kind and by reviewer, and what is left."""
+    from pipeline.review.items import STATES
+
+    console = make_console()
+    table = Table(box=None, pad_edge=False, header_style="dim")
+    table.add_column("")
+    for state in STATES:
+        table.add_column(state, justify="right")
+    for name, counts in (("queue", record), *record["kinds"].items(), *record["reviewers"].items()):
+        table.add_row(Text(name), *(str(counts[s]) if s in counts else "" for s in STATES))
+    console.print(table)
+    console.print(f"{record['settled']} of {record['items']} settled ({_share(record['share'])})")
+    for day, count in record["days"].items():
+        console.print(f"{day}: {count} items")
+    if record["disagreements"]:
+        console.print(f"reviewers disagree on {record['disagreements']}: see --agreement")
+    if record["elsewhere"]:
+        console.print(f"{record['elsewhere']} items that people judged are not in the queue")
+    if record["estimated_wrong"] is not None:
+        console.print(f"networks take {record['estimated_wrong']:.0f} of the open relation labels to be wrong")
 
 
 def print_retraining(found: Retraining, out: Path) -> None:

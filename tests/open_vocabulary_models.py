@@ -9,7 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from transformers import (
+from reference_code import import_reference
+
+import_reference("transformers")
+
+from transformers import (  # noqa: E402
     BertConfig,
     BertTokenizer,
     CLIPTokenizer,
@@ -21,7 +25,7 @@ from transformers import (
     OwlViTForObjectDetection,
     SwinConfig,
 )
-from transformers.models.grounding_dino import modeling_grounding_dino as reference
+from transformers.models.grounding_dino import modeling_grounding_dino as reference  # noqa: E402
 
 HEIGHT, WIDTH = 96, 128
 SIDE = 96

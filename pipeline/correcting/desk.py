@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Collection, Sequence
 from datetime import datetime, timezone
+from functools import cached_property
 
+from pipeline.correcting.disputes import decided
+from pipeline.correcting.event_lines import EventLine, event_lines
 from pipeline.correcting.journal_place import JournalPlace
+from pipeline.correcting.unsaved import Waiting
 from pipeline.datasets import Dataset
 from pipeline.errors import InputError
+from pipeline.journal.cells import LONGEST_NAME, plain_text
 from pipeline.journal.effective import Corrector
 from pipeline.journal.effective_frame import EffectiveFrame
 from pipeline.journal.events import Conflict, Edit, Event, NotSaved, Saved, new_ulid
@@ -18,68 +22,59 @@ from pipeline.labels.reading import Labels
 _NOT_IN_THE_JOURNAL = 2**62
 """Edits that wait to be saved come after every event of the journal."""
 
-
-@dataclass(frozen=True)
-class Waiting:
-    """An action that could not be saved, kept until it can be.
-
-    Attributes
-    ----------
-    edits : tuple of Edit
-    author, group : str
-        The group keeps an action from being saved twice.
-    time : datetime
-    problem : str
-        Why it could not be saved.
-    """
-
-    edits: tuple[Edit, ...]
-    author: str
-    group: str
-    time: datetime
-    problem: str
-
-    def events(self, first: int, labels: str) -> list[Event]:
-        """As they will stand in the journal, numbered from `first` on."""
-        return [
-            Event(first + k, f"{self.group}-{k}", self.author, self.time, e.cell, e.before, e.after, e.base, e.base + 1,
-                  labels, e.reason, self.group, "edit", None, e.anchor)
-            for k, e in enumerate(self.edits)
-        ]  # fmt: skip
-
-
 Outcome = Saved | Conflict | Waiting
 """What comes of saving."""
 
 
 class Desk:
-    """What one person corrects. Not shared by threads; the journal behind it is.
+    """What one person corrects. Not shared by threads, but for `news`; the journal behind it is.
 
     Parameters
     ----------
     labels : Labels
     place : JournalPlace
+        Keeps also what waits: other desks of the same author see it.
     author : str
         Under whose name edits are saved.
     dataset : Dataset, optional
         Without it, what follows from new pixels and boxes is marked stale.
-
-    Attributes
-    ----------
-    corrector : Corrector
-    waiting : tuple of Waiting
-        In the order in which they were made; frames show them as if they were saved.
     """
 
     def __init__(self, labels: Labels, place: JournalPlace, author: str, dataset: Dataset | None = None) -> None:
-        self.labels, self.place, self.author = labels, place, author
-        self.corrector = Corrector(labels, dataset)
-        self.waiting: tuple[Waiting, ...] = ()
+        self.labels, self.place, self.author, self._dataset = labels, place, author, dataset
         self._events: dict[str, tuple[Event, ...]] = {}
-        self._seen: tuple[str, tuple[int, int], EffectiveFrame] | None = None
+        self._seen: tuple[str, tuple[str, ...], EffectiveFrame] | None = None
+
+    @cached_property
+    def corrector(self) -> Corrector:
+        """The labels, read when they are first needed."""
+        return Corrector(self.labels, self._dataset)
 
     def __contains__(self, frame: str) -> bool:
         return frame in self.corrector.index.of_frame
+
+    @property
+    def waiting(self) -> tuple[Waiting, ...]:
+        """In the order in which they were made; frames show them as if they were saved."""
+        return self.place.unsaved.waiting(self.author)
+
+    @property
+    def disputed(self) -> tuple[Conflict, ...]:
+        """What this person has to decide, because others were faster; see `decide`."""
+        return self.place.unsaved.disputed(self.author)
+
+    def sign(self, author: str) -> None:
+        """Save what follows under another name.
+
+        Raises
+        ------
+        InputError
+            It is no name, or what was done under the one before is not saved yet.
+        """
+        name = plain_text(author.strip(), "an author", LONGEST_NAME).strip()
+        if name != self.author and self.waiting:
+            raise InputError(f"edits of {self.author} are not saved yet", expected="save them or take them back first")
+        self.author = name
 
     def frame(self, frame: str) -> EffectiveFrame:
         """A frame as this person sees it: with what everybody saved, and with what waits to be saved.
@@ -89,25 +84,70 @@ class Desk:
         InputError
             The labels have no such frame, or the journal or the dataset cannot be read.
         """
-        events = self._read(frame)
-        mine = [e for w in self.waiting for e in w.events(_NOT_IN_THE_JOURNAL, "") if e.cell.frame == frame]
-        state = len(events), len(mine)
+        events = self.events(frame)
+        # An event that waits is named by its group, so that one that was saved is another.
+        state = tuple(e.ulid for e in events)
         if self._seen is None or self._seen[0] != frame or self._seen[1] != state:
-            self._seen = frame, state, self.corrector.frame(frame, [*events, *mine])
+            self._seen = frame, state, self.corrector.frame(frame, events)
         return self._seen[2]
 
-    def news(self, frame: str) -> bool:
-        """Whether others have saved something in a frame since it was last looked at."""
-        known = len(self._events.get(frame, ()))
-        return len(self._read(frame)) != known
+    def corrected(self, frame: str) -> EffectiveFrame | None:
+        """As `frame`; None where nobody has corrected anything in it."""
+        return self.frame(frame) if self.events(frame) and frame in self else None
+
+    def events(self, frame: str) -> list[Event]:
+        """The events of a frame, then those that wait.
+
+        Raises
+        ------
+        InputError
+            The journal cannot be read, and never was.
+        """
+        return [*self._read(frame), *self._unsaved(frame)]
+
+    def _unsaved(self, frame: str) -> list[Event]:
+        return [e for w in self.waiting for e in w.events(_NOT_IN_THE_JOURNAL, "") if e.cell.frame == frame]
+
+    def news(self, frame: str) -> tuple[Event, ...]:
+        """What others have saved in a frame since it was last looked at. Any thread may ask.
+
+        Raises
+        ------
+        InputError
+            The journal cannot be read.
+        """
+        journal = self.place.to_read()
+        return () if journal is None else journal.events(frame=frame, after=self.seen(frame))
+
+    def seen(self, frame: str) -> int:
+        """`id` of the newest saved event of a frame when it was last looked at; 0 where it has none."""
+        known = self._events.get(frame, ())
+        return known[-1].id if known else 0
 
     def _read(self, frame: str) -> tuple[Event, ...]:
-        known = self._events.get(frame, ())
-        journal = self.place.to_read()
-        if journal is not None:
-            known = (*known, *journal.events(frame=frame, after=known[-1].id if known else 0))
-            self._events[frame] = known
-        return known
+        known = self._events.get(frame)
+        try:
+            found = (*(known or ()), *self.news(frame))
+        except InputError:
+            if known is None:
+                raise
+            # Who works on while the database is away sees what they saw, and their own edits.
+            return known
+        self._events[frame] = found
+        return found
+
+    def history(
+        self,
+        frame: str,
+        *,
+        objects: Collection[int] = (),
+        pair: tuple[int, int] | None = None,
+        expression: str | None = None,
+    ) -> tuple[EventLine, ...]:
+        """Who changed what of an object, a pair or an expression, the newest first, when the frame was last seen."""
+        events = [*self._events.get(frame, ()), *self._unsaved(frame)]
+        groups = [w.group for w in self.waiting]
+        return event_lines(events, self.author, objects=objects, pair=pair, expression=expression, waiting=groups)
 
     # ---- saving ---------------------------------------------------------------------
 
@@ -128,34 +168,43 @@ class Desk:
         except InputError as error:
             return self._keep(edits, new_ulid(), str(error))
         try:
-            return journal.append(edits, self.author)
+            return self._kept(journal.append(edits, self.author))
         except NotSaved as error:
             return self._keep(edits, error.group, str(error))
 
     def _keep(self, edits: tuple[Edit, ...], group: str, problem: str) -> Waiting:
-        kept = Waiting(edits, self.author, group, datetime.now(timezone.utc), problem)
-        self.waiting = (*self.waiting, kept)
-        return kept
+        action = Waiting(edits, self.author, group, datetime.now(timezone.utc), problem)
+        self.place.unsaved.keep(action)
+        return action
+
+    def _kept(self, outcome: Saved | Conflict) -> Saved | Conflict:
+        if isinstance(outcome, Conflict):
+            self.place.unsaved.dispute(self.author, outcome)
+        return outcome
+
+    def decide(self, conflict: Conflict, mine: Collection[int]) -> Outcome | None:
+        """Settle a conflict: save one's own in the disputes that `mine` numbers, leave the others as they are.
+
+        Returns
+        -------
+        Saved, Conflict, Waiting or None
+            None where nothing of one's own is left. Conflict where somebody
+            has changed one of its fields again: that is to be decided anew.
+        """
+        frames = {e.cell.frame for e in conflict.edits}
+        edits = [e for name in frames for e in decided(conflict, self.frame(name), mine) if e.cell.frame == name]
+        outcome = self.save(edits) if edits else None
+        self.place.unsaved.settle(self.author, conflict)
+        return outcome
 
     def retry(self) -> tuple[Outcome, ...]:
-        """Try again to save what waits, oldest first, until one fails.
+        """Try again to save what waits: see `Unsaved.retry`."""
+        return self.place.unsaved.retry(self.author, self.place.to_write)
 
-        What others have changed in the meantime is a conflict: it no longer
-        waits, and is handed back for the person to decide.
-        """
-        done: list[Outcome] = []
-        while self.waiting:
-            first, rest = self.waiting[0], self.waiting[1:]
-            try:
-                done.append(self.place.to_write().append(first.edits, first.author, group=first.group))
-            except InputError as error:
-                self.waiting = (Waiting(first.edits, first.author, first.group, first.time, str(error)), *rest)
-                return (*done, self.waiting[0])
-            self.waiting = rest
-        return tuple(done)
+    def undo(self, group: str | None = None) -> Outcome | None:
+        """Take back this person's newest action, or the one of a group; one that waits is dropped.
 
-    def undo(self) -> Outcome | None:
-        """Take back this person's newest action; one that waits is dropped. None where there is none.
+        None where there is none.
 
         Raises
         ------
@@ -163,14 +212,18 @@ class Desk:
             The journal cannot be read or written.
         """
         if self.waiting:
-            last, self.waiting = self.waiting[-1], self.waiting[:-1]
-            return last
-        return self._taken(undo)
+            if group is not None and group != self.waiting[-1].group:
+                raise InputError("newer edits wait to be saved", expected="save them or take them back first")
+            return self.place.unsaved.drop_last(self.author)
+        return self._taken(undo, group)
 
     def redo(self) -> Outcome | None:
         """Bring back what this person took back last; as `undo`."""
-        return None if self.waiting else self._taken(redo)
+        return None if self.waiting else self._taken(redo, None)
 
-    def _taken(self, take: Callable[..., Saved | Conflict | None]) -> Outcome | None:
+    def _taken(self, take: Callable[..., Saved | Conflict | None], group: str | None) -> Outcome | None:
         journal = self.place.to_read()
-        return None if journal is None else take(journal, self.author)
+        if journal is None:
+            return None
+        outcome = take(journal, self.author, group=group)
+        return None if outcome is None else self._kept(outcome)

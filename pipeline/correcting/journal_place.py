@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from threading import Lock
 
+from pipeline.correcting.unsaved import Unsaved
 from pipeline.journal.connection import is_url
 from pipeline.journal.journal import JOURNAL_FILE, Journal, journal_of
 from pipeline.labels.reading import Labels
@@ -20,10 +21,16 @@ class JournalPlace:
         Path or URL; beside the labels by default.
     project : str, optional
         See `journal_of`.
+
+    Attributes
+    ----------
+    unsaved : Unsaved
+        What could not be saved yet, of everyone.
     """
 
     def __init__(self, labels: Labels, where: str | Path | None = None, project: str | None = None) -> None:
         self.labels, self.where, self.project = labels, where, project
+        self.unsaved = Unsaved()
         self._journal: Journal | None = None
         self._lock = Lock()
 

@@ -7,10 +7,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, model_validator
 
+from pipeline.drawing.gestures import Canvas
 from pipeline.errors import InputError
 from pipeline.journal import edits as actions
+from pipeline.journal.batch_shapes import Mode, Shapes, combined
 from pipeline.journal.cells import Cell, box_of
 from pipeline.journal.effective import Corrector
 from pipeline.journal.effective_frame import EffectiveFrame
@@ -40,9 +42,20 @@ class ClassName(OfObject):
     to: str
 
 
-class Mask(OfObject):
+class Mask(OfObject, Shapes):
+    """Pixels by a run-length code or a shape; a shape is in place of the mask, is added to it, or taken from it."""
+
     edit: Literal["mask"]
-    to: str | None
+    to: str | None = None
+    mode: Mode = "replace"
+
+    @model_validator(mode="after")
+    def _said(self) -> Mask:
+        if ("to" in self.model_fields_set) == self.shaped:
+            raise ValueError("pixels are either a code (to) or one of polygon, rectangle, strokes, seeds")
+        if not self.shaped and self.mode != "replace":
+            raise ValueError("a code replaces the mask")
+        return self
 
 
 class Rectangle(OfObject):
@@ -67,12 +80,39 @@ class Status(Action):
     to: str | None
 
 
-class NewObject(Action):
+class Judge(Action):
+    """A reviewer's own word on an object, a relation or an expression: a status, or of a relation T, U or F."""
+
+    edit: Literal["judge"]
+    object: int | None = None
+    a: int | None = None
+    b: int | None = None
+    relation: str | None = None
+    expression: str | None = None
+    to: str | None
+
+
+class Settle(Judge):
+    """The last word where reviewers differ."""
+
+    edit: Literal["settle"]  # pyright: ignore[reportIncompatibleVariableOverride]
+    to: str  # pyright: ignore[reportIncompatibleVariableOverride]
+
+
+class NewObject(Action, Shapes):
+    """With a mask, a 2D box, a 3D box, or a shape; in a rectangle the pixels are those of the depth segmenter."""
+
     edit: Literal["new"]
     label: str
     mask: str | None = None
     bbox: list[float] | None = None
     box: dict[str, list[float]] | None = None
+
+    @model_validator(mode="after")
+    def _said(self) -> NewObject:
+        if self.mask is not None and self.shaped:
+            raise ValueError("pixels are either a mask or one of polygon, rectangle, strokes, seeds")
+        return self
 
 
 class Merge(Action):
@@ -123,9 +163,19 @@ class Note(Action):
     to: str | None
 
 
+class Value(Action):
+    """One field of one entity, as the journal keeps it; nothing else is set with it."""
+
+    edit: Literal["value"]
+    kind: Literal["object", "relation", "expression", "frame"]
+    key: str
+    field: str
+    to: Any
+
+
 AnyAction = Annotated[
-    ClassName | Mask | Rectangle | Solid | Status | NewObject | Merge | Split | Relation | Text | Answers | Ambiguous
-    | Mark | Note,
+    ClassName | Mask | Rectangle | Solid | Status | Judge | Settle | NewObject | Merge | Split | Relation | Text
+    | Answers | Ambiguous | Mark | Note | Value,
     Field(discriminator="edit"),
 ]  # fmt: skip
 _LIST: TypeAdapter[list[AnyAction]] = TypeAdapter(list[AnyAction])
@@ -162,12 +212,19 @@ def actions_of(entries: Any, path: Path | None = None) -> list[AnyAction]:
         raise InputError(said, got=repr(first.get("input"))[:60], path=path) from error
 
 
-def edits_of(action: AnyAction, frame: EffectiveFrame) -> tuple[Edit, ...]:
-    """The edits that an action comes down to; InputError where it cannot be done to the frame."""
+def edits_of(action: AnyAction, frame: EffectiveFrame, author: str, canvas: Canvas | None = None) -> tuple[Edit, ...]:
+    """The edits that an action comes down to; InputError where it cannot be done to the frame.
+
+    `canvas` is the frame's picture, for shapes that follow its depth.
+    """
     a, why = action, action.reason
+    size = int(frame.row["height"]), int(frame.row["width"])
     if isinstance(a, ClassName):
         return actions.set_class(frame, a.object, a.to, why)
     if isinstance(a, Mask):
+        if a.shaped:
+            mask = combined(actions.pixels_of(frame, a.object), a.pixels(*size, canvas), a.mode)
+            return actions.set_mask(frame, a.object, mask, why)
         return actions.set_mask(frame, a.object, a.to, why)
     if isinstance(a, Rectangle):
         return actions.set_bbox(frame, a.object, a.to, why)
@@ -175,9 +232,12 @@ def edits_of(action: AnyAction, frame: EffectiveFrame) -> tuple[Edit, ...]:
         return actions.set_box(frame, a.object, box_of(a.to), why)
     if isinstance(a, Status):
         return actions.set_status(frame, _status_cell(a), a.to, why)
+    if isinstance(a, Judge):
+        return _judged(a, frame, author)
     if isinstance(a, NewObject):
         box = None if a.box is None else box_of(a.box)
-        return actions.add_object(frame, a.label, mask=a.mask, bbox=a.bbox, box=box, reason=why)
+        mask = a.pixels(*size, canvas, surface=True) if a.shaped else a.mask
+        return actions.add_object(frame, a.label, mask=mask, bbox=a.bbox, box=box, reason=why)
     if isinstance(a, Merge):
         return actions.merge_objects(frame, a.objects, why)
     if isinstance(a, Split):
@@ -192,10 +252,26 @@ def edits_of(action: AnyAction, frame: EffectiveFrame) -> tuple[Edit, ...]:
         return actions.set_ambiguous(frame, a.expression, a.to, why)
     if isinstance(a, Mark):
         return actions.set_mark(frame, a.expression, a.to, why)
+    if isinstance(a, Value):
+        return actions.set_value(frame, Cell(a.kind, a.frame, a.key, a.field), a.to, why)
     return actions.set_note(frame, a.to, why)
 
 
-def _status_cell(action: Status) -> Cell:
+def _judged(action: Judge, frame: EffectiveFrame, author: str) -> tuple[Edit, ...]:
+    cell, to, why = _status_cell(action), action.to, action.reason
+    if isinstance(action, Settle):
+        state = _STATES.get(action.to) if cell.kind == "relation" else None
+        if state is None:
+            return actions.settle(frame, cell, action.to, why)
+        now = frame.value(Cell("relation", cell.frame, cell.key, cell.field.removesuffix(".status")))
+        return actions.settle(frame, cell, "accepted" if state == now else "corrected", why, state)
+    if cell.kind == "relation" and to is not None and to in _STATES:
+        a, b = cell.numbers
+        return actions.judge_relation(frame, a, b, cell.field.removesuffix(".status"), _STATES[to], author, why)
+    return actions.judge(frame, cell, to, author, why)
+
+
+def _status_cell(action: Status | Judge) -> Cell:
     if action.object is not None:
         return Cell("object", action.frame, str(action.object), "status")
     if action.expression is not None:
@@ -221,13 +297,16 @@ def apply_actions(
         As `Journal.append`.
     """
     frames: dict[str, EffectiveFrame] = {}
+    canvases: dict[str, Canvas] = {}
     edits: list[Edit] = []
     rivals: list[Rival] = []
     for k, action in enumerate(todo):
         try:
             if action.frame not in frames:
                 frames[action.frame] = corrector.frame(action.frame, journal)
-            made = edits_of(action, frames[action.frame])
+            if corrector.relifter is not None and isinstance(action, Shapes) and action.frame not in canvases:
+                canvases[action.frame] = Canvas(corrector.relifter.context(action.frame))
+            made = edits_of(action, frames[action.frame], author, canvases.get(action.frame))
         except InputError as error:
             raise InputError(f"edit {k}: {error}") from error
         if action.base is not None:
@@ -237,4 +316,4 @@ def apply_actions(
             heads = journal.heads([e.cell for e in made])
             rivals += [Rival(e, heads[e.cell]) for e in made if e.cell in heads and heads[e.cell].author != author]
         edits += made
-    return Conflict(tuple(rivals)) if rivals else journal.append(edits, author)
+    return Conflict(tuple(rivals), tuple(edits)) if rivals else journal.append(edits, author)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,8 +15,10 @@ from pipeline.errors import InputError
 from pipeline.relations import PAIRWISE, letter
 from pipeline.run_length import run_lengths
 
-Kind = Literal["object", "relation", "expression", "frame"]
-KINDS: tuple[Kind, ...] = ("object", "relation", "expression", "frame")
+Kind = Literal["object", "relation", "expression", "frame", "review"]
+KINDS: tuple[Kind, ...] = ("object", "relation", "expression", "frame", "review")
+OF_ALL = ""
+"""Stands for the author in the key of a judgement that is not one person's: see `pipeline.journal.judgements`."""
 STATUSES = ("accepted", "corrected", "rejected", "unsure")
 """What a reviewer says of something; null is unreviewed. A rejected object or expression is left out."""
 FIRST_NEW_OBJECT = 1_000_000
@@ -31,11 +34,12 @@ class Cell:
     Attributes
     ----------
     kind : str
-        "object", "relation", "expression" or "frame".
+        "object", "relation", "expression", "frame" or "review".
     frame : str
         The frame's id.
     key : str
         Of an object its number, of a relation "a,b", of an expression its id, of a frame "".
+        Of a judgement the JSON of [author, kind, a, b, what]: see `pipeline.journal.judgements`.
     field : str
     """
 
@@ -55,12 +59,18 @@ class Cell:
             numbers = self.key.split(",")
             if len(numbers) != (2 if self.kind == "relation" else 1) or not all(map(_is_number, numbers)):
                 raise InputError(f"not the key of a {self.kind}", got=repr(self.key)[:60])
+        elif self.kind == "review":
+            if (judged_item(self.key)[0] == OF_ALL) != (self.field == "settled"):
+                raise InputError("what is said has an author, what is settled has none", got=repr(self.key)[:60])
         elif (self.kind == "frame") != (self.key == "") or len(self.key) > LONGEST_NAME:
             raise InputError(f"not the key of a {self.kind}", got=repr(self.key)[:60])
 
     @property
     def numbers(self) -> tuple[int, ...]:
         """The objects that the key names."""
+        if self.kind == "review":
+            _, kind, a, b, _ = judged_item(self.key)
+            return tuple(n for n in (a, b) if n is not None and n >= 0 and kind != "expression")
         return tuple(int(n) for n in self.key.split(",")) if self.kind in ("object", "relation") else ()
 
     def __str__(self) -> str:
@@ -74,6 +84,39 @@ def object_cell(frame: str, number: int, field: str) -> Cell:
 
 def relation_cell(frame: str, a: int, b: int, relation: str) -> Cell:
     return Cell("relation", frame, f"{int(a)},{int(b)}", relation)
+
+
+def judged_item(key: str) -> tuple[str, str, int, int | None, str]:
+    """Author, kind, a, b and what of the key of a judgement.
+
+    Raises
+    ------
+    InputError
+        It is none, or not as this release writes it: one item has one key.
+    """
+    try:
+        author, kind, a, b, what = found = json.loads(key)
+        written = judged_key(*found)
+    except (ValueError, TypeError, RecursionError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError("not the key of a review", got=repr(key)[:60]) from error
+    numbers = type(a) is int and (b is None or type(b) is int)
+    sound = kind in ("object", "relation", "expression") and isinstance(author, str) and isinstance(what, str)
+    if not (numbers and sound and -1 <= a < 2**31 and -1 <= (b or 0) < 2**31) or written != key:
+        raise InputError("not the key of a review", got=repr(key)[:60])
+    if author != OF_ALL:
+        plain_text(author, "an author", LONGEST_NAME)
+    if kind == "relation" and (what not in PAIRWISE or b is None or min(a, b) < 0):
+        raise InputError("not the key of a relation's review", got=repr(key)[:60])
+    if what:
+        plain_text(what, "what is judged", LONGEST_NAME)
+    return author, kind, a, b, what
+
+
+def judged_key(author: str, kind: str, a: int, b: int | None, what: str) -> str:
+    """The reverse of `judged_item`."""
+    return json.dumps([author, kind, a, b, what], ensure_ascii=False, separators=(",", ":"))
 
 
 def _is_number(text: str) -> bool:
@@ -128,7 +171,11 @@ def shown_value(cell: Cell, value: Any) -> str:
     if cell.kind == "relation" and cell.field in PAIRWISE:
         return letter(value)
     if cell.field == "mask":
-        return f"a mask ({len(value)} characters)"
+        runs = run_lengths(value)
+        return "a mask" if isinstance(runs, str) else f"a mask ({int(runs[1::2].sum())} pixels)"
+    if cell.kind == "review":
+        state = value.get("value")
+        return value["status"] if state is None else f"{value['status']}: {letter(state)}"
     if cell.field == "exists":
         return f"a new {value['label']}"
     if cell.field == "box":
@@ -170,6 +217,13 @@ def _status(value: Any) -> str:
     if value not in STATUSES:
         raise InputError("no such status", got=repr(value)[:60], expected=" | ".join(STATUSES))
     return value
+
+
+def _judgement(value: Any) -> dict[str, Any]:
+    if not isinstance(value, dict) or set(value) - {"status", "value"} or "status" not in value:
+        raise InputError("a judgement has a status, and of a relation a value", got=repr(value)[:60])
+    state = value.get("value")
+    return {"status": _status(value["status"]), "value": None if state is None else _state(state)}
 
 
 def _mark(value: Any) -> str:
@@ -242,6 +296,7 @@ FIELDS: dict[Kind, dict[str, Callable[[Any], Any]]] = {
         "status": _status,
     },
     "frame": {"status": _status, "note": _sentence},
+    "review": {"said": _judgement, "settled": _judgement},
 }  # fmt: skip
 """What checks a value, by kind of entity and field."""
 _NULLABLE: dict[Kind, frozenset[str]] = {
@@ -249,4 +304,5 @@ _NULLABLE: dict[Kind, frozenset[str]] = {
     "relation": frozenset({*PAIRWISE, *(f"{r}.status" for r in PAIRWISE)}),
     "expression": frozenset({"mark", "status"}),
     "frame": frozenset({"status", "note"}),
+    "review": frozenset({"said", "settled"}),
 }

@@ -17,6 +17,7 @@ from pipeline.boxes import Box3D
 from pipeline.errors import InputError
 from pipeline.journal.cells import (
     FIRST_NEW_OBJECT,
+    OF_ALL,
     Cell,
     box_value,
     checked,
@@ -25,6 +26,7 @@ from pipeline.journal.cells import (
 )
 from pipeline.journal.effective_frame import EffectiveFrame
 from pipeline.journal.events import Edit
+from pipeline.journal.judgements import judgement_cell
 from pipeline.run_length import decode_run_length, encode_run_length
 
 Edits = tuple[Edit, ...]
@@ -36,8 +38,19 @@ def set_class(frame: EffectiveFrame, number: int, label: str, reason: str = "") 
     return (_object_edit(frame, number, "label", label, reason),)
 
 
-def set_status(frame: EffectiveFrame, cell: Cell, status: str | None, reason: str = "") -> Edits:
-    """Accept or reject an object, an expression, a frame, or a relation of a pair ("left.status"): see `STATUSES`."""
+def set_status(
+    frame: EffectiveFrame, cell: Cell, status: str | None, reason: str = "", author: str | None = None
+) -> Edits:
+    """Accept or reject an object, an expression, a frame, or a relation of a pair ("left.status"): see `STATUSES`.
+
+    With an author the status is that person's own judgement, which no other's
+    gets in the way of (`pipeline.journal.judgements`); only what leaves an
+    object or expression out of the labels is set for all then.
+    """
+    if author is not None:
+        own = judge(frame, cell, status, author, reason)
+        leaves = cell.kind in ("object", "expression") and status == "rejected" != frame.statuses.get(cell)
+        return (*own, *set_status(frame, cell, status, reason)) if leaves else own
     if not cell.field.endswith("status"):
         raise InputError("not a status", got=cell.field)
     if cell.kind == "object":
@@ -105,7 +118,7 @@ def merge_objects(frame: EffectiveFrame, numbers: Iterable[int], reason: str = "
     ids = list(dict.fromkeys(numbers))
     if len(ids) < 2:
         raise InputError("a merge needs two objects", got=ids)
-    mask = np.logical_or.reduce([_pixels(frame, n) for n in ids])
+    mask = np.logical_or.reduce([pixels_of(frame, n) for n in ids])
     note = reason or f"merged into object {ids[0]}"
     first = _object_edit(frame, ids[0], "mask", _code(frame, mask), reason or f"merged with {_listed(ids[1:])}")
     return (first, *(_object_edit(frame, n, "status", "rejected", note) for n in ids[1:]))
@@ -139,6 +152,92 @@ def set_relation(
     if inverse is not None:
         cells.append(relation_cell(frame.frame, b, a, inverse))
     return tuple(_edit(frame, cell, state, reason) for cell in cells)
+
+
+def judge(frame: EffectiveFrame, cell: Cell, status: str | None, author: str, reason: str = "") -> Edits:
+    """What a reviewer says of an item, for this person alone; None takes it back. No label changes by it.
+
+    Parameters
+    ----------
+    cell : Cell
+        The status of an object, an expression, or of a relation ("left.status"). What is accepted of a relation is
+        its state as it is now.
+    """
+    _check_judged(frame, cell)
+    state = frame.value(_state_cell(cell)) if cell.kind == "relation" and status == "accepted" else None
+    return (_judgement(frame, cell, status, state, author, reason),)
+
+
+def judge_relation(
+    frame: EffectiveFrame, a: int, b: int, relation: str, state: int, author: str, reason: str = ""
+) -> Edits:
+    """T (1), U (0) or F (-1) as a reviewer has it, for this person alone, and of the inverse the same.
+
+    It is "accepted" where the label says so, else "corrected", and the label stays what it is: for a second opinion.
+    """
+    cells = [Cell("relation", frame.frame, f"{a},{b}", f"{relation}.status")]
+    _check_judged(frame, cells[0])
+    inverse = frame.setting.inverse(relation)
+    if inverse is not None:
+        cells.append(Cell("relation", frame.frame, f"{b},{a}", f"{inverse}.status"))
+    return tuple(
+        _judgement(frame, c, "accepted" if frame.value(_state_cell(c)) == state else "corrected", state, author, reason)
+        for c in cells
+    )
+
+
+def judge_missing(frame: EffectiveFrame, what: str, status: str | None, author: str, reason: str = "") -> Edits:
+    """What a reviewer says of a place where an object may be missing: "rejected" where there is none."""
+    cell = judgement_cell(frame.frame, "object", -1, None, what, author)
+    return (_edit(frame, cell, None if status is None else {"status": status}, reason),)
+
+
+def settle(frame: EffectiveFrame, cell: Cell, status: str, reason: str = "", state: int | None = None) -> Edits:
+    """The last word on an item that reviewers judge differently: for all of them, and a judgement of none.
+
+    Parameters
+    ----------
+    cell : Cell
+        As of `judge`.
+    state : int, optional
+        Of a relation: what it is to be, T, U or F; the labels follow. Default: what it is.
+    """
+    _check_judged(frame, cell)
+    made: Edits = ()
+    if cell.kind == "relation":
+        now = frame.value(_state_cell(cell))
+        state = now if state is None else state
+        if state != now:
+            a, b = cell.numbers
+            made = set_relation(frame, a, b, cell.field.removesuffix(".status"), state, reason)
+    elif (status == "rejected") != (frame.statuses.get(cell) == "rejected"):
+        made = set_status(frame, cell, status, reason)
+    return (*made, _judgement(frame, cell, status, state, OF_ALL, reason))
+
+
+def _state_cell(cell: Cell) -> Cell:
+    return Cell(cell.kind, cell.frame, cell.key, cell.field.removesuffix(".status"))
+
+
+def _check_judged(frame: EffectiveFrame, cell: Cell) -> None:
+    if cell.kind not in ("object", "relation", "expression") or not cell.field.endswith("status"):
+        raise InputError("only objects, relations and expressions are judged", got=str(cell))
+    if cell.kind == "object":
+        _row(frame, cell.numbers[0])
+    _check_expression(frame, cell)
+    _check_pair(frame, cell)
+
+
+def _judgement(
+    frame: EffectiveFrame, cell: Cell, status: str | None, state: int | None, author: str, reason: str
+) -> Edit:
+    a, b, what = -1, None, cell.key
+    if cell.kind == "object":
+        a, what = cell.numbers[0], ""
+    elif cell.kind == "relation":
+        (a, b), what = cell.numbers, cell.field.removesuffix(".status")
+    own = judgement_cell(frame.frame, cell.kind, a, b, what, author)
+    return _edit(frame, own, None if status is None else {"status": status, "value": state}, reason)
 
 
 def set_text(frame: EffectiveFrame, expression: str, text: str, reason: str = "") -> Edits:
@@ -262,7 +361,8 @@ def _code(frame: EffectiveFrame, mask: np.ndarray | str) -> str:
     return mask if isinstance(mask, str) else encode_run_length(pixels)
 
 
-def _pixels(frame: EffectiveFrame, number: int) -> np.ndarray:
+def pixels_of(frame: EffectiveFrame, number: int) -> np.ndarray:
+    """(H, W) bool: an object's mask, or the filled 2D box where it has none; InputError where there is no object."""
     from pipeline.proposals.annotations import box_mask
 
     row = _row(frame, number)

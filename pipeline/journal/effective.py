@@ -6,9 +6,10 @@ from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from pipeline.datasets import Dataset
+from pipeline.journal.cells import Cell
 from pipeline.journal.effective_expressions import Withdrawn
 from pipeline.journal.effective_frame import EffectiveFrame, effective_frame
 from pipeline.journal.events import Event
@@ -80,6 +81,12 @@ class EffectiveLabels:
         BAD_LABEL or BAD_BOX by (frame, id of the expression).
     events : int
         How many there are in the journal.
+    statuses : dict of Cell to JSON value
+        What reviewers said, and notes.
+    last : str or None
+        ULID of the newest event.
+    relifted : bool
+        Whether the dataset was at hand.
     """
 
     labels: Labels
@@ -89,6 +96,9 @@ class EffectiveLabels:
     withdrawn: tuple[Withdrawn, ...]
     marks: dict[tuple[str, str], str]
     events: int
+    statuses: dict[Cell, Any]
+    last: str | None
+    relifted: bool
 
     @property
     def manifest(self) -> Manifest:
@@ -167,6 +177,7 @@ def effective_tables(
     unapplied: list[Unapplied] = []
     withdrawn: list[Withdrawn] = []
     marks: dict[tuple[str, str], str] = {}
+    statuses: dict[Cell, Any] = {}
     for name in sorted(known, key=corrector.index.of_frame.__getitem__):
         found = corrector.frame(name, by_frame[name])
         changed = found.tables()
@@ -180,6 +191,7 @@ def effective_tables(
         provenance += found.origins.rows()
         unapplied += found.unapplied
         withdrawn += found.withdrawn
+        statuses |= {cell: value for cell, value in found.statuses.items() if cell.field != "exists"}
         marks |= {(name, key): mark for key, mark in found.marks.items()}
     tables = {
         name: pa.concat_tables([*pieces[name], whole.slice(at[name])]).combine_chunks()
@@ -196,4 +208,7 @@ def effective_tables(
         tuple(withdrawn),
         marks,
         len(events),
+        statuses,
+        events[-1].ulid if events else None,
+        dataset is not None,
     )

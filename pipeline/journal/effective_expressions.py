@@ -35,12 +35,15 @@ class Withdrawn:
     ----------
     frame, id, text : str
     reason : str
+    row : dict
+        As it would stand, with what people set.
     """
 
     frame: str
     id: str
     text: str
     reason: str
+    row: Row = field(default_factory=dict, compare=False, repr=False)
 
 
 @dataclass
@@ -185,7 +188,7 @@ def _correct(
     if reason is None:
         found.rows[name] = row
     else:
-        found.withdrawn.append(Withdrawn(auto.frame, name, row["text"], reason))
+        found.withdrawn.append(Withdrawn(auto.frame, name, row["text"], reason, row))
 
 
 def _follow(

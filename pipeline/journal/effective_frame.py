@@ -20,6 +20,7 @@ from pipeline.journal.effective_objects import (
 from pipeline.journal.effective_pairs import correct_pairs
 from pipeline.journal.events import Event
 from pipeline.journal.frame_rows import FrameRows, Pairs
+from pipeline.journal.judgements import replayed_judgement
 from pipeline.journal.origins import Origin, Origins
 from pipeline.journal.replay import Unapplied, by_cell, replay
 from pipeline.journal.setting import Setting
@@ -111,7 +112,7 @@ class EffectiveFrame:
         """What a cell says now; None where there is no such entity."""
         if cell.field not in FIELDS[cell.kind]:
             return None
-        if cell.kind == "frame" or cell.field.endswith("status"):
+        if cell.kind in ("frame", "review") or cell.field.endswith("status"):
             return self.statuses.get(cell)
         if cell.kind == "object":
             row = self.objects.get(cell.numbers[0]) or self.left_out.get(cell.numbers[0])
@@ -122,8 +123,13 @@ class EffectiveFrame:
             return self.pairs.state(*cell.numbers, cell.field)  # pyright: ignore[reportCallIssue]
         if cell.field == "mark":
             return self.marks.get(cell.key)
-        row = self.expressions.get(cell.key) or self.auto.expressions.get(cell.key)
+        row = self.expression(cell.key)
         return None if row is None else row[cell.field]
+
+    def expression(self, name: str) -> Row | None:
+        """The row of an expression as it is now, also of one that was left out; None where there never was one."""
+        left_out = (w.row for w in self.withdrawn if w.id == name)
+        return self.expressions.get(name) or next(left_out, None) or self.auto.expressions.get(name)
 
     def version(self, cell: Cell) -> int:
         """How many events a cell has: what an edit of it is based on."""
@@ -131,7 +137,8 @@ class EffectiveFrame:
 
     def origin(self, cell: Cell) -> Origin:
         """Where the value of a cell comes from."""
-        table = {"object": "objects", "relation": "relations", "expression": "expressions", "frame": "frames"}
+        table = {"object": "objects", "relation": "relations", "expression": "expressions", "frame": "frames",
+                 "review": "reviews"}  # fmt: skip
         column = "center" if cell.field == "box" else cell.field
         found = self.origins.get(table[cell.kind], cell.key, column)
         return found or Origin("auto", made_by=self.setting.made_by)
@@ -181,8 +188,16 @@ def effective_frame(
     versions = {**objects.versions, **pairs.versions, **expressions.versions}
     statuses: dict[Cell, Any] = {**objects.statuses, **pairs.statuses, **expressions.statuses}
     unapplied = [*objects.unapplied, *pairs.unapplied, *expressions.unapplied]
+    known = {n: row["bbox"] for n, row in auto.objects.items()}
     for cell, members in cells.items():
-        if cell.kind == "frame" or cell.field == "exists":
+        if cell.kind == "review":
+            # A judgement is of labels, and never one itself: nothing follows from it.
+            after = replayed_judgement(cell, members, known, {*objects.rows, *objects.left_out}, auto.expressions)
+            versions[cell] = after.version
+            unapplied += after.unapplied
+            if after.value is not None:
+                statuses[cell] = after.value
+        elif cell.kind == "frame" or cell.field == "exists":
             after = replay(None, members)
             versions[cell] = after.version
             if cell.kind == "frame":

@@ -153,9 +153,12 @@ class Conflict:
     ----------
     rivals : tuple of Rival
         At least one.
+    edits : tuple of Edit
+        All of the action, also those that nobody was in the way of.
     """
 
     rivals: tuple[Rival, ...]
+    edits: tuple[Edit, ...] = ()
 
 
 class NotSaved(InputError):

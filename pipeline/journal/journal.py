@@ -135,14 +135,14 @@ class Journal:
                     if e.base != (heads[e.cell].version if e.cell in heads else 0)
                 )
                 if rivals:
-                    return Conflict(rivals)
+                    return Conflict(rivals, tuple(edits))
                 connection.execute(EVENTS.insert(), rows)
                 saved = self._select(connection, EVENTS.c.group == group)
             return Saved(saved)
         except IntegrityError:
             # Writers take turns; a writer that does not, for it is of another program, is caught here.
             heads = self.heads([e.cell for e in edits])
-            return Conflict(tuple(Rival(e, heads.get(e.cell)) for e in edits))
+            return Conflict(tuple(Rival(e, heads.get(e.cell)) for e in edits), tuple(edits))
         except DATABASE_ERRORS as error:
             reason = reason_of(error)
             raise NotSaved(
@@ -182,6 +182,7 @@ class Journal:
         field: str | None = None,
         group: str | None = None,
         after: int = 0,
+        before: int | None = None,
         last: int | None = None,
     ) -> tuple[Event, ...]:
         """Events in the order of their saving, of all or of what is asked for.
@@ -190,6 +191,8 @@ class Journal:
         ----------
         after : int
             Only those with a greater `id`: what is new since then.
+        before : int, optional
+            Only those with a smaller `id`.
         last : int, optional
             Only the newest so many.
 
@@ -200,6 +203,8 @@ class Journal:
         """
         named = {"author": author, "kind": kind, "frame": frame, "key": key, "field": field, "group": group}
         wanted = [EVENTS.c[name] == value for name, value in named.items() if value is not None]
+        if before is not None:
+            wanted.append(EVENTS.c.id < before)
         with reading(self.engine) as connection:
             return self._select(connection, EVENTS.c.id > after, *wanted, last=last)
 

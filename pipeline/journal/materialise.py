@@ -17,7 +17,7 @@ from pipeline.journal.journal import Journal, labels_version
 from pipeline.journal.records import who_and_what
 from pipeline.journal.replay import Unapplied
 from pipeline.labels.card import croissant, dataset_card
-from pipeline.labels.corrections import PROVENANCE_FILE
+from pipeline.labels.corrections import MARKS_FILE, PROVENANCE_FILE, STATUSES_FILE
 from pipeline.labels.merge import CARD_FILE, CROISSANT_FILE, environment, write_merged
 from pipeline.labels.reading import MANIFEST_FILE, Labels
 from pipeline.labels.schema import SCHEMA_VERSION, TABLES, Manifest
@@ -26,7 +26,6 @@ from pipeline.labels.tables import write_table
 from pipeline.labels.whole_files import temporary_beside, write_synced
 
 UNAPPLIED_FILE = "unapplied.json"
-MARKS_FILE = "marks.json"
 
 
 def materialise(
@@ -36,7 +35,8 @@ def materialise(
 
     Beside the tables stand `provenance.parquet` (each value that is not the
     labeller's), `unapplied.json` (events that say nothing of these labels, and
-    expressions that were withdrawn) and `marks.json` (for `eval --marks`).
+    expressions that were withdrawn), `marks.json` (for `eval --marks`) and
+    `statuses.json` (what reviewers said, and notes).
 
     Parameters
     ----------
@@ -81,6 +81,11 @@ def _write(found: EffectiveLabels, journal: Journal, folder: Path) -> Manifest:
     write_synced(folder / UNAPPLIED_FILE, json.dumps(listed, indent=1, ensure_ascii=False).encode())
     marks = [{"frame": frame, "id": name, "mark": mark} for (frame, name), mark in sorted(found.marks.items())]
     write_synced(folder / MARKS_FILE, json.dumps(marks, indent=1, ensure_ascii=False).encode())
+    said = [
+        {"kind": cell.kind, "frame": cell.frame, "key": cell.key, "field": cell.field, "value": value}
+        for cell, value in sorted(found.statuses.items())
+    ]
+    write_synced(folder / STATUSES_FILE, json.dumps(said, indent=1, ensure_ascii=False).encode())
     usable = sum(found.frames.column("ok").to_pylist())
     manifest = was.model_copy(
         update={
@@ -101,6 +106,8 @@ def _write(found: EffectiveLabels, journal: Journal, folder: Path) -> Manifest:
                 "journal": journal.place,
                 "project": journal.project,
                 "events": found.events,
+                "last": found.last,
+                "relifted": found.relifted,
                 "automatic": labels_version(was),
                 **found.counts,
             },

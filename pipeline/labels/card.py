@@ -7,13 +7,13 @@ from __future__ import annotations
 
 import json
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Any
 
 from pipeline.labels.reading import Labels
-from pipeline.labels.schema import SCHEMA_VERSION, TABLES
+from pipeline.labels.schema import SCHEMA_VERSION, TABLES, Manifest
 from pipeline.labels.tables import arrow_schema
 
 if TYPE_CHECKING:
@@ -177,7 +177,7 @@ def _page(labels: Labels, counts: Counts, name: str, licence: str) -> Iterator[s
     yield (
         f"Pseudo-labels of {total['frames']} RGB-D frames ({manifest.counts.get('frames_usable', 0)} usable): "
         f"{total['objects']} objects with 2D and 3D boxes, {total['relations']} ordered pairs with their spatial "
-        f"relations, and {total['expressions']} referring expressions. No person has checked them."
+        f"relations, and {total['expressions']} referring expressions. {_checked(manifest)}"
     )
     yield "\n## How they were made\n"
     models = "; ".join(f"{role}: {_plain(what)}" for role, what in sorted(manifest.models.items())) or "none"
@@ -216,13 +216,28 @@ def _page(labels: Labels, counts: Counts, name: str, licence: str) -> Iterator[s
     yield f"Of the source dataset: {_plain(licence)}. The labels are derived from it."
 
 
+def _checked(manifest: Manifest) -> str:
+    said = manifest.corrections
+    if said is None:
+        return "No person has checked them."
+    return (
+        f"People corrected {said.get('human', 0)} values, from which {said.get('recomputed', 0)} others were recomputed"
+        f" ({said.get('stale', 0)} are stale); all others nobody has corrected. In exports, `provenance` of each row "
+        "says which."
+    )
+
+
 def _plain(text: str) -> str:
     """Text from outside, on one line and without Markdown's marks."""
     return re.sub(r"[`|<>*\[\]]", "", " ".join(text.split()))
 
 
 def croissant(
-    labels: Labels, *, licence: str = UNKNOWN_LICENCE, files: Mapping[str, Sequence[DataFile]] | None = None
+    labels: Labels,
+    *,
+    licence: str = UNKNOWN_LICENCE,
+    files: Mapping[str, Sequence[DataFile]] | None = None,
+    schema: Callable[[str], pa.Schema] = arrow_schema,
 ) -> dict[str, Any]:
     """Croissant 1.0 metadata as JSON-LD.
 
@@ -232,6 +247,8 @@ def croissant(
     licence : str
     files : mapping of str to sequence of DataFile, optional
         The files of each table; by default those of a labels folder.
+    schema : callable
+        The Arrow schema of a table in those files, by name.
     """
     manifest, name = labels.manifest, dataset_name(labels)
     found: Mapping[str, Sequence[DataFile]] = files or {
@@ -241,7 +258,7 @@ def croissant(
     records: list[dict[str, Any]] = []
     for table in TABLES:
         distribution += _distribution(table, found[table])
-        records.append(_record_set(table, single=len(found[table]) == 1))
+        records.append(_record_set(table, schema(table), single=len(found[table]) == 1))
     return {
         "@context": CONTEXT,
         "@type": "sc:Dataset",
@@ -284,7 +301,7 @@ def _distribution(table: str, files: Sequence[DataFile]) -> Iterator[dict[str, A
         }
 
 
-def _record_set(table: str, *, single: bool) -> dict[str, Any]:
+def _record_set(table: str, schema: pa.Schema, *, single: bool) -> dict[str, Any]:
     import pyarrow as pa
 
     def data_type(kind: pa.DataType) -> str:
@@ -295,8 +312,11 @@ def _record_set(table: str, *, single: bool) -> dict[str, Any]:
         return "sc:Float" if pa.types.is_floating(kind) else "sc:Text"
 
     fields = []
-    for field in arrow_schema(table):
+    for field in schema:
         listed = pa.types.is_list(field.type)
+        if listed and pa.types.is_struct(field.type.value_type):
+            # Records within records: readers of Croissant do not agree on them, and the card tells of them.
+            continue
         fields.append(
             {
                 "@type": "cr:Field",

@@ -8,6 +8,9 @@ from pathlib import Path
 from pipeline.errors import InputError
 
 PROVENANCE_FILE = "provenance.parquet"
+MARKS_FILE = "marks.json"
+STATUSES_FILE = "statuses.json"
+"""What reviewers said of frames, objects, relations and expressions, and notes: kind, frame, key, field, value."""
 
 
 @dataclass(frozen=True)

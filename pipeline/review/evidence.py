@@ -56,11 +56,21 @@ class CellEvidence:
 
 @dataclass(frozen=True)
 class ItemEvidence:
-    """Evidence against an object or an expression."""
+    """Evidence against an object or an expression.
+
+    Attributes
+    ----------
+    key : ItemKey
+    weight : float
+    reason : str
+    label : str or None
+        The class of an object that may be missing; of others the labels know it.
+    """
 
     key: ItemKey
     weight: float
     reason: str
+    label: str | None = None
 
 
 def network_evidence(cells: Cells, probability: np.ndarray, wrong: np.ndarray, least: float) -> CellEvidence:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Literal, NamedTuple, get_args
 
 from pipeline.errors import InputError
@@ -19,6 +19,10 @@ SETTLED: tuple[State, ...] = ("accepted", "corrected", "rejected")
 """Nothing is left to do; an item that a reviewer is unsure of may be asked of another."""
 
 
+NOBODY = -1
+"""In place of an object's number where there is none."""
+
+
 class ItemKey(NamedTuple):
     """What names a label in every version of a dataset's labels.
 
@@ -29,11 +33,13 @@ class ItemKey(NamedTuple):
     kind : str
         "relation", "object" or "expression".
     a : int
-        Number of the object; of a pair, of the one that is said to be somewhere.
+        Number of the object; of a pair, of the one that is said to be somewhere. NOBODY of an expression, and where
+        an object may be missing.
     b : int or None
         The other object of a pair.
     what : str
-        The relation, or the expression's id; empty for objects.
+        The relation, or the expression's id; empty for objects. Where one may be missing, the place: see
+        `missing_object`.
     """
 
     frame: str
@@ -45,6 +51,11 @@ class ItemKey(NamedTuple):
     def text(self) -> str:
         """As one line of JSON; equal keys have equal texts."""
         return json.dumps(list(self), ensure_ascii=False, separators=(",", ":"))
+
+    @property
+    def plain(self) -> ItemKey:
+        """The same; of an expression without its objects: its id names it, and a journal knows no more."""
+        return self._replace(a=NOBODY, b=None) if self.kind == "expression" else self
 
     @classmethod
     def read(cls, text: str) -> ItemKey:
@@ -65,12 +76,24 @@ class ItemKey(NamedTuple):
         return cls(frame, kind, a, b, what)
 
 
+def missing_object(frame: str, bbox: Sequence[float]) -> ItemKey:
+    """The key of a place (x0, y0, x1, y1, pixels) where an object may be missing."""
+    return ItemKey(frame, "object", NOBODY, None, ",".join(str(round(float(x))) for x in bbox))
+
+
 def item_keys(queue: pa.Table) -> list[ItemKey]:
-    """The keys of a queue's rows, in their order."""
-    names = ("frame", "kind", "a", "b", "relation", "expression")
-    frame, kind, a, b, relation, expression = (queue.column(name).to_pylist() for name in names)
-    what = [r or e or "" for r, e in zip(relation, expression, strict=True)]
-    return [ItemKey(*row) for row in zip(frame, kind, a, b, what, strict=True)]
+    """The keys of a queue's rows, in their order; of expressions without their objects, see `ItemKey.plain`."""
+    names = ("frame", "kind", "a", "b", "relation", "expression", "place")
+    absent = [None] * queue.num_rows
+    known = set(queue.column_names)
+    frame, kind, a, b, relation, expression, place = (
+        queue.column(name).to_pylist() if name in known else absent for name in names
+    )
+    what = [r or e or p or "" for r, e, p in zip(relation, expression, place, strict=True)]
+    return [
+        ItemKey(f, k, NOBODY, None, w) if k == "expression" else ItemKey(f, k, i, j, w)
+        for f, k, i, j, w in zip(frame, kind, a, b, what, strict=True)
+    ]
 
 
 def with_states(queue: pa.Table, states: Mapping[ItemKey, State]) -> pa.Table:
@@ -92,10 +115,12 @@ def with_states(queue: pa.Table, states: Mapping[ItemKey, State]) -> pa.Table:
 
 def left_to_review(queue: pa.Table, states: Mapping[ItemKey, State]) -> pa.Table:
     """The rows that are not settled, in the order of the queue; those that someone is unsure of last."""
+    import pyarrow as pa
+
     known = with_states(queue, states)
     column = known.column("state").to_pylist()
     chosen = [[k for k, state in enumerate(column) if state == wanted] for wanted in ("unreviewed", "unsure")]
-    return known.take(chosen[0] + chosen[1])
+    return known.take(pa.array(chosen[0] + chosen[1], pa.int64()))
 
 
 def progress_counts(queue: pa.Table, states: Mapping[ItemKey, State]) -> dict[str, int]:

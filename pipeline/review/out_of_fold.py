@@ -98,7 +98,8 @@ def doubt_labels(
     data : LabelData
     config : DoubtConfig, optional
     trusted : sequence of (N, N, R) bool, optional
-        Of each frame: labels that a person has settled. They are learnt from in every pass.
+        Of each frame: labels that a person has settled. They are learnt from in every pass, and are not wrong: no
+        noise is estimated from them, and what is estimated is of the others.
     progress : callable, optional
         Called with (networks trained, of how many).
 
@@ -131,7 +132,7 @@ def doubt_labels(
                 for k, (f, w) in enumerate(zip(data.frames, wrong, strict=True))
             ]
         found = out_of_fold(learnt_from, data.vocabulary, train, folds, trained)
-        wrong, noise = _wrong(data.frames, found, data.vocabulary)
+        wrong, noise = _wrong(data.frames, found, data.vocabulary, trusted)
     return Doubts(data.vocabulary, found, wrong, noise, folds)
 
 
@@ -192,12 +193,16 @@ def _padded(frame: LabelledFrame, places: Sequence[int], outputs: int) -> Labell
 
 
 def _wrong(
-    frames: Sequence[LabelledFrame], found: Sequence[np.ndarray], vocabulary: Sequence[str]
+    frames: Sequence[LabelledFrame],
+    found: Sequence[np.ndarray],
+    vocabulary: Sequence[str],
+    trusted: Sequence[np.ndarray] | None = None,
 ) -> tuple[tuple[np.ndarray, ...], dict[str, Noise]]:
     states, p = stacked([f.states for f in frames]), stacked(found)
-    wrong, noise = np.full(p.shape, np.nan), {}
+    sure = np.zeros(p.shape, np.bool_) if trusted is None else stacked(trusted)
+    wrong, noise = np.where(sure & (states != U), 0.0, np.nan), {}
     for k, relation in enumerate(vocabulary):
-        known = states[:, k] != U
+        known = (states[:, k] != U) & ~sure[:, k]
         says = states[known, k] == T
         noise[relation] = estimate_noise(p[known, k], says)
         wrong[known, k] = probability_wrong(p[known, k], says, noise[relation])

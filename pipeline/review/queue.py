@@ -22,8 +22,17 @@ from pipeline.review.evidence import (
     margin_evidence,
     network_evidence,
 )
-from pipeline.review.items import ItemKey
+from pipeline.review.items import SETTLED, ItemKey
 from pipeline.review.out_of_fold import DoubtConfig, Doubts, doubt_labels
+from pipeline.review.reviewed import (
+    automatic_version,
+    disagreement_evidence,
+    settled_cells,
+    states_on_labels,
+    trusted_of_data,
+    without_settled,
+)
+from pipeline.review.states import Judgements
 from pipeline.srm.label_data import LabelData, read_label_data
 
 if TYPE_CHECKING:
@@ -59,6 +68,8 @@ def review_queue(
     config: QueueConfig | None = None,
     *,
     other: Labels | None = None,
+    found_elsewhere: Sequence[ItemEvidence] = (),
+    judgements: Judgements | None = None,
     doubts: tuple[LabelData, Doubts] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> pa.Table:
@@ -70,6 +81,11 @@ def review_queue(
     config : QueueConfig, optional
     other : Labels, optional
         Of the same dataset, by another detector or run: what they say otherwise counts too.
+    found_elsewhere : sequence of ItemEvidence
+        More evidence against objects, as of `detector_evidence`.
+    judgements : Judgements, optional
+        What people said of these labels, which are effective ones then: see `reviewed_labels`. What is settled has no
+        evidence against it, and stands last, with a score of 0.
     doubts : (LabelData, Doubts), optional
         Where the networks were already asked.
     progress : callable, optional
@@ -79,11 +95,14 @@ def review_queue(
     -------
     pyarrow.Table
         One row an item: frame (string), frame_index (int32), kind ("relation", "object", "expression"), a, b (int32,
-        numbers of objects; b null for objects), relation, expression (its id), label (T, U or F; the class name; the
-        text), probability (float64, that the relation holds, by networks that have not learnt from it; null without),
-        wrong (float64, that the label is wrong by confident learning alone; null for U and without networks), score
-        (float64, the same by all evidence), reasons (list of string, the strongest first). Metadata: `estimated_wrong`
-        relation labels, and `elsewhere`, findings that are of no single label.
+        numbers of objects; b null for objects), relation, expression (its id), place, label (T, U or F; the class
+        name; the text), probability (float64, that the relation holds, by networks that have not learnt from it; null
+        without), wrong (float64, that the label is wrong by confident learning alone; null for U, for what is settled,
+        and without networks), score (float64, the same by all evidence), reasons (list of string, the strongest first).
+        Metadata: `estimated_wrong` relation labels of those that are not settled; `elsewhere`, findings that are of no
+        single label; `labels_version`, the automatic labels that it is of. Where an object may be missing, `place`
+        tells where (x0,y0,x1,y1), `a` is -1, and the label is the class. The label of an object that was left out is
+        null.
 
     Raises
     ------
@@ -97,12 +116,16 @@ def review_queue(
     probability = wrong = np.full(cells.states.shape, np.nan)
     parts: list[CellEvidence] = []
     items: list[ItemEvidence] = []
-    metadata = {"elsewhere": "0"}
+    metadata = {"elsewhere": "0", "labels_version": automatic_version(labels.manifest)}
+    states = {} if judgements is None else states_on_labels(judgements, cells)
+    settled = settled_cells(cells, states)
     if doubts is None and config.doubts is not None:
         data = read_label_data(labels, config.doubts.train.features, labels.relation_names)
-        doubts = data, doubt_labels(data, config.doubts, progress=progress)
+        trusted = trusted_of_data(cells, settled, data)
+        doubts = data, doubt_labels(data, config.doubts, trusted=trusted, progress=progress)
     if doubts is not None:
         probability, wrong = doubts_of_cells(cells, *doubts)
+        wrong = np.where(settled, np.nan, wrong)
         parts.append(network_evidence(cells, probability, wrong, LEAST))
         metadata["estimated_wrong"] = f"{sum(n.wrong for n in doubts[1].noise.values()):.0f}"
     if config.linter:
@@ -118,15 +141,23 @@ def review_queue(
         found, of_items = disputed_evidence(labels, cells, other)
         parts.append(found)
         items += of_items
-    columns = _merged(_relation_rows(cells, parts, probability, wrong), _item_rows(labels, items))
+    items += found_elsewhere
+    if judgements is not None:
+        parts = [without_settled(part, settled) for part in parts]
+        items = [item for item in items if states.get(item.key.plain) not in SETTLED]
+        found, of_items = disagreement_evidence(cells, judgements)
+        parts.append(found)
+        items += of_items
+        items += [ItemEvidence(k, 0.0, "") for k, s in states.items() if s in SETTLED and k.kind != "relation"]
+    columns = _merged(_relation_rows(cells, parts, probability, wrong, settled), _item_rows(labels, items))
     return _ranked(columns, config.limit, metadata)
 
 
 def _relation_rows(
-    cells: Cells, parts: Sequence[CellEvidence], probability: np.ndarray, wrong: np.ndarray
+    cells: Cells, parts: Sequence[CellEvidence], probability: np.ndarray, wrong: np.ndarray, settled: np.ndarray
 ) -> dict[str, Any]:
     score = combined(parts, (len(cells), len(cells.relations)))
-    row, column = np.nonzero(score >= LEAST)
+    row, column = np.nonzero((score >= LEAST) | settled)
     number = np.full(score.shape, -1, np.int64)
     number[row, column] = np.arange(len(row))
     evidence = [(number[p.rows, p.columns], p.weight, p.reason) for p in parts]
@@ -139,6 +170,7 @@ def _relation_rows(
         "b": cells.b[row].astype(np.float64),
         "relation": np.array(cells.relations, object)[column],
         "expression": np.full(len(row), None, object),
+        "place": np.full(len(row), None, object),
         "label": np.where(states == T, "T", np.where(states == F, "F", "U")).astype(object),
         "probability": probability[row, column],
         "wrong": wrong[row, column],
@@ -152,23 +184,29 @@ def _item_rows(labels: Labels, items: Sequence[ItemEvidence]) -> dict[str, Any]:
     """One row an object or expression, whatever the number of findings."""
     place: dict[ItemKey, int] = {}
     for item in items:
-        place.setdefault(item.key, len(place))
-    at = np.array([place[item.key] for item in items], np.int64)
+        place.setdefault(item.key.plain, len(place))
+    at = np.array([place[item.key.plain] for item in items], np.int64)
     weight = np.array([item.weight for item in items], np.float64)
     right = np.zeros(len(place))
     np.add.at(right, at, np.log1p(-weight))
-    names, texts, index = _names(labels, place)
+    names, texts, ends, index = _names(labels, place)
+    missing = {item.key: item.label for item in items if item.label is not None}
     keys = list(place)
-    label = [names.get((k.frame, k.a)) if k.kind == "object" else texts.get((k.frame, k.what)) for k in keys]
+    label = [
+        missing.get(k) or (names.get((k.frame, k.a)) if k.kind == "object" else texts.get((k.frame, k.what)))
+        for k in keys
+    ]
+    numbers = [ends.get((k.frame, k.what), (k.a, k.b)) if k.kind == "expression" else (k.a, k.b) for k in keys]
     nothing = np.full(len(keys), np.nan)
     return {
         "frame": _objects([k.frame for k in keys]),
         "frame_index": np.array([index.get(k.frame, 0) for k in keys], np.int64),
         "kind": _objects([k.kind for k in keys]),
-        "a": np.array([k.a for k in keys], np.int64),
-        "b": np.array([np.nan if k.b is None else k.b for k in keys], np.float64),
+        "a": np.array([a for a, _ in numbers], np.int64),
+        "b": np.array([np.nan if b is None else b for _, b in numbers], np.float64),
         "relation": np.full(len(keys), None, object),
         "expression": _objects([k.what if k.kind == "expression" else None for k in keys]),
+        "place": _objects([k.what if k.kind == "object" and k.what else None for k in keys]),
         "label": _objects(label),
         "probability": nothing,
         "wrong": nothing,
@@ -178,12 +216,16 @@ def _item_rows(labels: Labels, items: Sequence[ItemEvidence]) -> dict[str, Any]:
     }
 
 
+Texts = dict[tuple[str, str], str]
+Ends = dict[tuple[str, str], tuple[int, int]]
+
+
 def _names(
     labels: Labels, wanted: dict[ItemKey, int]
-) -> tuple[dict[tuple[str, int], str], dict[tuple[str, str], str], dict[str, int]]:
-    """Class names of objects, texts of expressions, places of frames; only where something is wanted."""
+) -> tuple[dict[tuple[str, int], str], Texts, Ends, dict[str, int]]:
+    """Class names of objects, texts and objects of expressions, places of frames; only where something is wanted."""
     if not wanted:
-        return {}, {}, {}
+        return {}, {}, {}, {}
     objects, expressions, frames = labels.objects, labels.expressions, labels.frames
 
     def table(source: pa.Table, key: str, value: str) -> dict[tuple[str, Any], Any]:
@@ -191,7 +233,9 @@ def _names(
         return {(frame, k): v for frame, k, v in zip(*columns, strict=True)}
 
     index = zip(frames.column("frame").to_pylist(), frames.column("frame_index").to_pylist(), strict=True)
-    return table(objects, "object", "label"), table(expressions, "id", "text"), dict(index)
+    targets, references = (table(expressions, "id", f"{end}_object") for end in ("target", "reference"))
+    ends = {key: (target, references[key]) for key, target in targets.items()}
+    return table(objects, "object", "label"), table(expressions, "id", "text"), ends, dict(index)
 
 
 def _objects(values: Sequence[Any]) -> np.ndarray:
@@ -226,8 +270,8 @@ def _ranked(columns: dict[str, Any], limit: int | None, metadata: dict[str, str]
     reasons = pa.ListArray.from_arrays(pa.array(offsets, pa.int32()), pa.array(texts[kept], pa.string()))
     kinds = {"frame_index": pa.int32(), "a": pa.int32(), "b": pa.int32()}
     arrays = {}
-    for name in ("frame", "frame_index", "kind", "a", "b", "relation", "expression", "label", "probability", "wrong",
-                 "score"):  # fmt: skip
+    for name in ("frame", "frame_index", "kind", "a", "b", "relation", "expression", "place", "label", "probability",
+                 "wrong", "score"):  # fmt: skip
         values = columns[name][order]
         kind = kinds.get(name, pa.string() if values.dtype == object else pa.float64())
         arrays[name] = pa.array(values, kind, from_pandas=True, safe=False)

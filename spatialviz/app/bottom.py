@@ -10,6 +10,7 @@ from pipeline.palette import hex_color, palette
 from pipeline.picture import box_edges_2d, tinted
 from spatialviz.app.frames import FrameStore, jpeg_url
 from spatialviz.app.paint import frame_colors
+from spatialviz.app.pixels_html import pixel_row_html
 from spatialviz.app.state import State
 from spatialviz.app.text import note, panel, safe
 
@@ -33,9 +34,11 @@ def image_html(state: State) -> str:
         picture = frame_colors(state.colors, state.loaded, state.roles, state.dark)
     step = max(1, round(frame.width / IMAGE_WIDTH))
     url = jpeg_url(picture[::step, ::step])
+    band = "edit:mask:rectangle:" if state.labels is None else "px-new:"
     return panel(
+        pixel_row_html(state),
         f'<div class="pic" style="--wh:{frame.width / frame.height:.3f}" onclick="{safe(CLICK)}" '
-        f'onmousedown="svPaint(this,event)">'
+        f'onmousedown="svPaint(this,event,\'{band}\')">'
         f'<img src="{url}">{_overlay(state)}</div>',
         style="padding-top:.6em",
     )

@@ -19,7 +19,10 @@ from dataclasses import asdict, dataclass
 import viser
 
 from spatialviz.app.label_style import LABEL_CSS
+from spatialviz.app.pixels_script import PIXELS_SCRIPT
+from spatialviz.app.pixels_style import PIXELS_CSS
 from spatialviz.app.run_style import FIELD_SCRIPT, RUN_CSS
+from spatialviz.app.sentences_style import SENTENCES_CSS, SENTENCES_SCRIPT
 from spatialviz.app.style import CSS, SCRIPT
 
 HELLO = "hello"
@@ -58,16 +61,21 @@ class Bridge:
         self._tags: viser.GuiHtmlHandle | None = None
         self._shown_tags = ""
         self._memory: viser.GuiHtmlHandle | None = None
+        self._errand: viser.GuiHtmlHandle | None = None
+        self._errands = 0
 
     def install(self) -> None:
         """Put the bus, the style and the script into the page. Call inside the main panel."""
         gui = self._client.gui
         bus = gui.add_text("bus", "", visible=False)
         uuid = bus._impl.uuid
-        script = html.escape((SCRIPT.replace("BUS_UUID", uuid) + ";" + FIELD_SCRIPT).replace("\n", " "), quote=True)
-        gui.add_html(f'{CSS}{RUN_CSS}{LABEL_CSS}<img src="" style="display:none" onerror="{script}">', order=-1000)
+        scripts = ";".join((SCRIPT.replace("BUS_UUID", uuid), FIELD_SCRIPT, PIXELS_SCRIPT, SENTENCES_SCRIPT))
+        script = html.escape(scripts.replace("\n", " "), quote=True)
+        styles = "".join((CSS, RUN_CSS, LABEL_CSS, PIXELS_CSS, SENTENCES_CSS))
+        gui.add_html(f'{styles}<img src="" style="display:none" onerror="{script}">', order=-1000)
         self._tags = gui.add_html("", order=1000)
         self._memory = gui.add_html("", order=1001)
+        self._errand = gui.add_html("", order=1002)
 
         @bus.on_update
         async def _(event: viser.GuiEvent) -> None:
@@ -105,6 +113,13 @@ class Bridge:
         if self._memory is not None and self.alive.is_set():
             call = html.escape(f"sessionStorage.setItem('sv',{json.dumps(place)})", quote=True)
             self._memory.content = f'<img src="" style="display:none" onerror="{call}">'
+
+    def run_in_page(self, script: str) -> None:
+        """Run JavaScript in the page, once."""
+        if self._errand is not None and self.alive.is_set():
+            self._errands += 1
+            call = html.escape(script, quote=True)
+            self._errand.content = f'<img src="" style="display:none" data-n="{self._errands}" onerror="{call}">'
 
     def _work(self) -> None:
         while (job := self._queue.get()) is not None:

@@ -8,16 +8,22 @@ from dataclasses import dataclass, replace
 import viser
 
 from pipeline.correcting.cards import pair_card
-from pipeline.correcting.desk import Desk, Outcome, Waiting
+from pipeline.correcting.consequences import consequences
+from pipeline.correcting.desk import Desk, Outcome
+from pipeline.correcting.expression_cards import expression_cards
 from pipeline.correcting.scene import labelled_objects
+from pipeline.correcting.unsaved import Waiting
+from pipeline.correcting.wording import said_cell, said_events
 from pipeline.errors import InputError
-from pipeline.journal.edits import Edits, set_relation
+from pipeline.journal.cells import LONGEST_NAME, plain_text
+from pipeline.journal.edits import Edits, judge_relation, set_relation
 from pipeline.journal.effective_frame import EffectiveFrame
-from pipeline.journal.events import Conflict, Saved
+from pipeline.journal.events import Conflict, Event, Saved
 from pipeline.relations import F, T, U
 from pipeline.review.items import ItemKey
 from spatialviz.app.label_view import LabelView
 from spatialviz.app.layout import Page
+from spatialviz.app.place import Place
 from spatialviz.app.review_html import pair_html, review_head_html
 from spatialviz.app.state import Shown, State
 from spatialviz.app.text import safe
@@ -84,19 +90,22 @@ class Correct:
         self._state, self._take, self._draw, self._ask, self._note = state, take, draw, ask, note
         self._open_frame = open_frame
         self._desks: dict[str, Desk] = {}
+        self._author = ""
+        self.on_conflict: Callable[[], None] = lambda: None
         self._wanted: Wanted | None = None
+        self._listeners: list[Callable[[tuple[Event, ...]], None]] = []
+        self._said: tuple[str, bool] = "", False
 
     def commands(self) -> dict[str, Callable[[str], None]]:
         """What the page may ask for, by the first word of its message."""
         return {
             "labels": lambda _: self.toggle(),
             "labels-at": self.look_at_said,
-            "settle": self.settle,
             "relation-row": self.focus_relation,
             "next-row": lambda step: self.step_relation(int(step)),
             "swap": lambda _: self.swap(),
-            "take-back": lambda _: self._taken_back("undo"),
-            "bring-back": lambda _: self._taken_back("redo"),
+            "take-back": lambda _: self.taken_back("undo"),
+            "bring-back": lambda _: self.taken_back("redo"),
             "save-again": lambda _: self.save_again(),
         }
 
@@ -105,10 +114,40 @@ class Correct:
     @property
     def desk(self) -> Desk | None:
         """The desk of the source that is looked at, opened when it is first needed."""
-        name = self._state().source
+        return self._opened(self._state().source)
+
+    def _opened(self, name: str) -> Desk | None:
         if name not in self._desks and name in self._openers:
             self._desks[name] = self._openers[name]()
+            self._desks[name].author = self._author or self._desks[name].author
         return self._desks.get(name)
+
+    def signed(self, said: str) -> str:
+        """Take the name that a browser has kept, where it still is one; the rest of what it says comes back."""
+        rest, author = Place.signed(said)
+        try:
+            if author:
+                self.sign(author)
+        except InputError as error:
+            self._note(str(error))
+        return rest
+
+    @property
+    def open_desk(self) -> Desk | None:
+        """The desk of the source that is looked at, where it was needed before; any thread may ask."""
+        return self._desks.get(self._state().source)
+
+    def corrected(self, source: str, frame: str) -> EffectiveFrame | None:
+        """The labels of a frame as they were corrected by now; None where nobody has corrected any."""
+        desk = self._opened(source)
+        return None if desk is None else desk.corrected(frame)
+
+    def sign(self, author: str) -> None:
+        """Save what follows under another name; raises as `Desk.sign`."""
+        name = plain_text(author.strip(), "an author", LONGEST_NAME).strip()
+        for desk in self._desks.values():
+            desk.sign(name)
+        self._author = name
 
     @property
     def stays(self) -> bool:
@@ -144,21 +183,23 @@ class Correct:
         state, desk = self._state(), self.desk
         wanted, self._wanted = self._wanted, None
         if desk is None:
-            self._refuse("no labels are open: `spatialviz view DATASET --labels LABELS`")
+            self.refuse("no labels are open: `spatialviz view DATASET --labels LABELS`")
             return
         if state.loaded is None:
             return
         if state.frame_id not in desk:
-            self._refuse(f"the labels have no frame {state.frame_id}")
+            self.refuse(f"the labels have no frame {state.frame_id}")
             return
         try:
             frame = desk.frame(state.frame_id)
         except InputError as error:
-            self._refuse(str(error))
+            self.refuse(str(error))
             return
-        view = LabelView(frame)
+        view = LabelView(frame, said=self._said[0], bad=self._said[1])
         if wanted is None or wanted.frame != frame.frame:
             self._take(_looking_at(replace(state.unasked, labels=None), view))
+            if desk.disputed:
+                self.on_conflict()
             return
         view = replace(view, relation=wanted.relation, item=wanted.item)
         standing = [n for n in wanted.objects if n in frame.objects]
@@ -192,13 +233,25 @@ class Correct:
         relation = view.relation if any(x.relation == view.relation for x in lines) else None
         if relation is None and lines:
             relation = lines[0].relation
-        self._take(replace(state, labels=replace(view, card=card, relation=relation)))
+        self._take(replace(state, labels=self._detailed(replace(view, card=card, relation=relation))))
+
+    def _detailed(self, view: LabelView) -> LabelView:
+        """With the expressions of the frame, and the history of what is selected."""
+        state, desk, card, sentence = self._state(), self.desk, view.card, view.sentence
+        about = view.about
+        if card is not None and (sentence is None or not sentence.is_of((card.a, card.b))):
+            about = card.a, card.b
+        objects = () if state.selected is None else (view.numbers[state.selected],)
+        pair = None if card is None else (card.a, card.b)
+        lines = () if desk is None else desk.history(
+            view.frame.frame, objects=objects, pair=pair, expression=view.expression
+        )  # fmt: skip
+        return replace(view, about=about, expressions=expression_cards(view.frame, about), history=lines)
 
     def follow(self) -> None:
         """Bring the Review tab up to the state."""
         if self._page.review_head is None or self._page.review_pair is None:
             return
-        self.chosen()
         state = self._state()
         opened = self._openers.get(state.source) is not None
         self._page.review_head.content = review_head_html(state, self.desk if opened else None, None)
@@ -206,20 +259,46 @@ class Correct:
 
     # ---- edits ------------------------------------------------------------------------
 
-    def settle(self, said: str) -> None:
-        """Settle a relation of the chosen pair: "left:T", or "T" for the one that is looked at."""
-        view = self._state().labels
-        *named, letter = said.split(":")
-        if view is None or view.card is None or letter not in LETTERS:
-            return
-        relation = named[0] if named else view.relation
-        card = view.card
-        if relation is None:
-            return
-        self._take(replace(self._state(), labels=replace(view, relation=relation)))
-        self.save(lambda frame: set_relation(frame, card.a, card.b, relation, LETTERS[letter]))
+    def on_saved(self, listener: Callable[[tuple[Event, ...]], None]) -> None:
+        """Have something called with the events of everything that this client saves or takes back."""
+        self._listeners.append(listener)
 
-    def save(self, made: Callable[[EffectiveFrame], Edits]) -> Outcome | None:
+    @property
+    def waits(self) -> bool:
+        """Whether something could not be saved yet."""
+        return self.desk is not None and bool(self.desk.waiting)
+
+    def settle(self, said: str, draw: bool = True) -> tuple[str, tuple[int, int]] | None:
+        """Settle a relation of the chosen pair: "left:T", or "T" for the one that is looked at.
+
+        A label that is right already is accepted, under this person's name. One
+        that somebody else has settled by hand stays as it is, too: this person's
+        word on it is noted, and reviewers who differ are told.
+
+        Returns
+        -------
+        (relation, (a, b)), or None where nothing was saved.
+        """
+        view, desk = self._state().labels, self.desk
+        *named, letter = said.split(":")
+        if view is None or view.card is None or desk is None or letter not in LETTERS:
+            return None
+        relation = named[0] if named else view.relation
+        card, state = view.card, LETTERS[letter]
+        line = next((x for x in card.lines if x.relation == relation), None)
+        if line is None or relation is None:
+            return None
+        self._take(replace(self._state(), labels=replace(view, relation=relation)))
+        others = line.origin.source == "human" and line.origin.author != desk.author
+
+        def made(frame: EffectiveFrame) -> Edits:
+            if line.state == state or others:
+                return judge_relation(frame, card.a, card.b, line.relation, state, desk.author)
+            return set_relation(frame, card.a, card.b, line.relation, state)
+
+        return (relation, (card.a, card.b)) if self.save(made, draw=draw) is not None else None
+
+    def save(self, made: Callable[[EffectiveFrame], Edits], draw: bool = True) -> Outcome | None:
         """Save what an action comes down to, made on the labels as this client sees them; None where it is none."""
         view, desk = self._state().labels, self.desk
         if view is None or desk is None:
@@ -227,39 +306,83 @@ class Correct:
         try:
             outcome = desk.save(made(view.frame))
         except InputError as error:
-            self._refuse(str(error))
+            self.refuse(str(error))
             return None
-        self._came_to(outcome, "saved")
+        self.came_to(outcome, "saved", draw)
         return outcome
 
-    def _came_to(self, outcome: Outcome | None, verb: str) -> None:
-        said, bad = outcome_said(outcome, verb)
+    def redraw(self) -> None:
+        """Draw the page."""
+        self._draw()
+
+    def came_to(self, outcome: Outcome | None, verb: str, draw: bool = True) -> None:
+        """Show what came of an action, and what followed from it."""
+        before = self._state().labels
+        said, bad = outcome_said(outcome, verb, None if before is None else before.frame)
+        self.tell(said, bad, draw=False, before=None if before is None else before.frame)
+        if isinstance(outcome, Saved):
+            for listener in self._listeners:
+                listener(outcome.events)
+        if draw:
+            self._draw()
+        if isinstance(outcome, Conflict):
+            self.on_conflict()
+
+    def tell(self, said: str, bad: bool = False, draw: bool = True, before: EffectiveFrame | None = None) -> None:
+        """Say something where the outcome of actions is said, with the labels as they are now."""
         self.renew()
         view = self._state().labels
+        if view is not None and before is not None and (followed := str(consequences(before, view.frame))):
+            said = f"{said} · {followed}"
+        self._said = said, bad
         if view is not None:
             self._take(replace(self._state(), labels=replace(view, said=said, bad=bad)))
         self._note(said)
+        if draw:
+            self._draw()
+
+    def refresh(self) -> None:
+        """Show what waits, and what it is made on, as it is now."""
+        self.renew()
         self._draw()
 
-    def _taken_back(self, which: str) -> None:
+    def took(self, frame: str, events: tuple[Event, ...]) -> None:
+        """Others have saved something in a frame: look at it, and say who did what."""
+        state, desk = self._state(), self.desk
+        if desk is None or state.labels is None or state.frame_id != frame:
+            return
+        events = tuple(e for e in events if e.id > desk.seen(frame))
+        if events:
+            self.tell(f"{events[-1].author}: {said_events(events[::-1], state.labels.frame)}")
+
+    def frame_of(self, conflict: Conflict) -> EffectiveFrame | None:
+        """The labels of the frame that a conflict is in, as they are now; None where they cannot be read."""
+        desk = self.desk
+        try:
+            return None if desk is None else desk.frame(conflict.rivals[0].edit.cell.frame)
+        except InputError:
+            return None
+
+    def taken_back(self, which: str, group: str | None = None) -> None:
+        """Undo or redo one's newest action, or undo the one of a group."""
         desk = self.desk
         if desk is None or self._state().labels is None:
             return
         try:
-            outcome = desk.undo() if which == "undo" else desk.redo()
+            outcome = desk.undo(group) if which == "undo" else desk.redo()
         except InputError as error:
-            self._refuse(str(error))
+            self.refuse(str(error))
             return
         if outcome is None:
-            self._refuse(f"nothing to {which}")
+            self.refuse(f"nothing to {which}")
             return
-        self._came_to(outcome, "taken back" if which == "undo" else "brought back")
+        self.came_to(outcome, "taken back" if which == "undo" else "brought back")
 
     def save_again(self) -> None:
         """Try to save what waits."""
         desk = self.desk
         for outcome in () if desk is None else desk.retry():
-            self._came_to(outcome, "saved")
+            self.came_to(outcome, "saved")
 
     # ---- pairs ------------------------------------------------------------------------
 
@@ -286,18 +409,22 @@ class Correct:
         at = names.index(view.relation) if view.relation in names else 0
         self.focus_relation(names[(at + step) % len(names)])
 
-    def _refuse(self, problem: str) -> None:
+    def refuse(self, problem: str) -> None:
+        """Say why something was not done."""
         self._note(f"not done: {problem}")
         self._client.add_notification("Not done", safe(problem), auto_close_seconds=8)
 
 
-def outcome_said(outcome: Outcome | None, verb: str) -> tuple[str, bool]:
+def outcome_said(outcome: Outcome | None, verb: str, frame: EffectiveFrame | None = None) -> tuple[str, bool]:
     """What came of an action in words, and whether it was not done."""
     if isinstance(outcome, Saved):
-        first, more = outcome.events[0], len(outcome.events) - 1
-        return f"{verb}: {first}" + (f" (and {more} more)" if more else ""), False
+        return f"{verb}: {said_events(outcome.events, frame)}", False
     if isinstance(outcome, Conflict):
-        return "not saved, somebody was faster: " + "; ".join(map(str, outcome.rivals)), True
+        rival = outcome.rivals[0]
+        who = "somebody" if rival.event is None else rival.event.author
+        return f"not saved, {who} was faster: {said_cell(rival.edit.cell, frame)}", True
+    if isinstance(outcome, Waiting) and verb == "taken back":
+        return "taken back before it was saved", False
     if isinstance(outcome, Waiting):
         return f"not saved yet: {outcome.problem}", True
     return "", False

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 
 from pipeline.datasets import Dataset, has_moves, moves
-from spatialviz.app import bottom, left, right, why
+from spatialviz.app import bottom, left, right, sentences_html, why
 from spatialviz.app.layout import Page
 from spatialviz.app.state import State
 
@@ -40,6 +40,12 @@ def fill_page(
 def fill_answer(page: Page, state: State, can_ask: bool = True) -> None:
     """Fill what follows a box that is dragged."""
     page.modules.content = left.modules_html(state)
+    if state.labels is not None:
+        page.answer.content = sentences_html.sentence_html(state)
+        page.pairs.content = sentences_html.expressions_html(state)
+        page.relations.content = sentences_html.history_html(state)
+        page.why.content = why.why_html(state)
+        return
     page.answer.content = right.answer_html(state, can_ask)
     page.pairs.content = right.pairs_html(state)
     page.relations.content = right.relations_html(state)

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 from pipeline.ask import Trace
-from pipeline.diagnosis.live import Judgement, annotated_truth, judge_trace, labelled_truth
+from pipeline.correcting.truth import answered_case, effective_mark, effective_truth, withdrawn_by
+from pipeline.diagnosis.live import Judgement, annotated_truth, judge_trace, labelled_case, labelled_truth
 from pipeline.errors import InputError
 from pipeline.evaluation.cases import FrameCases
 from pipeline.evaluation.run_folder import Run
 from pipeline.jobs import Source
+from pipeline.journal.effective_frame import EffectiveFrame
 from pipeline.labels.reading import Labels
 from pipeline.objects import FrameContext
 from pipeline.ranking import RankConfig
@@ -28,16 +30,24 @@ class Judge:
         Runs to compare with, by the same names.
     labels : mapping of str to Labels, optional
         What is true where there is no run, by name of the source.
+    corrected : callable, optional
+        Gives the corrected labels of a frame of a source; None where nobody has corrected any.
     """
 
     def __init__(
-        self, runs: Mapping[str, Run], others: Mapping[str, Run], labels: Mapping[str, Labels] | None = None
+        self,
+        runs: Mapping[str, Run],
+        others: Mapping[str, Run],
+        labels: Mapping[str, Labels] | None = None,
+        corrected: Callable[[str, str], EffectiveFrame | None] = lambda source, frame: None,
     ) -> None:
-        self._runs, self._others, self._labels = runs, others, labels or {}
-        self._kept: tuple[tuple[str, str], FrameCases | None] | None = None
+        self._runs, self._others, self._labels, self._corrected = runs, others, labels or {}, corrected
+        self._kept: tuple[tuple[str, str], EffectiveFrame | None, FrameCases | None] | None = None
 
     def truth(self, name: str, source: Source, context: FrameContext) -> FrameCases | None:
         """What is true in a frame: by the run's labels or those that were named, else by the frame's annotations.
+
+        Labels count as they were corrected by now.
 
         None where nothing is known of it.
 
@@ -47,12 +57,16 @@ class Judge:
             The labels cannot be read.
         """
         key = (name, context.frame.id)
-        if self._kept is None or self._kept[0] != key:
+        corrected = self._corrected(*key)
+        if self._kept is None or self._kept[0] != key or self._kept[1] is not corrected:
             run = self._runs.get(name)
             labels = self._labels.get(name) if run is None else run.labels
-            found = None if labels is None else labelled_truth(context.frame.id, source, labels)
-            self._kept = key, annotated_truth(context, source) if found is None else found
-        return self._kept[1]
+            if corrected is not None:
+                found = effective_truth(corrected)
+            else:
+                found = None if labels is None else labelled_truth(context.frame.id, source, labels)
+            self._kept = key, corrected, annotated_truth(context, source) if found is None else found
+        return self._kept[2]
 
     def judge(
         self,
@@ -71,7 +85,14 @@ class Judge:
             truth = self.truth(name, source, context)
             if truth is None:
                 return None
+            corrected = self._corrected(name, context.frame.id)
+            rejected = None if corrected is None or expression is None else withdrawn_by(corrected, expression)
+            if rejected is not None:
+                return rejected
             known = self.known(name, context, truth, expression)
+            case = known["case"] or labelled_case(truth, trace.query.text)
+            if corrected is not None and case is not None:
+                known["case"] = answered_case(corrected, truth, case, trace)
             return judge_trace(trace, source, context, truth, rank=rank, **known)
         except InputError as error:
             return str(error)
@@ -80,10 +101,13 @@ class Judge:
         self, name: str, context: FrameContext, truth: FrameCases | None, expression: str | None
     ) -> dict[str, Any]:
         """What a run knows of a labelled expression: its case, mark and confidence, as arguments of `judge_trace`."""
-        run = self._runs.get(name)
+        run, corrected = self._runs.get(name), self._corrected(name, context.frame.id)
+        mark = None if run is None else run.spec.marks.get((context.frame.id, expression or ""))
+        if corrected is not None and expression is not None:
+            mark = effective_mark(corrected, expression, mark)
         return {
             "case": None if truth is None else next((c for c in truth.cases if c.id == expression), None),
-            "mark": None if run is None else run.spec.marks.get((context.frame.id, expression or "")),
+            "mark": mark,
             "confidence": None if run is None else run.spec.confidence,
         }
 

@@ -42,6 +42,7 @@ KEYS: tuple[tuple[str, str, str], ...] = (
     ("Shift+F", "Show or hide the decision map", "edit-map"),
     ("Ctrl+Z", "Take the last edit back", "edit-undo"),
     ("0", "Take all edits back", "edit-reset"),
+    ("Shift+M", "Correct the label that the verdict is by", "mend"),
     ("Shift+L", "Show the labels to correct them, or the answer again", "labels"),
     ("H", "List the keys (or ?)", "help"),
 )
@@ -53,7 +54,24 @@ LABEL_KEYS: tuple[tuple[str, str, str], ...] = (
     ("J", "Next item of the queue", "next-item:1"),
     ("K", "Previous item of the queue", "next-item:-1"),
     ("I", "Next relation of the pair", "next-row:1"),
+    ("Y", "Accept the item, or the selected object", "accept-item"),
+    ("Shift+Y", "Reject it", "reject-item"),
+    ("Shift+U", "Unsure of it", "unsure-item"),
+    ("Shift+G", "Retrain on the labels as they are", "retrain"),
     ("X", "The pair the other way round", "swap"),
+    ("Shift+I", "Edit the pixels of the selected object", "px-tool:brush"),
+    ("Shift+X", "Cut the selected object in parts", "px-tool:cut"),
+    ("Shift+N", "New object, drawn on the picture", "px-new"),
+    ("Shift+T", "New object, by clicks in the scene", "px-new:scene"),
+    ("Shift+M", "Merge the selected object into the one before", "px-merge"),
+    ("Alt+J", "Next expression", "next-expression:1"),
+    ("Alt+I", "Edit the expression's text", "edit-text"),
+    ("Alt+T", "The expression is true of the selected object, or not", "true-of:sure"),
+    ("Alt+U", "The expression may be true of the selected object, or not", "true-of:likely"),
+    ("Alt+B", "Several objects are an acceptable answer, or one", "ambiguous"),
+    ("Alt+M", "Mark the expression: label wrong, box wrong, neither", "mark:next"),
+    ("Alt+Y", "Accept the expression", "expression-status:accepted"),
+    ("Alt+N", "Reject the expression", "expression-status:rejected"),
     ("Ctrl+Z", "Undo", "take-back"),
     ("Ctrl+Y", "Redo", "bring-back"),
 )
@@ -70,7 +88,7 @@ MOVE_KEYS: tuple[tuple[str, str, str], ...] = (
 """The keys of datasets with moves: two rows of a number pad, and the rows of the buttons."""
 
 
-MODIFIERS = {"": None, "Shift": "shift", "Ctrl": "cmd/ctrl"}
+MODIFIERS = {"": None, "Shift": "shift", "Ctrl": "cmd/ctrl", "Alt": "alt"}
 
 
 def keys_of(moving: bool) -> tuple[tuple[str, str, str], ...]:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from pipeline.correcting.cards import PairCard
+from pipeline.correcting.event_lines import EventLine
+from pipeline.correcting.expression_cards import ExpressionCard
 from pipeline.journal.effective_frame import EffectiveFrame
 from pipeline.review.items import ItemKey
 
@@ -27,6 +29,14 @@ class LabelView:
         What came of the last action.
     bad : bool
         It was not done.
+    expression : str or None
+        The id of the expression that is looked at.
+    about : tuple of int
+        Numbers of the pair whose expressions are listed first.
+    expressions : tuple of ExpressionCard
+        All of the frame.
+    history : tuple of EventLine
+        Of what is selected.
     """
 
     frame: EffectiveFrame
@@ -35,6 +45,15 @@ class LabelView:
     item: ItemKey | None = None
     said: str = ""
     bad: bool = False
+    expression: str | None = None
+    about: tuple[int, ...] = ()
+    expressions: tuple[ExpressionCard, ...] = ()
+    history: tuple[EventLine, ...] = ()
+
+    @property
+    def sentence(self) -> ExpressionCard | None:
+        """The expression that is looked at."""
+        return next((c for c in self.expressions if c.id == self.expression), None)
 
     @property
     def numbers(self) -> tuple[int, ...]:

@@ -56,6 +56,7 @@ class Page:
     frames: viser.GuiHtmlHandle
     log: viser.GuiHtmlHandle
     review_head: viser.GuiHtmlHandle | None = None
+    review_item: viser.GuiHtmlHandle | None = None
     review_pair: viser.GuiHtmlHandle | None = None
     review_list: viser.GuiHtmlHandle | None = None
     review_train: viser.GuiHtmlHandle | None = None
@@ -99,7 +100,7 @@ def build(
     review: tuple[viser.GuiHtmlHandle, ...] = ()
     if with_labels:
         with upper.add_tab("Review", viser.Icon.CHECKLIST):
-            review = tuple(gui.add_html("") for _ in range(4))
+            review = tuple(gui.add_html("") for _ in range(5))
     # The first tab is the one that is open: with a run, what failed in it.
     for name in ("Failures", "Run", "Image") if with_run else ("Image", "Failures", "Run"):
         with lower.add_tab(name):

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Collection
 from dataclasses import dataclass
-from urllib.parse import parse_qs, urlencode
+from urllib.parse import parse_qs, unquote, urlencode
 
 LONGEST = 2000
 """A text of more characters is none of ours."""
@@ -40,6 +40,12 @@ class Place:
             return cls()
         source, frame, text = (fields.get(key, [None])[0] for key in ("data", "frame", "ask"))
         return cls() if source is not None and source not in sources else cls(source, frame, text)
+
+    @staticmethod
+    def signed(said: str) -> tuple[str, str]:
+        """What a browser says of itself: the place that its tab has kept, and the name of who corrects labels there."""
+        place, _, author = said.partition("&author=")
+        return place, unquote(author[: 3 * LONGEST])
 
     def said(self) -> str:
         """The text that says this place."""

@@ -67,7 +67,7 @@ def _action(training: Training, corrections: int) -> str:
         return '<span class="try" role="button" onclick="sv(\'stop-training\')">stop</span>'
     if not corrections:
         return '<span class="try" aria-disabled="true">retrain</span>'
-    hint = f"{corrections} events in the journal (Shift+T)"
+    hint = f"{corrections} events in the journal (Shift+G)"
     return f'<span class="try" role="button" onclick="sv(\'retrain\')" title="{hint}">retrain</span>'
 
 

@@ -29,6 +29,9 @@ def review_head_html(state: State, desk: Desk | None, left: tuple[int, int] | No
         what = f"{count} action{'s' if count > 1 else ''} not saved yet, kept here: {desk.waiting[-1].problem}"
         parts.append(note(what, BAD))
         parts.append('<span class="try go" role="button" onclick="sv(\'save-again\')">try again</span>')
+    if desk.disputed:
+        parts.append(note("Somebody was faster than you: nothing of yours is saved until you decide.", BAD))
+        parts.append('<span class="try go" role="button" onclick="sv(\'conflict\')">decide</span>')
     return panel(*parts)
 
 

@@ -14,7 +14,7 @@ from pipeline.srm.scorer import RelationScores
 from spatialviz.app.before import before_html, changed
 from spatialviz.app.state import State
 from spatialviz.app.text import BAD, DOUBT, dot, heading, note, panel, safe, words
-from spatialviz.app.why import verdict_line
+from spatialviz.app.why import mend_button, verdict_line
 
 SHOWN_PAIRS = 30
 KEPT: RGB = (53, 169, 107)
@@ -38,6 +38,7 @@ def answer_html(state: State, can_ask: bool = True) -> str:
             note(reason[0].upper() + reason[1:], BAD),
             verdict_line(state),
             _alone(state),
+            f'<div class="under"><span></span>{mend_button(state)}</div>',
         )
     best, chosen = state.ranked[0], state.chosen
     pair = chosen or best
@@ -52,7 +53,7 @@ def answer_html(state: State, can_ask: bool = True) -> str:
     count = len(state.ranked)
     summary = f"relation {pair.p_relation:.2f} · "
     summary += f"{more} · {count} pairs" if count > 1 else "the only candidate pair"
-    parts.append(f'<div class="dim">{summary}</div>')
+    parts.append(f'<div class="under"><span class="dim" title="{summary}">{summary}</span>{mend_button(state)}</div>')
     if best.p_relation < 0.5 and place == 1 and not isinstance(state.judged, Judgement):
         parts.append(
             note(f"The best there is, but the relation itself is unlikely ({best.p_relation:.2f}).", DOUBT)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import shlex
 import socket
 import sys
 import threading
@@ -13,6 +14,7 @@ from contextlib import redirect_stdout
 import viser
 
 from pipeline.correcting.journal_place import JournalPlace
+from pipeline.correcting.rescue import rescue
 from pipeline.demo import DEMO_EXPRESSION, DEMO_NAME
 from pipeline.errors import InputError
 from pipeline.evaluation.run_folder import Run
@@ -161,3 +163,23 @@ def serve(
     finally:
         with redirect_stdout(io.StringIO()):
             server.stop()
+        for place in (journals or {}).values():
+            _say_unsaved(place)
+
+
+def _say_unsaved(place: JournalPlace) -> None:
+    """Say which corrections could not be saved, and how they can be later."""
+    for found in rescue(place):
+        count = len(found.edits)
+        print(
+            f"spatialviz: {count} edit{'s' if count > 1 else ''} of {found.author} could not be saved: {found.problem}",
+            file=sys.stderr,
+        )
+        for edit in found.edits:
+            print(f"  {edit}", file=sys.stderr)
+        if not found.files:
+            print("spatialviz: no folder can be written: they are lost", file=sys.stderr)
+        for path in found.files:
+            words = ["spatialviz", "correct", str(place.labels.root), "--edits", str(path), "--author", found.author]
+            words += [] if place.where is None else ["--journal", str(place)]
+            print(f"spatialviz: kept in {path}; save them with: {shlex.join(words)}", file=sys.stderr)

@@ -39,16 +39,20 @@ from spatialviz.app.keeping import Keeping
 from spatialviz.app.keys import HelpDialog, add_keys, meant
 from spatialviz.app.layout import build, listed
 from spatialviz.app.paint import frame_colors
+from spatialviz.app.pixels import Pixels
 from spatialviz.app.place import Place
 from spatialviz.app.retrain_panel import RetrainPanel
+from spatialviz.app.review_queue import ReviewQueue
 from spatialviz.app.run_browser import Listing
 from spatialviz.app.run_panel import RunPanel
 from spatialviz.app.scene import SceneView
 from spatialviz.app.selection import Selection
+from spatialviz.app.sentences import sentences_and_conflicts
 from spatialviz.app.state import NOTHING, State, shown_objects
 from spatialviz.app.view_settings import ViewSettings
 from spatialviz.app.view_string import BEGINS
 from spatialviz.app.view_strings import ViewStrings
+from spatialviz.app.watch import Watch
 from spatialviz.app.what_if import WhatIf
 
 LOG_LENGTH = 200
@@ -86,17 +90,19 @@ class Session:
         self._painted: tuple[Any, ...] = ()
         self._closed = threading.Event()
         self._begun = False
-        self._judge = Judge(runs or {}, others or {}, labels)
+        self._judge = Judge(runs or {}, others or {}, labels, lambda *at: self._correct.corrected(*at))
         self._first_view = first_view
         self.bridge = Bridge(client, self.handle)
         moving = any(has_moves(opened.dataset) for opened in store.sources.values())
         self._help = HelpDialog(client, self.post, moving)
         ids = store.sources[source].dataset.frame_ids
-        self.state = State(source=source, frame_id=ids[0], dark=dark, text=first_expression)
+        self.state = State(source, ids[0], dark=dark, text=first_expression, correctable=bool(journals))
         self.page = build(client, self.bridge, tuple(store.sources), source, ids, bool(runs), bool(journals))
         self.scene = SceneView(
             client,
-            on_ray=lambda pixel, boxes: self.bridge.post(lambda: self._selection.select_on_ray(pixel, boxes)),
+            on_ray=lambda pixel, boxes: self.bridge.post(
+                lambda: None if self._pixels.on_ray(pixel) else self._selection.select_on_ray(pixel, boxes)
+            ),
         )
         self._selection = Selection(self._now, self._take, self._draw, self.scene.viewpoint.focus)
         reach = (self._source, self._now, self._take)
@@ -113,6 +119,11 @@ class Session:
             ask=lambda: self._open_frame(self.state.frame_id, first=True, asking=self.state.text),
             open_frame=self._open_frame, note=self._note,
         )  # fmt: skip
+        self._pixels = Pixels(
+            client, self.scene, self._correct, self._selection, state=self._now, take=self._take, draw=self._draw,
+            note=self._note,
+        )  # fmt: skip
+        spoken = sentences_and_conflicts(self._correct, dialog, self.bridge, self._now, self._take, self._draw)
         self._strings = ViewStrings(
             dialog, store.sources, runs or {}, self._runs, self.scene.viewpoint, state=self._now, take=self._take,
             go=self._go, ask=self._ask, show_context=self._view.show_context, draw=self._draw, note=self._note,
@@ -121,6 +132,9 @@ class Session:
             client, dialog, store.sources, runs or {}, self._judge, opened_by, state=self._now,
             view=self._strings.now, note=self._note,
         )  # fmt: skip
+        self._queue = ReviewQueue(
+            self.page, store, journals or {}, self._correct, state=self._now, note=self._note, post=self.bridge.post
+        )
         self._retrain = RetrainPanel(
             client, self.page, store.sources, runs or {}, journals or {}, user_data_path("spatialviz") / "retrained",
             state=self._now, go=self._go, use=lambda name: self.handle(f"edit:set:scorer:{name}"), note=self._note,
@@ -128,18 +142,21 @@ class Session:
         )  # fmt: skip
         parts = (
             self._selection, self._view, self._runs, self._what_if, self._strings, keeping, self._correct,
-            self._retrain, dialog,
+            self._queue, self._retrain, self._pixels, dialog, *spoken,
         )  # fmt: skip
         self._more = {name: run for part in parts for name, run in part.commands().items()}
         forward_inputs(self.page, self.post, self.bridge.alive)
         add_keys(client, self.post, moving, bool(journals))
         self.bridge.start()
+        if journals:
+            Watch(self._correct, self._now, self.bridge.post, self._closed)
         threading.Timer(PATIENCE_SECONDS, lambda: self.post("begin")).start()
         threading.Timer(HELLO_SECONDS, self._check_bridge).start()
 
     def close(self) -> None:
         self._closed.set()
         self._retrain.close()
+        self._queue.close()
         self.bridge.close()
 
     def post(self, message: str) -> None:
@@ -167,7 +184,7 @@ class Session:
             "move": lambda: self._move(argument),
             "clear": self._clear,
             "begin": self._begin,
-            "hello": lambda: self._begin(argument),
+            "hello": lambda: self._begin(self._correct.signed(argument)),
             "help": self._help.toggle,
             "close-help": self._help.close,
         }
@@ -243,7 +260,7 @@ class Session:
         cleared = replace(self.state.unasked, frame_id=frame_id, problem="")
         try:
             loaded = self._store.load(self.state.source, frame_id)
-            scores = self._source().score(loaded.context, loaded.objects)
+            scores = None if correcting else self._source().score(loaded.context, loaded.objects)
         except InputError as error:
             self.state = replace(cleared, loaded=None, problem=str(error), shown=NOTHING)
             self._note(str(error))
@@ -259,7 +276,7 @@ class Session:
         self._view.show_context()
         if first or self.scene.viewpoint.untouched:
             self.scene.viewpoint.place(self.state.camera)
-        self._suggestions = suggest_expressions(loaded.objects, scores)
+        self._suggestions = () if scores is None else suggest_expressions(loaded.objects, scores)
         self._note(f"frame {frame_id}: {len(loaded.objects)} objects, up {loaded.context.viewer.up_source}")
         if loaded.problem:
             self._note(loaded.problem)
@@ -422,6 +439,7 @@ class Session:
     def _draw(self) -> None:
         """Bring the whole page up to the state. Handles that would not change send nothing."""
         self._what_if.check()
+        self._correct.chosen()
         state = self.state
         fill_page(
             self.page,
@@ -440,7 +458,9 @@ class Session:
         self.fallback.update(state)
         self._runs.follow()
         self._correct.follow()
+        self._queue.follow()
         self._retrain.draw()
+        self._pixels.follow()
         self.bridge.remember(state.at_place.said())
 
     def _draw_scene(self, live: bool = False) -> None:

@@ -109,6 +109,8 @@ class State:
         What the handles in the scene do with the selected object's box.
     labels : LabelView or None
         The labels that are shown, and may be corrected, in place of an answer.
+    correctable : bool
+        Labels are open that may be corrected.
     """
 
     source: str
@@ -132,6 +134,7 @@ class State:
     edited: Edited | None = None
     mode: EditMode = "off"
     labels: LabelView | None = None
+    correctable: bool = False
 
     @property
     def unasked(self) -> State:

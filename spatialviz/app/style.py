@@ -162,7 +162,7 @@ SCRIPT = """
 window.sv = v => window.__viserMutable.sendMessage({type: 'GuiUpdateMessage', uuid: 'BUS_UUID', updates: {value: v + '#' + performance.now()}});
 let live = null, waiting = 0;
 window.svLive = v => { live = v; if (v === null) { clearTimeout(waiting); waiting = 0; } else if (!waiting) waiting = setTimeout(() => { waiting = 0; if (live !== null) window.sv(live); }, 50); };
-window.svPaint = (pic, e) => {
+window.svPaint = (pic, e, to_say) => {
   if (!e.shiftKey) return;
   e.preventDefault();
   const b = pic.getBoundingClientRect(), at = e => [Math.min(1, Math.max(0, (e.clientX - b.left) / b.width)), Math.min(1, Math.max(0, (e.clientY - b.top) / b.height))];
@@ -170,7 +170,7 @@ window.svPaint = (pic, e) => {
   band.className = 'svband';
   pic.appendChild(band);
   const move = e => { const to = at(e); band.style.left = 100 * Math.min(from[0], to[0]) + '%'; band.style.top = 100 * Math.min(from[1], to[1]) + '%'; band.style.width = 100 * Math.abs(to[0] - from[0]) + '%'; band.style.height = 100 * Math.abs(to[1] - from[1]) + '%'; };
-  const up = e => { window.removeEventListener('mousemove', move); window.removeEventListener('mouseup', up); band.remove(); const to = at(e); if (Math.abs(to[0] - from[0]) > .004 && Math.abs(to[1] - from[1]) > .004) window.sv('edit:mask:rectangle:' + [...from, ...to].map(v => v.toFixed(5)).join(',')); };
+  const up = e => { window.removeEventListener('mousemove', move); window.removeEventListener('mouseup', up); band.remove(); const to = at(e); if (Math.abs(to[0] - from[0]) > .004 && Math.abs(to[1] - from[1]) > .004) window.sv(to_say + [...from, ...to].map(v => v.toFixed(5)).join(',')); };
   window.addEventListener('mousemove', move);
   window.addEventListener('mouseup', up);
 };
@@ -241,7 +241,7 @@ if (!window.svTags) {
     }
   });
 }
-const hello = n => { const m = window.__viserMutable; if (m && m.sendMessage) { window.sv('hello:' + (sessionStorage.getItem('sv') || '')); } else if (n < 40) { setTimeout(() => hello(n + 1), 250); } };
+const hello = n => { const m = window.__viserMutable; if (m && m.sendMessage) { window.sv('hello:' + (sessionStorage.getItem('sv') || '') + '&author=' + encodeURIComponent(localStorage.getItem('svAuthor') || '')); } else if (n < 40) { setTimeout(() => hello(n + 1), 250); } };
 hello(0);
 })()
 """

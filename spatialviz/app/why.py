@@ -38,6 +38,18 @@ def verdict_line(state: State) -> str:
     return ""
 
 
+def mend_button(state: State) -> str:
+    """A button that leads to the labels of the verdict; it stands out where the label itself is in doubt."""
+    if not state.correctable:
+        return ""
+    doubted = isinstance(state.judged, Judgement) and state.judged.diagnosis.verdict == "LABEL"
+    click = "event.stopPropagation();sv('mend')"
+    return (
+        f'<span class="try mend{" go" if doubted else ""}" role="button" onclick="{click}" '
+        'title="the labelled pair and its expression (Shift+M)">correct this label</span>'
+    )
+
+
 def why_html(state: State) -> str:
     """Everything about the verdict."""
     judged = state.judged
@@ -51,10 +63,11 @@ def why_html(state: State) -> str:
             _matrix(state),
         )
     if isinstance(judged, str):
-        said = f'<div class="dim" style="padding:.7em 0">No verdict: {safe(judged)}.</div>'
+        said = f'<div class="dim" style="padding:.7em 0">No verdict: {safe(judged)}. {mend_button(state)}</div>'
         return panel(said, _placement(state), _matrix(state))
     d = judged.diagnosis
-    head = f'<div style="padding:.55em 0 .3em">{verdict_chip(d.verdict, "lucky" if d.lucky else d.detail)}</div>'
+    chip = verdict_chip(d.verdict, "lucky" if d.lucky else d.detail)
+    head = f'<div style="padding:.55em 0 .3em;display:flex;align-items:center">{chip}{mend_button(state)}</div>'
     return panel(
         head,
         f'<div class="said">{safe(judged.said)}</div>',

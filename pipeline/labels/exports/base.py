@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pipeline.labels.exports.images import ImageCopy
+from pipeline.labels.exports.provenance import Provenance
 from pipeline.labels.reading import Labels
 
 if TYPE_CHECKING:
@@ -32,6 +33,8 @@ class Job:
         Progress.
     options : object
         The format's own options, of the type it declares.
+    provenance : Provenance
+        Where values come from, and what reviewers said.
     """
 
     labels: Labels
@@ -39,6 +42,7 @@ class Job:
     images: ImageCopy | None
     tell: Progress
     options: Any
+    provenance: Provenance
 
 
 @dataclass(frozen=True)

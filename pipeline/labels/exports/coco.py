@@ -7,13 +7,19 @@ order of the table `objects`. Masks are compressed run-length codes; an object
 without a mask has its 2D box as a polygon. Beyond COCO's keys every image has
 `spatialviz` (pose, up, hashes), and every annotation has `box3d` ({center, size,
 R, frame: "camera"}, metres, R row by row), `extent` (lo, hi, centroid along the
-viewer's right, up, forward) and `quality`.
+viewer's right, up, forward) and `quality`. `attributes` repeats the object's
+number, for tools that keep nothing else of ours.
 
 `refs.json` is a list with the keys of RefCOCO's `refs(...).p`, and
 `acceptable_ann_ids`, `target_ann_ids`, `reference_ann_id`, `relation`.
 
 `relations.json` has, for each image, columns of equal length: annotations `a`
 and `b`, `distance`, and state (1, 0, -1) and margin of each relation.
+
+Where values come from, see `pipeline.labels.exports.provenance`: `info` has
+`base` and `made_by`; annotations and refs have `status`, `provenance`, and refs
+`mark`; of an image `spatialviz` has them, and `note`; of relations the image's
+`statuses` and `provenance` list annotations `a` and `b` with each entry.
 """
 
 from __future__ import annotations
@@ -54,6 +60,8 @@ def write_coco(job: Job) -> Written:
         "year": int(manifest.created[:4]) if manifest.created[:4].isdigit() else 0,
         "config_hash": manifest.config_hash,
         "profile_hash": manifest.profile_hash,
+        "base": job.provenance.base,
+        "made_by": job.provenance.made_by,
     }
     with (
         text_file(job.folder / "instances.json") as instances,
@@ -76,11 +84,12 @@ def write_coco(job: Job) -> Written:
             if len(ids) != len(rows.objects):
                 raise InputError(f"frame {rows.frame['frame']}: two objects of one number", path=job.labels.root)
             for row in rows.objects:
-                annotations.add(_annotation(row, ids[row["object"]], categories, rows.frame))
+                found = _annotation(row, ids[row["object"]], categories, rows.frame)
+                annotations.add(found | _known(job, "objects", rows, row["object"]))
             for row in rows.expressions:
-                refs.add(_ref(row, refs.length, ids, categories))
+                refs.add(_ref(row, refs.length, ids, categories) | _known(job, "expressions", rows, row["id"]))
             if rows.relations.num_rows:
-                related.add(_relations(rows, ids))
+                related.add(_relations(rows, ids) | _known_relations(job, rows, ids))
                 pairs += rows.relations.num_rows
             if job.images is not None and rows.frame["ok"]:
                 job.images.write(rows.frame, job.folder / image_name(rows.index))
@@ -113,7 +122,10 @@ def _write_frames(job: Job, file: TextIO) -> int:
         for batch in table_batches(job.labels, "frames"):
             for row in batch.to_pylist():
                 if row["ok"] == usable:
-                    items.add(_image(row))
+                    found = _image(row)
+                    said = job.provenance.said("frames", row["frame"], "")
+                    found["spatialviz"] |= {**said, "provenance": job.provenance.of("frames", row["frame"], "")}
+                    items.add(found)
         items.close()
         file.write(",\n")
         lengths.append(items.length)
@@ -151,6 +163,7 @@ def _annotation(
         "score": row["score"],
         "object": row["object"],
         "instance": row["instance"],
+        "attributes": {"object": row["object"]},
         "bbox_xyxy": row["bbox"],
         **{key: _box(row, prefix) for key, prefix in BOXES.items()},
         "extent": {key: row[key] for key in EXTENT},
@@ -202,6 +215,23 @@ def _relations(rows: FrameRows, ids: Mapping[int, int]) -> dict[str, Any]:
             found[key] = [ids[n] for n in found[key]]
         except KeyError as error:
             raise InputError(f"a pair is of object {error}, which frame {rows.frame['frame']} lacks") from error
+    return found
+
+
+def _known(job: Job, table: str, rows: FrameRows, key: int | str) -> dict[str, Any]:
+    frame, name = rows.frame["frame"], str(key)
+    return {**job.provenance.said(table, frame, name), "provenance": job.provenance.of(table, frame, name)}
+
+
+def _known_relations(job: Job, rows: FrameRows, ids: Mapping[int, int]) -> dict[str, Any]:
+    found: dict[str, list[dict[str, Any]]] = {"statuses": [], "provenance": []}
+    if rows.frame["frame"] not in job.provenance.frames.get("relations", ()):
+        return found
+    for a, b in zip(*(rows.relations.column(end).to_pylist() for end in ("a", "b")), strict=True):
+        pair, key = {"a": ids[a], "b": ids[b]}, f"{a},{b}"
+        said = job.provenance.said("relations", rows.frame["frame"], key)
+        found["statuses"] += [{**pair, **status} for status in said["statuses"]]
+        found["provenance"] += [{**pair, **e} for e in job.provenance.of("relations", rows.frame["frame"], key)]
     return found
 
 

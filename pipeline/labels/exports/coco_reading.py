@@ -28,6 +28,9 @@ QUALITY = (
 )  # fmt: skip
 EXPRESSION_KEYS = ("id", "target", "relation", "reference", "ambiguous", "margin", "judged_in", "up_source", "profile")
 
+BESIDE = ("image_id", "statuses", "provenance")
+"""What an image has in `relations.json` that is no column of the table."""
+
 Rows = list[dict[str, Any]]
 
 
@@ -113,7 +116,7 @@ def _pairs(images: Iterable[dict[str, Any]], names: dict[int, str], numbers: dic
 
     found = []
     for image in images:
-        columns = {key: values for key, values in image.items() if key != "image_id"}
+        columns = {key: values for key, values in image.items() if key not in BESIDE}
         length = len(columns["a"])
         index = image["image_id"]
         columns |= {key: [numbers[n] for n in columns[key]] for key in ("a", "b")}

@@ -16,6 +16,7 @@ from pipeline.labels.exports import coco, hub, jsonl, kitti, vqa
 from pipeline.labels.exports.base import ExportFormat, ExportReport, Job, Progress
 from pipeline.labels.exports.images import ImageCopy, labelled_dataset
 from pipeline.labels.exports.json_text import load_json
+from pipeline.labels.exports.provenance import open_provenance
 from pipeline.labels.reading import MANIFEST_FILE, Labels
 from pipeline.labels.tables import content_hash
 from pipeline.plugins import load_plugins
@@ -52,6 +53,9 @@ def export_labels(
     progress: Progress | None = None,
 ) -> ExportReport:
     """Write labels in another tool's format. Either the whole folder appears, or nothing does.
+
+    Every format says of its rows where their values come from: see
+    `pipeline.labels.exports.provenance`. Of labels that nobody corrected, all is the labeller's.
 
     Parameters
     ----------
@@ -91,7 +95,8 @@ def export_labels(
     _keep_the_labels(labels, out)
     with staged_folder(out, overwrite=overwrite, mark=MARK) as folder:
         copy = ImageCopy(dataset or labelled_dataset(labels)) if images == "copy" else None
-        written = chosen.write(Job(labels, folder, copy, progress or (lambda done, of: None), options))
+        provenance = open_provenance(labels)
+        written = chosen.write(Job(labels, folder, copy, progress or (lambda done, of: None), options, provenance))
         shutil.copyfile(labels.root / MANIFEST_FILE, folder / MANIFEST_FILE)
         record = {
             "tool": "spatialviz",
@@ -100,6 +105,8 @@ def export_labels(
             "files": written.files,
             "rows": written.rows,
             "notes": written.notes,
+            "base": provenance.base,
+            "made_by": provenance.made_by,
             "options": None if options is None else dataclasses.asdict(options),
         }
         write_json(folder / MARK, record)

@@ -1,7 +1,8 @@
 """The layout of the Hugging Face hub: Parquet files, a dataset card and Croissant metadata. Lossless.
 
 `data/TABLE/train-00000-of-0000N.parquet`, `README.md` (the card, whose YAML
-names the four tables as configs), `croissant.json`, `schemas/`. Pictures, if
+names the four tables as configs), `croissant.json`, `schemas/`. Beside its own,
+every table has the columns of `pipeline.labels.exports.provenance`. Pictures, if
 copied, are in `images/` by frame_index.
 """
 
@@ -17,6 +18,7 @@ from pipeline.labels.card import UNKNOWN_LICENCE, DataFile, croissant, dataset_c
 from pipeline.labels.exports.base import ExportFormat, Job, Written
 from pipeline.labels.exports.frame_rows import table_batches
 from pipeline.labels.exports.jsonl import copy_images
+from pipeline.labels.exports.provenance import extended_json_schemas, extended_schema
 from pipeline.labels.schema import TABLES
 from pipeline.labels.schema_files import write_schemas
 from pipeline.labels.tables import ROW_GROUP, arrow_schema, read_table
@@ -58,9 +60,11 @@ def write_hub(job: Job) -> Written:
         files[name] = _write_table(job, name, options.rows_a_file)
         rows[name] = sum(f.rows for f in files[name])
     write_schemas(job.folder / "schemas")
+    extended_json_schemas(job.folder / "schemas")
     with text_file(job.folder / "README.md") as card:
         card.write(dataset_card(job.labels, licence=options.licence, files={n: f"data/{n}/*.parquet" for n in TABLES}))
-    write_json(job.folder / "croissant.json", croissant(job.labels, licence=options.licence, files=files))
+    described = croissant(job.labels, licence=options.licence, files=files, schema=extended_schema)
+    write_json(job.folder / "croissant.json", described)
     written = ("README.md", "croissant.json", *(f.path for found in files.values() for f in found), "schemas/")
     return Written((*written, *copy_images(job)), rows)
 
@@ -80,7 +84,7 @@ def _write_table(job: Job, name: str, rows_a_file: int) -> list[DataFile]:
         path = job.folder / "data" / name / f"train-{number:05d}-of-{count:05d}.parquet"
         left = min(rows_a_file, total - number * rows_a_file)
         group: list[pa.Table] = []
-        with pq.ParquetWriter(path, arrow_schema(name), compression="zstd") as writer:
+        with pq.ParquetWriter(path, extended_schema(name), compression="zstd") as writer:
             while left:
                 if not waiting.num_rows:
                     waiting = next(batches, None)
@@ -94,7 +98,8 @@ def _write_table(job: Job, name: str, rows_a_file: int) -> list[DataFile]:
                 group.append(taken)
                 rows, size = sum(t.num_rows for t in group), sum(t.nbytes for t in group)
                 if not left or rows >= ROW_GROUP or size >= GROUP_BYTES:
-                    writer.write_table(pa.concat_tables(group).combine_chunks(), row_group_size=ROW_GROUP)
+                    whole = job.provenance.extend(name, pa.concat_tables(group).combine_chunks())
+                    writer.write_table(whole, row_group_size=ROW_GROUP)
                     group.clear()
         relative = path.relative_to(job.folder).as_posix()
         found.append(DataFile(relative, min(rows_a_file, total - number * rows_a_file), _sha256(path)))
@@ -126,7 +131,7 @@ def read_hub(root: Path) -> dict[str, pa.Table]:
         paths = sorted((root / "data" / name).glob("train-*-of-*.parquet"))
         if not paths or not paths[0].name.endswith(f"-of-{len(paths):05d}.parquet"):
             raise InputError(f"files of the table {name} are missing", path=root / "data" / name)
-        tables[name] = pa.concat_tables([read_table(path, name) for path in paths])
+        tables[name] = pa.concat_tables([read_table(path, name, arrow_schema(name).names) for path in paths])
     return tables
 
 

@@ -1,7 +1,8 @@
 """JSON lines: one file a table, one row a line, every value in full. Lossless.
 
 `frames.jsonl`, `objects.jsonl`, `relations.jsonl` and `expressions.jsonl` have
-the columns of the tables as keys; `schemas/` holds the JSON Schema of each.
+the columns of the tables as keys, and those of `pipeline.labels.exports.provenance`;
+`schemas/` holds the JSON Schema of each.
 A float32 column is written as the double of the same value, so that reading it
 as float32 gives the same bits.
 """
@@ -16,6 +17,7 @@ from pipeline.labels.exports.base import ExportFormat, Job, Written
 from pipeline.labels.exports.frame_rows import iterate_frames, table_batches
 from pipeline.labels.exports.images import image_name
 from pipeline.labels.exports.json_text import json_lines
+from pipeline.labels.exports.provenance import extended_json_schemas, extended_schema
 from pipeline.labels.schema import TABLES
 from pipeline.labels.schema_files import write_schemas
 from pipeline.labels.tables import arrow_schema
@@ -36,11 +38,13 @@ def write_jsonl(job: Job) -> Written:
         rows[name] = 0
         with text_file(job.folder / f"{name}.jsonl") as file:
             for batch in table_batches(job.labels, name):
-                file.writelines(json_lines(batch))
+                ends = job.provenance.line_ends(name, batch)
+                file.writelines(line[:-2] + end for line, end in zip(json_lines(batch), ends, strict=True))
                 rows[name] += batch.num_rows
                 if name == "relations":  # By far the longest.
                     job.tell(min(batch.column("frame_index")[-1].as_py() + 1, frames), frames)
     write_schemas(job.folder / "schemas")
+    extended_json_schemas(job.folder / "schemas")
     files = (*(f"{name}.jsonl" for name in TABLES), "schemas/")
     return Written((*files, *copy_images(job)), rows)
 
@@ -78,7 +82,9 @@ def read_rows(path: Path, name: str) -> pa.Table:
         found = pj.read_json(
             path,
             read_options=pj.ReadOptions(block_size=BLOCK),
-            parse_options=pj.ParseOptions(explicit_schema=schema.remove_metadata(), unexpected_field_behavior="error"),
+            parse_options=pj.ParseOptions(
+                explicit_schema=extended_schema(name).remove_metadata(), unexpected_field_behavior="error"
+            ),
         )
     except FileNotFoundError as error:
         raise InputError(f"the table {name} is missing", path=path) from error

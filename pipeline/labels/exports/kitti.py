@@ -19,6 +19,10 @@ lists the usable ones, which alone have label and calib files. `object_ids/`
 has, line by line as in `label_2/`, the objects' numbers. Pictures, if copied,
 are PNG in `image_2/`.
 
+A line of KITTI has no room for where its values come from: `provenance.jsonl` has
+a line for every object of `label_2/`, with `index`, `line` (from 1), `frame`,
+`object` and the keys of `pipeline.labels.exports.provenance`.
+
 What comes back: of `frames` frame, frame_index, ok, width, height, K and up
 (image-up where it is unknown; K and up null where the frame is not usable); of
 `objects` frame, frame_index, object, label, score, bbox, touches_border and,
@@ -38,7 +42,7 @@ from pipeline.errors import InputError
 from pipeline.labels.exports.base import ExportFormat, Job, Written
 from pipeline.labels.exports.frame_rows import FrameRows, iterate_frames, table_batches
 from pipeline.labels.exports.images import image_name
-from pipeline.labels.exports.json_text import load_json
+from pipeline.labels.exports.json_text import json_line, load_json
 from pipeline.labels.exports.kitti_geometry import (
     from_kitti,
     level_rotation,
@@ -71,7 +75,11 @@ def write_kitti(job: Job) -> Written:
         (job.folder / name).mkdir()
     counts = {"frames": 0, "objects": 0, "boxes": 0}
     left_out = 0
-    with text_file(job.folder / "index.txt") as index, text_file(job.folder / "ImageSets" / "train.txt") as usable:
+    with (
+        text_file(job.folder / "index.txt") as index,
+        text_file(job.folder / "ImageSets" / "train.txt") as usable,
+        text_file(job.folder / "provenance.jsonl") as provenance,
+    ):
         for rows in iterate_frames(job.labels, job.tell):
             frame = rows.frame
             index.write(f"{rows.index:06d} {frame['width']} {frame['height']} {_written_id(frame['frame'])}\n")
@@ -83,12 +91,16 @@ def write_kitti(job: Job) -> Written:
             lines = [_line(row, tokens, level) for row in rows.objects]
             _write(job.folder / "label_2" / f"{rows.index:06d}.txt", lines)
             _write(job.folder / "object_ids" / f"{rows.index:06d}.txt", [str(row["object"]) for row in rows.objects])
+            for place, row in enumerate(rows.objects, start=1):
+                named = {"index": rows.index, "line": place, "frame": frame["frame"], "object": row["object"]}
+                known = job.provenance.row("objects", frame["frame"], str(row["object"]))
+                provenance.write(json_line({**named, **known}) + "\n")
             _count(counts, rows, lines)
             left_out += sum(row["center"] is not None for row in rows.objects) - sum(NO_BOX not in x for x in lines)
             if job.images is not None:
                 job.images.write(frame, job.folder / image_name(rows.index, "image_2", "png"))
     write_json(job.folder / "classes.json", {token: name for name, token in tokens.items()})
-    files = ("index.txt", "classes.json", *(f"{name}/" for name in folders))
+    files = ("index.txt", "classes.json", "provenance.jsonl", *(f"{name}/" for name in folders))
     notes = ["relations and expressions have no place in this format"]
     if left_out:
         notes.append(f"{left_out} boxes are not upright, and are written as unknown")

@@ -16,6 +16,10 @@ An object is named only where its name means no other object of the frame;
 distances and sizes are asked of objects that are seen whole. Which questions are
 asked, and how, depends on the rows and the seed alone. `pipeline.labels.exports.
 vqa_check` recomputes every answer.
+
+`provenance` of a record lists, of the objects, the pair and the expression that a
+question is made from, every value that is not the labeller's: `table`, `key` and
+the keys of `pipeline.labels.exports.provenance`. Whatever it does not list is "auto".
 """
 
 from __future__ import annotations
@@ -25,7 +29,7 @@ from pipeline.labels.exports.frame_rows import iterate_frames
 from pipeline.labels.exports.images import image_name
 from pipeline.labels.exports.json_text import JsonList
 from pipeline.labels.exports.vqa_questions import frame_questions
-from pipeline.labels.exports.vqa_records import CONVERSATIONS_FILE, VqaConfig
+from pipeline.labels.exports.vqa_records import CONVERSATIONS_FILE, Question, VqaConfig
 from pipeline.staging import text_file
 
 __all__ = ["FORMAT", "VqaConfig", "write_vqa"]
@@ -40,7 +44,8 @@ def write_vqa(job: Job) -> Written:
         for rows in iterate_frames(job.labels, job.tell):
             asked = frame_questions(rows, relations, job.options)
             for question in asked:
-                records.add(question.record())
+                known = {"base": job.provenance.base, "made_by": job.provenance.made_by}
+                records.add({**question.record(), **known, "provenance": _provenance(job, question)})
                 counts[question.kind] += 1
             if job.images is not None and asked:
                 job.images.write(rows.frame, job.folder / image_name(rows.index))
@@ -48,6 +53,17 @@ def write_vqa(job: Job) -> Written:
         file.write("\n")
     counts["questions"] = records.length
     return Written((CONVERSATIONS_FILE, *(("images/",) if job.images is not None else ())), counts)
+
+
+def _provenance(job: Job, question: Question) -> list[dict[str, object]]:
+    """Of the rows that a question and its answer were made from: their values that are not the labeller's."""
+    known, frame = job.provenance, question.frame
+    rows = [("objects", str(n)) for n in question.objects]
+    if len(question.objects) == 2 and question.kind in ("relation", "which", "grounding"):
+        rows.append(("relations", f"{question.objects[0]},{question.objects[1]}"))
+    if question.source is not None:
+        rows.append(("expressions", question.source))
+    return [{"table": table, "key": key, **entry} for table, key in rows for entry in known.of(table, frame, key)]
 
 
 FORMAT = ExportFormat(

@@ -1,0 +1,112 @@
+"""Corrections in words, with the classes of the objects instead of bare numbers."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from pipeline.journal.cells import Cell, judged_item, shown_value
+from pipeline.journal.effective_frame import EffectiveFrame
+from pipeline.journal.events import Event
+from pipeline.relations import INVERSE, PHRASE, letter
+
+FIELDS = {
+    "targets": "sure answers", "acceptable": "answers", "label": "class", "bbox": "2D box", "box": "3D box",
+    "mask": "pixels", "exists": "presence",
+}  # fmt: skip
+LONGEST = 48
+
+
+def said_object(number: int, frame: EffectiveFrame | None) -> str:
+    """ "mug·3"; "object·3" where nothing is known of it."""
+    row = None
+    if frame is not None:
+        row = frame.objects.get(number) or frame.left_out.get(number) or frame.auto.objects.get(number)
+    return f"{'object' if row is None else row['label']}·{number}"
+
+
+def said_sentence(name: str, frame: EffectiveFrame | None) -> str:
+    """The words of an expression, in quotes; "the expression" where nothing is known of it."""
+    row = None if frame is None else frame.expression(name)
+    if row is None:
+        return "the expression"
+    text = row["text"]
+    return f"“{text if len(text) <= LONGEST else f'{text[: LONGEST - 1]}…'}”"
+
+
+def said_cell(cell: Cell, frame: EffectiveFrame | None) -> str:
+    """A field in words."""
+    field = FIELDS.get(cell.field, cell.field)
+    if cell.kind == "review":
+        return f"judgement of {_judged(cell, frame)}"
+    if cell.kind == "relation":
+        a, b = (said_object(n, frame) for n in cell.numbers)
+        relation, _, status = cell.field.partition(".")
+        return f"{status and 'status of '}{a} {PHRASE.get(relation, relation)} {b}"
+    if cell.kind == "object":
+        return f"{field} of {said_object(cell.numbers[0], frame)}"
+    if cell.kind == "expression":
+        return f"{field} of {said_sentence(cell.key, frame)}"
+    return f"{field} of the {cell.kind}"
+
+
+def said_value(cell: Cell, value: Any, frame: EffectiveFrame | None) -> str:
+    """A value in words."""
+    if cell.kind == "expression" and isinstance(value, list):
+        return ", ".join(said_object(n, frame) for n in value) or "nothing"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return shown_value(cell, value)
+
+
+def said_event(event: Event, frame: EffectiveFrame | None) -> str:
+    """What an event changed, or what somebody said of an item."""
+    cell = event.cell
+    if cell.kind == "review":
+        if event.after is None:
+            return f"{_judged(cell, frame)}: judgement withdrawn"
+        value = event.after.get("value")
+        state = "" if value is None else f" is {letter(value)}"
+        return f"{_judged(cell, frame)}{state}: {event.after['status']}"
+    before, after = (said_value(cell, value, frame) for value in (event.before, event.after))
+    return f"{said_cell(cell, frame)}: {before} → {after}"
+
+
+def said_events(events: Sequence[Event], frame: EffectiveFrame | None) -> str:
+    """What an action changed: its first change in words, and how many more there are.
+
+    What follows for "b ... a" from what was said of "a ... b" is not counted.
+    """
+    changes = [e for e in events if e.before != e.after] or list(events)
+    if not changes:
+        return ""
+    more = sum(not _mirrors(changes[0], e) for e in changes[1:])
+    return said_event(changes[0], frame) + (f" (and {more} more)" if more else "")
+
+
+def _judged(cell: Cell, frame: EffectiveFrame | None) -> str:
+    _, kind, a, b, what = judged_item(cell.key)
+    if kind == "relation":
+        return f"{said_object(a, frame)} {PHRASE.get(what, what)} {said_object(int(b or 0), frame)}"
+    if kind == "object":
+        return said_object(a, frame) if a >= 0 else "a place without a label"
+    return said_sentence(what, frame)
+
+
+def _mirrors(one: Event, other: Event) -> bool:
+    first, second = _pair(one.cell), _pair(other.cell)
+    if first is None or second is None:
+        return False
+    (a, b, relation), (c, d, mirrored) = first, second
+    return (a, b) == (d, c) and mirrored == ("near" if relation == "near" else INVERSE.get(relation))
+
+
+def _pair(cell: Cell) -> tuple[int, int, str] | None:
+    if cell.kind == "relation":
+        a, b = cell.numbers
+        return a, b, cell.field
+    if cell.kind == "review":
+        _, kind, a, b, what = judged_item(cell.key)
+        if kind == "relation" and b is not None:
+            return a, b, what
+    return None

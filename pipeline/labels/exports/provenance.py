@@ -1,0 +1,245 @@
+"""Where each value comes from, and what reviewers said, beside every row of an export.
+
+Every row of every table has, whether anything was corrected or not:
+
+* `base`: which state of the labels was exported, see `ExportedFrom`; null where it is not known.
+* `made_by`: detector and rule profile, of all values that `provenance` does not list: those are "auto".
+* `provenance`: a list with an entry for each value that is not the labeller's: `column`, `source` (human, recomputed,
+  stale), `author`, `time` (ISO 8601, UTC), `event` (ULID in the journal), `reason`, `was` (the labeller's value, JSON).
+* `status` (frames, objects, expressions): accepted, corrected, rejected, unsure; null is unreviewed. Of relations
+  `statuses`: a list of {relation, status}.
+* `note` (frames), `mark` (expressions): BAD_LABEL, BAD_BOX or null.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pipeline.errors import InputError
+from pipeline.labels.corrections import MARKS_FILE, PROVENANCE_FILE, STATUSES_FILE
+from pipeline.labels.exports.json_text import json_line, load_json
+from pipeline.labels.reading import Labels
+from pipeline.labels.schema import Manifest
+from pipeline.labels.tables import arrow_schema
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+ENTRY = ("column", "source", "author", "time", "event", "reason", "was")
+REVIEWED: dict[str, tuple[str, ...]] = {
+    "frames": ("status", "note"),
+    "objects": ("status",),
+    "relations": ("statuses",),
+    "expressions": ("status", "mark"),
+}
+"""What reviewers said, by table."""
+_TABLE = {"object": "objects", "relation": "relations", "expression": "expressions", "frame": "frames"}
+_KEY = {"frames": (), "objects": ("object",), "relations": ("a", "b"), "expressions": ("id",)}
+NO_EVENT = "0"
+
+
+@dataclass(frozen=True)
+class ExportedFrom:
+    """Which state of the labels an export is of: what somebody changed in it is told by comparing with that state.
+
+    Attributes
+    ----------
+    labels : str
+        Version of the automatic labels, see `pipeline.journal.journal.labels_version`.
+    event : str or None
+        ULID of the newest correction that is in it.
+    relifted : bool
+        What follows from corrected pixels and boxes was computed, from the dataset.
+    """
+
+    labels: str
+    event: str | None
+    relifted: bool
+
+    def __str__(self) -> str:
+        return f"{self.labels}.{self.event or NO_EVENT}.{int(self.relifted)}"
+
+    @classmethod
+    def parse(cls, text: Any) -> ExportedFrom:
+        """From its text; InputError where it is none."""
+        parts = text.split(".") if isinstance(text, str) and len(text) <= 100 and text.isascii() else []
+        if len(parts) != 3 or len(parts[0]) != 16 or not parts[1].isalnum() or parts[2] not in ("0", "1"):
+            raise InputError("not the state of labels that an export names", got=repr(text)[:60])
+        return cls(parts[0], None if parts[1] == NO_EVENT else parts[1], parts[2] == "1")
+
+
+def exported_from(manifest: Manifest) -> ExportedFrom | None:
+    """The state that labels are in; None of corrected labels of an earlier release, which do not say."""
+    from pipeline.journal.journal import labels_version
+
+    said = manifest.corrections
+    if said is None:
+        return ExportedFrom(labels_version(manifest), None, False)
+    if "last" not in said:
+        return None
+    return ExportedFrom(str(said["automatic"]), said["last"], bool(said.get("relifted")))
+
+
+def made_by(manifest: Manifest) -> str:
+    """Detector and rule profile, as `pipeline.journal.origins.Origin.made_by`."""
+    parts = (str(manifest.models.get("detector", "")), str(manifest.profile.get("name", "")))
+    return ", ".join(part for part in parts if part)
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """What is known of the rows of labels beside their values.
+
+    Attributes
+    ----------
+    base, made_by : str
+        `base` is None where it is not known.
+    entries : dict of (table, frame, key) to list of dict
+        Of rows with a value that is not the labeller's; keys of dicts as ENTRY.
+    reviewed : dict of (table, frame, key) to dict
+        Fields as in the journal: "status", "left.status", "mark", "note".
+    frames : dict of str to set of str
+        By table, the frames that are in either.
+    """
+
+    base: str | None
+    made_by: str
+    entries: dict[tuple[str, str, str], list[dict[str, Any]]] = field(default_factory=dict)
+    reviewed: dict[tuple[str, str, str], dict[str, Any]] = field(default_factory=dict)
+    frames: dict[str, set[str]] = field(default_factory=dict)
+
+    def of(self, table: str, frame: str, key: str) -> list[dict[str, Any]]:
+        """The entries of a row."""
+        return self.entries.get((table, frame, key), [])
+
+    def said(self, table: str, frame: str, key: str) -> dict[str, Any]:
+        """What reviewers said of a row: the columns of REVIEWED."""
+        found = self.reviewed.get((table, frame, key), {})
+        if table == "relations":
+            names = (name.removesuffix(".status") for name in found)
+            return {"statuses": [{"relation": r, "status": found[f"{r}.status"]} for r in names]}
+        return {name: found.get(name) for name in REVIEWED[table]}
+
+    def row(self, table: str, frame: str, key: str) -> dict[str, Any]:
+        """All columns that a row has beside its own."""
+        return {
+            "base": self.base,
+            "made_by": self.made_by,
+            **self.said(table, frame, key),
+            "provenance": self.of(table, frame, key),
+        }
+
+    def rows(self, table: str, rows: pa.Table) -> Iterator[dict[str, Any] | None]:
+        """For each row of a table its further columns, None where nothing is known but `base` and `made_by`."""
+        touched = self.frames.get(table)
+        if not touched:
+            yield from (None for _ in range(rows.num_rows))
+            return
+        keys = zip(*(rows.column(name).to_pylist() for name in ("frame", *_KEY[table])), strict=True)
+        for frame, *parts in keys:
+            key = ",".join(str(p) for p in parts)
+            known = (table, frame, key) in self.entries or (table, frame, key) in self.reviewed
+            yield self.row(table, frame, key) if known else None
+
+    def line_ends(self, table: str, rows: pa.Table) -> Iterator[str]:
+        """For each row the end of its JSON line, from the comma after its own columns."""
+        plain = _line_end(self.row(table, "", ""))
+        return (plain if row is None else _line_end(row) for row in self.rows(table, rows))
+
+    def extend(self, table: str, rows: pa.Table) -> pa.Table:
+        """The rows with the further columns, of the schema `extended_schema`."""
+        import pyarrow as pa
+
+        plain = self.row(table, "", "")
+        found = [plain if row is None else row for row in self.rows(table, rows)]
+        schema = extended_schema(table)
+        added = [pa.array([row[f.name] for row in found], f.type) for f in _fields(table)]
+        return pa.Table.from_arrays([*rows.columns, *added], schema=schema)
+
+
+def _line_end(row: dict[str, Any]) -> str:
+    return ", " + json_line(row)[1:] + "\n"
+
+
+def open_provenance(labels: Labels) -> Provenance:
+    """Read what stands beside the tables of corrected labels; of others there is nothing to read.
+
+    Raises
+    ------
+    InputError
+        A file is damaged.
+    """
+    state = exported_from(labels.manifest)
+    found = Provenance(None if state is None else str(state), made_by(labels.manifest))
+    if labels.manifest.corrections is None:
+        return found
+    for row in _provenance_rows(labels.root / PROVENANCE_FILE):
+        name = row["table"], row["frame"], row["key"]
+        when = row["time"]
+        entry = {**row, "source": row["origin"], "time": None if when is None else when.isoformat()}
+        found.entries.setdefault(name, []).append({key: entry[key] for key in ENTRY})
+    try:
+        for mark in _listed(labels.root / MARKS_FILE):
+            found.reviewed.setdefault(("expressions", mark["frame"], mark["id"]), {})["mark"] = mark["mark"]
+        for status in _listed(labels.root / STATUSES_FILE):
+            name = _TABLE[status["kind"]], status["frame"], status["key"]
+            found.reviewed.setdefault(name, {})[status["field"]] = status["value"]
+    except (KeyError, TypeError, AttributeError) as error:
+        raise InputError("what reviewers said of the labels is damaged", got=repr(error), path=labels.root) from error
+    for table, frame, _ in (*found.entries, *found.reviewed):
+        found.frames.setdefault(table, set()).add(frame)
+    return found
+
+
+def _listed(path: Path) -> list[dict[str, Any]]:
+    return load_json(path) if path.exists() else []
+
+
+def _provenance_rows(path: Path) -> list[dict[str, Any]]:
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    if not path.exists():
+        return []
+    try:
+        return pq.read_table(
+            path, columns=["table", "frame", "key", "column", "origin", "author", "time", "event", "reason", "was"]
+        ).to_pylist()
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise InputError("the provenance of the labels is damaged", got=str(error).split("\n")[0], path=path) from error
+
+
+def _fields(table: str) -> list[pa.Field]:
+    import pyarrow as pa
+
+    text, entry = pa.string(), pa.struct([pa.field(name, pa.string()) for name in ENTRY])
+    statuses = pa.list_(pa.struct([pa.field("relation", text), pa.field("status", text)]))
+    said = [pa.field(name, statuses if name == "statuses" else text) for name in REVIEWED[table]]
+    return [pa.field("base", text), pa.field("made_by", text), *said, pa.field("provenance", pa.list_(entry))]
+
+
+def extended_schema(table: str) -> pa.Schema:
+    """The Arrow schema of a table with the further columns."""
+    found = arrow_schema(table)
+    for extra in _fields(table):
+        found = found.append(extra)
+    return found
+
+
+def extended_json_schemas(folder: Path) -> None:
+    """Add the further keys to the JSON Schemas of the four tables in a folder; they may also be absent."""
+    text = {"type": ["string", "null"]}
+    entry = {"type": "object", "properties": dict.fromkeys(ENTRY, text), "additionalProperties": False}
+    status = {"type": "object", "properties": {"relation": text, "status": text}, "additionalProperties": False}
+    for table, names in REVIEWED.items():
+        path = folder / f"{table}.json"
+        schema = json.loads(path.read_text(encoding="utf-8"))
+        said = {n: {"type": "array", "items": status} if n == "statuses" else text for n in names}
+        schema["properties"] |= {
+            "base": text, "made_by": text, **said, "provenance": {"type": "array", "items": entry},
+        }  # fmt: skip
+        path.write_text(json.dumps(schema, indent=1, ensure_ascii=False) + "\n", encoding="utf-8", newline="\n")

@@ -1,0 +1,97 @@
+"""Making the review queue of corrected labels, as a job for a process of its own."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from pipeline.datasets import Dataset
+from pipeline.errors import InputError
+from pipeline.jobs import open_source
+from pipeline.journal.journal import journal_of
+from pipeline.labels.reading import Labels, open_labels
+from pipeline.review.ordering import by_frame
+from pipeline.review.out_of_fold import DoubtConfig
+from pipeline.review.queue import QueueConfig, review_queue
+from pipeline.review.reviewed import Reviewed, reviewed_labels
+from pipeline.review.worklist import write_queue
+
+
+@dataclass(frozen=True)
+class QueueJob:
+    """What a queue is made of.
+
+    Attributes
+    ----------
+    labels : Path
+        As they were made.
+    out : Path
+        Parquet file to write.
+    journal, project : str or None
+        See `journal_of`.
+    dataset : str or None
+        For what follows from corrected pixels and boxes.
+    networks : bool
+        Ask networks that have not learnt from a label; that takes the most time.
+    options : dict
+        Of the dataset, for `open_source`.
+    """
+
+    labels: Path
+    out: Path
+    journal: str | None = None
+    project: str | None = None
+    dataset: str | None = None
+    networks: bool = True
+    options: dict[str, Any] = field(default_factory=dict)
+
+
+def make_queue(job: QueueJob, report: Callable[[tuple[int, int]], None]) -> dict[str, int]:
+    """Make the queue, ordered for working through, and store it.
+
+    Parameters
+    ----------
+    report : callable
+        Called with (networks trained, of how many).
+
+    Returns
+    -------
+    dict
+        items : int
+
+    Raises
+    ------
+    InputError
+        The labels or the journal cannot be read, or hold nothing to learn from.
+    MissingExtra
+        torch is not installed, and networks are to be asked.
+    """
+    labels = open_labels(job.labels)
+    with tempfile.TemporaryDirectory(prefix="spatialviz-") as folder:
+        reviewed = _reviewed(job, labels, Path(folder) / "labels")
+        config = QueueConfig(DoubtConfig() if job.networks else None)
+        queue = review_queue(
+            reviewed.labels, config, judgements=reviewed.judgements, progress=lambda done, of: report((done, of))
+        )
+    metadata = queue.schema.metadata
+    write_queue(by_frame(queue).replace_schema_metadata(metadata), job.out)
+    return {"items": queue.num_rows}
+
+
+def _reviewed(job: QueueJob, labels: Labels, folder: Path) -> Reviewed:
+    try:
+        journal = journal_of(labels, job.journal, project=job.project, must_exist=True)
+    except InputError:
+        return Reviewed(labels)
+    with journal:
+        return reviewed_labels(labels, journal, folder, _dataset(job))
+
+
+def _dataset(job: QueueJob) -> Dataset | None:
+    try:
+        return None if job.dataset is None else open_source(job.dataset, srm="rule", **job.options).dataset
+    except InputError:
+        return None

@@ -1,0 +1,220 @@
+"""A stored queue with what became of its items: what a reviewer is shown next, at the price of a look."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pipeline.errors import InputError
+from pipeline.labels.tables import write_table
+from pipeline.review.items import KINDS, SETTLED, STATES, ItemKey, State, checked_states, item_keys
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+VERSION_KEY = b"labels_version"
+_UNREVIEWED, _UNSURE = STATES.index("unreviewed"), STATES.index("unsure")
+
+
+@dataclass(frozen=True, eq=False)
+class Worklist:
+    """The items of a queue in their order, and their states; `worklist` makes one.
+
+    Attributes
+    ----------
+    queue : pyarrow.Table
+    keys : tuple of ItemKey
+        Of its rows.
+    places : dict of ItemKey to int
+        The reverse.
+    codes : (N,) int8
+        States as places in STATES.
+    tally : tuple of int
+        How many items are in each of STATES.
+    """
+
+    queue: pa.Table
+    keys: tuple[ItemKey, ...]
+    places: Mapping[ItemKey, int]
+    codes: np.ndarray
+    tally: tuple[int, ...]
+
+    def __len__(self) -> int:
+        return len(self.keys)
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """`items`, those in each state, and `settled`."""
+        by_state = dict(zip(STATES, self.tally, strict=True))
+        return {"items": len(self), **by_state, "settled": sum(by_state[s] for s in SETTLED)}
+
+    def state(self, key: ItemKey) -> State:
+        """The state of an item; InputError where the queue has no such item."""
+        return STATES[self.codes[self._place(key)]]
+
+    def row(self, key: ItemKey) -> dict:
+        """The item's row of the queue; InputError where it has none."""
+        return self.queue.slice(self._place(key), 1).to_pylist()[0]
+
+    def with_state(self, key: ItemKey, state: State) -> Worklist:
+        """The list after one item's state has changed. Nothing is ranked anew: one byte an item is copied.
+
+        An item that the queue does not hold changes nothing: people also edit what nobody doubted.
+
+        Raises
+        ------
+        InputError
+            There is no such state.
+        """
+        checked_states({key: state})
+        place = self.places.get(key.plain)
+        if place is None or STATES[self.codes[place]] == state:
+            return self
+        codes, tally, code = self.codes.copy(), list(self.tally), STATES.index(state)
+        tally[codes[place]] -= 1
+        tally[code] += 1
+        codes[place] = code
+        codes.flags.writeable = False
+        return replace(self, codes=codes, tally=tuple(tally))
+
+    def next_item(self, after: ItemKey | None = None, skip: Collection[ItemKey] = ()) -> ItemKey | None:
+        """The next item to review: the first unreviewed one behind `after`, else from the top; those that somebody is
+        unsure of come when no other is left. None where nothing is.
+
+        Parameters
+        ----------
+        after : ItemKey, optional
+            None, and one that the queue does not hold, stand before the first.
+        skip : collection of ItemKey
+            Put off: not shown.
+        """
+        start = -1 if after is None else self.places.get(after.plain, -1)
+        put_off = [self.places[k.plain] for k in skip if k.plain in self.places]
+        for code in (_UNREVIEWED, _UNSURE):
+            wanted = self.codes == code
+            wanted[put_off] = False
+            # The item itself comes last: it is shown again only where it is the only one.
+            for found, first in ((wanted[start + 1 :], start + 1), (wanted[: start + 1], 0)):
+                at = int(found.argmax()) if len(found) else 0
+                if len(found) and found[at]:
+                    return self.keys[first + at]
+        return None
+
+    def previous(self, before: ItemKey | None = None) -> ItemKey | None:
+        """The item above, whatever its state: to look again at what was settled just now. None above the first.
+
+        None, and one that the queue does not hold, stand behind the last.
+        """
+        place = len(self) if before is None else self.places.get(before.plain, len(self))
+        return self.keys[place - 1] if place else None
+
+    def _place(self, key: ItemKey) -> int:
+        place = self.places.get(key.plain)
+        if place is None:
+            raise InputError("the queue holds no such item", got=key.text())
+        return place
+
+
+def worklist(queue: pa.Table, states: Mapping[ItemKey, State] | None = None) -> Worklist:
+    """A queue with the states of its items; what the mapping lacks is unreviewed.
+
+    Raises
+    ------
+    InputError
+        A state is none, or the queue holds an item twice.
+    """
+    states = states or {}
+    checked_states(states)
+    keys = tuple(item_keys(queue))
+    places = {key: k for k, key in enumerate(keys)}
+    if len(places) < len(keys):
+        raise InputError("the queue holds an item twice", got=f"{len(keys) - len(places)} of {len(keys)} items")
+    codes = np.full(len(keys), _UNREVIEWED, np.int8)
+    for key, state in states.items():
+        place = places.get(key.plain)
+        if place is not None:
+            codes[place] = STATES.index(state)
+    codes.flags.writeable = False
+    return Worklist(queue, keys, places, codes, tuple(np.bincount(codes, minlength=len(STATES)).tolist()))
+
+
+def write_queue(queue: pa.Table, path: Path) -> None:
+    """Store a queue as Parquet, whole or not at all; it knows which labels it is of.
+
+    Raises
+    ------
+    InputError
+        It cannot be written.
+    """
+    path = Path(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_table(queue, path)
+    except OSError as error:
+        raise InputError("the queue cannot be written", got=error.strerror or str(error), path=path) from error
+
+
+def read_queue(path: str | Path, version: str | None = None) -> pa.Table:
+    """A stored queue.
+
+    Parameters
+    ----------
+    path : str or Path
+    version : str, optional
+        Of the automatic labels that it must be of: see `reviewed.automatic_version`.
+
+    Raises
+    ------
+    InputError
+        It is no queue, damaged, or of other labels.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    path = Path(path)
+    try:
+        queue = pq.ParquetFile(path).read()
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise InputError("the queue cannot be read", got=str(error).split("\n")[0], path=path) from error
+    metadata = queue.schema.metadata or {}
+    if VERSION_KEY not in metadata:
+        raise InputError("not a review queue", cause="was it written by `spatialviz review --out`?", path=path)
+    found = metadata[VERSION_KEY].decode("utf-8", "replace")
+    if version is not None and found != version:
+        raise InputError(
+            "the queue is of other labels", got=found, expected=version,
+            cause="were the labels made again? then make the queue again: spatialviz review LABELS --out", path=path,
+        )  # fmt: skip
+    _check_columns(queue, path)
+    return queue
+
+
+def _check_columns(queue: pa.Table, path: Path) -> None:
+    import pyarrow as pa
+
+    text, number, real = pa.string(), pa.int32(), pa.float64()
+    wanted = {
+        "frame": text, "frame_index": number, "kind": text, "a": number, "b": number, "relation": text,
+        "expression": text, "place": text, "label": text, "probability": real, "wrong": real, "score": real,
+        "reasons": pa.list_(text),
+    }  # fmt: skip
+    for name, kind in wanted.items():
+        if len(queue.schema.get_all_field_indices(name)) != 1:
+            raise InputError(f"the queue lacks the column {name!r}", path=path)
+        have = queue.schema.field(name).type
+        same = pa.types.is_list(have) and have.value_type == text if name == "reasons" else have == kind
+        if not same and not (pa.types.is_null(have) and not queue.num_rows):
+            raise InputError(f"the queue's column {name!r} is damaged", got=have, expected=kind, path=path)
+    for name in ("frame", "kind", "a", "score"):
+        if queue.column(name).null_count:
+            raise InputError(f"the queue's column {name!r} has gaps", got=queue.column(name).null_count, path=path)
+    strange = [k for k in queue.column("kind").unique().to_pylist() if k not in KINDS]
+    if strange:
+        raise InputError("the queue holds an unknown kind of item", got=repr(strange[0])[:60], path=path)
+    keys = item_keys(queue)
+    if len(set(keys)) < len(keys):
+        raise InputError("the queue holds an item twice", path=path)

@@ -1,0 +1,106 @@
+"""The dialog that tells who was faster, and lets one decide field by field; nothing is overwritten without it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from datetime import datetime, timezone
+
+from pipeline.correcting.disputes import Dispute, disputes
+from pipeline.correcting.wording import said_cell, said_value
+from pipeline.errors import InputError
+from pipeline.journal.effective_frame import EffectiveFrame
+from pipeline.journal.events import Conflict
+from spatialviz.app.correct import Correct
+from spatialviz.app.dialog import Dialog
+from spatialviz.app.text import safe
+
+
+class Conflicts:
+    """Shows the conflicts of one client, the oldest first.
+
+    Parameters
+    ----------
+    dialog : Dialog
+    correct : Correct
+        Saves what was decided.
+    """
+
+    def __init__(self, dialog: Dialog, correct: Correct) -> None:
+        self._dialog, self._correct = dialog, correct
+
+    def commands(self) -> dict[str, Callable[[str], None]]:
+        """What the page may ask for, by the first word of its message."""
+        return {"conflict": lambda _: self.show(), "decide": self.decide}
+
+    def _first(self) -> Conflict | None:
+        desk = self._correct.desk
+        return None if desk is None or not desk.disputed else desk.disputed[0]
+
+    def show(self) -> None:
+        """Show the oldest conflict that is not decided."""
+        conflict, desk = self._first(), self._correct.desk
+        if conflict is None or desk is None:
+            return
+        frame = self._correct.frame_of(conflict)
+        found = disputes(conflict, desk.corrector.setting)
+        self._dialog.show(
+            "Somebody was faster", conflict_html(found, frame),
+            *([] if len(found) > 1 else [("Mine instead (M)", "sv('decide:0')"), ("Keep theirs (T)", "sv('decide:')")]),
+            *([("Save as chosen", "svDecide()")] if len(found) > 1 else []),
+        )  # fmt: skip
+
+    def decide(self, mine: str) -> None:
+        """Save one's own in the disputes that are named: "0,2"."""
+        conflict, desk = self._first(), self._correct.desk
+        self._dialog.close()
+        if conflict is None or desk is None:
+            return
+        chosen = {int(k) for k in mine.split(",") if k.isdecimal()}
+        try:
+            outcome = desk.decide(conflict, chosen)
+        except InputError as error:
+            self._correct.refuse(str(error))
+            return
+        if outcome is None:
+            self._correct.tell("kept as the other one has it")
+        else:
+            self._correct.came_to(outcome, "saved instead of theirs")
+        if self._first() is not None:
+            self.show()
+
+
+def conflict_html(found: tuple[Dispute, ...], frame: EffectiveFrame | None) -> str:
+    """Each disputed field: who made it what and when, and what one wanted."""
+    rows = []
+    for k, dispute in enumerate(found):
+        rival = dispute.rivals[0]
+        event, cell, edit = rival.event, rival.edit.cell, rival.edit
+        if event is None:
+            theirs, who = "not what you saw", "It was taken back in the meantime"
+        else:
+            theirs = said_value(cell, event.after, frame)
+            who = f"<b>{safe(event.author)}</b> changed it {safe(_when(event.time))}"
+            who += f" · {safe(event.reason)}" if event.reason else ""
+        buttons = ""
+        if len(found) > 1:
+            click = "for(const s of this.parentNode.children)s.classList.toggle('on',s===this)"
+            buttons = (
+                f'<div class="seg pick" data-k="{k}"><span class="on" onclick="{click}">keep theirs</span>'
+                f'<span data-mine="1" onclick="{click}">mine instead</span></div>'
+            )
+        rows.append(
+            f'<div class="dispute"><div class="what">{safe(said_cell(cell, frame))}</div><div class="dim">{who}</div>'
+            f'<div class="two"><span>you saw</span><b>{safe(said_value(cell, edit.before, frame))}</b>'
+            f"<span>theirs</span><b>{safe(theirs)}</b>"
+            f"<span>yours</span><b>{safe(said_value(cell, edit.after, frame))}</b></div>{buttons}</div>"
+        )
+    said = "Nothing of yours was saved, and nothing of theirs is lost." if len(found) == 1 else (
+        "Nothing of yours was saved yet, and nothing of theirs is lost. Choose for each field."
+    )
+    return f'<div class="conflict"><div>{said}</div>{"".join(rows)}</div>'
+
+
+def _when(time: datetime) -> str:
+    seconds = (datetime.now(timezone.utc) - time).total_seconds()
+    clock = time.strftime("%Y-%m-%d %H:%M:%S UTC")
+    return f"{seconds:.0f} s ago ({clock})" if 0 <= seconds < 120 else f"at {clock}"

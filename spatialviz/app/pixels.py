@@ -1,0 +1,408 @@
+"""The editor of pixels: what a client draws by hand becomes a draft, and what is applied one action of the journal."""
+
+from __future__ import annotations
+
+import html
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import viser
+
+from pipeline.correcting.draft import Draft, begun, come_apart, continued, edits_of_draft, fitted, rebased
+from pipeline.drawing.depth_region import TOLERANCE
+from pipeline.drawing.gestures import Canvas, Gesture, gesture_of, read_gesture
+from pipeline.errors import InputError
+from pipeline.journal.edits import merge_objects
+from pipeline.journal.events import Conflict
+from pipeline.palette import depth_colors, hex_color
+from pipeline.picture import box_edges_2d
+from spatialviz.app.correct import Correct
+from spatialviz.app.frames import jpeg_url
+from spatialviz.app.label_view import LabelView
+from spatialviz.app.pixels_html import PART_COLORS, around, mask_url, outlines, told_of
+from spatialviz.app.pixels_scene import PixelScene
+from spatialviz.app.scene import SceneView
+from spatialviz.app.selection import Selection
+from spatialviz.app.state import State
+
+TOOLS = ("select", "brush", "erase", "polygon", "rectangle", "depth", "cut")
+LONGEST = 400_000
+"""Characters of a message."""
+
+
+class Pixels:
+    """Draws the pixels of one object after the other.
+
+    Parameters
+    ----------
+    client : viser.ClientHandle
+    scene : SceneView
+    correct : Correct
+        Saves.
+    selection : Selection
+    state, take, draw, note : callable
+        As of `Correct`.
+    """
+
+    def __init__(
+        self,
+        client: viser.ClientHandle,
+        scene: SceneView,
+        correct: Correct,
+        selection: Selection,
+        *,
+        state: Callable[[], State],
+        take: Callable[[State], None],
+        draw: Callable[[], None],
+        note: Callable[[str], None],
+    ) -> None:
+        self._client, self._correct, self._selection = client, correct, selection
+        self._state, self._take, self._draw, self._note = state, take, draw, note
+        self._scene = PixelScene(client, scene)
+        self._host = client.gui.add_html("", order=1002)
+        self._picture = client.gui.add_html("", order=1003)
+        self._drafts: dict[tuple[str, str], Draft] = {}
+        self._open: tuple[str, str] | None = None
+        self._canvas: tuple[tuple[str, str], Canvas] | None = None
+        self._of: int | None = None
+        self._tool, self._view, self._kind = "brush", "picture", "rgb"
+        self._adds, self._tolerance = True, TOLERANCE
+        self._seen = 0
+        self._said, self._bad, self._label = "", False, ""
+        self._saving = False
+
+    def commands(self) -> dict[str, Callable[[str], None]]:
+        """What the page may ask for, by the first word of its message."""
+        return {
+            "px-tool": self.choose,
+            "px-new": self.new,
+            "px-select": self.select,
+            "px-draw": self.drawn,
+            "px-hand": self.hand,
+            "px-undo": lambda _: self._stepped("undo"),
+            "px-redo": lambda _: self._stepped("redo"),
+            "px-apart": lambda _: self._changed(lambda draft, canvas: come_apart(draft, canvas)),
+            "px-apply": self.apply,
+            "px-cancel": lambda _: self.close(),
+            "px-view": self.look,
+            "px-picture": self.paint,
+            "px-merge": lambda _: self.merge(),
+        }
+
+    # ---- which object, which tool -----------------------------------------------------
+
+    @property
+    def _key(self) -> tuple[str, str]:
+        return self._state().source, self._state().frame_id
+
+    @property
+    def _draft(self) -> Draft | None:
+        return self._drafts.get(self._key) if self._open == self._key else None
+
+    def _selected(self) -> int | None:
+        state = self._state()
+        return None if state.labels is None or state.selected is None else state.labels.numbers[state.selected]
+
+    def _labels(self) -> LabelView | None:
+        """What labels are shown; says so where there are none."""
+        view = self._state().labels
+        if view is None:
+            self._note("not done: show the labels first")
+        return view
+
+    def choose(self, tool: str) -> None:
+        """Take a tool; where nothing is open yet, begin on the selected object."""
+        view = self._labels()
+        if view is None or tool not in TOOLS:
+            return
+        self._tool = tool
+        self._tell("")
+        if self._draft is None:
+            self._begin(view, self._selected(), resume=True)
+        self.follow()
+
+    def new(self, where: str) -> None:
+        """Begin a new object: drawn, by clicks in the scene ("scene"), or in a rectangle of the picture (fractions)."""
+        view = self._labels()
+        if view is None:
+            return
+        draft = self._drafts.get(self._key)
+        if draft is not None and draft.changed:
+            self._open = self._key
+            self._tell("apply or cancel this one first", True)
+            self.follow()
+            return
+        self._tool, self._view = ("depth", "scene") if where == "scene" else ("rectangle", "picture")
+        self._tell("")
+        self._begin(view, None)
+        if where not in ("", "scene"):
+            corners = where.split(",")
+            self._changed(lambda d, c: continued(d, _rectangle(corners, d), c))
+        self.follow()
+
+    def _begin(self, view: LabelView, number: int | None, resume: bool = False) -> None:
+        known = self._drafts.get(self._key)
+        self._open, self._of, self._adds = self._key, self._selected(), True
+        if resume and known is not None and known.changed:
+            self._tell("this was not applied yet")
+            return
+        self._drafts[self._key] = begun(view.frame, number)
+        if number is None and self._tool == "cut":
+            self._tool = "brush"
+
+    def select(self, fractions: str) -> None:
+        """Draw on the object at a place of the picture."""
+        draft = self._draft
+        if draft is not None and draft.changed:
+            self._tell("apply or cancel this one first", True)
+            self.follow()
+            return
+        self._selection.select_at(fractions)
+
+    def close(self) -> None:
+        """Drop the draft."""
+        self._drafts.pop(self._key, None)
+        self._open = None
+        self.follow()
+
+    # ---- drawing ----------------------------------------------------------------------
+
+    def drawn(self, said: str) -> None:
+        """A movement of the hand: "7:{...}"; 7 is told back, so that the page knows what is done."""
+        number, _, text = said.partition(":")
+        if number.isascii() and number.isdigit() and len(number) < 10:
+            self._seen = int(number)
+
+        def gesture(draft: Draft) -> Gesture:
+            if len(text) > LONGEST:
+                raise InputError("the movement is too long", got=f"{len(text)} characters")
+            try:
+                message = json.loads(text)
+            except (ValueError, RecursionError) as error:
+                raise InputError("not a movement of a tool", got=repr(text)[:60]) from error
+            return read_gesture(message, draft.height, draft.width)
+
+        self._changed(lambda draft, canvas: continued(draft, gesture(draft), canvas))
+
+    def hand(self, said: str) -> None:
+        """How clicks in the scene count: "true:0.015", adding or removing, and how alike a surface must be."""
+        adds, _, tolerance = said.partition(":")
+        try:
+            self._tolerance = float(tolerance)
+        except ValueError:
+            return
+        self._adds = adds == "true"
+
+    def on_ray(self, pixel: tuple[int, int] | None) -> bool:
+        """A click in the scene; whether it was meant for the draft."""
+        if self._draft is None or self._view != "scene":
+            return False
+        if pixel is None:
+            self._tell("no point of the cloud is there", True)
+            self.follow()
+            return True
+        at = [[pixel[0] + 0.5, pixel[1] + 0.5]]
+
+        def grown(draft: Draft, canvas: Canvas) -> Draft:
+            made = gesture_of("depth", at, draft.height, draft.width, adds=self._adds, tolerance=self._tolerance)
+            return continued(draft, made, canvas)
+
+        self._changed(grown)
+        return True
+
+    def _changed(self, change: Callable[[Draft, Canvas], Draft]) -> None:
+        draft = self._draft
+        if draft is None:
+            return
+        try:
+            self._drafts[self._key] = change(draft, self._canvas_now())
+            self._tell("")
+        except InputError as error:
+            self._tell(str(error), True)
+        self.follow()
+
+    def _canvas_now(self) -> Canvas:
+        if self._canvas is None or self._canvas[0] != self._key:
+            desk = self._correct.desk
+            if desk is None or desk.corrector.relifter is None:
+                raise InputError("the pictures are not at hand")
+            self._canvas = self._key, Canvas(desk.corrector.relifter.context(self._state().frame_id))
+        return self._canvas[1]
+
+    def _stepped(self, which: str) -> None:
+        draft = self._draft
+        if draft is None:
+            return
+        moved = draft.back() if which == "undo" else draft.forth()
+        self._tell("")
+        if moved.at != draft.at:
+            self._drafts[self._key] = moved
+            self.follow()
+        else:
+            self._correct.taken_back(which)
+            view = self._state().labels
+            if view is not None:
+                self._tell(view.said, view.bad)
+            self.follow()
+
+    # ---- saving -----------------------------------------------------------------------
+
+    def apply(self, said: str) -> None:
+        """Save the draft as one action: {"stay", "label"}; with "stay" the editor remains open."""
+        view, draft = self._labels(), self._draft
+        if view is None or draft is None:
+            return
+        try:
+            message = json.loads(said)
+            stay, label = bool(message["stay"]), str(message["label"])
+        except (ValueError, TypeError, KeyError, RecursionError):
+            stay, label = False, ""
+        try:
+            made = edits_of_draft(draft, view.frame, label)
+        except InputError as error:
+            self._drafts[self._key] = rebased(draft, view.frame)
+            self._tell(str(error), True)
+            self.follow()
+            return
+        self._label, self._saving = label, True
+        if not stay:
+            # Closed at once: drawing the whole page takes longer than saving.
+            self._host.content = _call("svPixels", {"on": False})
+        try:
+            outcome = self._correct.save(lambda _: made)
+        finally:
+            self._saving = False
+        after = self._state().labels
+        if outcome is None or isinstance(outcome, Conflict) or after is None:
+            self._tell("not saved" if after is None else after.said, True)
+            self.follow()
+            return
+        number, self._label = made[0].cell.numbers[0], ""
+        self._drafts.pop(self._key, None)
+        state = self._state()
+        self._take(replace(state, selected=after.place(number)))
+        self._tell(after.said, after.bad)
+        if stay:
+            self._begin(after, None if draft.number is None else number)
+        else:
+            self._open = None
+        self._draw()
+
+    def merge(self) -> None:
+        """Make the selected object a part of the one that was selected before it."""
+        view = self._labels()
+        if view is None:
+            return
+        pair = self._state().pair
+        if pair is None or pair[0] == pair[1]:
+            self._client.add_notification("Not done", "Select two objects, one after the other.", auto_close_seconds=8)
+            return
+        numbers = view.numbers[pair[1]], view.numbers[pair[0]]
+        if self._correct.save(lambda frame: merge_objects(frame, numbers)) is None:
+            return
+        after = self._state().labels
+        if after is not None:
+            self._take(replace(self._state(), selected=after.place(numbers[0])))
+            self._draw()
+
+    # ---- what is shown ----------------------------------------------------------------
+
+    def look(self, view: str) -> None:
+        """Draw on the "picture", or by clicks in the "scene"."""
+        if view in ("picture", "scene"):
+            self._view = view
+            self._tell("")
+            self.follow()
+
+    def paint(self, kind: str) -> None:
+        """Show the picture's "rgb" or its "depth"."""
+        if kind in ("rgb", "depth"):
+            self._kind = kind
+            self.follow()
+
+    def _tell(self, said: str, bad: bool = False) -> None:
+        self._said, self._bad = said, bad
+
+    def follow(self) -> None:
+        """Bring the editor up to the state and the draft."""
+        if self._saving:
+            return
+        state = self._state()
+        view = state.labels
+        if self._open is not None and (view is None or self._open != self._key):
+            self._open = None
+        draft = self._draft
+        if draft is None or view is None or state.loaded is None:
+            self._scene.clear()
+            self._host.content = _call("svPixels", {"on": False})
+            return
+        selected = self._selected()
+        if draft.number is not None and draft.number not in view.frame.objects:
+            self._drafts.pop(self._key)
+            self._note(f"object {draft.number} stands no longer: what was drawn for it is dropped")
+            self._open = None
+            self.follow()
+            return
+        moved = selected is not None and selected != self._of
+        if not draft.changed and (moved or rebased(draft, view.frame) != draft):
+            # A click in the picture brings another object; the view stays where the hand is.
+            self._begin(view, selected if moved else draft.number)
+            draft = self._drafts[self._key]
+        self._show(draft, view, state)
+
+    def _show(self, draft: Draft, view: LabelView, state: State) -> None:
+        canvas = self._canvas_now()
+        parts = draft.parts
+        lifted = fitted(canvas, parts[0]) if len(parts) == 1 else None
+        box = None if lifted is None else lifted.box
+        frame = canvas.context.frame
+        if self._view == "scene":
+            self._scene.draw(frame, draft.mask, box, state.dark)
+        else:
+            self._scene.clear()
+            picture = frame.rgb if self._kind == "rgb" else depth_colors(frame.depth)
+            self._picture.content = _call("svPixelsPicture", {"kind": self._kind, "url": jpeg_url(picture, 92)})
+        fresh = draft.number is None
+        row = None if draft.number is None else view.frame.objects[draft.number]
+        data: dict[str, Any] = {
+            "on": True,
+            "near": around(draft),
+            "key": f"{draft.frame}:{draft.number}:{draft.version}",
+            "view": self._view,
+            "tool": self._tool,
+            "w": draft.width,
+            "h": draft.height,
+            "title": "new object" if row is None else f"{row['label']}·{draft.number}",
+            "fresh": fresh,
+            "label": self._label,
+            "cuttable": not fresh,
+            "names": list(view.frame.setting.class_names) if fresh else None,
+            "color": hex_color(PART_COLORS[0]),
+            "mask": mask_url(parts),
+            "others": outlines(state.shown.objects, state.shown.names, draft.number),
+            "edges": [] if box is None else (box_edges_2d(box, frame.camera) + 0.5).reshape(-1, 4).round(1).tolist(),
+            "steps": draft.at if draft.changed else 0,
+            "back": draft.at > 0,
+            "forth": draft.at < len(draft.steps) - 1,
+            "parts": len(parts),
+            "seen": self._seen,
+            "said": self._said,
+            "bad": self._bad,
+            "info": told_of(draft, lifted, parts),
+        }
+        self._host.content = _call("svPixels", data)
+
+
+def _call(function: str, data: dict[str, Any]) -> str:
+    call = html.escape(f"window.{function}&&{function}({json.dumps(data)})", quote=True)
+    return f'<img src="" style="display:none" onerror="{call}">'
+
+
+def _rectangle(corners: list[str], draft: Draft) -> Gesture:
+    try:
+        x0, y0, x1, y1 = (float(c) for c in corners)
+    except ValueError as error:
+        raise InputError("not a rectangle", got=",".join(corners)[:60]) from error
+    return gesture_of("surface", [[x0, y0], [x1, y1]], draft.height, draft.width, fractions=True)

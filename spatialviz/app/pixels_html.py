@@ -1,0 +1,103 @@
+"""What the page shows of drawing pixels: the row of tools above the picture, and the draft for the large editor."""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Sequence
+from typing import Any
+
+import cv2
+import numpy as np
+
+from pipeline.correcting.draft import Draft
+from pipeline.lifting import LiftedObject
+from pipeline.objects import SceneObject
+from pipeline.palette import ON_DARK, RGB, instance_colors
+from pipeline.run_length import decode_crop
+from spatialviz.app.state import State
+from spatialviz.app.text import BAD, IDLE, note, safe
+
+TOOLS = {
+    "brush": "paint pixels (Shift+I)",
+    "erase": "take pixels away",
+    "polygon": "corner by corner",
+    "rectangle": "between two corners",
+    "depth": "the surface around a click",
+    "cut": "split it in parts (Shift+X)",
+}
+PART_COLORS: tuple[RGB, ...] = (ON_DARK["edited"], ON_DARK["reference"], ON_DARK["target"], ON_DARK["truth"])
+"""Of the parts of a draft; a whole object has the first, that of edits."""
+
+
+def pixel_row_html(state: State) -> str:
+    """The tools above the picture, while labels are shown; each opens the large editor."""
+    if state.labels is None:
+        return ""
+    selected = state.selected is not None
+    cells = []
+    for name, hint in TOOLS.items():
+        cells.append(_cell(name, f"px-tool:{name}", hint, selected or name != "cut"))
+    cells.append(_cell("new object", "px-new", "drawn on the picture (Shift+N; Shift-drag on the picture)", True, "w2"))
+    cells.append(_cell("new from 3D", "px-new:scene", "by clicks in the scene (Shift+T)", True, "w2"))
+    hint = "select two objects, one after the other"
+    if state.pair is not None and state.pair[0] != state.pair[1]:
+        one, other = (state.shown.names[i] for i in state.pair[:2])
+        hint = f"{one} becomes a part of {other} (Shift+M)"
+    cells.append(_cell("merge", "px-merge", hint, state.pair is not None, "w2"))
+    said = state.labels.said
+    told = note(said, BAD if state.labels.bad else IDLE) if said else ""
+    shown = f'<div class="pxsaid" title="{safe(said)}">{told}</div>' if said else ""
+    return f'<div class="pxrow">{"".join(cells)}</div>{shown}'
+
+
+def _cell(name: str, message: str, hint: str, on: bool, more: str = "") -> str:
+    action = f' onclick="sv(\'{message}\')"' if on else ""
+    return f'<span class="{more}{"" if on else " off"}" role="button" title="{safe(hint)}"{action}>{name}</span>'
+
+
+def mask_url(parts: Sequence[np.ndarray]) -> str:
+    """Masks ((H, W) bool each) as one transparent picture, each part in its colour, as a data URL."""
+    height, width = parts[0].shape
+    image = np.zeros((height, width, 4), np.uint8)
+    colors = [*PART_COLORS, *instance_colors(max(len(parts) - len(PART_COLORS), 0) or 1)]
+    for part, (r, g, b) in zip(parts, colors, strict=False):
+        image[part] = b, g, r, 255
+    data = cv2.imencode(".png", image, [cv2.IMWRITE_PNG_COMPRESSION, 1])[1]
+    return "data:image/png;base64," + base64.b64encode(data.tobytes()).decode()
+
+
+def outlines(objects: Sequence[SceneObject], names: Sequence[str], without: int | None) -> list[dict[str, Any]]:
+    """The outlines of objects for the editor: lines as x0, y0, x1, y1, ... in pixels."""
+    found = []
+    for entry, name in zip(objects, names, strict=True):
+        if entry.id == without:
+            continue
+        lines, _ = cv2.findContours(entry.mask.view(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_TC89_L1)
+        kept = [(line.reshape(-1) + 0.5).tolist() for line in lines if len(line) > 2]
+        found.append({"name": name, "size": entry.lifted.quality.mask_pixels, "lines": kept})
+    return found
+
+
+def around(draft: Draft) -> list[int] | None:
+    """x0, y0, x1, y1 of the picture around the object as it was; None where the whole picture is no larger."""
+    (first, *_) = draft.steps[0]
+    x0, y0, x1, y1 = decode_crop((draft.height, draft.width), first).box
+    side = max(x1 - x0, y1 - y0)
+    if side == 0:
+        return None
+    margin = max(side // 2, 24)
+    box = [max(x0 - margin, 0), max(y0 - margin, 0), min(x1 + margin, draft.width), min(y1 + margin, draft.height)]
+    return box if box[2] - box[0] < 0.7 * draft.width and box[3] - box[1] < 0.7 * draft.height else None
+
+
+def told_of(draft: Draft, lifted: LiftedObject | None, parts: Sequence[np.ndarray]) -> str:
+    """The size of what is drawn, and of the box that it would get."""
+    if len(parts) > 1:
+        return f"{len(parts)} parts: " + " + ".join(f"{int(p.sum()):,}" for p in parts) + " pixels"
+    pixels = f"{int(parts[0].sum()):,} pixels"
+    if lifted is None:
+        return pixels if draft.number is not None else "nothing is drawn yet"
+    if lifted.box is None:
+        return f"{pixels} · no 3D box: too little depth"
+    width, height, depth = lifted.box.size
+    return f"{pixels} · {lifted.quality.points:,} points · box {width:.2f} × {height:.2f} × {depth:.2f} m"

@@ -1,0 +1,303 @@
+"""The review queue of one client: made in another process, worked through with single keys."""
+
+from __future__ import annotations
+
+import tempfile
+import threading
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from pipeline.background import Background, start_background
+from pipeline.correcting.journal_place import JournalPlace
+from pipeline.errors import InputError
+from pipeline.journal.cells import Cell, object_cell
+from pipeline.journal.edits import Edits, judge_missing, set_status
+from pipeline.journal.effective_frame import EffectiveFrame
+from pipeline.journal.events import Event
+from pipeline.review.items import ItemKey
+from pipeline.review.queue_job import QueueJob, make_queue
+from pipeline.review.states import item_of, states_of
+from pipeline.review.worklist import Worklist, read_queue, worklist
+from spatialviz.app.correct import Correct, Wanted
+from spatialviz.app.frames import FrameStore
+from spatialviz.app.layout import Page
+from spatialviz.app.queue_html import KINDS, Making, item_html, queue_html
+from spatialviz.app.state import State
+
+
+class ReviewQueue:
+    """Walks through the queue of the source that a client looks at.
+
+    Parameters
+    ----------
+    page : Page
+    store : FrameStore
+    journals : mapping of str to JournalPlace
+        By name of the source.
+    correct : Correct
+    state : callable
+        Gives the client's state.
+    note : callable
+        Writes a line of the log.
+    post : callable
+        Runs something later, on the client's own thread.
+    """
+
+    def __init__(
+        self,
+        page: Page,
+        store: FrameStore,
+        journals: Mapping[str, JournalPlace],
+        correct: Correct,
+        *,
+        state: Callable[[], State],
+        note: Callable[[str], None],
+        post: Callable[[Callable[[], None]], None],
+    ) -> None:
+        self._page, self._store, self._journals, self._correct = page, store, journals, correct
+        self._state, self._note, self._post = state, note, post
+        self._works: dict[str, Worklist] = {}
+        self._making: dict[str, Making] = {}
+        self._jobs: dict[str, Background] = {}
+        self._names: dict[str, dict[tuple[str, int], str]] = {}
+        self._kind = "all"
+        correct.on_saved(self.saved)
+
+    def commands(self) -> dict[str, Callable[[str], None]]:
+        """What the page may ask for, by the first word of its message."""
+        return {
+            "settle": self.settle,
+            "next-item": lambda step: self.step(int(step)),
+            "item": lambda place: self.open(int(place)),
+            "queue-kind": self.choose_kind,
+            "make-queue": lambda how: self.make(networks=how == "networks"),
+            "accept-item": lambda _: self.say("accepted"),
+            "reject-item": lambda _: self.say("rejected"),
+            "unsure-item": lambda _: self.say("unsure"),
+        }
+
+    def close(self) -> None:
+        """End what is running."""
+        for job in self._jobs.values():
+            if not job.done:
+                job.cancel()
+
+    @property
+    def _work(self) -> Worklist | None:
+        return self._works.get(self._state().source)
+
+    @property
+    def _item(self) -> ItemKey | None:
+        view = self._state().labels
+        return None if view is None else view.item
+
+    # ---- the queue --------------------------------------------------------------------
+
+    def make(self, networks: bool) -> None:
+        """Make the queue of the source that is looked at, in another process."""
+        name = self._state().source
+        place = self._journals.get(name)
+        if place is None or self._making.get(name, Making()).running:
+            return
+        folder = tempfile.TemporaryDirectory(prefix="spatialviz-")
+        job = QueueJob(
+            place.labels.root,
+            Path(folder.name) / "queue.parquet",
+            None if place.where is None else str(place.where),
+            place.project,
+            str(self._store.sources[name].dataset.root),
+            networks,
+        )
+        self._making[name] = Making(True, networks)
+
+        def heard(step: tuple[int, int]) -> None:
+            self._post(lambda: self._made(name, replace(self._making[name], done=step[0], of=step[1])))
+
+        def ended(record: Any, problem: str) -> None:
+            def take() -> None:
+                said = problem
+                try:
+                    if not problem:
+                        self._works[name] = worklist(read_queue(job.out), self._states(place))
+                        self._note(f"review queue: {record['items']} items")
+                except InputError as error:
+                    said = str(error)
+                folder.cleanup()
+                if said:
+                    self._note(f"no review queue: {said}")
+                self._made(name, Making(problem=said))
+
+            self._post(take)
+
+        self._jobs[name] = start_background(make_queue, job, on_progress=heard, on_end=ended)
+        self.follow()
+
+    def _made(self, name: str, making: Making) -> None:
+        self._making[name] = making
+        self.follow()
+
+    def _states(self, place: JournalPlace) -> Mapping[ItemKey, Any]:
+        journal = place.to_read()
+        return {} if journal is None else states_of(journal)
+
+    def saved(self, events: tuple[Event, ...]) -> None:
+        """Labels have changed: the states of their items follow."""
+        work, desk = self._work, self._correct.desk
+        if work is None or desk is None:
+            return
+        for frame in {e.cell.frame for e in events}:
+            states = states_of(desk.events(frame))
+            for key in {item_of(e.cell) for e in events if e.cell.frame == frame}:
+                if key is not None:
+                    work = work.with_state(key, states.get(key, "unreviewed"))
+        self._works[self._state().source] = work
+
+    # ---- walking ----------------------------------------------------------------------
+
+    def step(self, step: int) -> None:
+        """Look at the next item that is open, or at the one above."""
+        work = self._work
+        if work is None:
+            return
+        if step < 0:
+            found = self._item
+            while (found := work.previous(found)) is not None and not self._fits(found):
+                pass
+        else:
+            found = self._next(work, self._item)
+        if found is not None:
+            self.look_at(found)
+
+    def _next(self, work: Worklist, after: ItemKey | None) -> ItemKey | None:
+        if self._kind == "all":
+            return work.next_item(after)
+        others = [k for k in work.keys if not self._fits(k)]
+        return work.next_item(after, skip=others)
+
+    def _fits(self, key: ItemKey) -> bool:
+        return self._kind in ("all", key.kind)
+
+    def open(self, place: int) -> None:
+        """Look at the item of a row."""
+        work = self._work
+        if work is not None and 0 <= place < len(work):
+            self.look_at(work.keys[place])
+
+    def look_at(self, key: ItemKey) -> None:
+        """Show an item: its pair, its object, or the ends of its sentence."""
+        work = self._work
+        ends = (key.a, key.b)
+        if work is not None and key.kind == "expression" and key.plain in work.places:
+            row = work.row(key)
+            ends = (row["a"], row["b"])
+        numbers = tuple(n for n in ends if n is not None and n >= 0)
+        relation = key.what if key.kind == "relation" else None
+        self._correct.look_at(Wanted(key.frame, numbers, relation, key))
+        self._prefetch(key)
+
+    def _prefetch(self, key: ItemKey) -> None:
+        """Load the frame of the item after this one, while this one is looked at."""
+        work = self._work
+        after = None if work is None else self._next(work, key)
+        if after is None or after.frame == key.frame:
+            return
+        name, frame = self._state().source, after.frame
+
+        def load() -> None:
+            # Whoever opens it is told what is wrong with it.
+            with suppress(InputError):
+                self._store.load(name, frame)
+
+        threading.Thread(target=load, daemon=True).start()
+
+    def choose_kind(self, kind: str) -> None:
+        """Walk through items of one kind only."""
+        if kind in KINDS:
+            self._kind = kind
+            self.follow()
+
+    # ---- settling ---------------------------------------------------------------------
+
+    def settle(self, said: str) -> None:
+        """Settle a relation; where it is the item that is looked at, go on to the next."""
+        view = self._state().labels
+        if view is None:
+            return
+        item = view.item
+        done = self._correct.settle(said, draw=False)
+        if done is None:
+            return
+        relation, ends = done
+        if item is not None and (item.what, item.a, item.b) == (relation, *ends) and self._go_on(item):
+            return
+        self._correct.redraw()
+
+    def say(self, status: str) -> None:
+        """Say of the item that is looked at, else of the selected object, that it is right, wrong, or unclear."""
+        view, desk, item = self._state().labels, self._correct.desk, self._item
+        if view is None or desk is None:
+            return
+        selected = self._state().selected
+        if item is None and selected is None:
+            return
+        number = None if selected is None else view.numbers[selected]
+
+        def made(frame: EffectiveFrame) -> Edits:
+            if item is not None and item.kind == "object" and item.a < 0:
+                return judge_missing(frame, item.what, status, desk.author)
+            cell = object_cell(frame.frame, int(number or 0), "status") if item is None else status_cell(item)
+            if cell.kind == "relation" and status == "rejected":
+                raise InputError("a relation is not rejected", expected="T, U or F")
+            return set_status(frame, cell, status, author=desk.author)
+
+        if self._correct.save(made, draw=False) and (item is None or not self._go_on(item)):
+            self._correct.redraw()
+
+    def _go_on(self, item: ItemKey) -> bool:
+        work = self._work
+        after = None if work is None or self._correct.waits else self._next(work, item)
+        if after is None or after.plain == item.plain:
+            return False
+        self.look_at(after)
+        return True
+
+    # ---- drawing ----------------------------------------------------------------------
+
+    def follow(self) -> None:
+        """Bring the list and the item up to the state; the first time, make the queue."""
+        name, page = self._state().source, self._page
+        if page.review_list is None or page.review_item is None or name not in self._journals:
+            return
+        work, making = self._work, self._making.get(name, Making())
+        if self._state().labels is not None and work is None and not making.running and not making.problem:
+            self.make(networks=False)
+            return
+        names = self._known_names(name)
+        item = self._item
+        row = work.row(item) if work is not None and item is not None and item.plain in work.places else None
+        page.review_item.content = "" if row is None else f'<div class="sv">{item_html(row, names, item)}</div>'
+        page.review_list.content = queue_html(work, making, self._kind, item, names)
+
+    def _known_names(self, name: str) -> dict[tuple[str, int], str]:
+        """Class names of the labelled objects, as the labels were made."""
+        if name not in self._names:
+            objects = self._journals[name].labels.objects
+            columns = (objects.column(c).to_pylist() for c in ("frame", "object", "label"))
+            self._names[name] = {(f, n): label for f, n, label in zip(*columns, strict=True)}
+        view = self._state().labels
+        if view is not None:
+            frame = view.frame
+            self._names[name].update({(frame.frame, n): r["label"] for n, r in frame.objects.items()})
+        return self._names[name]
+
+
+def status_cell(item: ItemKey) -> Cell:
+    """The status of an item."""
+    if item.kind == "relation":
+        return Cell("relation", item.frame, f"{item.a},{item.b}", f"{item.what}.status")
+    if item.kind == "object":
+        return object_cell(item.frame, item.a, "status")
+    return Cell("expression", item.frame, item.what, "status")

@@ -1,0 +1,82 @@
+"""Long work in another process."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from typing import Any
+
+from pipeline.background import start_background
+from pipeline.errors import InputError
+
+
+def counted(to: int, report: Callable[[Any], None]) -> str:
+    for n in range(to):
+        report(n)
+    return f"counted to {to}"
+
+
+def refused(report: Callable[[Any], None]) -> None:
+    raise InputError("there is no such thing", got="nonsense")
+
+
+def broken(report: Callable[[Any], None]) -> None:
+    raise ZeroDivisionError("one by nought")
+
+
+def endless(report: Callable[[Any], None]) -> None:
+    report("begun")
+    while True:
+        time.sleep(0.05)
+
+
+def gone(report: Callable[[Any], None]) -> None:
+    import os
+
+    os._exit(7)
+
+
+class Heard:
+    """What came of a job."""
+
+    def __init__(self) -> None:
+        self.steps: list[Any] = []
+        self.end: tuple[Any, str] | None = None
+        self._step, self._ended = threading.Event(), threading.Event()
+
+    def step(self, value: Any) -> None:
+        self.steps.append(value)
+        self._step.set()
+
+    def ended(self, result: Any, problem: str) -> None:
+        self.end = result, problem
+        self._ended.set()
+
+    def run(self, function: Callable[..., Any], *args: Any, cancel: bool = False) -> tuple[Any, str]:
+        job = start_background(function, *args, on_progress=self.step, on_end=self.ended)
+        if cancel:
+            assert self._step.wait(60)
+            job.cancel()
+        assert self._ended.wait(60)
+        assert job.done
+        assert self.end is not None
+        return self.end
+
+
+def test_a_result_comes_after_every_step() -> None:
+    heard = Heard()
+    assert heard.run(counted, 5) == ("counted to 5", "")
+    assert heard.steps == [0, 1, 2, 3, 4]
+
+
+def test_problems_come_in_words() -> None:
+    assert Heard().run(refused) == (None, "there is no such thing; got nonsense")
+    assert Heard().run(broken) == (None, "ZeroDivisionError: one by nought")
+    result, problem = Heard().run(gone)
+    assert result is None
+    assert "ended without a result" in problem
+
+
+def test_a_job_can_be_ended() -> None:
+    assert Heard().run(endless, cancel=True) == (None, "cancelled")

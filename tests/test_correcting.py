@@ -1,0 +1,378 @@
+"""Desks, conflicts and waiting edits: what one person sees, what two do at once, what is never lost."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from journal_world import FRAME, an_expression
+
+from pipeline.correcting.desk import Desk
+from pipeline.correcting.disputes import decided, disputes
+from pipeline.correcting.event_lines import event_lines
+from pipeline.correcting.journal_place import JournalPlace
+from pipeline.correcting.rescue import rescue
+from pipeline.correcting.unsaved import Waiting
+from pipeline.errors import InputError
+from pipeline.journal import edits
+from pipeline.journal.batch import apply_actions, read_actions
+from pipeline.journal.cells import object_cell, relation_cell
+from pipeline.journal.events import Conflict, NotSaved, Saved
+from pipeline.journal.journal import Journal
+from pipeline.journal.undo import redo
+from pipeline.labels.reading import Labels
+from pipeline.relations import F, T
+
+Open = Callable[..., Desk]
+
+
+@pytest.fixture
+def place(demo_labels: Labels, tmp_path: Path) -> Iterator[JournalPlace]:
+    found = JournalPlace(demo_labels, tmp_path / "j.sqlite")
+    yield found
+    found.close()
+
+
+@pytest.fixture
+def desk(demo_labels: Labels, place: JournalPlace) -> Open:
+    """Opens desks of one journal."""
+    return lambda author="ann": Desk(demo_labels, place, author)
+
+
+class Broken:
+    """A journal whose disk is full until it is mended."""
+
+    def __init__(self, place: JournalPlace, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.full, real = True, Journal.write
+
+        def write(journal: Journal, made: Any, author: str, action: Any, **how: Any) -> Any:
+            if self.full:
+                group = how.get("group") or f"{len(made)}" + "X" * 25
+                raise NotSaved("the edit could not be saved", made, group, got="disk full", cause=None, path=None)
+            return real(journal, made, author, action, **how)
+
+        monkeypatch.setattr(Journal, "write", write)
+
+
+# ---- conflicts -----------------------------------------------------------------------
+
+
+def two_on_one_relation(desk: Open) -> tuple[Desk, Desk, Conflict, tuple[int, int]]:
+    ann, bob = desk("ann"), desk("bob")
+    mine, theirs = ann.frame(FRAME), bob.frame(FRAME)
+    a, b = (int(n) for n in mine.pairs.numbers[:2])
+    assert isinstance(ann.save(edits.set_relation(mine, a, b, "left", T, "seen so")), Saved)
+    conflict = bob.save(edits.set_relation(theirs, a, b, "left", 0))
+    assert isinstance(conflict, Conflict)
+    return ann, bob, conflict, (a, b)
+
+
+def test_the_second_is_told_and_may_take_theirs(desk: Open) -> None:
+    _, bob, conflict, (a, b) = two_on_one_relation(desk)
+    (dispute,) = disputes(conflict, bob.corrector.setting)
+    record = dispute.record()
+    assert (record["by"], record["theirs"], record["mine"], record["reason"]) == ("ann", "T", "U", "seen so")
+    assert len(dispute.edits) == 2, "the inverse stands and falls with its relation"
+    assert bob.disputed == (conflict,)
+    assert bob.decide(conflict, ()) is None
+    assert bob.disputed == ()
+    assert bob.frame(FRAME).pairs.state(a, b, "left") == T
+    assert len(bob.events(FRAME)) == 2
+
+
+def test_mine_instead_is_made_on_theirs_and_says_so(desk: Open) -> None:
+    ann, bob, conflict, (a, b) = two_on_one_relation(desk)
+    done = bob.decide(conflict, (0,))
+    assert isinstance(done, Saved)
+    assert done.events[0].reason == "instead of ann's T"
+    assert (done.events[0].before, done.events[0].base) == (T, 1)
+    frame = ann.frame(FRAME)
+    assert (frame.pairs.state(a, b, "left"), frame.pairs.state(b, a, "right")) == (0, 0)
+    assert not frame.unapplied
+    assert bob.disputed == ()
+
+
+def test_who_decides_is_told_again_where_somebody_was_faster_again(desk: Open) -> None:
+    ann, bob, conflict, (a, b) = two_on_one_relation(desk)
+    ann.save(edits.set_relation(ann.frame(FRAME), a, b, "left", F))
+    again = bob.decide(conflict, (0,))
+    assert isinstance(again, Conflict)
+    assert again.rivals[0].event is not None
+    assert again.rivals[0].event.after == F
+    assert bob.disputed == (again,)
+    assert bob.frame(FRAME).pairs.state(a, b, "left") == F
+
+
+def test_what_nobody_disputes_is_saved_with_either_choice(desk: Open) -> None:
+    ann, bob = desk("ann"), desk("bob")
+    frame = bob.frame(FRAME)
+    first, second = sorted(frame.objects)[:2]
+    both = (*edits.set_class(frame, first, "vase"), *edits.set_class(frame, second, "bowl"))
+    ann.save(edits.set_class(ann.frame(FRAME), second, "cup"))
+    conflict = bob.save(both)
+    assert isinstance(conflict, Conflict)
+    assert [d.cell.numbers for d in disputes(conflict, bob.corrector.setting)] == [(second,)]
+    kept = decided(conflict, bob.frame(FRAME), ())
+    assert [e.cell for e in kept] == [object_cell(FRAME, first, "label")]
+    assert isinstance(bob.decide(conflict, ()), Saved)
+    assert [bob.frame(FRAME).objects[n]["label"] for n in (first, second)] == ["vase", "cup"]
+
+
+def test_answers_of_an_expression_are_decided_as_one(desk: Open) -> None:
+    ann, bob = desk("ann"), desk("bob")
+    frame = bob.frame(FRAME)
+    row = an_expression(frame)
+    others = [n for n in frame.objects if n not in row["acceptable"]]
+    ann.save(edits.set_ambiguous(ann.frame(FRAME), row["id"], not row["ambiguous"]))
+    conflict = bob.save(edits.set_answers(frame, row["id"], others[:1]))
+    assert isinstance(conflict, Conflict)
+    assert len(conflict.rivals) == 1
+    (dispute,) = disputes(conflict, bob.corrector.setting)
+    assert len(dispute.edits) == 3
+    assert bob.decide(conflict, ()) is None
+    assert bob.frame(FRAME).expressions[row["id"]]["targets"] == row["targets"]
+
+
+def test_an_undo_that_somebody_built_upon_is_a_conflict_to_decide(desk: Open) -> None:
+    ann, bob = desk("ann"), desk("bob")
+    number = min(ann.frame(FRAME).objects)
+    ann.save(edits.set_class(ann.frame(FRAME), number, "vase"))
+    bob.save(edits.set_class(bob.frame(FRAME), number, "bowl"))
+    conflict = ann.undo()
+    assert isinstance(conflict, Conflict)
+    was = ann.frame(FRAME).auto.objects[number]["label"]
+    assert isinstance(ann.decide(conflict, (0,)), Saved)
+    assert ann.frame(FRAME).objects[number]["label"] == was
+
+
+# ---- waiting -------------------------------------------------------------------------
+
+
+def test_what_cannot_be_saved_is_shown_kept_and_saved_in_order(
+    desk: Open, place: JournalPlace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ann = desk("ann")
+    name = an_expression(ann.frame(FRAME))["id"]
+    disk = Broken(place, monkeypatch)
+    for text in ("one", "two"):
+        assert isinstance(ann.save(edits.set_text(ann.frame(FRAME), name, text)), Waiting)
+    assert ann.frame(FRAME).expressions[name]["text"] == "two"
+    again, other = desk("ann"), desk("bob")
+    assert again.frame(FRAME).expressions[name]["text"] == "two", "another page of the same author sees them"
+    assert other.frame(FRAME).expressions[name]["text"] != "two"
+    assert [line.waiting for line in again.history(FRAME, expression=name)] == [True, True]
+    assert isinstance(again.retry()[0], Waiting)
+    with pytest.raises(InputError, match="not saved yet"):
+        ann.sign("cleo")
+    disk.full = False
+    assert [type(o) for o in again.retry()] == [Saved, Saved]
+    assert ann.waiting == ()
+    assert [e.after for e in other.events(FRAME)] == ["one", "two"]
+    assert [line.waiting for line in ann.history(FRAME, expression=name)] == []
+    ann.frame(FRAME)
+    assert [line.waiting for line in ann.history(FRAME, expression=name)] == [False, False]
+
+
+def test_many_pages_of_one_author_save_what_waits_once(
+    desk: Open, place: JournalPlace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ann = desk("ann")
+    numbers = sorted(ann.frame(FRAME).objects)[:5]
+    disk = Broken(place, monkeypatch)
+    for n in numbers:
+        ann.save(edits.set_class(ann.frame(FRAME), n, "vase"))
+    disk.full = False
+    pages = [threading.Thread(target=desk("ann").retry) for _ in range(4)]
+    for page in pages:
+        page.start()
+    for page in pages:
+        page.join()
+    ann.retry()
+    assert [e.cell.numbers[0] for e in ann.events(FRAME)] == numbers
+
+
+def test_what_waited_too_long_is_a_conflict_that_is_kept(
+    desk: Open, place: JournalPlace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ann, bob = desk("ann"), desk("bob")
+    number = min(ann.frame(FRAME).objects)
+    disk = Broken(place, monkeypatch)
+    ann.save(edits.set_class(ann.frame(FRAME), number, "vase"))
+    disk.full = False
+    bob.save(edits.set_class(bob.frame(FRAME), number, "bowl"))
+    (outcome,) = ann.retry()
+    assert isinstance(outcome, Conflict)
+    assert desk("ann").disputed == (outcome,)
+    assert ann.frame(FRAME).objects[number]["label"] == "bowl"
+    assert isinstance(desk("ann").decide(outcome, (0,)), Saved)
+    assert ann.frame(FRAME).objects[number]["label"] == "vase"
+
+
+def test_taking_back_what_waits_drops_it(desk: Open, place: JournalPlace, monkeypatch: pytest.MonkeyPatch) -> None:
+    ann = desk("ann")
+    number = min(ann.frame(FRAME).objects)
+    was = ann.frame(FRAME).objects[number]["label"]
+    disk = Broken(place, monkeypatch)
+    ann.save(edits.set_class(ann.frame(FRAME), number, "vase"))
+    assert isinstance(ann.undo(), Waiting)
+    assert ann.frame(FRAME).objects[number]["label"] == was
+    disk.full = False
+    assert ann.retry() == ()
+    assert ann.undo() is None
+
+
+def test_who_works_on_while_the_database_is_away_sees_their_own_edits(
+    desk: Open, place: JournalPlace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ann, bob = desk("ann"), desk("bob")
+    number, other = sorted(ann.frame(FRAME).objects)[:2]
+    ann.save(edits.set_class(ann.frame(FRAME), number, "vase"))
+    Broken(place, monkeypatch)
+
+    def away(*_: Any, **__: Any) -> Any:
+        raise InputError("the journal cannot be read")
+
+    ann.frame(FRAME)
+    monkeypatch.setattr(Journal, "events", away)
+    assert isinstance(ann.save(edits.set_class(ann.frame(FRAME), other, "bowl")), Waiting)
+    assert [ann.frame(FRAME).objects[n]["label"] for n in (number, other)] == ["vase", "bowl"]
+    with pytest.raises(InputError, match="cannot be read"):
+        bob.frame(FRAME)
+
+
+def test_what_is_left_at_the_end_goes_to_files_that_correct_takes(
+    desk: Open, place: JournalPlace, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    ann, bob = desk("ann"), desk("bob")
+    frame = ann.frame(FRAME)
+    name, number = an_expression(frame)["id"], min(frame.objects)
+    disk = Broken(place, monkeypatch)
+    disk.full = False
+    stale = edits.set_class(bob.frame(FRAME), number, "bowl")
+    ann.save(edits.set_class(frame, number, "vase"))
+    assert isinstance(bob.save(stale), Conflict)
+    disk.full = True
+    for text in ("one", "two"):
+        ann.save(edits.set_text(ann.frame(FRAME), name, text))
+    ann.save(edits.add_object(ann.frame(FRAME), "lamp", bbox=[10, 10, 60, 60], number=1_000_007))
+    ann.save(edits.set_class(ann.frame(FRAME), 1_000_007, "kettle"))
+    nowhere = tmp_path / "absent"
+    (hers, his) = rescue(place, [nowhere, tmp_path])
+    assert (hers.author, len(hers.edits), len(hers.files)) == ("ann", 4, 2)
+    assert "disk full" in hers.problem
+    assert (his.author, len(his.files)) == ("bob", 1)
+    assert rescue(place, [nowhere])[0].files == ()
+    disk.full = False
+    for path in hers.files:
+        done = apply_actions(ann.corrector, place.to_write(), read_actions(path), "ann")
+        assert isinstance(done, Saved), path.read_text()
+    told = apply_actions(ann.corrector, place.to_write(), read_actions(his.files[0]), "bob")
+    assert isinstance(told, Conflict)
+    fresh = desk("cleo").frame(FRAME)
+    assert fresh.expressions[name]["text"] == "two"
+    assert fresh.objects[1_000_007]["label"] == "kettle"
+    assert fresh.objects[number]["label"] == "vase"
+    # What the program saved after all, in spite of the files, is not saved twice.
+    assert isinstance(apply_actions(ann.corrector, place.to_write(), read_actions(hers.files[0]), "ann"), Conflict)
+
+
+def test_nothing_waits_nothing_is_written(place: JournalPlace, tmp_path: Path) -> None:
+    assert rescue(place, [tmp_path]) == ()
+    assert list(tmp_path.glob("unsaved*")) == []
+
+
+# ---- others, and history -------------------------------------------------------------
+
+
+def test_news_are_what_others_saved_since_the_last_look(desk: Open) -> None:
+    ann, bob = desk("ann"), desk("bob")
+    number = min(ann.frame(FRAME).objects)
+    assert ann.news(FRAME) == ()
+    bob.save(edits.set_class(bob.frame(FRAME), number, "bowl"))
+    (event,) = ann.news(FRAME)
+    assert (event.author, event.after) == ("bob", "bowl")
+    assert ann.news(FRAME) == (event,), "asking does not take them"
+    ann.frame(FRAME)
+    assert ann.news(FRAME) == ()
+    assert ann.corrected(FRAME) is ann.frame(FRAME)
+    assert ann.corrected("000001/000001") is None
+
+
+def test_a_desk_takes_only_names(desk: Open) -> None:
+    ann = desk("ann")
+    ann.sign("  bob ")
+    assert ann.author == "bob"
+    for bad in ("", "   ", "a\x00", "x" * 1000):
+        with pytest.raises(InputError):
+            ann.sign(bad)
+    assert ann.author == "bob"
+
+
+def test_history_tells_what_was_taken_back_and_whose_it_is(desk: Open, place: JournalPlace) -> None:
+    ann, bob = desk("ann"), desk("bob")
+    frame = ann.frame(FRAME)
+    a, b = (int(n) for n in frame.pairs.numbers[:2])
+    ann.save(edits.set_relation(frame, a, b, "left", T))
+    bob.save(edits.set_class(bob.frame(FRAME), a, "vase"))
+    ann.save(edits.set_class(ann.frame(FRAME), b, "bowl"))
+
+    def lines(who: Desk, **about: Any) -> Any:
+        who.frame(FRAME)
+        return who.history(FRAME, **about)
+
+    both = lines(ann, pair=(b, a))
+    assert {x.event.cell for x in both} == {relation_cell(FRAME, a, b, "left"), relation_cell(FRAME, b, a, "right")}
+    assert [x.event.author for x in lines(ann, objects=(a, b), pair=(a, b))] == ["ann", "bob", "ann", "ann"]
+    assert [bool(x.group) for x in lines(bob, objects=(a, b))] == [False, True]
+    group = both[0].group
+    assert isinstance(ann.undo(group), Saved)
+    assert [(x.undone and x.undone.author, x.group) for x in lines(ann, pair=(a, b))] == [("ann", "")] * 2
+    assert ann.frame(FRAME).objects[b]["label"] == "bowl", "only that action is taken back"
+    assert isinstance(redo(place.to_write(), "ann"), Saved)
+    again = lines(ann, pair=(a, b))[0]
+    assert again.undone is None
+    assert again.group != group
+    assert isinstance(ann.undo(again.group), Saved)
+    assert lines(ann, pair=(a, b))[0].undone is not None
+    assert lines(ann) == ()
+    with pytest.raises(InputError, match="no action"):
+        ann.undo("nobody's")
+
+
+@settings(max_examples=25)
+@given(st.lists(st.sampled_from(["edit", "undo", "redo"]), max_size=10))
+def test_history_agrees_with_what_undo_would_take(steps: list[str]) -> None:
+    from datetime import datetime, timezone
+
+    from pipeline.journal.events import Event
+
+    cell, value, version = object_cell(FRAME, 1, "label"), "0", 0
+    events: list[Event] = []
+    stack: list[tuple[str, str, str]] = []
+    undone: list[tuple[str, str, str]] = []
+    for k, step in enumerate(steps):
+        source = stack if step == "undo" else undone
+        if step != "edit" and not source:
+            continue
+        before, after, of = value, str(k + 1), None
+        if step == "edit":
+            undone.clear()
+        else:
+            of, after, _ = source.pop()
+        ulid = f"u{k}"
+        (undone if step == "undo" else stack).append((ulid, before, after))
+        events.append(Event(k + 1, ulid, "ann", datetime.now(timezone.utc), cell, before, after, version, version + 1,
+                            "", "", f"g{k}", step, of, {}))  # type: ignore[arg-type]  # fmt: skip
+        value, version = after, version + 1
+    lines = event_lines(events, "ann", objects=[1])
+    assert len(lines) == steps_made(events)
+    assert {x.group for x in lines if x.group} == {f"g{u[1:]}" for u, _, _ in stack}
+
+
+def steps_made(events: list[Any]) -> int:
+    return sum(e.action == "edit" for e in events)

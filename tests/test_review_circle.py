@@ -1,0 +1,135 @@
+"""The full circle: a failure that wrong labels taught is found, the labels are corrected, and it is gone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from review_labels import with_relations
+
+from pipeline.correcting.desk import Desk
+from pipeline.correcting.journal_place import JournalPlace
+from pipeline.errors import InputError
+from pipeline.evaluation.compare import read_records
+from pipeline.evaluation.intervals import BootstrapConfig
+from pipeline.evaluation.job import evaluate_dataset
+from pipeline.evaluation.run import EvalSpec
+from pipeline.evaluation.run_folder import open_run
+from pipeline.journal.edits import set_relation
+from pipeline.journal.events import Saved
+from pipeline.labels.reading import Labels
+from pipeline.relations import DIRECTIONAL, F, T
+from pipeline.review.circle import AFTER, BEFORE, Circle, CircleJob, run_circle
+from pipeline.review.retraining import RetrainConfig
+from pipeline.srm.label_data import read_label_data
+from pipeline.srm.label_training import LabelTraining, train_on_labels
+from pipeline.srm.splits import TEST, split_frames
+from pipeline.srm.train import TrainConfig
+
+pytest.importorskip("torch")
+pytest.importorskip("onnx")
+
+CONFIG = RetrainConfig(TrainConfig(epochs=4, batch=64, seed=2), bootstrap=BootstrapConfig(resamples=100))
+
+
+@pytest.fixture(scope="module")
+def held_out(demo_labels: Labels) -> set[str]:
+    """The frames that no network learns from."""
+    keys = [f.key for f in read_label_data(demo_labels, "rel14", DIRECTIONAL).frames]
+    plan = split_frames(keys, "scene", CONFIG.train.seed)
+    return {keys[k].frame for k in plan.places(TEST)}
+
+
+@pytest.fixture(scope="module")
+def planted(demo_labels: Labels, held_out: set[str], tmp_path_factory: pytest.TempPathFactory) -> Labels:
+    """The demo's labels with "in front of" and "behind" the wrong way round, but for the frames held out."""
+    relations = demo_labels.relations
+    wrong = ~np.isin(relations.column("frame").to_numpy(zero_copy_only=False), list(held_out))
+    front, behind = (relations.column(name).to_numpy() for name in ("front", "behind"))
+    columns = {"front": np.where(wrong, behind, front), "behind": np.where(wrong, front, behind)}
+    return with_relations(demo_labels, tmp_path_factory.mktemp("planted") / "labels", columns)
+
+
+@pytest.fixture(scope="module")
+def failed(planted: Labels, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A run with the network that has learnt the wrong labels."""
+    folder = tmp_path_factory.mktemp("failed")
+    train_on_labels(LabelTraining(planted.root, CONFIG.train, "scene"), folder / "wrong.onnx")
+    spec = EvalSpec("demo", str(planted.root), {"srm": folder / "wrong.onnx"})
+    evaluate_dataset(spec, folder / "run", plots=False, bootstrap=BootstrapConfig(resamples=50))
+    return folder / "run"
+
+
+@pytest.fixture(scope="module")
+def circle(planted: Labels, held_out: set[str], failed: Path, tmp_path_factory: pytest.TempPathFactory) -> Circle:
+    """Every wrong cell corrected as a person does it, then retrained and replayed."""
+    folder = tmp_path_factory.mktemp("circle")
+    place = JournalPlace(planted, folder / "journal.sqlite")
+    desk = Desk(planted, place, "ann")
+    for name in set(planted.frames.column("frame").to_pylist()) - held_out:
+        frame = desk.frame(name)
+        numbers = frame.pairs.numbers.tolist()
+        found = {(a, b): frame.pairs.state(a, b, "front") for a in numbers for b in numbers}
+        # The mirror, "b behind a", is set with it.
+        edits = [
+            edit
+            for (a, b), state in found.items()
+            if state is not None and state in (T, F)
+            for edit in set_relation(frame, a, b, "front", -state)
+        ]
+        assert isinstance(desk.save(edits), Saved)
+    place.close()
+    job = CircleJob(
+        planted.root, folder / "out", str(folder / "journal.sqlite"), dataset="demo", run=failed,
+        config=replace(CONFIG, split="scene"),
+    )  # fmt: skip
+    return run_circle(job)
+
+
+def _failures(run: Path, held_out: set[str]) -> dict[tuple[str, str], dict]:
+    """Wrong answers about front and behind in the frames that were held out, where the labels are right."""
+    rows = read_records(run).to_pylist()
+    wanted = [r for r in rows if r["relation"] in ("front", "behind") and r["frame"] in held_out and not r["correct"]]
+    return {(r["frame"], r["id"]): r for r in wanted}
+
+
+def test_the_debugger_blames_the_relations_for_what_wrong_labels_taught(failed: Path, held_out: set[str]) -> None:
+    verdicts = [r["verdict"] for r in _failures(failed, held_out).values()]
+    assert len(verdicts) >= 10
+    assert verdicts.count("SRM") > 0.9 * len(verdicts)
+
+
+def test_what_was_mended_is_learnt_and_the_failures_are_gone(
+    circle: Circle, failed: Path, held_out: set[str]
+) -> None:
+    wrong = _failures(failed, held_out)
+    left = _failures(circle.folder / AFTER, held_out)
+    blamed = [{k for k, r in found.items() if r["verdict"] == "SRM"} for found in (wrong, left)]
+    assert len(blamed[1]) < 0.3 * len(blamed[0])
+    assert len(left) < 0.5 * len(wrong)
+    assert circle.replay is not None
+    fixed = {(r["frame"], r["id"]) for r in circle.replay.fixed}
+    gone = wrong.keys() - left.keys()
+    # What is fixed is counted over all acceptable answers, and one of several may have been given before.
+    assert len(fixed & gone) > 0.7 * len(gone)
+    assert circle.retraining.gain.f1[circle.retraining.relations.index("front")].value > 0.5
+
+
+def test_runs_of_the_circle_can_be_opened_and_name_what_made_them(circle: Circle, failed: Path) -> None:
+    for name in (BEFORE, AFTER):
+        run = open_run(circle.folder / name)
+        assert Path(run.spec.labels) == circle.folder / "labels"
+        assert len(run.records) == len(open_run(failed).records)
+    assert Path(str(open_run(circle.folder / AFTER).spec.options["srm"])) == circle.network
+    assert open_run(circle.folder / BEFORE).spec.options["srm"] == open_run(failed).spec.options["srm"]
+
+
+def test_without_corrections_nothing_is_trained(planted: Labels, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no journal here"):
+        run_circle(CircleJob(planted.root, tmp_path / "out", str(tmp_path / "none.sqlite")))
+    JournalPlace(planted, tmp_path / "empty.sqlite").to_write().close()
+    with pytest.raises(InputError, match="nothing was corrected"):
+        run_circle(CircleJob(planted.root, tmp_path / "out", str(tmp_path / "empty.sqlite")))
+    assert not (tmp_path / "out").exists()

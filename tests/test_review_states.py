@@ -1,0 +1,308 @@
+"""States of a review from the journal: who said what, on what they differ, what is left for whom."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from journal_world import FRAME, an_expression, saved
+from sklearn.metrics import cohen_kappa_score
+
+from pipeline.errors import InputError
+from pipeline.journal import edits as actions
+from pipeline.journal.batch import actions_of, apply_actions
+from pipeline.journal.cells import Cell
+from pipeline.journal.effective import Corrector
+from pipeline.journal.effective_frame import EffectiveFrame
+from pipeline.journal.events import Conflict, Saved
+from pipeline.journal.journal import Journal
+from pipeline.journal.materialise import materialise
+from pipeline.journal.undo import redo, undo
+from pipeline.labels.reading import Labels
+from pipeline.relations import F, T
+from pipeline.review.agreement import pair_agreements
+from pipeline.review.cells import read_cells
+from pipeline.review.items import NOBODY, SETTLED, ItemKey, State, item_keys, left_to_review
+from pipeline.review.out_of_fold import DoubtConfig, doubt_labels
+from pipeline.review.progress import review_progress, wrong_left
+from pipeline.review.queue import QueueConfig, review_queue
+from pipeline.review.reviewed import reviewed_labels, settled_cells, states_on_labels, trusted_of_data
+from pipeline.review.second_opinions import left_for
+from pipeline.review.states import judgements_of, states_of
+from pipeline.srm.label_data import read_label_data
+from pipeline.srm.train import TrainConfig
+
+RULES_ONLY = QueueConfig(doubts=None)
+
+
+@pytest.fixture
+def frame(bare_corrector: Corrector, journal: Journal) -> Any:
+    """The frame as it is each time it is asked for."""
+    return lambda: bare_corrector.frame(FRAME, journal)
+
+
+def some_pairs(frame: EffectiveFrame, count: int) -> list[tuple[int, int]]:
+    """Pairs of which the first is left of the second, no two of the same two objects."""
+    k = 0
+    places = np.argwhere(frame.pairs.present & (frame.pairs.states[..., k] == T))[:count]
+    return [(int(a), int(b)) for a, b in frame.pairs.numbers[places]]
+
+
+def left(a: int, b: int) -> ItemKey:
+    return ItemKey(FRAME, "relation", a, b, "left")
+
+
+def status_cell(a: int, b: int) -> Cell:
+    return Cell("relation", FRAME, f"{a},{b}", "left.status")
+
+
+def test_every_state_has_its_edit_and_undo_takes_it_back(frame: Any, journal: Journal) -> None:
+    (a, b), (c, d), *_ = some_pairs(frame(), 4)
+    number = frame().pairs.numbers.tolist()[0]
+    spoken = an_expression(frame())["id"]
+    saved(journal, actions.set_relation(frame(), a, b, "left", F))
+    saved(journal, actions.set_status(frame(), status_cell(c, d), "accepted", author="ann"))
+    saved(journal, actions.set_status(frame(), Cell("object", FRAME, str(number), "status"), "unsure", author="ann"))
+    saved(journal, actions.set_mark(frame(), spoken, "BAD_LABEL"))
+    expected: dict[ItemKey, State] = {
+        left(a, b): "corrected",
+        ItemKey(FRAME, "relation", b, a, "right"): "corrected",
+        left(c, d): "accepted",
+        ItemKey(FRAME, "object", number, None, ""): "unsure",
+        ItemKey(FRAME, "expression", NOBODY, None, spoken): "rejected",
+    }
+    assert states_of(journal) == states_of(journal, "ann") == expected
+    assert states_of(journal, "bob") == {}
+    assert judgements_of(journal).words[left(c, d)]["ann"].said == "T"
+    kept = [expected]
+    while undo(journal, "ann") is not None:
+        kept.append(states_of(journal))
+    assert kept[-1] == {}
+    assert all(len(one) > len(two) for one, two in pairwise(kept))
+    while kept:
+        assert states_of(journal) == kept.pop()
+        redo(journal, "ann")
+
+
+def test_setting_back_what_the_labels_said_accepts_it(frame: Any, journal: Journal) -> None:
+    ((a, b),) = some_pairs(frame(), 1)
+    saved(journal, actions.set_relation(frame(), a, b, "left", F))
+    saved(journal, actions.set_relation(frame(), a, b, "left", T), "bob")
+    assert states_of(journal, "ann")[left(a, b)] == "corrected"
+    assert states_of(journal, "bob")[left(a, b)] == "accepted"
+    assert states_of(journal)[left(a, b)] == "unsure", "they say different things"
+
+
+def test_a_status_of_an_older_journal_counts_for_the_value_that_it_was_of(frame: Any, journal: Journal) -> None:
+    (a, b), (c, d), *_ = some_pairs(frame(), 4)
+    saved(journal, actions.set_status(frame(), status_cell(a, b), "accepted"))
+    saved(journal, actions.set_relation(frame(), a, b, "left", F), "bob")
+    saved(journal, actions.set_status(frame(), status_cell(c, d), "accepted"))
+    found = judgements_of(journal, automatic={left(c, d): T}.get)
+    assert {w.author: w.said for w in found.words[left(a, b)].values()} == {"ann": "T", "bob": "F"}
+    assert found.differ(left(a, b))
+    assert found.words[left(c, d)]["ann"].said == "T"
+    assert judgements_of(journal).words[left(c, d)]["ann"].said == "accepted"
+
+
+def test_who_accepts_a_correction_agrees_with_it(frame: Any, journal: Journal) -> None:
+    number = frame().pairs.numbers.tolist()[0]
+    status = Cell("object", FRAME, str(number), "status")
+    saved(journal, actions.set_class(frame(), number, "notebook"))
+    saved(journal, actions.set_status(frame(), status, "accepted", author="bob"), "bob")
+    key = ItemKey(FRAME, "object", number, None, "")
+    assert not judgements_of(journal).differ(key)
+    assert states_of(journal)[key] == "accepted"
+    saved(journal, actions.set_status(frame(), status, "rejected", author="cay"), "cay")
+    assert judgements_of(journal).differ(key)
+    assert number in frame().left_out
+
+
+def test_a_second_opinion_neither_conflicts_nor_changes_the_label(frame: Any, journal: Journal) -> None:
+    ((a, b),) = some_pairs(frame(), 1)
+    as_both_see_it = frame()
+    saved(journal, actions.set_relation(as_both_see_it, a, b, "left", F))
+    saved(journal, actions.judge_relation(as_both_see_it, a, b, "left", T, "bob"), "bob")
+    assert frame().pairs.state(a, b, "left") == F
+    found = judgements_of(journal)
+    assert found.state(left(a, b)) == "unsure"
+    assert found.state(ItemKey(FRAME, "relation", b, a, "right")) == "unsure"
+    (pair,) = pair_agreements(found)
+    assert [(k, one, other) for k, one, other in pair.differ if k.what == "left"] == [(left(a, b), "F", "T")]
+    saved(journal, actions.settle(frame(), status_cell(a, b), "corrected", state=T), "cay")
+    assert frame().pairs.state(a, b, "left") == T
+    found = judgements_of(journal)
+    assert found.state(left(a, b)) == "corrected"
+    assert found.said(left(a, b)) == "T"
+    (pair,) = pair_agreements(found)
+    assert left(a, b) in {k for k, _, _ in pair.differ}, "a settlement is no judgement"
+    assert "cay" not in found.authors
+    undo(journal, "cay")
+    assert judgements_of(journal).state(left(a, b)) == "unsure"
+    redo(journal, "cay")
+    saved(journal, actions.judge_relation(frame(), a, b, "left", F, "ann"))
+    assert judgements_of(journal).state(left(a, b)) == "unsure", "a word after the settlement opens it again"
+
+
+def test_judgements_go_through_a_file_of_edits(bare_corrector: Corrector, journal: Journal) -> None:
+    a, b = some_pairs(bare_corrector.frame(FRAME, journal), 1)[0]
+    pair = {"frame": FRAME, "a": a, "b": b, "relation": "left"}
+    for author, to in (("ann", "F"), ("bob", "accepted")):
+        todo = actions_of([{"edit": "judge", "to": to, **pair}])
+        assert isinstance(apply_actions(bare_corrector, journal, todo, author), Saved)
+    assert judgements_of(journal).differ(left(a, b))
+    todo = actions_of([{"edit": "settle", "to": "F", **pair}])
+    assert isinstance(apply_actions(bare_corrector, journal, todo, "cay"), Saved)
+    assert bare_corrector.frame(FRAME, journal).pairs.state(a, b, "left") == F
+    assert states_of(journal)[left(a, b)] == "corrected"
+    assert isinstance(apply_actions(bare_corrector, journal, todo, "dan"), Conflict)
+    for wrong in ({"edit": "judge", "to": "fine", **pair}, {"edit": "judge", "to": "T", "frame": FRAME},
+                  {"edit": "judge", "to": "T", **pair, "relation": "between"}):  # fmt: skip
+        with pytest.raises(InputError):
+            apply_actions(bare_corrector, journal, actions_of([wrong]), "ann")
+
+
+def test_kappa_is_of_what_each_said(frame: Any, journal: Journal) -> None:
+    seen = frame()
+    pairs = some_pairs(seen, 12)
+    rng = np.random.default_rng(3)
+    said: dict[str, list[int]] = {"ann": [], "bob": []}
+    for a, b in pairs:
+        for author, states in said.items():
+            states.append(int(rng.choice([T, T, F])))
+            cell = actions.judge_relation(seen, a, b, "left", states[-1], author)[0]
+            saved(journal, (cell,), author)
+    saved(journal, actions.set_status(frame(), status_cell(*pairs[0]), "unsure", author="ann"))
+    (pair,) = pair_agreements(judgements_of(journal))
+    assert pair.all.items == 11
+    assert pair.all.kappa == pytest.approx(cohen_kappa_score(said["ann"][1:], said["bob"][1:]))
+    assert len(pair.differ) == sum(x != y for x, y in zip(said["ann"][1:], said["bob"][1:], strict=True))
+    assert set(pair.kinds) == {"relation"}
+    assert pair_agreements(judgements_of(journal.events(author="ann"))) == ()
+
+
+def test_judgements_change_no_label(demo_labels: Labels, journal: Journal, frame: Any, tmp_path: Path) -> None:
+    for a, b in some_pairs(frame(), 3):
+        saved(journal, actions.judge_relation(frame(), a, b, "left", F, "ann"))
+    manifest, found = materialise(demo_labels, journal, tmp_path / "effective")
+    assert found.unapplied == ()
+    for name in ("objects", "relations", "expressions", "frames"):
+        assert manifest.tables[name].content_hash == demo_labels.manifest.tables[name].content_hash
+    key = ItemKey(FRAME, "relation", *some_pairs(frame(), 1)[0], "left")
+    states = states_on_labels(judgements_of(journal), read_cells(demo_labels))
+    assert states[key] == "unsure", "the label is not what the only word on it says"
+
+
+def test_the_queue_takes_what_was_said(demo_labels: Labels, journal: Journal, frame: Any, tmp_path: Path) -> None:
+    before = review_queue(demo_labels, RULES_ONLY)
+    mirrored = ("left", "right", "front", "behind")
+    doubted = [k for k in item_keys(before) if k.what in mirrored and k.frame == FRAME]
+    settled = doubted[0]
+    disputed = next(k for k in doubted if {k.a, k.b} != {settled.a, settled.b})
+    saved(journal, actions.set_relation(frame(), settled.a, settled.b or 0, settled.what, F))
+    seen = frame()
+    for author, state in (("ann", T), ("bob", F)):
+        saved(journal, actions.judge_relation(seen, disputed.a, disputed.b or 0, disputed.what, state, author), author)
+    number = frame().pairs.numbers.tolist()[-1]
+    saved(journal, actions.set_status(frame(), Cell("object", FRAME, str(number), "status"), "accepted", author="bob"),
+          "bob")  # fmt: skip
+    reviewed = reviewed_labels(demo_labels, journal, tmp_path / "effective")
+    queue = review_queue(reviewed.labels, RULES_ONLY, judgements=reviewed.judgements)
+    rows = dict(zip(item_keys(queue), queue.to_pylist(), strict=True))
+    top = queue.slice(0, 1).to_pylist()[0]
+    assert {top["a"], top["b"]} == {disputed.a, disputed.b}
+    assert top["reasons"][0] == "reviewers disagree: ann says T, bob says F"
+    assert rows[settled]["score"] == 0
+    assert rows[settled]["label"] == "F"
+    assert rows[settled]["reasons"] == []
+    states = states_on_labels(reviewed.judgements, read_cells(reviewed.labels))
+    hidden = item_keys(left_to_review(queue, states))
+    assert settled not in hidden
+    assert disputed in hidden
+    assert ItemKey(FRAME, "object", number, None, "") in rows
+    record = review_progress(queue, reviewed.judgements, states)
+    assert record["reviewers"]["ann"]["corrected"] + record["reviewers"]["ann"]["accepted"] == 4
+    assert record["disagreements"] == 2
+    assert record["settled"] == 3
+    assert record["share"] == pytest.approx(3 / queue.num_rows)
+    assert sum(record["days"].values()) == 5
+    assert record["kinds"]["object"]["accepted"] == 1
+    assert record["estimated_wrong"] is None
+
+
+def test_settled_labels_are_never_doubted(demo_labels: Labels) -> None:
+    cells = read_cells(demo_labels)
+    rows = np.flatnonzero(cells.states[:, 0] != 0)[::3]
+    keys = [ItemKey(str(cells.frame[r]), "relation", int(cells.a[r]), int(cells.b[r]), "left") for r in rows]
+    settled = settled_cells(cells, dict.fromkeys(keys, "accepted"))
+    assert settled.sum() == len(keys)
+    data = read_label_data(demo_labels, "rel14", demo_labels.relation_names)
+    trusted = trusted_of_data(cells, settled, data)
+    known = [k for k in keys for f in data.frames if f.key.frame == k.frame and {k.a, k.b} <= set(f.objects.tolist())]
+    assert sum(int(t.sum()) for t in trusted) == len(known) > 20
+    config = DoubtConfig(folds=2, train=TrainConfig(vocabulary="all", epochs=1, batch=256))
+    doubts = doubt_labels(data, config, trusted=trusted)
+    for wrong, sure in zip(doubts.wrong, trusted, strict=True):
+        assert (wrong[sure] == 0).all()
+    untrusted = doubt_labels(data, config)
+    assert doubts.noise["left"].joint.sum() == pytest.approx(untrusted.noise["left"].joint.sum() - len(known))
+    queue = review_queue(demo_labels, RULES_ONLY, doubts=(data, untrusted))
+    assert wrong_left(queue, {}) == pytest.approx(float((queue.schema.metadata or {})[b"estimated_wrong"]))
+    assert wrong_left(queue, dict.fromkeys(item_keys(queue), "accepted")) == 0
+
+
+def test_what_is_left_for_a_second_reviewer(demo_labels: Labels, journal: Journal, frame: Any) -> None:
+    queue = review_queue(demo_labels, RULES_ONLY)
+    of_frame = [k for k in item_keys(queue) if k.kind == "relation" and k.frame == FRAME][:60]
+    edits = [e for k in of_frame for e in actions.set_status(frame(), Cell("relation", FRAME, f"{k.a},{k.b}",
+             f"{k.what}.status"), "accepted", author="ann")]  # fmt: skip
+    saved(journal, tuple(edits))
+    judgements = judgements_of(journal)
+    states = judgements.states()
+    keys = set(item_keys(queue))
+
+    def shown(**options: Any) -> list[ItemKey]:
+        return item_keys(left_for(queue, judgements, states, "bob", **options))
+
+    assert set(shown()) == keys - set(of_frame)
+    assert set(shown(overlap=1.0)) == keys
+    third = set(shown(overlap=0.3)) & set(of_frame)
+    assert 5 < len(third) < 35
+    assert third <= set(shown(overlap=0.6)), "a larger share holds the smaller one"
+    assert set(shown(second_opinion_of="ann")) == set(of_frame)
+    assert set(shown(second_opinion_of="ann", overlap=0.3)) == third
+    order = shown(overlap=0.3)
+    assert [k for k in order if k not in third] == [k for k in item_keys(queue) if k not in of_frame]
+    assert order.index(min(third, key=order.index)) < len(order) - len(third), "they are not all at the end"
+    assert set(item_keys(left_for(queue, judgements, states, "ann"))) == keys - set(of_frame)
+    assert set(left_for(queue, judgements, states, "bob", overlap=1.0).column("state").to_pylist()) == {"unreviewed"}
+    for wrong in ({"overlap": 1.5}, {"overlap": float("nan")}, {"second_opinion_of": "bob"}):
+        with pytest.raises(InputError):
+            shown(**wrong)
+
+
+def test_states_are_of_the_last_word(frame: Any, journal: Journal) -> None:
+    """A random story of two people against a model that keeps everyone's last word."""
+    rng = np.random.default_rng(1)
+    pairs = some_pairs(frame(), 3)
+    said: dict[tuple[int, int], dict[str, str]] = {}
+    order: dict[tuple[int, int], str] = {}
+    for _ in range(25):
+        a, b = pairs[rng.integers(len(pairs))]
+        author = ("ann", "bob")[rng.integers(2)]
+        to = (None, "accepted", "unsure", "rejected")[rng.integers(4)]
+        saved(journal, actions.judge(frame(), status_cell(a, b), to, author), author)
+        said.setdefault((a, b), {})[author] = to or "unreviewed"
+        order[a, b] = author
+    found = judgements_of(journal)
+    for (a, b), words in said.items():
+        for author, status in words.items():
+            assert found.states(author).get(left(a, b), "unreviewed") == status
+        decided = {w for w in words.values() if w in SETTLED}
+        if len(decided) > 1:
+            assert found.state(left(a, b)) == "unsure"
+        elif words[order[a, b]] != "unreviewed":
+            assert found.state(left(a, b)) == words[order[a, b]]

@@ -1,0 +1,154 @@
+"""A stored queue and what is shown next from it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pyarrow as pa
+import pyarrow.parquet as pq
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from pipeline.errors import InputError
+from pipeline.labels.reading import Labels
+from pipeline.review.items import STATES, ItemKey, item_keys, left_to_review, progress_counts
+from pipeline.review.queue import QueueConfig, review_queue
+from pipeline.review.reviewed import automatic_version
+from pipeline.review.worklist import Worklist, read_queue, worklist, write_queue
+
+
+def queue_of(count: int) -> pa.Table:
+    kinds = ["relation", "object", "expression"]
+    rows = [
+        {"frame": f"f{k // 7}", "kind": kinds[k % 3], "a": k, "b": k + 1 if k % 3 == 0 else None,
+         "relation": "left" if k % 3 == 0 else None, "expression": f"{k:x}" if k % 3 == 2 else None}
+        for k in range(count)
+    ]  # fmt: skip
+    names = {"frame": pa.string(), "kind": pa.string(), "a": pa.int32(), "b": pa.int32(), "relation": pa.string(),
+             "expression": pa.string()}  # fmt: skip
+    return pa.Table.from_pylist(rows, pa.schema(list(names.items())))
+
+
+@given(st.integers(0, 12), st.lists(st.tuples(st.integers(0, 11), st.sampled_from(STATES)), max_size=30), st.data())
+def test_a_list_is_its_queue_with_its_states(
+    count: int, steps: list[tuple[int, str]], data: st.DataObject
+) -> None:
+    queue = queue_of(count)
+    keys = item_keys(queue)
+    found, states = worklist(queue), {}
+    for place, state in steps:
+        if place >= count:
+            continue
+        was = found.codes.copy()
+        after = found.with_state(keys[place], state)  # pyright: ignore[reportArgumentType]
+        assert (found.codes == was).all()
+        found = after
+        states[keys[place]] = state
+    again = worklist(queue, states)
+    assert (again.codes == found.codes).all()
+    assert again.tally == found.tally
+    counts = progress_counts(queue, states)
+    assert found.counts == {k: v for k, v in counts.items() if k != "elsewhere"}
+    skip = set(data.draw(st.lists(st.sampled_from(keys), max_size=4))) if keys else set()
+    left = [k for k in item_keys(left_to_review(queue, states)) if k not in skip]
+    assert found.next_item(skip=skip) == (left[0] if left else None)
+    seen, at, now = [], None, found
+    while (key := now.next_item(at, skip)) is not None:
+        seen.append(key)
+        now, at = now.with_state(key, "accepted"), key
+    assert sorted(seen) == sorted(left), "each is shown once"
+    unreviewed = [k for k in left if states.get(k, "unreviewed") == "unreviewed"]
+    assert seen[: len(unreviewed)] == unreviewed, "in the order of the queue, and those that somebody is unsure of last"
+
+
+def test_what_comes_next_and_what_was_before() -> None:
+    queue = queue_of(6)
+    keys = item_keys(queue)
+    found = worklist(queue, {keys[1]: "accepted", keys[2]: "unsure"})
+    assert found.next_item() == keys[0]
+    assert found.next_item(keys[0]) == keys[3]
+    assert found.next_item(keys[5]) == keys[0], "from the top again"
+    assert found.next_item(keys[0], skip=keys[3:]) == keys[0], "it is the only one"
+    assert found.next_item(None, skip=[keys[0], *keys[3:]]) == keys[2], "what somebody is unsure of comes last"
+    assert found.next_item(None, skip=keys) is None
+    assert found.previous(keys[3]) == keys[2]
+    assert found.previous(keys[0]) is None
+    assert found.previous() == keys[5]
+    elsewhere = ItemKey("f9", "object", 1, None, "")
+    assert found.next_item(elsewhere) == keys[0]
+    assert found.with_state(elsewhere, "accepted") is found
+    spoken = keys[2]._replace(a=2, b=9)
+    assert found.state(spoken) == "unsure", "an expression is named by its id"
+    with pytest.raises(InputError, match="no such item"):
+        found.state(elsewhere)
+    with pytest.raises(InputError, match="no such state"):
+        found.with_state(keys[0], "done")  # pyright: ignore[reportArgumentType]
+    with pytest.raises(InputError, match="twice"):
+        worklist(pa.concat_tables([queue, queue]))
+    assert isinstance(worklist(queue_of(0)), Worklist)
+    assert worklist(queue_of(0)).next_item() is None
+
+
+@pytest.fixture(scope="module")
+def stored(label_sets: dict[str, Labels], tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, pa.Table]:
+    path = tmp_path_factory.mktemp("queue") / "deep" / "queue.parquet"
+    queue = review_queue(label_sets["demo"], QueueConfig(doubts=None))
+    write_queue(queue, path)
+    return path, queue
+
+
+def test_a_stored_queue_reads_back(stored: tuple[Path, pa.Table], label_sets: dict[str, Labels]) -> None:
+    path, queue = stored
+    version = automatic_version(label_sets["demo"].manifest)
+    found = read_queue(path, version)
+    assert found.equals(queue)
+    assert read_queue(path).equals(queue)
+    assert [p.name for p in path.parent.iterdir()] == [path.name]
+    first = worklist(found).next_item()
+    assert first is not None
+    assert first == item_keys(queue)[0]
+    assert worklist(found).row(first)["score"] == queue.column("score")[0].as_py()
+    with pytest.raises(InputError, match="of other labels") as error:
+        read_queue(path, automatic_version(label_sets["hostile"].manifest))
+    assert "\n" not in str(error.value)
+    write_queue(queue.slice(0, 0), path.with_name("none.parquet"))
+    assert len(worklist(read_queue(path.with_name("none.parquet"), version))) == 0
+
+
+def damaged(queue: pa.Table, how: str) -> pa.Table:
+    at = queue.schema.get_field_index
+    if how == "metadata":
+        return queue.replace_schema_metadata({})
+    if how == "column":
+        return queue.drop_columns(["label"])
+    if how == "kind":
+        return queue.set_column(at("kind"), "kind", pa.array(["pair"] * queue.num_rows))
+    if how == "type":
+        return queue.set_column(at("a"), "a", queue.column("a").cast(pa.string()))
+    if how == "null":
+        return queue.set_column(at("frame"), "frame", pa.nulls(queue.num_rows, pa.string()))
+    if how == "reasons":
+        return queue.set_column(at("reasons"), "reasons", pa.array([1] * queue.num_rows))
+    return pa.concat_tables([queue, queue])
+
+
+@pytest.mark.parametrize("how", ["metadata", "column", "kind", "type", "null", "reasons", "twice"])
+def test_a_queue_that_is_none_is_refused(stored: tuple[Path, pa.Table], how: str, tmp_path: Path) -> None:
+    pq.write_table(damaged(stored[1], how), tmp_path / "q.parquet")
+    with pytest.raises(InputError) as error:
+        read_queue(tmp_path / "q.parquet")
+    assert "\n" not in str(error.value)
+
+
+@pytest.mark.parametrize("content", [b"", b"PAR1 no", None])
+def test_a_file_that_is_none_is_refused(content: bytes | None, tmp_path: Path) -> None:
+    if content is not None:
+        (tmp_path / "q.parquet").write_bytes(content)
+    with pytest.raises(InputError, match="cannot be read"):
+        read_queue(tmp_path / "q.parquet")
+
+
+def test_a_queue_cannot_be_written_into_a_file(stored: tuple[Path, pa.Table]) -> None:
+    with pytest.raises(InputError, match="cannot be written"):
+        write_queue(stored[1], stored[0] / "inside.parquet")
