@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional
 
-from pipeline.proposals.execution import Provider
+from pipeline.execution import Provider
 from spatialviz.exits import FINE, NO
 from spatialviz.options import four_numbers, print_json, warn_skipped
 
@@ -32,7 +32,7 @@ class DetectorOptions:
     segmenter: str | None = None
     """depth | recorded | yolo-seg | sam | sam2 | efficientsam: makes masks for boxes that have none. Default: none."""
     segmenter_model: Path | tuple[Path, Path] | None = None
-    """Model file or recording for the segmenter, ENCODER DECODER for the SAM kinds; depth needs none."""
+    """Model file, hub id or recording for the segmenter, ENCODER DECODER for the SAM kinds; depth needs none."""
     k: int = 10
     """Proposals of each name."""
     frames: str = "all"
@@ -51,8 +51,8 @@ class DetectorOptions:
     def open(self, dataset: str) -> tuple[Source, tuple[str, ...]]:
         """The dataset with the detector, and the frames that are meant."""
         from pipeline.ask import AskConfig
+        from pipeline.execution import use_execution
         from pipeline.jobs import frame_range, open_source
-        from pipeline.proposals.execution import use_execution
 
         use_execution(self.provider, self.verbose)
         source = open_source(

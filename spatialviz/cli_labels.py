@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional
 
-from pipeline.proposals.execution import Provider
+from pipeline.execution import Provider
 from spatialviz.exits import FINE, NO
 from spatialviz.options import four_numbers, print_json, task_of
 
@@ -33,7 +33,7 @@ class LabelSource:
     segmenter: str | None = "depth"
     """depth | recorded | yolo-seg | sam | sam2 | efficientsam: masks for the boxes that have none."""
     segmenter_model: Path | tuple[Path, Path] | None = None
-    """Model file or recording for the segmenter, ENCODER DECODER for the SAM kinds."""
+    """Model file, hub id or recording for the segmenter, ENCODER DECODER for the SAM kinds."""
     min_score: float | None = None
     """Drop detections below this score. Default: the detector's own."""
     synonyms: Path | None = None
@@ -49,8 +49,8 @@ class LabelSource:
 
     def spec(self, dataset: str) -> SourceSpec:
         """The same as the core takes it."""
+        from pipeline.execution import use_execution
         from pipeline.labels.plan import SourceSpec
-        from pipeline.proposals.execution import use_execution
 
         use_execution(self.provider, self.verbose)
         options: dict[str, Any] = {

@@ -8,7 +8,7 @@ import warnings
 from typing import TextIO
 
 from pipeline.errors import InputError
-from pipeline.proposals.execution import ProviderWarning
+from pipeline.execution import ProviderWarning
 
 
 def print_json(record: dict) -> None:

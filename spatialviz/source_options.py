@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from pipeline.errors import InputError
-from pipeline.proposals.execution import Provider
+from pipeline.execution import Provider
 from spatialviz.options import four_numbers
 
 if TYPE_CHECKING:
@@ -44,7 +44,7 @@ class SourceOptions:
     """Makes masks for boxes that have none: depth | recorded | yolo-seg | sam | sam2 | efficientsam.
     Default: none, the whole box is lifted."""
     segmenter_model: Path | tuple[Path, Path] | None = None
-    """Model file or recording for the segmenter, ENCODER DECODER for the SAM kinds; depth needs none."""
+    """Model file, hub id or recording for the segmenter, ENCODER DECODER for the SAM kinds; depth needs none."""
     srm: str = "trained"
     """What scores relations: trained (the network that comes with the program) | rule | an ONNX file."""
     vectors: Path | None = None
@@ -71,8 +71,8 @@ class SourceOptions:
     def options(self) -> dict[str, Any]:
         """The same as arguments of `pipeline.jobs.open_source`."""
         from pipeline.ask import AskConfig
+        from pipeline.execution import use_execution
         from pipeline.lifting import LiftConfig
-        from pipeline.proposals.execution import use_execution
 
         use_execution(self.provider, self.verbose)
         return {

@@ -16,15 +16,15 @@ from model_stubs import STUBS, change, grown, halved, loosened, poisoned, write_
 from scenes import frame_of, upright
 
 from pipeline.errors import InputError
-from pipeline.frame import Frame
-from pipeline.proposals import make_detector, make_segmenter
-from pipeline.proposals.execution import (
+from pipeline.execution import (
     PROVIDER_VARIABLE,
     ProviderWarning,
     use_execution,
     wanted_accelerator,
     warn_once,
 )
+from pipeline.frame import Frame
+from pipeline.proposals import make_detector, make_segmenter
 from pipeline.proposals.mismatch import explain_mismatch, recognise
 from pipeline.proposals.onnx_session import open_session
 

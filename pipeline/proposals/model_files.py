@@ -15,8 +15,8 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from pipeline.errors import InputError, MissingExtra
+from pipeline.execution import is_verbose
 from pipeline.proposals.cache import cache_folder
-from pipeline.proposals.execution import is_verbose
 from pipeline.proposals.known_models import KnownFile, known_models
 
 _ID = re.compile(

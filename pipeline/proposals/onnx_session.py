@@ -10,11 +10,11 @@ import numpy as np
 import xxhash
 
 from pipeline.errors import InputError
-from pipeline.proposals.execution import cpu_session, create_session, is_verbose
+from pipeline.execution import cpu_session, create_session, is_verbose
 
 
 def open_session(path: Path, threads: int | None = None) -> Any:
-    """An `onnxruntime.InferenceSession`, where `pipeline.proposals.execution` says.
+    """An `onnxruntime.InferenceSession`, where `pipeline.execution` says.
 
     A graph that ONNX Runtime cannot load with its optimisations, as happens with half-precision files, is loaded
     without them.
