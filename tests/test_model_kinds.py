@@ -330,3 +330,29 @@ def test_a_detector_is_made_of_a_model_on_a_hub(
         segmenter = make_segmenter("sam", model=(Path("x/sam:encoder.onnx"), Path("x/sam:decoder.onnx")))
         box = np.array([[20, 20, 90, 90]], np.float32)
         assert segmenter.segment(frame, box, ["mug"])[1].all()
+
+
+@pytest.mark.parametrize(("inputs", "outputs", "words"), [
+    ({"images": (1, 3, 64, 64)}, {"output0": (1, 84, 8400)}, "a YOLO export without masks; describe its tensors"),
+    ({"images": (1, 3, 64, 64)}, {"output0": (1, 300, 6)}, "a YOLO export without masks"),
+    ({"images": (1, 3, 64, 64)}, {"dets": (1, 50, 5), "boxes": (1, 50, 4)}, "a detector of boxes; describe"),
+    ({"images": (1, 3, 64, 64), "text_features": (1, 2, 512)}, {"scores": (1, 9, 2)}, "its text from outside"),
+    ({"input_ids": (1, 16)}, {"text_embeds": (1, 512)}, "the text part of a model"),
+    ({"x": (1, 7)}, {"y": (1, 7)}, "is it a file for another --detector?"),
+    ({"image": (1, 3, 64, 64)}, {"class": (1, 1000)}, "is it a file for another --detector?"),
+])  # fmt: skip
+def test_relatives_are_told_what_they_lack(
+    tmp_path: Path, inputs: dict[str, tuple[int, ...]], outputs: dict[str, tuple[int, ...]], words: str
+) -> None:
+    from onnx import TensorProto
+    from onnx_stubs import write_stub
+
+    path = write_stub(
+        tmp_path / "m.onnx",
+        {n: (TensorProto.FLOAT, shape) for n, shape in inputs.items()},
+        {n: np.zeros(shape, np.float32) for n, shape in outputs.items()},
+    )
+    for name in ("grounding-dino", "owlv2", "yolo-seg", "detic"):
+        with pytest.raises(InputError) as caught:
+            make_detector(name, model=path)
+        assert words in str(caught.value), str(caught.value)
