@@ -26,6 +26,7 @@ from spatialviz.cli_labels import BenchLabel, Check, Label, Merge
 from spatialviz.cli_models import BenchDetect, Models
 from spatialviz.cli_review import BenchReview, Install, Retrain, Review
 from spatialviz.cli_runs import Failures, Query
+from spatialviz.cli_show import Show
 from spatialviz.cli_training import Train
 from spatialviz.cli_view import View
 from spatialviz.cli_whatif import WhatIf
@@ -268,6 +269,7 @@ Command = Union[
     Annotated[Export, subcommand("export")],
     Annotated[Import, subcommand("import")],
     Annotated[Review, subcommand("review")],
+    Annotated[Show, subcommand("show")],
     Annotated[ShowJournal, subcommand("journal")],
     Annotated[Correct, subcommand("correct")],
     Annotated[Undo, subcommand("undo")],

@@ -216,7 +216,7 @@ class Correct:
         numbers = view.numbers
         chosen = None if state.pair is None else tuple(numbers[i] for i in state.pair)
         selected = None if state.selected is None else numbers[state.selected]
-        view = replace(view, frame=desk.frame(state.frame_id))
+        view = replace(view, frame=desk.frame(state.frame_id), moved=None)
         self._take(_looking_at(state, view, chosen, selected))
 
     def chosen(self) -> None:

@@ -74,6 +74,10 @@ LABEL_KEYS: tuple[tuple[str, str, str], ...] = (
     ("Alt+N", "Reject the expression", "expression-status:rejected"),
     ("Ctrl+Z", "Undo", "take-back"),
     ("Ctrl+Y", "Redo", "bring-back"),
+    ("Shift+O", "Name the class of the object", "class-focus"),
+    ("Shift+J", "Fit the box to its points", "box-fit"),
+    ("Shift+B", "Extend the box to what the object stands on", "box-snap:extend"),
+    ("Shift+Z", "Set the box down on what the object stands on", "box-snap:move"),
 )
 """What keys mean while labels are shown; all others mean the same as ever."""
 

@@ -37,6 +37,7 @@ from spatialviz.app.inputs import forward_inputs
 from spatialviz.app.judging import Judge
 from spatialviz.app.keeping import Keeping
 from spatialviz.app.keys import HelpDialog, add_keys, meant
+from spatialviz.app.label_object import LabelObject
 from spatialviz.app.layout import build, listed
 from spatialviz.app.paint import frame_colors
 from spatialviz.app.pixels import Pixels
@@ -85,7 +86,7 @@ class Session:
         self._client = client
         self._store = store
         self._log: list[tuple[str, str]] = []
-        self._thumbs: dict[int, str] = {}
+        self._thumbs: dict[bytes, str] = {}
         self._suggestions: tuple[str, ...] = ()
         self._painted: tuple[Any, ...] = ()
         self._closed = threading.Event()
@@ -123,6 +124,10 @@ class Session:
             client, self.scene, self._correct, self._selection, state=self._now, take=self._take, draw=self._draw,
             note=self._note,
         )  # fmt: skip
+        self._object = LabelObject(
+            client, self.page, self.scene, self.bridge, self._correct, state=self._now, take=self._take,
+            draw=self._draw_edited, note=self._note,
+        )  # fmt: skip
         spoken = sentences_and_conflicts(self._correct, dialog, self.bridge, self._now, self._take, self._draw)
         self._strings = ViewStrings(
             dialog, store.sources, runs or {}, self._runs, self.scene.viewpoint, state=self._now, take=self._take,
@@ -142,7 +147,7 @@ class Session:
         )  # fmt: skip
         parts = (
             self._selection, self._view, self._runs, self._what_if, self._strings, keeping, self._correct,
-            self._queue, self._retrain, self._pixels, dialog, *spoken,
+            self._queue, self._retrain, self._pixels, self._object, dialog, *spoken,
         )  # fmt: skip
         self._more = {name: run for part in parts for name, run in part.commands().items()}
         forward_inputs(self.page, self.post, self.bridge.alive)
@@ -481,6 +486,7 @@ class Session:
             )
             self.bridge.show_tags(tags)
         self._what_if.follow(live)
+        self._object.follow(live)
 
     def _draw_edited(self, live: bool) -> None:
         """Draw an answer under edits: all of the page, or while a hand is at it only what follows the hand."""
@@ -491,6 +497,7 @@ class Session:
         with self._client.atomic():
             fill_answer(self.page, self.state)
             self._draw_scene(live=True)
+            self.bridge.call("svOverlay", bottom.overlay_marks(self.state))
 
     def _set_listing(self, listing: Listing | None) -> None:
         self.state = replace(self.state, listing=listing)
