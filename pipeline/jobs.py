@@ -102,6 +102,7 @@ def open_source(
     depth_scale: float | None = None,
     detector: str | None = None,
     model: Path | None = None,
+    model_config: Path | None = None,
     min_score: float | None = None,
     segmenter: str | None = None,
     segmenter_model: SegmenterFiles = None,
@@ -113,7 +114,8 @@ def open_source(
     """Open a dataset and the models for it; the path "demo" is the built-in one.
 
     `segmenter` makes masks for boxes that have none ("depth", "recorded", "yolo-seg", "sam", "sam2", "efficientsam");
-    by default there is none. `segmenter_model` is its file, or its encoder and decoder.
+    by default there is none. `segmenter_model` is its file, or its encoder and decoder. A network's file may also be
+    named by its id on the model hub. `model_config` says what the detector's file does not.
     `srm` is "trained" (the shipped network), "rule", or the path of a network that `spatialviz train` wrote;
     `vectors` the file of text vectors it was trained with, for classes it was not trained on.
 
@@ -131,14 +133,20 @@ def open_source(
         detector = "annotations" if dataset.class_names else None
         if model is not None:
             raise InputError("--model needs --detector", cause="which kind of model is it?", path=model)
-
+    if detector is None and model_config is not None:
+        raise InputError("--model-config needs --detector", cause="what is it for?", path=model_config)
 
     def make(min_score: float | None) -> Detector | None:
         return (
             None
             if detector is None
             else make_detector(
-                detector, model=model, class_names=dataset.class_names, synonyms=table, min_score=min_score
+                detector,
+                model=model,
+                class_names=dataset.class_names,
+                synonyms=table,
+                min_score=min_score,
+                config=model_config,
             )
         )
 
