@@ -9,7 +9,7 @@ from typing import Any
 from pipeline.relations import PHRASE
 from pipeline.review.items import ItemKey
 from pipeline.review.worklist import Worklist
-from spatialviz.app.text import BAD, DOUBT, GOOD, heading, note, panel, safe
+from spatialviz.app.text import BAD, DOUBT, GOOD, heading, note, panel, safe, tail
 
 ROWS = 40
 MARKS = {
@@ -110,7 +110,7 @@ def _row(work: Worklist, place: int, names: Names, item: ItemKey | None) -> str:
     return (
         f'<div class="q{selected}" onclick="sv(\'item:{place}\')" title="{safe(reason)}">'
         f'<i style="--v:{row["score"]:.2f}"></i><span>{said(row, names)}</span>'
-        f'<b style="color:{color}">{mark}</b><em>{safe(row["frame"])}</em></div>'
+        f'<b style="color:{color}">{mark}</b><em>{tail(row["frame"])}</em></div>'
     )
 
 
