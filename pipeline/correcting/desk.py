@@ -160,9 +160,10 @@ class Desk:
             It is no action: see `Journal.append`.
         """
         edits = tuple(edits)
-        if self.waiting:
+        # Read once: another thread may save what waits at this moment.
+        if waiting := self.waiting:
             # What is made on an edit that waits is saved after it.
-            return self._keep(edits, new_ulid(), self.waiting[-1].problem)
+            return self._keep(edits, new_ulid(), waiting[-1].problem)
         try:
             journal = self.place.to_write()
         except InputError as error:
@@ -211,8 +212,8 @@ class Desk:
         NotSaved, InputError
             The journal cannot be read or written.
         """
-        if self.waiting:
-            if group is not None and group != self.waiting[-1].group:
+        if waiting := self.waiting:
+            if group is not None and group != waiting[-1].group:
                 raise InputError("newer edits wait to be saved", expected="save them or take them back first")
             return self.place.unsaved.drop_last(self.author)
         return self._taken(undo, group)
