@@ -281,6 +281,60 @@ def test_what_is_left_at_the_end_goes_to_files_that_correct_takes(
     assert isinstance(apply_actions(ann.corrector, place.to_write(), read_actions(hers.files[0]), "ann"), Conflict)
 
 
+def test_judgements_that_were_not_saved_are_taken_from_the_file(
+    desk: Open, place: JournalPlace, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    ann = desk("ann")
+    frame = ann.frame(FRAME)
+    a, b = (int(n) for n in frame.pairs.numbers[:2])
+    disk = Broken(place, monkeypatch)
+    ann.save(edits.judge_relation(frame, a, b, "left", T, "ann"))
+    ann.save(edits.set_class(ann.frame(FRAME), a, "vase"))
+    (hers,) = rescue(place, [tmp_path])
+    disk.full = False
+    (path,) = hers.files
+    journal = place.to_write()
+    with pytest.raises(InputError, match="judgement of another person"):
+        apply_actions(ann.corrector, journal, read_actions(path), "bob")
+    assert isinstance(apply_actions(ann.corrector, journal, read_actions(path), "ann"), Saved)
+    assert {e.cell.kind for e in journal.events()} == {"review", "object"}
+
+
+def test_files_of_several_people_do_not_replace_each_other(
+    desk: Open, place: JournalPlace, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    Broken(place, monkeypatch)
+    # Of both names nothing is left in the name of a file.
+    for author in ("李", "王"):
+        one = desk(author)
+        one.save(edits.set_class(one.frame(FRAME), min(one.frame(FRAME).objects), author))
+    folder = tmp_path / "a file"
+    folder.touch()
+    found = rescue(place, [folder, tmp_path])
+    files = [path for each in found for path in each.files]
+    assert len(set(files)) == 2
+    assert {a.to for path in files for a in read_actions(path)} == {"李", "王"}  # pyright: ignore[reportAttributeAccessIssue]
+    assert list(tmp_path.glob(".*")) == []
+
+
+@pytest.mark.parametrize(
+    ("where", "words"),
+    [
+        (None, ()),
+        ("elsewhere.sqlite", ("--journal", "elsewhere.sqlite")),
+        ("postgresql://ann:secret@host:5433/team", ("--journal", "postgresql://ann@host:5433/team")),
+        ("postgresql://host/team?sslmode=require", ("--journal", "postgresql://host/team?sslmode=require")),
+    ],
+)
+def test_a_place_names_itself_without_its_password(
+    demo_labels: Labels, where: str | None, words: tuple[str, ...]
+) -> None:
+    assert JournalPlace(demo_labels, where).words == words
+    place = JournalPlace(demo_labels, where, "kitchen")
+    assert place.words == (*words, "--project", "kitchen")
+    assert "secret" not in str(place)
+
+
 def test_nothing_waits_nothing_is_written(place: JournalPlace, tmp_path: Path) -> None:
     assert rescue(place, [tmp_path]) == ()
     assert list(tmp_path.glob("unsaved*")) == []
