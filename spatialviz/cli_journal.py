@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -127,6 +129,8 @@ class Correct:
     [{"points", "radius"}], "seeds": [[x, y], ...]; with "mode": add, remove, replace."""
     author: str
     """Who says so."""
+    again: str | None = None
+    """The group that a try named which could not be saved: what was saved after all is not saved twice."""
     journal: OmitArgPrefixes[JournalOptions] = JournalOptions()
     pictures: OmitArgPrefixes[DatasetOptions] = DatasetOptions()
     json: bool = False
@@ -142,7 +146,8 @@ class Correct:
         actions = read_actions(self.edits)
         dataset = self.pictures.open(labels) if needs_pictures(actions) else None
         with self.journal.open(labels) as journal:
-            done = apply_actions(Corrector(labels, dataset), journal, actions, self.author)
+            with _told_how_to_try_again():
+                done = apply_actions(Corrector(labels, dataset), journal, actions, self.author, again=self.again)
         return _told(done, "saved", self.json)
 
 
@@ -156,6 +161,8 @@ class Undo:
     """Whose."""
     group: str | None = None
     """Take back this action, and not the newest."""
+    again: str | None = None
+    """The group that a try named which could not be saved: what was done after all is not followed by the next."""
     journal: OmitArgPrefixes[JournalOptions] = JournalOptions()
     json: bool = False
     """Print one JSON object."""
@@ -164,8 +171,8 @@ class Undo:
         from pipeline.journal.undo import undo
         from pipeline.labels.reading import open_labels
 
-        with self.journal.open(open_labels(self.labels), must_exist=True) as journal:
-            return _told(undo(journal, self.author, group=self.group), "taken back", self.json)
+        with self.journal.open(open_labels(self.labels), must_exist=True) as journal, _told_how_to_try_again():
+            return _told(undo(journal, self.author, group=self.group, again=self.again), "taken back", self.json)
 
 
 @dataclass(frozen=True)
@@ -178,6 +185,8 @@ class Redo:
     """Whose."""
     group: str | None = None
     """Bring back what this undo took back."""
+    again: str | None = None
+    """The group that a try named which could not be saved: what was done after all is not followed by the next."""
     journal: OmitArgPrefixes[JournalOptions] = JournalOptions()
     json: bool = False
     """Print one JSON object."""
@@ -186,8 +195,8 @@ class Redo:
         from pipeline.journal.undo import redo
         from pipeline.labels.reading import open_labels
 
-        with self.journal.open(open_labels(self.labels), must_exist=True) as journal:
-            return _told(redo(journal, self.author, group=self.group), "brought back", self.json)
+        with self.journal.open(open_labels(self.labels), must_exist=True) as journal, _told_how_to_try_again():
+            return _told(redo(journal, self.author, group=self.group, again=self.again), "brought back", self.json)
 
 
 @dataclass(frozen=True)
@@ -218,6 +227,18 @@ class Effective:
         else:
             print_effective(found, self.out, self.show)
         return FINE
+
+
+@contextmanager
+def _told_how_to_try_again() -> Iterator[None]:
+    """A database that could not answer may have saved all the same: the next try says which one it repeats."""
+    from pipeline.journal.events import NotSaved
+
+    try:
+        yield
+    except NotSaved as error:
+        print(f"spatialviz: to try this once more, and not twice, add --again {error.group}", file=sys.stderr)
+        raise
 
 
 def _told(done: Saved | Conflict | None, verb: str, json: bool) -> int:

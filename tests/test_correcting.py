@@ -20,7 +20,7 @@ from pipeline.correcting.rescue import rescue
 from pipeline.correcting.unsaved import Waiting
 from pipeline.errors import InputError
 from pipeline.journal import edits
-from pipeline.journal.batch import apply_actions, read_actions
+from pipeline.journal.batch import actions_of, apply_actions, read_actions
 from pipeline.journal.cells import object_cell, relation_cell
 from pipeline.journal.events import Conflict, NotSaved, Saved
 from pipeline.journal.journal import Journal
@@ -279,6 +279,58 @@ def test_what_is_left_at_the_end_goes_to_files_that_correct_takes(
     assert fresh.objects[number]["label"] == "vase"
     # What the program saved after all, in spite of the files, is not saved twice.
     assert isinstance(apply_actions(ann.corrector, place.to_write(), read_actions(hers.files[0]), "ann"), Conflict)
+
+
+@pytest.mark.parametrize("seen", [False, True])
+def test_a_lost_answer_to_undo_takes_nothing_back_twice(
+    desk: Open, place: JournalPlace, monkeypatch: pytest.MonkeyPatch, seen: bool
+) -> None:
+    ann, real = desk("ann"), Journal.write
+    number = min(ann.frame(FRAME).objects)
+    for name in ("vase", "bowl", "lamp"):
+        ann.save(edits.set_class(ann.frame(FRAME), number, name))
+    lost = True
+
+    def write(journal: Journal, made: Any, author: str, action: Any, **how: Any) -> Any:
+        done = real(journal, made, author, action, **how)
+        if lost:
+            assert isinstance(done, Saved)
+            raise NotSaved("the answer is lost", made, done.group, got="", cause=None, path=None)
+        return done
+
+    def label() -> str:
+        return ann.frame(FRAME).objects[number]["label"]
+
+    monkeypatch.setattr(Journal, "write", write)
+    with pytest.raises(NotSaved):
+        ann.undo()
+    lost = False
+    if seen:
+        # Whoever has seen it taken back means the one before.
+        assert label() == "bowl"
+        assert isinstance(ann.undo(), Saved)
+        assert label() == "vase"
+        return
+    assert isinstance(ann.undo(), Saved)
+    assert label() == "bowl"
+    assert isinstance(ann.undo(), Saved)
+    assert label() == "vase"
+    lost = True
+    with pytest.raises(NotSaved):
+        ann.redo()
+    lost = False
+    assert isinstance(ann.redo(), Saved)
+    assert label() == "bowl"
+
+
+def test_a_file_of_edits_is_not_saved_twice(desk: Open, place: JournalPlace) -> None:
+    ann, journal = desk("ann"), place.to_write()
+    todo = actions_of([{"edit": "new", "frame": FRAME, "label": "lamp", "bbox": [10, 10, 60, 60]}])
+    done = apply_actions(ann.corrector, journal, todo, "ann")
+    assert isinstance(done, Saved)
+    again = apply_actions(ann.corrector, journal, todo, "ann", again=done.group)
+    assert again == done
+    assert len(journal.events()) == 1
 
 
 def test_judgements_that_were_not_saved_are_taken_from_the_file(

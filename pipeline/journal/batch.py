@@ -287,12 +287,17 @@ def _status_cell(action: Status | Judge) -> Cell:
 
 
 def apply_actions(
-    corrector: Corrector, journal: Journal, todo: Sequence[AnyAction], author: str
+    corrector: Corrector, journal: Journal, todo: Sequence[AnyAction], author: str, *, again: str | None = None
 ) -> Saved | Conflict:
     """Save actions as one: all of them, or none.
 
     An action that does not say which version it was made on may not change
     what somebody else has said: that is a conflict.
+
+    Parameters
+    ----------
+    again : str, optional
+        `NotSaved.group`, where this is another try: what was saved after all is not saved again.
 
     Raises
     ------
@@ -301,6 +306,8 @@ def apply_actions(
     NotSaved
         As `Journal.append`.
     """
+    if again is not None and (saved := journal.events(group=again)):
+        return Saved(saved)
     frames: dict[str, EffectiveFrame] = {}
     canvases: dict[str, Canvas] = {}
     edits: list[Edit] = []
@@ -321,4 +328,4 @@ def apply_actions(
             heads = journal.heads([e.cell for e in made])
             rivals += [Rival(e, heads[e.cell]) for e in made if e.cell in heads and heads[e.cell].author != author]
         edits += made
-    return Conflict(tuple(rivals), tuple(edits)) if rivals else journal.append(edits, author)
+    return Conflict(tuple(rivals), tuple(edits)) if rivals else journal.append(edits, author, group=again)
