@@ -145,9 +145,8 @@ class Correct:
         labels = open_labels(self.labels)
         actions = read_actions(self.edits)
         dataset = self.pictures.open(labels) if needs_pictures(actions) else None
-        with self.journal.open(labels) as journal:
-            with _told_how_to_try_again():
-                done = apply_actions(Corrector(labels, dataset), journal, actions, self.author, again=self.again)
+        with self.journal.open(labels) as journal, _told_how_to_try_again():
+            done = apply_actions(Corrector(labels, dataset), journal, actions, self.author, again=self.again)
         return _told(done, "saved", self.json)
 
 

@@ -365,7 +365,7 @@ def test_files_of_several_people_do_not_replace_each_other(
     found = rescue(place, [folder, tmp_path])
     files = [path for each in found for path in each.files]
     assert len(set(files)) == 2
-    assert {a.to for path in files for a in read_actions(path)} == {"李", "王"}  # pyright: ignore[reportAttributeAccessIssue]
+    assert {str(a.model_dump()["to"]) for path in files for a in read_actions(path)} == {"李", "王"}
     assert list(tmp_path.glob(".*")) == []
 
 
