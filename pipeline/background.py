@@ -11,7 +11,6 @@ from typing import Any
 
 from pipeline.errors import InputError
 
-
 PATIENCE_S = 20.0
 """How long a job that is cancelled may take to tidy up."""
 

@@ -52,25 +52,14 @@ class DatasetOptions:
     """Depth units in one metre (1000 for millimetres)."""
 
     def open(self, labels: Labels) -> Dataset | None:
-        from pipeline.jobs import open_source
+        from pipeline.labels.pictures import labelled_dataset
 
-        said = labels.manifest.dataset
         camera = four_numbers(self.intrinsics)
-        if self.dataset is not None:
-            return open_source(
-                self.dataset, intrinsics=camera, depth_scale=self.depth_scale, srm="rule"
-            ).dataset
-        options = dict(said.get("options") or {})
-        stated = str(options["intrinsics"]).strip("()[] ") if options.get("intrinsics") else None
-        scale = options.get("depth_scale")
         try:
-            return open_source(
-                str(said["path"]),
-                intrinsics=camera or four_numbers(stated),
-                depth_scale=self.depth_scale if scale is None else float(scale),
-                srm="rule",
-            ).dataset
-        except (InputError, KeyError, ValueError) as error:
+            return labelled_dataset(labels.manifest, self.dataset, intrinsics=camera, depth_scale=self.depth_scale)
+        except InputError as error:
+            if self.dataset is not None:
+                raise
             print(f"spatialviz: without the dataset ({error}); --dataset says where it is", file=sys.stderr)
             return None
 

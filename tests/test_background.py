@@ -96,7 +96,7 @@ def test_a_job_that_is_ended_leaves_nothing_behind(tmp_path: Path) -> None:
 
 def test_what_is_cancelled_has_no_result_also_where_it_was_ready() -> None:
     heard, held = Heard(), threading.Event()
-    job = start_background(counted, 1, on_progress=lambda _: held.wait(60), on_end=heard.ended)
+    job = start_background(counted, 1, on_progress=lambda _: print(held.wait(60)), on_end=heard.ended)
     job._process.join(60)
     job.cancel()
     held.set()
