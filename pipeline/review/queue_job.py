@@ -10,8 +10,8 @@ from typing import Any
 
 from pipeline.datasets import Dataset
 from pipeline.errors import InputError
-from pipeline.jobs import open_source
 from pipeline.journal.journal import journal_of
+from pipeline.labels.pictures import labelled_dataset
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.review.agreement import pair_agreements
 from pipeline.review.ordering import by_frame
@@ -34,11 +34,11 @@ class QueueJob:
     journal, project : str or None
         See `journal_of`.
     dataset : str or None
-        For what follows from corrected pixels and boxes.
+        For what follows from corrected pixels and boxes; without it, as the labels name it.
     networks : bool
         Ask networks that have not learnt from a label; that takes the most time.
     options : dict
-        Of the dataset, for `open_source`.
+        Of the dataset, for `labelled_dataset`: intrinsics, depth_scale.
     """
 
     labels: Path
@@ -95,11 +95,12 @@ def _reviewed(job: QueueJob, labels: Labels, folder: Path) -> Reviewed:
     except InputError:
         return Reviewed(labels)
     with journal:
-        return reviewed_labels(labels, journal, folder, _dataset(job))
+        return reviewed_labels(labels, journal, folder, _dataset(job, labels))
 
 
-def _dataset(job: QueueJob) -> Dataset | None:
+def _dataset(job: QueueJob, labels: Labels) -> Dataset | None:
     try:
-        return None if job.dataset is None else open_source(job.dataset, srm="rule", **job.options).dataset
+        return labelled_dataset(labels.manifest, job.dataset, **job.options)
     except InputError:
+        # What follows from corrected pixels and boxes is then marked stale.
         return None
