@@ -10,6 +10,7 @@ from tyro.conf import OmitArgPrefixes, Positional
 
 from spatialviz.exits import FINE, NO
 from spatialviz.options import four_numbers, print_json, warn_skipped
+from spatialviz.source_options import fusing
 
 if TYPE_CHECKING:
     from pipeline.jobs import Source
@@ -24,8 +25,12 @@ class DetectorOptions:
     dataset has them."""
     model: Path | None = None
     """Model file or recording for the detector, or options (TOML or JSON) of the simulated one."""
+    fuse: tuple[str, ...] = ()
+    """Further detectors, NAME or NAME=MODEL, whose detections are fused with the detector's."""
+    fusion: Literal["wbf", "nms"] = "wbf"
+    """With --fuse: weighted boxes fusion, or all with non-maximum suppression."""
     min_score: float | None = None
-    """Drop detections below this score. Default: the detector's own."""
+    """Drop detections below this score, of each detector before they are fused. Default: the detector's own."""
     segmenter: str | None = None
     """depth | recorded | yolo-seg | sam | sam2 | efficientsam: makes masks for boxes that have none. Default: none."""
     segmenter_model: Path | tuple[Path, Path] | None = None
@@ -41,13 +46,15 @@ class DetectorOptions:
     depth_scale: float | None = None
     """Depth units in one metre (1000 for millimetres), for recordings without a camera file."""
 
-    def open(self, dataset: str) -> tuple[Source, tuple[str, ...]]:
-        """The dataset with the detector, and the frames that are meant."""
+    def open(self, dataset: str, also: str | None = None) -> tuple[Source, tuple[str, ...]]:
+        """The dataset with the detector (and `also` another beside it), and the frames that are meant."""
         from pipeline.ask import AskConfig
         from pipeline.jobs import frame_range, open_source
 
         source = open_source(
             dataset,
+            also=also,
+            **fusing(self.fuse, self.fusion),
             intrinsics=four_numbers(self.intrinsics),
             depth_scale=self.depth_scale,
             detector=self.detector,

@@ -18,6 +18,7 @@ from pipeline.errors import InputError
 from pipeline.evaluation.run import EvalSpec
 from pipeline.jobs import Source, open_source
 from pipeline.labels.reading import Labels, open_labels
+from pipeline.proposals.registry import with_model
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -82,6 +83,8 @@ def spec_record(spec: EvalSpec, folder: Path) -> dict[str, Any]:
     options = {k: v for k, v in spec.options.items() if k != "config" and v is not None}
     for name in _files(options):
         options[name] = _each(options[name], lambda path: written_path(path, folder))
+    if "fuse" in options:
+        options["fuse"] = [with_model(text, lambda path: written_path(path, folder)) for text in options["fuse"]]
     config = spec.options.get("config")
     return {
         "dataset": spec.dataset if spec.dataset == DEMO_NAME else written_path(spec.dataset, folder),
@@ -162,6 +165,9 @@ def _read_spec(record: Mapping[str, Any], folder: Path) -> EvalSpec:
     options: dict[str, Any] = dict(record["options"])
     for name in _files(options):
         options[name] = _each(options[name], lambda path: Path(resolved_path(path, folder)))
+    if "fuse" in options:
+        own = [str(text) for text in options["fuse"]]
+        options["fuse"] = [with_model(text, lambda path: resolved_path(str(path), folder)) for text in own]
     if isinstance(options.get("intrinsics"), list):
         options["intrinsics"] = tuple(options["intrinsics"])
     if record["config"] is not None:
