@@ -1,14 +1,24 @@
-"""The job of `spatialviz agree`: two detectors on the frames of a dataset."""
+"""Two detectors on the frames of a dataset, beside each other."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 
 from pipeline.errors import InputError
 from pipeline.frame import Frame
 from pipeline.jobs import ALL_FRAMES, Skipped, Source, frame_range, skip_or_raise
 from pipeline.naming import Synonyms
-from pipeline.proposals.agreement import MIN_IOU, FrameAgreement, Layer, agree, layer_of_proposals
+from pipeline.objects import FrameContext, SceneObject, all_objects
+from pipeline.proposals.agreement import (
+    MIN_IOU,
+    FrameAgreement,
+    Layer,
+    agree,
+    layer_of_objects,
+    layer_of_proposals,
+)
+from pipeline.proposals.agreement_figures import AgreementFigures, figures
 from pipeline.proposals.base import Detector
 from pipeline.proposals.known_names import known_names, knows
 
@@ -80,3 +90,59 @@ def agree_frames(
             yield frame_id, found
         if progress is not None:
             progress(done, len(chosen))
+
+
+@dataclass(frozen=True)
+class Beside:
+    """What the detector beside the source's finds in a frame, lifted.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Of the source's detector (A) and of the other (B).
+    objects : tuple of SceneObject
+        Of B.
+    found : FrameAgreement
+        Places are those in A's list of objects and in `objects`.
+    sums : AgreementFigures
+    """
+
+    names: tuple[str, str]
+    objects: tuple[SceneObject, ...]
+    found: FrameAgreement
+    sums: AgreementFigures
+
+    def partner(self, i: int | None) -> int | None:
+        """What B has of A's object `i`."""
+        return next((int(b) for a, b in self.found.pairs if a == i), None)
+
+    def partner_of_b(self, j: int | None) -> int | None:
+        """What A has of B's object `j`."""
+        return next((int(a) for a, b in self.found.pairs if b == j), None)
+
+    @property
+    def disagreements(self) -> tuple[tuple[int | None, int | None], ...]:
+        """Places in A and in B: named otherwise, only A, only B; each with the highest scores first."""
+        found = self.found
+        otherwise = [(int(found.pairs[p, 0]), int(found.pairs[p, 1])) for p in found.named_otherwise]
+        return (*otherwise, *((int(i), None) for i in found.only_a), *((None, int(j)) for j in found.only_b))
+
+
+def beside(source: Source, context: FrameContext, objects: Sequence[SceneObject]) -> Beside | None:
+    """What the detector beside the source's finds, and how far it agrees with these objects of the source's.
+
+    Raises
+    ------
+    InputError
+        The other detector cannot be asked about this frame.
+    """
+    if source.beside is None:
+        return None
+    detector = source.needed_detector()
+    others = all_objects(context, source.beside)
+    found = agree(
+        layer_of_objects(objects, known_names(detector)),
+        layer_of_objects(others, known_names(source.beside)),
+        synonyms=source.synonyms,
+    )
+    return Beside((detector.name, source.beside.name), others, found, figures([found], source.synonyms))

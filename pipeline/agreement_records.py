@@ -14,7 +14,7 @@ def agreement_record(frame_id: str, found: FrameAgreement, synonyms: Synonyms | 
     sums = figures([found], synonyms).record()
     del sums["frames"], sums["classes"]
 
-    def one(label: str, score: float) -> dict[str, Any]:
+    def one(label: str, score: Any) -> dict[str, Any]:
         return {"label": label, "score": round(float(score), 6)}
 
     pairs = [

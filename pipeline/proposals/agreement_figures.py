@@ -131,10 +131,10 @@ def rank_correlation(a: np.ndarray, b: np.ndarray) -> float | None:
     """Spearman's correlation, ties with their mean rank; None for fewer than three values, or equal ones."""
     if len(a) < 3:
         return None
-    ranks = [_ranks(values) for values in (a, b)]
-    if any(np.ptp(r) == 0 for r in ranks):
+    one, other = _ranks(a), _ranks(b)
+    if np.ptp(one) == 0 or np.ptp(other) == 0:
         return None
-    return float(np.clip(np.corrcoef(*ranks)[0, 1], -1, 1))
+    return float(np.clip(np.corrcoef(one, other)[0, 1], -1, 1))
 
 
 def _ranks(values: np.ndarray) -> np.ndarray:
