@@ -14,8 +14,9 @@ def agreement_record(frame_id: str, found: FrameAgreement, synonyms: Synonyms | 
     sums = figures([found], synonyms).record()
     del sums["frames"], sums["classes"]
 
-    def one(label: str, score: Any) -> dict[str, Any]:
-        return {"label": label, "score": round(float(score), 6)}
+    def one(label: str, score: Any, nearest: Any = None) -> dict[str, Any]:
+        found = {} if nearest is None else {"nearest_iou": round(float(nearest), 6)}
+        return {"label": label, "score": round(float(score), 6), **found}
 
     pairs = [
         {
@@ -30,6 +31,10 @@ def agreement_record(frame_id: str, found: FrameAgreement, synonyms: Synonyms | 
         "frame": frame_id,
         **sums,
         "pairs": pairs,
-        "alone_a": [{"index": int(i), **one(found.labels_a[i], found.scores_a[i])} for i in found.only_a],
-        "alone_b": [{"index": int(j), **one(found.labels_b[j], found.scores_b[j])} for j in found.only_b],
+        "alone_a": [
+            {"index": int(i), **one(found.labels_a[i], found.scores_a[i], found.nearest_a[i])} for i in found.only_a
+        ],
+        "alone_b": [
+            {"index": int(j), **one(found.labels_b[j], found.scores_b[j], found.nearest_b[j])} for j in found.only_b
+        ],
     }

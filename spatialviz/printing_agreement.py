@@ -26,11 +26,14 @@ def print_frame_agreement(frame_id: str, found: FrameAgreement) -> None:
             f"{found.scores_b[j]:.2f}", f"{found.iou[p]:.2f}",
         )  # fmt: skip
     for i in found.only_a.tolist():
-        table.add_row("only A", Text(found.labels_a[i]), f"{found.scores_a[i]:.2f}", "", "", "")
+        score, near = f"{found.scores_a[i]:.2f}", f"{found.nearest_a[i]:.2f}"
+        table.add_row("only A", Text(found.labels_a[i]), score, "", "", near)
     for j in found.only_b.tolist():
-        table.add_row("only B", "", "", Text(found.labels_b[j]), f"{found.scores_b[j]:.2f}", "")
+        score, near = f"{found.scores_b[j]:.2f}", f"{found.nearest_b[j]:.2f}"
+        table.add_row("only B", "", "", Text(found.labels_b[j]), score, near)
     if table.row_count:
         console.print(table)
+        console.print(Text("IoU of what one found alone: with the nearest of the other's", "dim"))
 
 
 def print_agreement(sums: AgreementFigures, detectors: Sequence[str]) -> None:

@@ -12,9 +12,10 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from shelf import NAMES, SHELF
 
-from pipeline.agreeing import agree_frames
+from pipeline.agreeing import agree_frames, beside
 from pipeline.agreement_records import agreement_record
 from pipeline.boxes import iou_2d
+from pipeline.dashes import dashed
 from pipeline.errors import InputError
 from pipeline.jobs import open_source
 from pipeline.objects import FrameContext, all_objects
@@ -81,7 +82,7 @@ def test_the_matching_is_the_best_of_all(found: tuple[np.ndarray, np.ndarray], m
 def turned(found: FrameAgreement) -> FrameAgreement:
     return FrameAgreement(
         found.labels_b, found.labels_a, found.scores_b, found.scores_a, found.pairs[:, ::-1], found.iou, found.same,
-        found.beyond_b, found.beyond_a,
+        found.beyond_b, found.beyond_a, found.nearest_b, found.nearest_a,
     )  # fmt: skip
 
 
@@ -169,6 +170,8 @@ def test_every_kind_of_disagreement_is_told_apart() -> None:
     assert found.labels_a[int(found.pairs[found.named_otherwise[0], 0])] == "mug"
     assert found.only_a.tolist() == [2]
     assert found.only_b.tolist() == [2]
+    assert found.nearest_a.tolist() == [1, 1, 0, 0]
+    assert found.nearest_b.tolist() == [1, 1, 0]
     assert found.beyond_a.tolist() == [False, False, False, True]
     sums = figures([found])
     assert (sums.both, sums.otherwise, sums.only_a, sums.only_b, sums.beyond_a) == (1, 1, 1, 1, 1)
@@ -181,7 +184,7 @@ def test_every_kind_of_disagreement_is_told_apart() -> None:
     assert rows["mug"].otherwise == rows["cup"].otherwise == 1
     record = agreement_record("f", found)
     assert [p["same_name"] for p in record["pairs"]].count(True) == 1
-    assert record["alone_a"] == [{"index": 2, "label": "lamp", "score": 0.4}]
+    assert record["alone_a"] == [{"index": 2, "label": "lamp", "score": 0.4, "nearest_iou": 0.0}]
 
 
 def test_a_shared_name_goes_before_a_better_overlap() -> None:
@@ -270,3 +273,44 @@ def test_both_are_asked_for_the_same_names() -> None:
 def test_there_must_be_something_to_compare_with() -> None:
     with pytest.raises(InputError, match="nothing to compare"):
         list(agree_frames(open_source("demo", srm="rule"), "0"))
+
+
+def test_objects_of_both_detectors_stand_beside_each_other() -> None:
+    source = open_source("demo", detector="annotations", also="simulated", srm="rule")
+    context = FrameContext(source.dataset.load(source.dataset.frame_ids[0]))
+    objects = all_objects(context, source.needed_detector())
+    shown = beside(source, context, objects)
+    assert shown is not None
+    assert shown.names == ("annotations", "simulated")
+    ((_, found),) = agree_frames(source, "0")
+    assert shown.sums.share == figures([found]).share
+    rows = shown.disagreements
+    assert len(set(rows)) == len(rows) == shown.sums.otherwise + shown.sums.only_a + shown.sums.only_b
+    for i, j in rows:
+        assert i is None or i < len(objects)
+        assert j is None or j < len(shown.objects)
+        assert shown.partner(i) == (j if i is not None else None)
+        assert shown.partner_of_b(j) == (i if j is not None else None)
+    assert beside(open_source("demo", srm="rule"), context, objects) is None
+
+
+@given(
+    arrays(np.float64, (5, 2, 3), elements=st.floats(-3, 3)), st.floats(0.05, 2), st.floats(0.1, 0.9)
+)
+@settings(max_examples=60)
+def test_dashes_lie_on_their_lines_and_reach_both_ends(segments: np.ndarray, period: float, share: float) -> None:
+    found = dashed(segments, period, share)
+    length = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1)
+    drawn = np.linalg.norm(found[:, 1] - found[:, 0], axis=1)
+    at = 0
+    for segment, total in zip(segments, length, strict=True):
+        count = max(int(np.ceil(total / period)), 1)
+        own, at = found[at : at + count], at + count
+        np.testing.assert_allclose(own[0, 0], segment[0], atol=1e-5)
+        np.testing.assert_allclose(own[-1, 1], segment[1], atol=1e-5)
+        along = np.linalg.norm(own - segment[0].astype(np.float32), axis=2)
+        assert (np.diff(along.ravel()) >= -1e-5).all()
+    assert at == len(found)
+    assert drawn.sum() <= length.sum() + 1e-4
+    assert (drawn <= period + 1e-5).all()
+    assert dashed(np.zeros((0, 2, 3)), 1).shape == (0, 2, 3)

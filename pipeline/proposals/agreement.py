@@ -80,6 +80,8 @@ class FrameAgreement:
         Both gave it the same name.
     beyond_a, beyond_b : (N,), (M,) bool
         In no pair, and of a class that the other detector does not know: no disagreement.
+    nearest_a, nearest_b : (N,), (M,) float64
+        The greatest overlap with anything of the other detector.
     """
 
     labels_a: tuple[str, ...]
@@ -91,6 +93,8 @@ class FrameAgreement:
     same: np.ndarray
     beyond_a: np.ndarray
     beyond_b: np.ndarray
+    nearest_a: np.ndarray
+    nearest_b: np.ndarray
 
     @property
     def only_a(self) -> np.ndarray:
@@ -151,6 +155,8 @@ def agree(a: Layer, b: Layer, *, min_iou: float = MIN_IOU, synonyms: Synonyms | 
         same[i, j],
         _beyond(a, b, i, synonyms),
         _beyond(b, a, j, synonyms),
+        overlap.max(axis=1, initial=0.0),
+        overlap.max(axis=0, initial=0.0),
     )
 
 

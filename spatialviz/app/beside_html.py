@@ -5,7 +5,7 @@ from __future__ import annotations
 from pipeline.agreeing import Beside
 from pipeline.palette import hex_color, palette, second_color
 from spatialviz.app.state import State
-from spatialviz.app.text import DOUBT, GOOD, dot, heading, panel, safe, segments
+from spatialviz.app.text import DOUBT, GOOD, dot, heading, note, panel, safe, segments
 
 SHOW_CHOSEN = (
     "const s=this.parentElement.querySelector('.scroll'),r=s&&s.querySelector('tr.sel');"
@@ -63,7 +63,7 @@ def agreement_html(state: State) -> str:
     """Counts, figures, and a row for each disagreement; a click selects what it is about."""
     beside = state.beside
     if beside is None:
-        return ""
+        return panel(note("Shown beside an answer." if state.labels is not None else "Nothing to compare here."))
     sums, a, b = beside.sums, *beside.names
     second = hex_color(second_color(state.dark))
     other = hex_color(palette(state.dark)["other"])
@@ -112,15 +112,21 @@ def _rows(state: State, beside: Beside) -> str:
         own = other = '<td class="none">–</td><td></td>'
         if i is not None:
             mark = dot(grey[state.roles.get(i, "other")])
-            own = _cell(mark, state.shown.names[i], float(beside.found.scores_a[i]))
+            # The question may name it otherwise than the detector does where it is asked for everything.
+            number = state.shown.names[i].rpartition("·")[2]
+            own = _cell(mark, f"{beside.found.labels_a[i]}·{number}", float(beside.found.scores_a[i]))
         if j is not None:
             other = _cell(_hollow(hex_color(color)), second_name(beside, j), float(beside.found.scores_b[j]))
         chosen = (i, j) == chosen_row(state)
-        overlap = f"{iou[i, j]:.2f}" if i is not None and j is not None else ""
+        if i is not None and j is not None:
+            overlap, hint = iou[i, j], "overlap of the two"
+        else:
+            near = beside.found.nearest_a if i is not None else beside.found.nearest_b
+            overlap, hint = float(near[i if i is not None else j]), "overlap with the nearest of the other, not enough"
         message = f"sv('beside:{-1 if i is None else i},{-1 if j is None else j}')"
         rows.append(
             f'<tr class="r{" sel" if chosen else ""}" onclick="{message}">{own}{other}'
-            f'<td class="n dim">{overlap}</td></tr>'
+            f'<td class="n dim" title="{hint}">{overlap:.2f}</td></tr>'
         )
     if not rows:
         return '<div class="dim">They disagree on nothing.</div>'
@@ -128,7 +134,7 @@ def _rows(state: State, beside: Beside) -> str:
     widths = '<colgroup><col><col class="s"><col><col class="s"><col class="s"></colgroup>'
     return (
         heading(f"Disagreements ({len(rows)})", "<kbd>Shift</kbd> <kbd>J</kbd> next")
-        + f'<div class="scroll" style="--mh:max(150px, calc(100vh - 780px))"><table class="apart">{widths}{head}'
+        + f'<div class="scroll" style="--mh:max(150px, calc(50vh - 192px))"><table class="apart">{widths}{head}'
         f'{"".join(rows)}</table></div><img src="" style="display:none" onerror="{safe(SHOW_CHOSEN)}">'
     )
 

@@ -7,10 +7,11 @@ BESIDE_CSS = """<style>
 .sv .agree i.second{background:repeating-linear-gradient(90deg,var(--c) 0 5px,color-mix(in srgb,var(--c) 35%,transparent) 5px 8px)}
 .sv .agree+.legend{gap:2px 12px}
 .sv .kappas{display:grid;grid-template-columns:repeat(4,1fr);gap:6px;padding:5px 0 3px;font-size:11px;line-height:1.25}
-.sv .kappas b{display:block;font-size:13px;font-variant-numeric:tabular-nums}
+.sv .kappas b{display:block;color:var(--mantine-color-text);font-size:13px;font-variant-numeric:tabular-nums}
 .sv table.apart{table-layout:fixed}
 .sv table.apart td{padding:2px 3px;overflow:hidden;text-overflow:ellipsis}
-.sv table.apart col.s{width:34px}
+.sv table.apart col.s{width:36px}
+.sv table.apart td:nth-child(3),.sv table.apart th:nth-child(3){padding-left:12px}
 .sv table.apart .name{vertical-align:bottom}
-.sv table.apart td.none{color:var(--mantine-color-dimmed);opacity:.55}
+.sv table.apart td.none{color:color-mix(in srgb,var(--mantine-color-dimmed) 60%,transparent)}
 </style>"""

@@ -32,7 +32,9 @@ def fill_page(
         page.controls.content = left.controls_html(state)
         page.objects.content = left.objects_html(state, thumbs, moving=leads is not None)
         fill_answer(page, state, can_ask)
-        page.object.content = beside_html.agreement_html(state) + right.object_html(state)
+        page.object.content = right.object_html(state)
+        if page.agreement is not None:
+            page.agreement.content = beside_html.agreement_html(state)
         page.image.content = bottom.image_html(state)
         page.log.content = bottom.log_html(log)
 

@@ -99,7 +99,7 @@ class Session:
         self._help = HelpDialog(client, self.post, moving, second)
         ids = store.sources[source].dataset.frame_ids
         self.state = State(source, ids[0], dark=dark, text=first_expression, correctable=bool(journals))
-        self.page = build(client, self.bridge, tuple(store.sources), source, ids, bool(runs), bool(journals))
+        self.page = build(client, self.bridge, tuple(store.sources), source, ids, bool(runs), bool(journals), second)
         self.scene = SceneView(
             client,
             on_ray=lambda pixel, boxes: self.bridge.post(
