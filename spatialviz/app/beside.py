@@ -107,7 +107,7 @@ class BesideLayer:
         """Bring the scene up to the state, and return the names to show; while a hand is at a box nothing changes."""
         state = self._state()
         objects, chosen = state.second_layer, state.second_selected
-        marks = (id(objects) if objects else 0, chosen, state.layers, state.flags.boxes, state.flags.labels, state.dark)
+        marks = (state.source, state.frame_id, bool(objects), chosen, state.layers, state.flags.boxes, state.dark)
         if live or marks == self._drawn:
             return self._tags
         self._drawn = marks

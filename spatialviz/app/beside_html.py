@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pipeline.agreeing import Beside
 from pipeline.palette import hex_color, palette, second_color
+from pipeline.proposals.agreement import MIN_IOU
 from spatialviz.app.state import State
 from spatialviz.app.text import DOUBT, GOOD, dot, heading, note, panel, safe, segments
 
@@ -63,7 +64,8 @@ def agreement_html(state: State) -> str:
     """Counts, figures, and a row for each disagreement; a click selects what it is about."""
     beside = state.beside
     if beside is None:
-        return panel(note("Shown beside an answer." if state.labels is not None else "Nothing to compare here."))
+        reason = "The detectors are compared beside an answer, not beside labels."
+        return panel(note(reason if state.labels is not None else "There is nothing to compare in this frame."))
     sums, a, b = beside.sums, *beside.names
     second = hex_color(second_color(state.dark))
     other = hex_color(palette(state.dark)["other"])
@@ -122,7 +124,9 @@ def _rows(state: State, beside: Beside) -> str:
             overlap, hint = iou[i, j], "overlap of the two"
         else:
             near = beside.found.nearest_a if i is not None else beside.found.nearest_b
-            overlap, hint = float(near[i if i is not None else j]), "overlap with the nearest of the other, not enough"
+            overlap = float(near[i if i is not None else j])
+            why = "which stands for another already" if overlap >= MIN_IOU else "too little"
+            hint = f"overlap with the nearest of the other detector, {why}"
         message = f"sv('beside:{-1 if i is None else i},{-1 if j is None else j}')"
         rows.append(
             f'<tr class="r{" sel" if chosen else ""}" onclick="{message}">{own}{other}'

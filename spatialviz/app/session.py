@@ -412,7 +412,7 @@ class Session:
         if not 0 <= place < len(self.state.ranked):
             return  # A click on a row that a newer answer has replaced.
         pair = self.state.at(self.state.ranked[place])
-        self.state = replace(self.state, pair=pair, selected=pair[0])
+        self.state = replace(self.state, pair=pair, selected=pair[0], second=None)
         self._draw()
 
     def _step_pair(self, step: int) -> None:
