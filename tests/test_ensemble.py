@@ -20,7 +20,7 @@ from pipeline.evaluation.run_folder import _read_spec, spec_record
 from pipeline.frame import Frame
 from pipeline.jobs import open_source
 from pipeline.proposals import Proposals
-from pipeline.proposals.ensemble import EnsembleDetector
+from pipeline.proposals.ensemble import EnsembleDetector, _identity
 from pipeline.proposals.known_names import known_names, name_groups, same_name
 from pipeline.proposals.recording import record_detections
 from pipeline.proposals.registry import named_model, with_model
@@ -183,6 +183,15 @@ def test_equal_numbers_mean_equal_detections() -> None:
         for i in range(len(found)):
             looks = (found.boxes[i].tobytes(), found.masks[i].tobytes())
             assert seen.setdefault(int(found.ids[i]), looks) == looks
+
+
+def test_another_mask_in_the_same_box_is_another_detection() -> None:
+    box, mask = np.array([10, 10, 50, 60], np.float32), SHELF.annotations[0].mask
+    assert mask is not None
+    numbers = [_identity(box, mask), _identity(box, ~mask), _identity(box, None), _identity(box + 1, mask)]
+    assert len(set(numbers)) == 4
+    assert _identity(box.copy(), mask.copy()) == numbers[0]
+    assert all(0 <= number < 2**53 for number in numbers)
 
 
 def test_names_of_one_class_are_fused_and_others_are_not() -> None:
