@@ -136,9 +136,10 @@ def _rows(state: State, beside: Beside) -> str:
         return '<div class="dim">They disagree on nothing.</div>'
     head = "<tr><th>A</th><th></th><th>B</th><th></th><th class=\"n\">IoU</th></tr>"
     widths = '<colgroup><col><col class="s"><col><col class="s"><col class="s"></colgroup>'
+    height = 192 if not beside.sums.beyond_a + beside.sums.beyond_b else 218
     return (
         heading(f"Disagreements ({len(rows)})", "<kbd>Shift</kbd> <kbd>J</kbd> next")
-        + f'<div class="scroll" style="--mh:max(150px, calc(50vh - 192px))"><table class="apart">{widths}{head}'
+        + f'<div class="scroll" style="--mh:max(150px, calc(50vh - {height}px))"><table class="apart">{widths}{head}'
         f'{"".join(rows)}</table></div><img src="" style="display:none" onerror="{safe(SHOW_CHOSEN)}">'
     )
 
