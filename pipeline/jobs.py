@@ -107,6 +107,7 @@ def open_source(
     depth_scale: float | None = None,
     detector: str | None = None,
     model: Path | None = None,
+    model_config: Path | None = None,
     min_score: float | None = None,
     segmenter: str | None = None,
     segmenter_model: SegmenterFiles = None,
@@ -121,7 +122,8 @@ def open_source(
     """Open a dataset and the models for it; the path "demo" is the built-in one.
 
     `segmenter` makes masks for boxes that have none ("depth", "recorded", "yolo-seg", "sam", "sam2", "efficientsam");
-    by default there is none. `segmenter_model` is its file, or its encoder and decoder.
+    by default there is none. `segmenter_model` is its file, or its encoder and decoder. A network's file may also be
+    named by its id on the model hub. `model_config` says what the detector's file does not.
     `srm` is "trained" (the shipped network), "rule", or the path of a network that `spatialviz train` wrote;
     `vectors` the file of text vectors it was trained with, for classes it was not trained on.
     `fuse` names further detectors ("NAME" or "NAME=MODEL") whose detections are fused with the detector's, by weighted
@@ -146,15 +148,19 @@ def open_source(
             raise InputError("--fuse needs --detector", cause="what is fused with what?")
         if also is not None and detector is None:
             raise InputError("--also needs --detector", cause="what is it compared with?")
+    if detector is None and model_config is not None:
+        raise InputError("--model-config needs --detector", cause="what is it for?", path=model_config)
 
-    def make_one(name: str, model: Path | None, min_score: float | None) -> Detector:
-        return make_detector(name, model=model, class_names=dataset.class_names, synonyms=table, min_score=min_score)
+    def make_one(name: str, model: Path | None, min_score: float | None, config: Path | None = None) -> Detector:
+        return make_detector(
+            name, model=model, class_names=dataset.class_names, synonyms=table, min_score=min_score, config=config
+        )
 
     def make(min_score: float | None) -> Detector | None:
         if detector is None:
             return None
         others = [make_one(*named_model(text), min_score) for text in fuse]
-        return fused_detector(make_one(detector, model, min_score), others, fusion, table)
+        return fused_detector(make_one(detector, model, min_score, model_config), others, fusion, table)
 
     found = make(min_score)
     beside = None if also is None else make_one(*named_model(also), min_score)

@@ -24,13 +24,15 @@ from spatialviz.cli_eval import BenchEval, Eval
 from spatialviz.cli_exports import Export, Import
 from spatialviz.cli_journal import Correct, Effective, Redo, ShowJournal, Undo
 from spatialviz.cli_labels import BenchLabel, Check, Label, Merge
+from spatialviz.cli_models import BenchDetect, Models
 from spatialviz.cli_review import BenchReview, Install, Retrain, Review
 from spatialviz.cli_runs import Failures, Query
+from spatialviz.cli_show import Show
 from spatialviz.cli_training import Train
 from spatialviz.cli_view import View
 from spatialviz.cli_whatif import WhatIf
 from spatialviz.exits import BAD, FINE, INTERRUPTED, NO
-from spatialviz.options import four_numbers, print_json, warn_skipped
+from spatialviz.options import four_numbers, one_line_warnings, print_json, warn_skipped
 from spatialviz.source_options import SourceOptions
 
 
@@ -268,6 +270,7 @@ Command = Union[
     Annotated[Export, subcommand("export")],
     Annotated[Import, subcommand("import")],
     Annotated[Review, subcommand("review")],
+    Annotated[Show, subcommand("show")],
     Annotated[ShowJournal, subcommand("journal")],
     Annotated[Correct, subcommand("correct")],
     Annotated[Undo, subcommand("undo")],
@@ -279,6 +282,7 @@ Command = Union[
     Annotated[Detect, subcommand("detect")],
     Annotated[Agree, subcommand("agree")],
     Annotated[Calibrate, subcommand("calibrate")],
+    Annotated[Models, subcommand("models")],
     Annotated[Eval, subcommand("eval")],
     Annotated[Failures, subcommand("failures")],
     Annotated[Query, subcommand("query")],
@@ -290,6 +294,7 @@ Command = Union[
     Annotated[BenchEval, subcommand("bench-eval")],
     Annotated[BenchSrm, subcommand("bench-srm")],
     Annotated[BenchReview, subcommand("bench-review")],
+    Annotated[BenchDetect, subcommand("bench-detect")],
 ]
 
 
@@ -299,13 +304,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         if isinstance(stream, io.TextIOWrapper):
             # A terminal that cannot show a character shows a question mark instead.
             stream.reconfigure(errors="replace")
+    one_line_warnings()
     arguments = list(sys.argv[1:] if argv is None else argv)
     if arguments in (["--version"], ["-V"]):
         print(f"spatialviz {__version__}")
         return FINE
     if not arguments or (arguments[0].startswith("-") and arguments[0] not in ("-h", "--help")):
         arguments = ["view", *arguments]
-    if arguments[:2] in (["bench", "label"], ["bench", "eval"], ["bench", "srm"], ["bench", "review"]):
+    if arguments[0] == "bench" and arguments[1:2] and arguments[1] in ("label", "eval", "srm", "review", "detect"):
         arguments = [f"bench-{arguments[1]}", *arguments[2:]]
     try:
         command = tyro.cli(

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional
 
+from pipeline.execution import Provider
 from spatialviz.exits import FINE, NO
 from spatialviz.options import four_numbers, print_json, warn_skipped
 from spatialviz.source_options import fusing
@@ -21,10 +22,12 @@ class DetectorOptions:
     """Which detector is run, and how."""
 
     detector: str | None = None
-    """annotations | recorded | yolo-seg | grounding-dino | owlv2 | owlvit | simulated. Default: annotations, where the
-    dataset has them."""
+    """annotations | recorded | yolo-seg | grounding-dino | owlv2 | owlvit | detic | boxes | simulated. Default:
+    annotations, where the dataset has them."""
     model: Path | None = None
-    """Model file or recording for the detector, or options (TOML or JSON) of the simulated one."""
+    """Model file, its id on the model hub (OWNER/REPO:FILE@REVISION), a recording, or options of the simulated one."""
+    model_config: Path | None = None
+    """What the model file does not say: the TOML file of boxes (default: beside the model), class names of detic."""
     fuse: tuple[str, ...] = ()
     """Further detectors, NAME or NAME=MODEL, whose detections are fused with the detector's."""
     fusion: Literal["wbf", "nms"] = "wbf"
@@ -34,7 +37,7 @@ class DetectorOptions:
     segmenter: str | None = None
     """depth | recorded | yolo-seg | sam | sam2 | efficientsam: makes masks for boxes that have none. Default: none."""
     segmenter_model: Path | tuple[Path, Path] | None = None
-    """Model file or recording for the segmenter, ENCODER DECODER for the SAM kinds; depth needs none."""
+    """Model file, hub id or recording for the segmenter, ENCODER DECODER for the SAM kinds; depth needs none."""
     k: int = 10
     """Proposals of each name."""
     frames: str = "all"
@@ -45,12 +48,18 @@ class DetectorOptions:
     """fx,fy,cx,cy in pixels, for recordings without a camera file."""
     depth_scale: float | None = None
     """Depth units in one metre (1000 for millimetres), for recordings without a camera file."""
+    provider: Provider | None = None
+    """What networks compute on. Default: cuda, directml or coreml where ONNX Runtime has it, else the CPU."""
+    verbose: bool = False
+    """Show ONNX Runtime's own messages."""
 
     def open(self, dataset: str, also: str | None = None) -> tuple[Source, tuple[str, ...]]:
         """The dataset with the detector (and `also` another beside it), and the frames that are meant."""
         from pipeline.ask import AskConfig
+        from pipeline.execution import use_execution
         from pipeline.jobs import frame_range, open_source
 
+        use_execution(self.provider, self.verbose)
         source = open_source(
             dataset,
             also=also,
@@ -59,6 +68,7 @@ class DetectorOptions:
             depth_scale=self.depth_scale,
             detector=self.detector,
             model=self.model,
+            model_config=self.model_config,
             min_score=self.min_score,
             segmenter=self.segmenter,
             segmenter_model=self.segmenter_model,

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional
 
+from pipeline.execution import Provider
 from spatialviz.exits import FINE, NO
 from spatialviz.options import four_numbers, print_json, task_of
 
@@ -23,14 +24,16 @@ class LabelSource:
     """What is labelled, and what finds the objects."""
 
     detector: str | None = None
-    """annotations | recorded | yolo-seg | grounding-dino | owlv2 | owlvit | simulated. Default: annotations, where the
-    dataset has them."""
+    """annotations | recorded | yolo-seg | grounding-dino | owlv2 | owlvit | detic | boxes | simulated. Default:
+    annotations, where the dataset has them."""
     model: Path | None = None
-    """Model file or recording for the detector, or options (TOML or JSON) of the simulated one."""
+    """Model file, its id on the model hub (OWNER/REPO:FILE@REVISION), a recording, or options of the simulated one."""
+    model_config: Path | None = None
+    """What the model file does not say: the TOML file of boxes (default: beside the model), class names of detic."""
     segmenter: str | None = "depth"
     """depth | recorded | yolo-seg | sam | sam2 | efficientsam: masks for the boxes that have none."""
     segmenter_model: Path | tuple[Path, Path] | None = None
-    """Model file or recording for the segmenter, ENCODER DECODER for the SAM kinds."""
+    """Model file, hub id or recording for the segmenter, ENCODER DECODER for the SAM kinds."""
     min_score: float | None = None
     """Drop detections below this score. Default: the detector's own."""
     synonyms: Path | None = None
@@ -39,14 +42,21 @@ class LabelSource:
     """fx,fy,cx,cy in pixels, for recordings without a camera file."""
     depth_scale: float | None = None
     """Depth units in one metre (1000 for millimetres), for recordings without a camera file."""
+    provider: Provider | None = None
+    """What networks compute on. Default: cuda, directml or coreml where ONNX Runtime has it, else the CPU."""
+    verbose: bool = False
+    """Show ONNX Runtime's own messages."""
 
     def spec(self, dataset: str) -> SourceSpec:
         """The same as the core takes it."""
+        from pipeline.execution import use_execution
         from pipeline.labels.plan import SourceSpec
 
+        use_execution(self.provider, self.verbose)
         options: dict[str, Any] = {
             "detector": self.detector,
             "model": self.model,
+            "model_config": self.model_config,
             "segmenter": self.segmenter,
             "segmenter_model": self.segmenter_model,
             "min_score": self.min_score,

@@ -4,13 +4,36 @@ from __future__ import annotations
 
 import json
 import sys
+import warnings
+from typing import TextIO
 
 from pipeline.errors import InputError
+from pipeline.execution import ProviderWarning
 
 
 def print_json(record: dict) -> None:
     """One JSON object on a line."""
     print(json.dumps(record, ensure_ascii=False, allow_nan=False))
+
+
+def one_line_warnings() -> None:
+    """What computes in place of what was asked for is told in a line, without the place in the code."""
+    shown = warnings.showwarning
+
+    def show(
+        message: Warning | str,
+        category: type[Warning],
+        filename: str,
+        lineno: int,
+        file: TextIO | None = None,
+        line: str | None = None,
+    ) -> None:
+        if issubclass(category, ProviderWarning):
+            print(f"spatialviz: {message}", file=sys.stderr)
+        else:
+            shown(message, category, filename, lineno, file, line)
+
+    warnings.showwarning = show
 
 
 def warn_skipped(frame_id: str, reason: str) -> None:

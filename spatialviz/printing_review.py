@@ -164,8 +164,13 @@ def print_review_bench(record: dict[str, Any]) -> None:
     mean = record["mean"]
     console.print(
         f"found {mean['found']:.1%}, in all {mean['found_again']:.1%}; of the lost F1 {_share(mean['recovered'])} is "
-        f"back, in all {_share(mean['recovered_again'])}"
+        f"back{_between(mean['recovered_interval'])}, in all {_share(mean['recovered_again'])}"
+        f"{_between(mean['recovered_again_interval'])}"
     )
+
+
+def _between(interval: list[float] | None) -> str:
+    return "" if interval is None else f" [{interval[0]:.1%}, {interval[1]:.1%}]"
 
 
 def _share(value: float | None) -> str:

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 from pipeline.errors import InputError
+from pipeline.execution import Provider
 from spatialviz.options import four_numbers
 
 if TYPE_CHECKING:
@@ -36,10 +37,12 @@ class SourceOptions:
     """What is opened, and with which models."""
 
     detector: str | None = None
-    """annotations | recorded | yolo-seg | grounding-dino | owlv2 | owlvit | simulated. Default: annotations, where the
-    dataset has them."""
+    """annotations | recorded | yolo-seg | grounding-dino | owlv2 | owlvit | detic | boxes | simulated. Default:
+    annotations, where the dataset has them."""
     model: Path | None = None
-    """Model file or recording for the detector, or options (TOML or JSON) of the simulated one."""
+    """Model file, its id on the model hub (OWNER/REPO:FILE@REVISION), a recording, or options of the simulated one."""
+    model_config: Path | None = None
+    """What the model file does not say: the TOML file of boxes (default: beside the model), class names of detic."""
     fuse: tuple[str, ...] = ()
     """Further detectors, NAME or NAME=MODEL, whose detections are fused with the detector's."""
     fusion: Literal["wbf", "nms"] = "wbf"
@@ -50,7 +53,7 @@ class SourceOptions:
     """Makes masks for boxes that have none: depth | recorded | yolo-seg | sam | sam2 | efficientsam.
     Default: none, the whole box is lifted."""
     segmenter_model: Path | tuple[Path, Path] | None = None
-    """Model file or recording for the segmenter, ENCODER DECODER for the SAM kinds; depth needs none."""
+    """Model file, hub id or recording for the segmenter, ENCODER DECODER for the SAM kinds; depth needs none."""
     srm: str = "trained"
     """What scores relations: trained (the network that comes with the program) | rule | an ONNX file."""
     vectors: Path | None = None
@@ -69,17 +72,24 @@ class SourceOptions:
     """fx,fy,cx,cy in pixels, for recordings without a camera file."""
     depth_scale: float | None = None
     """Depth units in one metre (1000 for millimetres), for recordings without a camera file."""
+    provider: Provider | None = None
+    """What networks compute on. Default: cuda, directml or coreml where ONNX Runtime has it, else the CPU."""
+    verbose: bool = False
+    """Show ONNX Runtime's own messages."""
 
     def options(self) -> dict[str, Any]:
         """The same as arguments of `pipeline.jobs.open_source`."""
         from pipeline.ask import AskConfig
+        from pipeline.execution import use_execution
         from pipeline.lifting import LiftConfig
 
+        use_execution(self.provider, self.verbose)
         return {
             "intrinsics": four_numbers(self.intrinsics),
             "depth_scale": self.depth_scale,
             "detector": self.detector,
             "model": self.model,
+            "model_config": self.model_config,
             "min_score": self.min_score,
             "segmenter": self.segmenter,
             "segmenter_model": self.segmenter_model,

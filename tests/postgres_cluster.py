@@ -9,6 +9,7 @@ import subprocess
 import tempfile
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 OWNER = "postgres"
@@ -30,43 +31,98 @@ def missing() -> str | None:
     if os.getuid() == 0 and shutil.which("setpriv") is None:
         return "initdb refuses root, and setpriv is not there"
     try:
-        import psycopg  # noqa: F401
+        import pg8000  # noqa: F401
     except ImportError:
-        return "psycopg is not installed: pip install 'spatialviz[postgres]'"
+        return "pg8000 is not installed: pip install 'spatialviz[postgres]'"
     return None
+
+
+@dataclass(frozen=True)
+class Cluster:
+    """A running server of its own.
+
+    Attributes
+    ----------
+    url : str
+        Of an empty database.
+    folder : Path
+        Of the sockets and the log; the data are in `folder/data`.
+    options : str
+        Of the server.
+    as_owner : tuple of str
+        Before a command, to run it as the server's user.
+    """
+
+    url: str
+    folder: Path
+    options: str
+    as_owner: tuple[str, ...]
+
+    def control(self, *arguments: str) -> None:
+        """pg_ctl."""
+        programs = binaries()
+        assert programs is not None
+        command = (str(programs / "pg_ctl"), "-D", str(self.folder / "data"), "-w", *arguments)
+        _run(self.folder, *self.as_owner, *command)
+
+    def start(self) -> None:
+        self.control("-l", str(self.folder / "log"), "-o", self.options, "start")
+
+    def crash(self) -> None:
+        """Stop it without a checkpoint, as a power cut would."""
+        self.control("-m", "immediate", "stop")
+
+
+def _run(folder: Path, *command: str) -> None:
+    log = folder / "log"
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=60, check=False)
+    said = log.read_text(errors="replace") if log.exists() else ""
+    assert done.returncode == 0, done.stdout + done.stderr + said
+
+
+@contextmanager
+def started_cluster(password: str | None = None, folder: Path | None = None) -> Iterator[Cluster]:
+    """A cluster, and its end.
+
+    Parameters
+    ----------
+    password : str, optional
+        Of the owner, asked for by SCRAM-SHA-256; without one everybody is trusted.
+    folder : Path, optional
+        An empty one to put it in. Not below pytest's own folder: the server's user may not enter that.
+    """
+    programs = binaries()
+    assert programs is not None
+    own = Path(tempfile.mkdtemp(prefix="spatialviz-pg-")) if folder is None else folder
+    as_owner: tuple[str, ...] = ()
+    if os.getuid() == 0:
+        shutil.chown(own, OWNER, OWNER)
+        as_owner = ("setpriv", f"--reuid={OWNER}", f"--regid={OWNER}", "--clear-groups")
+    try:
+        login = ("-A", "trust")
+        if password is not None:
+            (own / "password").write_text(password + "\n")
+            login = ("-A", "scram-sha-256", "--pwfile", str(own / "password"))
+        _run(own, *as_owner, str(programs / "initdb"), "-D", str(own / "data"), "-U", OWNER, *login, "--no-sync",
+             "-E", "UTF8", "--locale=C")  # fmt: skip
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            port = free.getsockname()[1]
+        options = f"-c listen_addresses=127.0.0.1 -p {port} -k {own} -c max_connections=40"
+        cluster = Cluster(f"postgresql://{OWNER}@127.0.0.1:{port}/postgres", own, options, as_owner)
+        cluster.start()
+        try:
+            yield cluster
+        finally:
+            if (own / "data" / "postmaster.pid").exists():
+                cluster.crash()
+    finally:
+        if folder is None:
+            shutil.rmtree(own, ignore_errors=True)
 
 
 @contextmanager
 def running_cluster() -> Iterator[str]:
     """The URL of an empty database."""
-    programs = binaries()
-    assert programs is not None
-    # Not below pytest's own folder: the server's user may not enter that.
-    folder = Path(tempfile.mkdtemp(prefix="spatialviz-pg-"))
-    as_owner: list[str] = []
-    if os.getuid() == 0:
-        shutil.chown(folder, OWNER, OWNER)
-        as_owner = ["setpriv", f"--reuid={OWNER}", f"--regid={OWNER}", "--clear-groups"]
-    data, log = folder / "data", folder / "log"
-
-    def run(*command: str) -> None:
-        done = subprocess.run(
-            [*as_owner, *command], cwd=folder, capture_output=True, text=True, timeout=60, check=False
-        )
-        said = log.read_text(errors="replace") if log.exists() else ""
-        assert done.returncode == 0, done.stdout + done.stderr + said
-
-    try:
-        run(str(programs / "initdb"), "-D", str(data), "-U", OWNER, "-A", "trust", "--no-sync", "-E", "UTF8",
-            "--locale=C")  # fmt: skip
-        with socket.socket() as free:
-            free.bind(("127.0.0.1", 0))
-            port = free.getsockname()[1]
-        options = f"-c listen_addresses=127.0.0.1 -p {port} -k {folder} -c max_connections=40"
-        run(str(programs / "pg_ctl"), "-D", str(data), "-l", str(log), "-o", options, "-w", "start")
-        try:
-            yield f"postgresql://{OWNER}@127.0.0.1:{port}/postgres"
-        finally:
-            run(str(programs / "pg_ctl"), "-D", str(data), "-m", "immediate", "-w", "stop")
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)
+    with started_cluster() as cluster:
+        yield cluster.url

@@ -12,7 +12,7 @@ from pipeline.errors import InputError
 from pipeline.labels.reading import Labels
 from pipeline.relations import DIRECTIONAL, U
 from pipeline.review.bench import ReviewBenchConfig, measure_recovery, review_rooms
-from pipeline.review.out_of_fold import DoubtConfig, doubt_labels, stacked, unstacked
+from pipeline.review.out_of_fold import PASSES, DoubtConfig, doubt_labels, stacked, unstacked
 from pipeline.review.planted import plant_flips, with_labels
 from pipeline.srm.label_data import LabelData, read_label_data
 from pipeline.srm.train import TrainConfig
@@ -20,8 +20,8 @@ from pipeline.srm.train import TrainConfig
 pytest.importorskip("embreex")
 pytest.importorskip("torch")
 
-QUICK = DoubtConfig(folds=3, train=TrainConfig(vocabulary="all", epochs=3, batch=32))
-THOROUGH = replace(QUICK, train=replace(QUICK.train, epochs=5))
+QUICK = DoubtConfig(folds=3, passes=1, train=TrainConfig(vocabulary="all", epochs=3, batch=32))
+THOROUGH = replace(QUICK, passes=PASSES, train=replace(QUICK.train, epochs=5))
 SMALL = ReviewBenchConfig(
     rooms=15, views=1, width=320, height=240, networks=1, again=0.02, doubts=THOROUGH, train=TrainConfig(batch=32)
 )
@@ -48,7 +48,7 @@ def test_the_top_of_the_ranking_holds_the_planted_errors(rooms: tuple[LabelData,
     assert found.found_again >= 0.97
     assert found.estimated == pytest.approx(found.planted, rel=0.3)
     assert found.f1["clean"] - found.f1["planted"] > 0.003, "there is something to bring back"
-    assert found.recovered("mended") > 0.5
+    assert found.recovered("mended") > 0.65
     assert found.recovered("again") >= 0.8
     assert json.loads(json.dumps(found.record()))["found"] == found.found
 

@@ -18,6 +18,7 @@ from pipeline.errors import InputError
 from pipeline.evaluation.run import EvalSpec
 from pipeline.jobs import Source, open_source
 from pipeline.labels.reading import Labels, open_labels
+from pipeline.proposals.model_files import parse_hub_id
 from pipeline.proposals.registry import with_model
 
 if TYPE_CHECKING:
@@ -26,7 +27,9 @@ if TYPE_CHECKING:
 RUN_FILE = "run.json"
 """The manifest of a run; a folder that holds it may be overwritten by another run."""
 RECORDS_FILE = "records.parquet"
-_PATHS = ("model", "segmenter_model", "srm", "vectors", "synonyms")
+_PATHS = ("model", "model_config", "segmenter_model", "srm", "vectors", "synonyms")
+_HUB = "hub:"
+"""Marks an id on the model hub among paths."""
 _WORDS = ("trained", "rule")
 
 
@@ -82,9 +85,9 @@ def spec_record(spec: EvalSpec, folder: Path) -> dict[str, Any]:
     """
     options = {k: v for k, v in spec.options.items() if k != "config" and v is not None}
     for name in _files(options):
-        options[name] = _each(options[name], lambda path: written_path(path, folder))
+        options[name] = _each(options[name], lambda path: _written_model(path, folder))
     if "fuse" in options:
-        options["fuse"] = [with_model(text, lambda path: written_path(path, folder)) for text in options["fuse"]]
+        options["fuse"] = [with_model(text, lambda path: _written_model(path, folder)) for text in options["fuse"]]
     config = spec.options.get("config")
     return {
         "dataset": spec.dataset if spec.dataset == DEMO_NAME else written_path(spec.dataset, folder),
@@ -111,6 +114,17 @@ def written_path(path: str | Path, folder: Path) -> str:
 def resolved_path(written: str, folder: Path) -> str:
     """What `written_path` wrote into the manifest of a run in `folder`."""
     return os.path.normpath(folder / written)
+
+
+def _written_model(path: str | Path, folder: Path) -> str:
+    hub_id = parse_hub_id(path)
+    return written_path(path, folder) if hub_id is None else f"{_HUB}{hub_id}"
+
+
+def _resolved_model(written: str, folder: Path) -> Path:
+    if written.startswith(_HUB):
+        return Path(written.removeprefix(_HUB))
+    return Path(resolved_path(written, folder))
 
 
 def _each(value: Any, change: Callable[[Any], Any]) -> Any:
@@ -164,10 +178,10 @@ def open_run(folder: str | Path, *, dataset: str | None = None, labels: str | No
 def _read_spec(record: Mapping[str, Any], folder: Path) -> EvalSpec:
     options: dict[str, Any] = dict(record["options"])
     for name in _files(options):
-        options[name] = _each(options[name], lambda path: Path(resolved_path(path, folder)))
+        options[name] = _each(options[name], lambda path: _resolved_model(path, folder))
     if "fuse" in options:
         own = [str(text) for text in options["fuse"]]
-        options["fuse"] = [with_model(text, lambda path: resolved_path(str(path), folder)) for text in own]
+        options["fuse"] = [with_model(text, lambda path: _resolved_model(str(path), folder)) for text in own]
     if isinstance(options.get("intrinsics"), list):
         options["intrinsics"] = tuple(options["intrinsics"])
     if record["config"] is not None:

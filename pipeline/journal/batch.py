@@ -64,8 +64,10 @@ class Rectangle(OfObject):
 
 
 class Solid(OfObject):
+    """Null for the box that the object's points make."""
+
     edit: Literal["box"]
-    to: dict[str, list[float]]
+    to: dict[str, list[float]] | None
 
 
 class Status(Action):
@@ -229,7 +231,7 @@ def edits_of(action: AnyAction, frame: EffectiveFrame, author: str, canvas: Canv
     if isinstance(a, Rectangle):
         return actions.set_bbox(frame, a.object, a.to, why)
     if isinstance(a, Solid):
-        return actions.set_box(frame, a.object, box_of(a.to), why)
+        return actions.set_box(frame, a.object, None if a.to is None else box_of(a.to), why)
     if isinstance(a, Status):
         return actions.set_status(frame, _status_cell(a), a.to, why)
     if isinstance(a, Judge):

@@ -180,7 +180,9 @@ def shown_value(cell: Cell, value: Any) -> str:
         return f"a new {value['label']}"
     if cell.field == "box":
         middle, size = (" ".join(f"{x:.3f}" for x in value[n]) for n in ("center", "size"))
-        return f"a box at {middle}, size {size}"
+        # Seen from the camera: what is up is not known here.
+        turn = math.degrees(math.atan2(value["R"][6], value["R"][0]))
+        return f"a box at {middle}, size {size}, turned {turn:.0f} deg"
     return str(value) if len(str(value)) <= 60 else f"{str(value)[:57]}..."
 
 

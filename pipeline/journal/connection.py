@@ -8,24 +8,33 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import sqlalchemy as sa
-from sqlalchemy import event
-from sqlalchemy.exc import ArgumentError, DBAPIError, SQLAlchemyError
+from sqlalchemy.exc import DBAPIError, SQLAlchemyError
 
-from pipeline.errors import InputError, MissingExtra
+from pipeline.errors import InputError
 from pipeline.journal.migrations import HEAD, known_revisions, revision_of, upgrade
+from pipeline.journal.postgres import postgres_engine, state_of
+from pipeline.journal.sqlite_file import BUSY_S, READING, check_in_place, sqlite_engine
 
-BUSY_S = 60.0
-"""How long a writer waits for its turn."""
 NETWORK_FILE_SYSTEMS = frozenset(
     {"nfs", "nfs3", "nfs4", "cifs", "smb3", "smbfs", "fuse.sshfs", "9p", "lustre", "gpfs", "beegfs", "afs", "ceph",
      "fuse.ceph", "glusterfs", "fuse.glusterfs", "ocfs2", "gfs2", "fuse.s3fs", "fuse.gcsfuse", "davfs", "fuse.davfs2"}
 )  # fmt: skip
-DATABASE_ERRORS = (SQLAlchemyError, sqlite3.Error)
-"""What goes wrong in a database; the second where a connection is only being made."""
-_READING = "spatialviz_reading"
+DATABASE_ERRORS = (SQLAlchemyError, sqlite3.Error, OSError)
+"""What goes wrong in a database; the second where a connection is only being made, the third on the network."""
+_HELP = (
+    (("is full", "no space", "quota"), "the disk is full: free some space and save again"),
+    (("disk i/o error",), "the disk is full, over a limit, read-only or broken: mend that and save again"),
+    (("file is gone", "no such table"), "put the journal back where it was, and save again"),
+    (("read-only transaction",), "the database takes no edits now: save again when it does"),
+    (("readonly", "read-only", "unable to open", "permission denied"),
+     "the folder cannot be written: check that it is there, and its rights, and save again"),
+    (("locked",), "another program holds the journal: close it, and save again"),
+    (("connect", "network", "terminat", "closed", "shutting down", "starting up", "recovery mode", "timed out",
+      "name or service"), "the database cannot be reached: save again when it can"),
+)  # fmt: skip
+"""Words of a reason, and what helps."""
 _ADVISORY = 0x5350_4A4C
 """Key of the lock by which PostgreSQL's writers take turns: events are numbered in the order of their saving."""
 _ESCAPE = re.compile(r"\\([0-7]{3})")
@@ -47,25 +56,8 @@ def make_engine(where: str | Path) -> sa.Engine:
         PostgreSQL's driver is not installed.
     """
     if not is_url(where):
-        engine = sa.create_engine(
-            sa.URL.create("sqlite", database=str(Path(where).expanduser())), connect_args={"timeout": BUSY_S}
-        )
-        event.listen(engine, "connect", _settle_sqlite)
-        event.listen(engine, "begin", _begin_sqlite)
-        return engine
-    try:
-        url = sa.make_url(str(where))
-        port = url.port
-    except (ArgumentError, ValueError) as error:
-        raise InputError("the journal's URL cannot be read", expected="postgresql://user@host/database") from error
-    if url.get_backend_name() not in ("postgresql", "postgres"):
-        raise InputError("no such kind of journal", got=url.drivername, expected="a path, or postgresql://...")
-    try:
-        import psycopg  # noqa: F401
-    except ImportError as error:
-        raise MissingExtra("a journal in PostgreSQL", "postgres") from error
-    url = url.set(drivername="postgresql+psycopg", port=port)
-    return sa.create_engine(url, pool_pre_ping=True, connect_args={"connect_timeout": 10})
+        return sqlite_engine(where)
+    return postgres_engine(str(where))
 
 
 def place_of(engine: sa.Engine) -> str:
@@ -73,21 +65,6 @@ def place_of(engine: sa.Engine) -> str:
     if engine.dialect.name == "sqlite":
         return str(engine.url.database)
     return engine.url.set(drivername="postgresql").render_as_string(hide_password=True)
-
-
-def _settle_sqlite(connection: Any, _: Any) -> None:
-    # The driver's own handling of transactions begins them late, and so lets two writers read the same version.
-    connection.isolation_level = None
-    cursor = connection.cursor()
-    cursor.execute(f"PRAGMA busy_timeout = {int(1000 * BUSY_S)}")
-    # With FULL a commit returns when the write-ahead log is on the disk (sqlite.org/pragma.html#pragma_synchronous).
-    cursor.execute("PRAGMA synchronous = FULL")
-    cursor.close()
-
-
-def _begin_sqlite(connection: sa.Connection) -> None:
-    reading = connection.get_execution_options().get(_READING, False)
-    connection.exec_driver_sql("BEGIN" if reading else "BEGIN IMMEDIATE")
 
 
 @contextmanager
@@ -100,7 +77,7 @@ def reading(engine: sa.Engine) -> Iterator[sa.Connection]:
         The journal cannot be read.
     """
     try:
-        with engine.connect().execution_options(**{_READING: True}) as connection, connection.begin():
+        with engine.connect().execution_options(**{READING: True}) as connection, connection.begin():
             yield connection
     except DATABASE_ERRORS as error:
         raise InputError("the journal cannot be read", got=reason_of(error), path=place_of(engine)) from error
@@ -113,6 +90,8 @@ def writing(engine: sa.Engine) -> Iterator[sa.Connection]:
         if engine.dialect.name == "postgresql":
             connection.execute(sa.select(sa.func.pg_advisory_xact_lock(_ADVISORY)))
         yield connection
+        if engine.dialect.name == "sqlite":
+            check_in_place(connection)
 
 
 def prepare(engine: sa.Engine) -> None:
@@ -127,7 +106,7 @@ def prepare(engine: sa.Engine) -> None:
     try:
         if engine.dialect.name == "sqlite":
             _use_write_ahead_log(engine)
-        with engine.connect().execution_options(**{_READING: True}) as connection, connection.begin():
+        with engine.connect().execution_options(**{READING: True}) as connection, connection.begin():
             found = revision_of(connection)
         if found == HEAD:
             return
@@ -165,21 +144,16 @@ def _use_write_ahead_log(engine: sa.Engine) -> None:
 def reason_of(error: BaseException) -> str:
     """The database's own words, in one line."""
     inner = error.orig if isinstance(error, DBAPIError) and error.orig is not None else error
-    return next((line.strip() for line in str(inner).splitlines() if line.strip()), type(inner).__name__)
+    said = state_of(inner).get("M") or str(inner)
+    if isinstance(inner.__cause__, OSError) and str(inner.__cause__) not in said:
+        said = f"{said}: {inner.__cause__}"
+    return next((line.strip() for line in said.splitlines() if line.strip()), type(inner).__name__)
 
 
 def likely_cause(reason: str) -> str | None:
     """What helps against a reason of `reason_of`."""
     said = reason.lower()
-    if "full" in said or "no space" in said:
-        return "the disk is full: free some space and save again"
-    if "readonly" in said or "read-only" in said or "unable to open" in said or "denied" in said:
-        return "the folder cannot be written: check its rights, and save again"
-    if "locked" in said:
-        return "another program holds the journal: close it, and save again"
-    if "connect" in said or "terminat" in said or "closed" in said:
-        return "the database cannot be reached: save again when it can"
-    return None
+    return next((help for words, help in _HELP if any(word in said for word in words)), None)
 
 
 def network_file_system(path: str | Path, mounts: str | Path = "/proc/self/mounts") -> str | None:

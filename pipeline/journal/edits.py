@@ -71,9 +71,9 @@ def set_bbox(frame: EffectiveFrame, number: int, bbox: Rectangle, reason: str = 
     return (_object_edit(frame, number, "bbox", _within(frame, bbox), reason),)
 
 
-def set_box(frame: EffectiveFrame, number: int, box: Box3D, reason: str = "") -> Edits:
-    """Another 3D box, in the camera frame; the object's points move with it."""
-    return (_object_edit(frame, number, "box", box_value(box), reason),)
+def set_box(frame: EffectiveFrame, number: int, box: Box3D | None, reason: str = "") -> Edits:
+    """Another 3D box, in the camera frame; the object's points move with it. None for the one that they make."""
+    return (_object_edit(frame, number, "box", None if box is None else box_value(box), reason),)
 
 
 def add_object(

@@ -42,7 +42,7 @@ class Corrector:
     """
 
     def __init__(self, labels: Labels, dataset: Dataset | None = None) -> None:
-        self.labels = labels
+        self.labels, self.dataset = labels, dataset
         self.setting: Setting = setting_of(labels)
         self.index = FrameIndex({name: getattr(labels, name) for name in TABLES})
         self.relifter = None if dataset is None else Relifter(dataset, self.setting)

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from pipeline.journal.cells import Cell, box_of
+from pipeline.journal.cells import Cell, box_of, same_value
 from pipeline.journal.events import Event
 from pipeline.journal.frame_rows import FrameRows
 from pipeline.journal.origins import Origin, Origins
@@ -114,7 +114,7 @@ def _correct(
             if name != "exists":
                 note(name, all_gone(None, events, f"there is no object {number} any more"))
         return
-    row = dict(row)
+    row, refitted = dict(row), False
     for name in ("label", "mask", "bbox", "box", "status"):
         if name not in fields:
             continue
@@ -122,11 +122,18 @@ def _correct(
         if not created and any(is_another(e.anchor, number, auto.objects[number]["bbox"]) for e in events):
             note(name, all_gone(was, events, f"object {number} is another thing now"))
             continue
-        trusted = created or (name in ("bbox", "box") and number in found.geometry)
-        after = note(name, replay(was, events, trusted=trusted))
+        trusted = created or (name in ("bbox", "box") and refitted)
+        after = note(name, replay(was, events, trusted=trusted, released_by_none=name == "box"))
         if after.event is None:
             continue
-        _set(row, number, name, after.value, after.event, auto, found)
+        if name == "box" and after.event.after is None:
+            # Nobody's any more: it follows from the pixels, as every box does that nobody set.
+            if row["mask"] is not None:
+                found.boxes.pop(number, None)
+            continue
+        if created or number in found.geometry or not same_value(after.value, was):
+            _set(row, number, name, after.value, after.event, auto, found)
+        refitted |= name == "mask" or (name == "bbox" and row["mask_source"] == "box")
         for column in BOX_COLUMNS if name == "box" else (name,):
             automatic = None if created else auto.objects[number].get(column)
             origins.put("objects", str(number), column, Origin.of("human", after.event), automatic)

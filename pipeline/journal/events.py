@@ -169,7 +169,8 @@ class NotSaved(InputError):
     edits : tuple of Edit
         Empty for an undo or redo: those are asked for again.
     group : str
-        To be given to `append` again, so that what was saved in spite of the error is not saved twice.
+        To be given to `append`, or to `undo` and `redo` as `again`: what was saved in spite of the error is not saved
+        twice.
     """
 
     def __init__(

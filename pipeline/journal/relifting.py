@@ -52,14 +52,23 @@ class Relifter:
         self._contexts.move_to_end(frame)
         return self._contexts[frame]
 
+    @property
+    def network(self) -> OnnxScorer | None:
+        """The second opinion of the labels, opened when it is first asked."""
+        if self._network is None and self.setting.config.second_opinion != NONE:
+            self._network = open_second_opinion(self.setting.config.second_opinion)
+        return self._network
+
+    def lifted(self, frame: str, row: Row, box: Any) -> SceneObject:
+        """An object of a frame as its effective row and the 3D box that a person set have it."""
+        return self._object(self.context(frame), row, box, human_bbox=True)
+
     def __call__(
         self, auto: FrameRows, rows: Mapping[int, Row], boxes: Mapping[int, Any], human_bbox: Iterable[int]
     ) -> tuple[dict[int, Row], Pairs]:
         context = self.context(auto.frame)
         numbers, kept = sorted(rows), set(human_bbox)
         objects = [self._object(context, rows[n], boxes.get(n), n in kept) for n in numbers]
-        if self._network is None and self.setting.config.second_opinion != NONE:
-            self._network = open_second_opinion(self.setting.config.second_opinion)
         labels = label_objects(
             context,
             objects,
@@ -67,7 +76,7 @@ class Relifter:
             frame_index=auto.index,
             scene=auto.row["scene"],
             exact=self.setting.exact,
-            network=self._network,
+            network=self.network,
             numbers=numbers,
         )
         columns = labels.objects

@@ -71,18 +71,23 @@ def standing(events: Sequence[Event]) -> list[Event]:
     return found
 
 
-def replay(automatic: Any, events: Sequence[Event], *, trusted: bool = False) -> Replayed:
+def replay(
+    automatic: Any, events: Sequence[Event], *, trusted: bool = False, released_by_none: bool = False
+) -> Replayed:
     """Apply the events of a cell to its automatic label, in the order of their versions.
 
     An event applies where the value is what its author saw. What does not
     apply is listed, unless a later event settles the cell. `trusted` cells
     follow from other corrections: what their authors saw is not to be compared
-    with the automatic label.
+    with the automatic label. With `released_by_none` a value of None is none: the
+    cell is the automatic one again.
     """
     value, origin, unapplied = automatic, None, []
     for event in standing(events):
         if trusted or same_value(event.before, value):
             value, origin, unapplied = event.after, event, []
+            if released_by_none and event.after is None:
+                value = automatic
             continue
         now = shown_value(event.cell, value)
         if same_value(event.after, value):

@@ -52,8 +52,19 @@ def history(events: Iterable[Event]) -> History:
     return History(*(tuple(tuple(groups[g]) for g in stack) for stack in (done, undone)))
 
 
-def undo(journal: Journal, author: str, *, group: str | None = None) -> Saved | Conflict | None:
+def undo(
+    journal: Journal, author: str, *, group: str | None = None, again: str | None = None
+) -> Saved | Conflict | None:
     """Take back a person's newest action, or the one of a group.
+
+    Parameters
+    ----------
+    journal : Journal
+    author : str
+    group : str, optional
+        Of the action to take back.
+    again : str, optional
+        `NotSaved.group`, where this is another try: what was taken back after all is not followed by the next.
 
     Returns
     -------
@@ -68,12 +79,14 @@ def undo(journal: Journal, author: str, *, group: str | None = None) -> Saved | 
     NotSaved
         As `Journal.append`.
     """
-    return _take_back(journal, author, "undo", group)
+    return _take_back(journal, author, "undo", group, again)
 
 
-def redo(journal: Journal, author: str, *, group: str | None = None) -> Saved | Conflict | None:
+def redo(
+    journal: Journal, author: str, *, group: str | None = None, again: str | None = None
+) -> Saved | Conflict | None:
     """Bring back what a person took back last; as `undo`, whose group it names."""
-    return _take_back(journal, author, "redo", group)
+    return _take_back(journal, author, "redo", group, again)
 
 
 def next_undo(journal: Journal, author: str) -> tuple[Event, ...] | None:
@@ -155,9 +168,14 @@ def _of_group(journal: Journal, author: str, action: Turn, group: str) -> tuple[
     return members
 
 
-def _take_back(journal: Journal, author: str, action: Turn, group: str | None) -> Saved | Conflict | None:
+def _take_back(
+    journal: Journal, author: str, action: Turn, group: str | None, again: str | None
+) -> Saved | Conflict | None:
+    saved = () if again is None else journal.events(group=again)
+    if saved:
+        return Saved(saved)
     members = _newest(journal, author, action) if group is None else _of_group(journal, author, action, group)
     if members is None:
         return None
     edits = edits_back(journal, members)
-    return journal.write(edits, author, action, undo_of=[e.ulid for e in members])
+    return journal.write(edits, author, action, group=again, undo_of=[e.ulid for e in members])

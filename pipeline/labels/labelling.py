@@ -84,12 +84,7 @@ def label_objects(
         for o, number in zip(objects, numbers, strict=True)
     ]
     related = [k for k, o in enumerate(objects) if not config.is_background(o.label)]
-    lifted = [objects[k].lifted for k in related]
-    judged = judge_objects(lifted, context.viewer, config)
-    judged = in_doubt(judged, np.array([item.quality.fallback for item in lifted], np.bool_))
-    if network is not None:
-        seen = appearance_of([objects[k] for k in related], frame)
-        judged = doubted(judged, network, lifted, context.viewer, seen)
+    judged = judge_list(context, [objects[k] for k in related], config, network)
     ids = [numbers[k] for k in related]
     up_source = str(context.viewer.up_source)
     return FrameLabels(
@@ -108,6 +103,18 @@ def label_objects(
         ),
         judged,
     )
+
+
+def judge_list(
+    context: FrameContext, objects: Sequence[SceneObject], config: LabelConfig, network: OnnxScorer | None = None
+) -> Judged:
+    """Every ordered pair of objects as it is labelled: by the rules, in doubt where the geometry or a network is."""
+    lifted = [o.lifted for o in objects]
+    judged = judge_objects(lifted, context.viewer, config)
+    judged = in_doubt(judged, np.array([item.quality.fallback for item in lifted], np.bool_))
+    if network is None:
+        return judged
+    return doubted(judged, network, lifted, context.viewer, appearance_of(objects, context.frame))
 
 
 def in_doubt(judged: Judged, unsure: np.ndarray) -> Judged:

@@ -17,12 +17,13 @@ from pipeline.labels.config import LabelConfig
 from pipeline.labels.profiles import canonical_hash
 from pipeline.labels.second_opinion import fingerprint
 from pipeline.labels.store import PLAN_FILE, Store
+from pipeline.proposals.model_files import parse_hub_id
 
 MOST_FRAMES_A_SHARD = 64
 FEWEST_FRAMES_A_SHARD = 4
 SHARDS_WANTED = 32
 """Small datasets get small shards, so that workers share them and progress shows."""
-_PATHS = ("model", "segmenter_model", "synonyms")
+_PATHS = ("model", "model_config", "segmenter_model", "synonyms")
 """The options that name files."""
 
 
@@ -47,8 +48,10 @@ class SourceSpec:
 
 
 def _absolute(path: str | Path | Sequence[str | Path]) -> str | list[str]:
-    """A path, or several, as absolute words."""
-    return str(Path(path).absolute()) if isinstance(path, str | Path) else [str(Path(p).absolute()) for p in path]
+    """A path, or several, as absolute words; an id on the model hub as it is."""
+    if not isinstance(path, str | Path):
+        return [str(_absolute(p)) for p in path]
+    return str(parse_hub_id(path) or Path(path).absolute())
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ from pipeline.proposals.captions import (
     token_blocks,
 )
 from pipeline.proposals.contracts import Contract, TensorSpec
-from pipeline.proposals.onnx_session import file_hash, model_hash, open_session, run_session, signature
+from pipeline.proposals.onnx_session import file_hash, model_hash, open_session, run_session
 from pipeline.proposals.relative_boxes import box_output, proposals_of, to_pixels
 from pipeline.proposals.resampling import IMAGENET_MEAN, IMAGENET_STD, normalised, pillow_resized, shortest_edge
 from pipeline.proposals.selection import NMS_IOU, class_wise
@@ -225,25 +225,28 @@ class GroundingDinoDetector:
         return self._pixels[1]
 
 
-def _check_contract(session: Any, path: Path) -> tuple[str, list[str]]:
-    """The name of the picture's input, and those of the logits and the boxes."""
+def tensors_of(session: Any) -> tuple[str, list[str]] | None:
+    """The name of the picture's input, and those of the logits and the boxes; None where this is no such model."""
     inputs = {i.name: i.shape for i in session.get_inputs()}
     picture = next((n for n in PICTURES if n in inputs), None)
     known = {t.name for c in CONTRACTS for t in c.inputs}
     boxes = box_output(session)
     outputs = [o for o in session.get_outputs() if o.name != boxes and len(o.shape) == 3]
+    # OWLv2 and OWL-ViT have some of the same inputs, and give their embeddings.
+    other = any(o.name in ("text_embeds", "image_embeds") for o in session.get_outputs())
     logits = next((o.name for o in outputs if o.name == "logits"), outputs[0].name if outputs else None)
     shape = inputs[picture] if picture else []
-    fits = len(shape) == 4 and (shape[1] == 3 or not isinstance(shape[1], int))
+    fits = len(shape) == 4 and (shape[1] == 3 or not isinstance(shape[1], int)) and not other
     if picture is None or not fits or "input_ids" not in inputs or set(inputs) - known or not boxes or not logits:
-        odd = ", ".join(sorted(set(inputs) - known))
-        raise InputError(
-            "the ONNX file is not a GroundingDINO model",
-            got=signature(session)[:240],
-            expected=" or ".join(
-                ", ".join(f"{t.name} {list(t.shape)}" for t in c.inputs) + " -> [1, Q, T], [1, Q, 4]" for c in CONTRACTS
-            ),
-            cause=f"no contract has the input {odd}" if picture and odd else "is this a file for another --detector?",
-            path=path,
-        )
+        return None
     return picture, [logits, boxes]
+
+
+def _check_contract(session: Any, path: Path) -> tuple[str, list[str]]:
+    found = tensors_of(session)
+    if found is None:
+        from pipeline.proposals.mismatch import not_fitting
+
+        what, option = "the ONNX file is not a GroundingDINO model", CONTRACTS[0].option
+        raise not_fitting(what, option, session, path, CONTRACTS)
+    return found

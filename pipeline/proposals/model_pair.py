@@ -212,13 +212,13 @@ def _not_fitting(
     option: str, role: str, session: Any, path: Path, wanted: Sequence[Contract], other: Sequence[Contract]
 ) -> InputError:
     """The error for a file of another kind; it says which kind that is, where it is known."""
-    from pipeline.proposals.segmenter_contracts import explain
+    from pipeline.proposals.mismatch import explain_mismatch
 
     if _any(session, other):
         found = "decoder" if role == "encoder" else "encoder"
         cause = f"this is {'an' if found == 'encoder' else 'a'} {found}: the other file is missing"
     else:
-        cause = explain(session, option)
+        cause = explain_mismatch(session, option)
     return InputError(
         f"the ONNX file is not the {role} that {option} reads",
         got=signature(session)[:240],

@@ -10,10 +10,11 @@ import numpy as np
 import xxhash
 
 from pipeline.errors import InputError
+from pipeline.execution import cpu_session, create_session, is_verbose
 
 
 def open_session(path: Path, threads: int | None = None) -> Any:
-    """An `onnxruntime.InferenceSession` on the CPU (or on CUDA where it is installed).
+    """An `onnxruntime.InferenceSession`, where `pipeline.execution` says.
 
     A graph that ONNX Runtime cannot load with its optimisations, as happens with half-precision files, is loaded
     without them.
@@ -22,29 +23,35 @@ def open_session(path: Path, threads: int | None = None) -> Any:
     ----------
     path : Path
     threads : int, optional
-        For a network so small that waking more threads costs more than it saves.
+        For a network so small that waking more threads, or another processor, costs more than it saves.
 
     Raises
     ------
     InputError
         Where the file is missing or is not an ONNX model.
     """
+    if path.is_dir():
+        raise InputError("the model is a folder", expected="the ONNX file in it", path=path)
     if not path.is_file():
         raise InputError("there is no model file", path=path, cause="give the path of an ONNX file")
     import onnxruntime as ort
 
+    verbose = is_verbose()
     options = ort.SessionOptions()
     # Errors are raised as exceptions; the log would print them a second time.
-    options.log_severity_level = 4
+    options.log_severity_level = 2 if verbose else 4
+    if not verbose:
+        ort.set_default_logger_severity(4)
     if threads is not None:
         options.intra_op_num_threads = threads
-    available = ort.get_available_providers()
-    providers = [p for p in ("CUDAExecutionProvider", "CPUExecutionProvider") if p in available]
+    create = create_session if threads is None else cpu_session
     failure: Exception | None = None
     for level in (ort.GraphOptimizationLevel.ORT_ENABLE_ALL, ort.GraphOptimizationLevel.ORT_DISABLE_ALL):
         options.graph_optimization_level = level
         try:
-            return ort.InferenceSession(str(path), sess_options=options, providers=providers)
+            return create(str(path), options)
+        except InputError:
+            raise
         except Exception as error:  # ONNX Runtime raises its own classes, which differ between releases.
             failure = failure or error
     raise InputError(

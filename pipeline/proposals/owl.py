@@ -19,7 +19,7 @@ from pipeline.frame import Frame
 from pipeline.proposals.base import Proposals
 from pipeline.proposals.captions import plain_name, sigmoid
 from pipeline.proposals.contracts import Contract, TensorSpec
-from pipeline.proposals.onnx_session import file_hash, model_hash, open_session, run_session, signature
+from pipeline.proposals.onnx_session import file_hash, model_hash, open_session, run_session
 from pipeline.proposals.relative_boxes import box_output, proposals_of, to_pixels
 from pipeline.proposals.resampling import CLIP_MEAN, CLIP_STD, normalised, padded_square, pillow_resized
 from pipeline.proposals.selection import NMS_IOU, class_wise
@@ -247,8 +247,8 @@ def _marks(tokenizer: Any, path: Path) -> tuple[int, int]:
     return begin, end
 
 
-def _check_contract(session: Any, kind: Kind, path: Path) -> list[str]:
-    """The names of the logits, the boxes and, where it is there, the objectness."""
+def tensors_of(session: Any) -> list[str] | None:
+    """The names of the logits, the boxes and, where it is there, the objectness; None where this is no such model."""
     inputs = {i.name: i.shape for i in session.get_inputs()}
     names = [o.name for o in session.get_outputs()]
     picture = inputs.get("pixel_values", [])
@@ -257,12 +257,15 @@ def _check_contract(session: Any, kind: Kind, path: Path) -> list[str]:
     boxes = box_output(session)
     fits = len(inputs.get("input_ids", [])) == 2 and square and not set(inputs) - wanted
     if not fits or boxes is None or "logits" not in names:
-        contract = next(c for c in CONTRACTS if c.option.endswith(kind))
-        raise InputError(
-            f"the ONNX file is not an {kind} model",
-            got=signature(session)[:240],
-            expected=", ".join(f"{t.name} {list(t.shape)}" for t in contract.inputs) + " -> logits, pred_boxes",
-            cause="is this a file for another --detector?",
-            path=path,
-        )
+        return None
     return ["logits", boxes, *(["objectness_logits"] if "objectness_logits" in names else [])]
+
+
+def _check_contract(session: Any, kind: Kind, path: Path) -> list[str]:
+    found = tensors_of(session)
+    if found is None:
+        from pipeline.proposals.mismatch import not_fitting
+
+        own = [c for c in CONTRACTS if c.option.endswith(kind)]
+        raise not_fitting(f"the ONNX file is not an {kind} model", own[0].option, session, path, own)
+    return found

@@ -23,18 +23,21 @@ class DetectorRequest:
     Attributes
     ----------
     model : Path or None
-        Model file, recording, or options.
+        Model file, recording, or options; of a network also its id on the model hub.
     class_names : tuple of str
         The dataset's class names.
     synonyms : Synonyms or None
     min_score : float or None
         None for the detector's own default.
+    config : Path or None
+        What the model file does not say itself: the TOML file of `boxes`, the class names of `detic` and `yolo-seg`.
     """
 
     model: Path | None
     class_names: tuple[str, ...]
     synonyms: Synonyms | None
     min_score: float | None
+    config: Path | None = None
 
 
 def _annotations(request: DetectorRequest) -> Detector:
@@ -47,18 +50,34 @@ def _recorded(request: DetectorRequest) -> Detector:
 
 
 def _yolo_seg(request: DetectorRequest) -> Detector:
-    from pipeline.proposals.yolo_seg import YoloSegDetector
+    from pipeline.proposals.yolo_seg import MIN_SCORE, YoloSegDetector
 
-    path = _needed(request, "yolo-seg", "an ONNX file")
-    if request.min_score is None:
-        return CachedDetector(YoloSegDetector(path, synonyms=request.synonyms))
-    return CachedDetector(YoloSegDetector(path, synonyms=request.synonyms, min_score=request.min_score))
+    path = _network(request, "yolo-seg", "an ONNX file")
+    min_score = MIN_SCORE if request.min_score is None else request.min_score
+    return CachedDetector(YoloSegDetector(path, names=request.config, synonyms=request.synonyms, min_score=min_score))
+
+
+def _detic(request: DetectorRequest) -> Detector:
+    from pipeline.proposals.detic import MIN_SCORE, DeticDetector
+
+    path = _network(request, "detic", "an ONNX file with its class names beside it")
+    min_score = MIN_SCORE if request.min_score is None else request.min_score
+    return CachedDetector(DeticDetector(path, names=request.config, synonyms=request.synonyms, min_score=min_score))
+
+
+def _boxes(request: DetectorRequest) -> Detector:
+    from pipeline.proposals.box_detector import BoxDetector
+
+    path = _network(request, "boxes", "an ONNX file with a TOML file beside it")
+    return CachedDetector(
+        BoxDetector(path, config=request.config, synonyms=request.synonyms, min_score=request.min_score)
+    )
 
 
 def _grounding_dino(request: DetectorRequest) -> Detector:
     from pipeline.proposals.grounding_dino import BOX_THRESHOLD, GroundingDinoDetector
 
-    path = _needed(request, "grounding-dino", "an ONNX file with its tokenizer beside it")
+    path = _network(request, "grounding-dino", "an ONNX file with its tokenizer beside it")
     min_score = BOX_THRESHOLD if request.min_score is None else request.min_score
     return CachedDetector(GroundingDinoDetector(path, min_score=min_score, default_labels=request.class_names))
 
@@ -67,7 +86,7 @@ def _owl(kind: Literal["owlv2", "owlvit"]) -> Callable[[DetectorRequest], Detect
     def make(request: DetectorRequest) -> Detector:
         from pipeline.proposals.owl import MIN_SCORE, OwlDetector
 
-        path = _needed(request, kind, "an ONNX file with its tokenizer.json beside it")
+        path = _network(request, kind, "an ONNX file with its tokenizer.json beside it")
         min_score = MIN_SCORE if request.min_score is None else request.min_score
         return CachedDetector(OwlDetector(path, kind, min_score=min_score, default_labels=request.class_names))
 
@@ -91,15 +110,26 @@ def _needed(request: DetectorRequest, name: str, what: str) -> Path:
     return request.model
 
 
+def _network(request: DetectorRequest, name: str, what: str) -> Path:
+    """The model's file, fetched where it is named by its id on the model hub."""
+    from pipeline.proposals.model_files import resolve_model
+
+    return resolve_model(_needed(request, name, f"{what}, or its id on the model hub"))
+
+
 DETECTORS: dict[str, Callable[[DetectorRequest], Detector]] = {
     "annotations": _annotations,
     "recorded": _recorded,
     "yolo-seg": _yolo_seg,
+    "detic": _detic,
+    "boxes": _boxes,
     "grounding-dino": _grounding_dino,
     "owlv2": _owl("owlv2"),
     "owlvit": _owl("owlvit"),
     "simulated": _simulated,
 }
+CONFIGURABLE = ("yolo-seg", "detic", "boxes")
+"""Those of them that a second file says more about."""
 
 ENTRY_POINT_GROUP = "spatialviz.detectors"
 """Entry points of this group name a function of a DetectorRequest, and so add a detector."""
@@ -112,8 +142,9 @@ def make_detector(
     class_names: tuple[str, ...] = (),
     synonyms: Synonyms | None = None,
     min_score: float | None = None,
+    config: Path | None = None,
 ) -> Detector:
-    """The detector of that name.
+    """The detector of that name; the arguments are those of `DetectorRequest`.
 
     Raises
     ------
@@ -127,7 +158,9 @@ def make_detector(
         known = {**dict(load_plugins(ENTRY_POINT_GROUP, "detector", Callable)), **known}
     if name not in known:
         raise InputError(f"there is no detector {name!r}", expected=" or ".join(known))
-    return known[name](DetectorRequest(model, class_names, synonyms, min_score))
+    if config is not None and name in DETECTORS and name not in CONFIGURABLE:
+        raise InputError(f"--detector {name} takes no --model-config", expected=" or ".join(CONFIGURABLE), path=config)
+    return known[name](DetectorRequest(model, class_names, synonyms, min_score, config))
 
 
 def named_model(text: str) -> tuple[str, Path | None]:

@@ -1,12 +1,9 @@
-"""Which model files the prompted segmenters read, which they refuse, and what a file looks like."""
+"""Which model files the prompted segmenters read, and which they refuse."""
 
 from __future__ import annotations
 
-from typing import Any
-
 from pipeline.proposals import efficientsam, sam, sam2
 from pipeline.proposals.contracts import Contract, TensorSpec
-from pipeline.proposals.model_pair import declared, follows
 
 CONTRACTS: tuple[Contract, ...] = sam.CONTRACTS + sam2.CONTRACTS + efficientsam.CONTRACTS
 """Of every segmenter that takes an encoder and a decoder."""
@@ -48,21 +45,5 @@ REFUSED: tuple[Contract, ...] = (
 )
 """Files that look right and cannot be used; `what` says why."""
 
-_INSTEAD = {sam.OPTION: "MobileSAM's or the official exporter's files do", efficientsam.OPTION: "take the split export"}
-
-
-def explain(session: Any, option: str) -> str:
-    """What kind of file this is, and which option reads it, in a clause for a message."""
-    refused = next((c for c in REFUSED if follows(session, c)), None)
-    if refused is not None:
-        return f"this is {refused.what}; {_INSTEAD[refused.option]}"
-    known = next((c for c in CONTRACTS if follows(session, c)), None)
-    if known is not None and known.option != option:
-        return f"this looks like the {known.what}: use {known.option}"
-    outputs = [s.shape for s in declared(session.get_outputs())]
-    if any(len(s) == 4 and s[1] == 32 for s in outputs) and any(len(s) == 3 for s in outputs):
-        return "this looks like a YOLO export with masks: use --segmenter yolo-seg"
-    names = {s.name for s in declared(session.get_inputs())}
-    if names & {"input_ids", "text_features"}:
-        return "this looks like a detector that reads text, no segmenter"
-    return "is it a file for another --segmenter?"
+INSTEAD = {sam.OPTION: "MobileSAM's or the official exporter's files do", efficientsam.OPTION: "take the split export"}
+"""What to do in place of those."""

@@ -12,6 +12,7 @@ from pipeline.naming import Synonyms
 from pipeline.plugins import load_plugins
 from pipeline.proposals.depth_segmenter import DepthSegmenter
 from pipeline.proposals.detector_masks import DetectorSegmenter
+from pipeline.proposals.model_files import resolve_model
 from pipeline.proposals.segmenter import Segmenter
 
 if TYPE_CHECKING:
@@ -53,26 +54,31 @@ def _yolo_seg(request: SegmenterRequest) -> Segmenter:
     from pipeline.proposals.cache import CachedDetector
     from pipeline.proposals.yolo_seg import YoloSegDetector
 
-    path = _needed(request, "yolo-seg", "an ONNX file")
+    path = resolve_model(_needed(request, "yolo-seg", "an ONNX file, or its id on the model hub"))
     return DetectorSegmenter(CachedDetector(YoloSegDetector(path, synonyms=request.synonyms)), request.synonyms)
 
 
 def _sam(request: SegmenterRequest) -> Segmenter:
     from pipeline.proposals.sam import SamModel
 
-    return _prompted(SamModel(request.models))
+    return _prompted(SamModel(_networks(request)))
 
 
 def _sam2(request: SegmenterRequest) -> Segmenter:
     from pipeline.proposals.sam2 import Sam2Model
 
-    return _prompted(Sam2Model(request.models))
+    return _prompted(Sam2Model(_networks(request)))
 
 
 def _efficientsam(request: SegmenterRequest) -> Segmenter:
     from pipeline.proposals.efficientsam import EfficientSamModel
 
-    return _prompted(EfficientSamModel(request.models))
+    return _prompted(EfficientSamModel(_networks(request)))
+
+
+def _networks(request: SegmenterRequest) -> tuple[Path, ...]:
+    """The files, fetched where they are named by their ids on the model hub."""
+    return tuple(resolve_model(path) for path in request.models)
 
 
 def _prompted(model: PromptModel) -> Segmenter:

@@ -4,11 +4,13 @@ Input: RGB / 255, letterboxed with grey 114, (1, 3, H, W). Outputs: (1, 4+C+32, 
 rows of cx, cy, w, h in input pixels, C class probabilities and 32 mask
 coefficients; (1, 32, H/4, W/4) mask prototypes. A mask is
 sigmoid(coefficients @ prototypes), cropped to its box.
+
+Exports with the suppression inside (nms=True, or the end-to-end models) give
+(1, N, 6+32) rows of x0, y0, x1, y1, score, class number and coefficients instead.
 """
 
 from __future__ import annotations
 
-import ast
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -17,20 +19,40 @@ from typing import Any
 
 import cv2
 import numpy as np
-import xxhash
 
 from pipeline.errors import InputError
 from pipeline.frame import Frame
-from pipeline.naming import Synonyms, default_synonyms, match
-from pipeline.proposals.base import Proposals, no_proposals, unknown_class
+from pipeline.naming import Synonyms
+from pipeline.proposals.base import Proposals, no_proposals
+from pipeline.proposals.class_names import metadata_names, names_hash, read_class_names, synonyms_hash, wanted_names
+from pipeline.proposals.contracts import Contract, TensorSpec
 from pipeline.proposals.letterbox import Letterbox, letterbox
-from pipeline.proposals.onnx_session import file_hash, open_session, signature
+from pipeline.proposals.onnx_session import model_hash, open_session, run_session
 from pipeline.proposals.selection import suppress
 
 MASK_COEFFICIENTS = 32
 MAX_CANDIDATES = 1000
 """Rows that go into non-maximum suppression at most, best first."""
-CONTRACT = "images [1, 3, H, W] -> [1, 4+C+32, N], [1, 32, H/4, W/4] (an Ultralytics -seg export)"
+MIN_SCORE = 0.15
+SCORE_FLOOR = 0.05
+"""Rows whose best class is below this, or below the minimum score, are dropped at once."""
+OPTION = "--detector yolo-seg"
+_PROTOTYPES = TensorSpec("output1", "float32", (1, MASK_COEFFICIENTS, "H/4", "W/4"))
+CONTRACTS = (
+    Contract(
+        OPTION,
+        "YOLO export with masks (Ultralytics -seg, YOLOE, YOLO-World with a vocabulary inside)",
+        (TensorSpec("images", "float32", (1, 3, "H", "W")),),
+        (TensorSpec("output0", "float32", (1, "4+C+32", "N")), _PROTOTYPES),
+    ),
+    Contract(
+        OPTION,
+        "YOLO export with masks and the suppression inside",
+        (TensorSpec("images", "float32", (1, 3, "H", "W")),),
+        (TensorSpec("output0", "float32", (1, "N", 6 + MASK_COEFFICIENTS)), _PROTOTYPES),
+    ),
+)
+"""Tensors are told by their shapes, whatever their names."""
 
 
 @dataclass(frozen=True)
@@ -51,7 +73,9 @@ class YoloSegDetector:
     Parameters
     ----------
     path : Path
-        The ONNX file. Its class names are read from its metadata.
+        The ONNX file.
+    names : Path, optional
+        File of its class names, see `read_class_names`. By default they are read from its metadata.
     min_score : float
         Detections below it are dropped.
 
@@ -63,40 +87,47 @@ class YoloSegDetector:
 
     name = "yolo-seg"
     exact = False
+    reads_annotations = False
 
-    def __init__(self, path: str | Path, *, synonyms: Synonyms | None = None, min_score: float = 0.15) -> None:
+    def __init__(
+        self,
+        path: str | Path,
+        *,
+        names: str | Path | None = None,
+        synonyms: Synonyms | None = None,
+        min_score: float = MIN_SCORE,
+    ) -> None:
         self.path = Path(path)
         self.synonyms = synonyms
         self.min_score = min_score
         self._session = open_session(self.path)
-        self._input, self._outputs, classes = _check_contract(self._session, self.path)
-        self.vocabulary: tuple[str, ...] | None = _class_names(self._session, classes, self.path)
+        found = tensors_of(self._session)
+        if found is None:
+            from pipeline.proposals.mismatch import not_fitting
+
+            raise not_fitting("the ONNX file is not a yolo-seg model", OPTION, self._session, self.path, CONTRACTS)
+        self._input, self._outputs, self._suppressed, classes = found
+        given = read_class_names(Path(names)) if names is not None else metadata_names(self._session)
+        self._named_outside = names is not None
+        self.vocabulary: tuple[str, ...] | None = _checked_names(given, classes, self.path)
         self._last: tuple[str, _Raw] | None = None
 
     @cached_property
     def _hash(self) -> str:
-        return file_hash(self.path)
+        return model_hash(self.path)
 
     @cached_property
     def _synonyms_hash(self) -> str:
-        table = self.synonyms or default_synonyms()
-        content = (sorted(sorted(group) for group in table.groups), sorted(table.exceptions))
-        return xxhash.xxh3_64_hexdigest(repr(content).encode())
+        return synonyms_hash(self.synonyms)
 
     def fingerprint(self) -> str:
         # The synonyms decide which of the model's classes a name asks for.
-        return f"yolo-seg:{self._hash}:{self.min_score}:{self._synonyms_hash}"
+        names = f":{names_hash(self.vocabulary or ())}" if self._named_outside else ""
+        return f"yolo-seg:{self._hash}:{self.min_score}:{self._synonyms_hash}{names}"
 
     def detect(self, frame: Frame, labels: Sequence[str] | None) -> Proposals:
         names = self.vocabulary or ()
-        wanted = list(names)
-        if labels is not None:
-            wanted = []
-            for label in labels:
-                matched = match(label, names, self.synonyms)
-                if not matched:
-                    raise unknown_class(label, names, f"the model {self.path.name}")
-                wanted += [n for n in matched if n not in wanted]
+        wanted = wanted_names(labels, names, self.synonyms, f"the model {self.path.name}")
         raw = self._forward(frame)
         columns = np.array([names.index(n) for n in wanted], np.int64)
         scores = raw.classes[:, columns]
@@ -128,19 +159,42 @@ class YoloSegDetector:
         width = width if isinstance(width, int) else _multiple_of_32(frame.width)
         image, placement = letterbox(frame.rgb, height, width)
         tensor = np.ascontiguousarray(image.transpose(2, 0, 1)[None], dtype=np.float32) / np.float32(255)
-        if "float16" in self._input.type:
-            tensor = tensor.astype(np.float16)
-        outputs = self._session.run(self._outputs, {self._input.name: tensor})
-        rows, prototypes = (np.asarray(o, dtype=np.float32) for o in outputs)
-        rows = rows[0].T
-        classes = rows[:, 4:-MASK_COEFFICIENTS]
-        index = np.flatnonzero(classes.max(axis=1) >= min(self.min_score, 0.05))
-        rows, classes = rows[index], classes[index]
-        center, size = rows[:, :2], rows[:, 2:4]
-        boxes = np.concatenate([center - size / 2, center + size / 2], axis=1)
-        raw = _Raw(boxes, classes, rows[:, -MASK_COEFFICIENTS:], prototypes[0], placement, index)
+        rows, prototypes = run_session(self._session, self._outputs, {self._input.name: tensor}, self.path)
+        if prototypes.ndim != 4 or prototypes.shape[:2] != (1, MASK_COEFFICIENTS) or rows.ndim != 3 or len(rows) != 1:
+            raise self._odd_outputs(rows, prototypes)
+        boxes, classes, coefficients = self._parts(rows, prototypes)
+        index = np.flatnonzero(classes.max(axis=1, initial=0) >= min(self.min_score, SCORE_FLOOR))
+        raw = _Raw(boxes[index], classes[index], coefficients[index], prototypes[0], placement, index)
         self._last = (frame.content_hash, raw)
         return raw
+
+    def _parts(self, rows: np.ndarray, prototypes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Boxes (N, 4) as x0, y0, x1, y1 in input pixels, probabilities (N, C), coefficients (N, 32)."""
+        classes = len(self.vocabulary or ())
+        if self._suppressed:
+            table = rows[0]
+            if table.shape[1] != 6 + MASK_COEFFICIENTS:
+                raise self._odd_outputs(rows, prototypes)
+            number = np.rint(table[:, 5]).astype(np.int64)
+            scores = np.zeros((len(table), classes), np.float32)
+            # Lists are filled up with rows of score 0; their class means nothing.
+            real = np.flatnonzero((table[:, 4] > 0) & (number >= 0) & (number < classes))
+            scores[real, number[real]] = table[real, 4]
+            return table[:, :4], scores, table[:, 6:]
+        table = rows[0].T
+        if table.shape[1] != 4 + classes + MASK_COEFFICIENTS:
+            raise self._odd_outputs(rows, prototypes)
+        center, size = table[:, :2], table[:, 2:4]
+        boxes = np.concatenate([center - size / 2, center + size / 2], axis=1)
+        return boxes, table[:, 4:-MASK_COEFFICIENTS], table[:, -MASK_COEFFICIENTS:]
+
+    def _odd_outputs(self, rows: np.ndarray, prototypes: np.ndarray) -> InputError:
+        return InputError(
+            "the model's outputs are not those of a yolo-seg model",
+            got=f"{list(rows.shape)}, {list(prototypes.shape)} for {len(self.vocabulary or ())} class names",
+            expected="[1, 4+C+32, N] or [1, N, 38], [1, 32, H/4, W/4]",
+            path=self.path,
+        )
 
 
 def _multiple_of_32(pixels: int) -> int:
@@ -170,39 +224,32 @@ def _masks(raw: _Raw, order: np.ndarray, boxes: np.ndarray, height: int, width: 
     return masks
 
 
-def _check_contract(session: Any, path: Path) -> tuple[Any, list[str], int]:
+def tensors_of(session: Any) -> tuple[Any, list[str], bool, int | None] | None:
+    """The input, the names of rows and prototypes, whether rivals are suppressed inside, and the number of classes.
+
+    None where this is no such model; the number is None where only the class names tell it.
+    """
     inputs, outputs = session.get_inputs(), session.get_outputs()
     fits = len(inputs) == 1 and len(inputs[0].shape) == 4 and inputs[0].shape[1] == 3
     rows = next((o for o in outputs if len(o.shape) == 3), None)
     prototypes = next((o for o in outputs if len(o.shape) == 4 and o.shape[1] == MASK_COEFFICIENTS), None)
-    classes = 0
-    if rows is not None and isinstance(rows.shape[1], int):
-        classes = rows.shape[1] - 4 - MASK_COEFFICIENTS
-    if not fits or rows is None or prototypes is None or classes < 1:
-        raise InputError(
-            "the ONNX file is not a yolo-seg model",
-            got=signature(session)[:240],
-            expected=CONTRACT,
-            cause="is this a file for another --detector?",
-            path=path,
-        )
-    return inputs[0], [rows.name, prototypes.name], classes
+    if not fits or rows is None or prototypes is None:
+        return None
+    suppressed = rows.shape[2] == 6 + MASK_COEFFICIENTS
+    classes = rows.shape[1] - 4 - MASK_COEFFICIENTS if isinstance(rows.shape[1], int) and not suppressed else None
+    if classes is not None and classes < 1:
+        return None
+    return inputs[0], [rows.name, prototypes.name], suppressed, classes
 
 
-def _class_names(session: Any, classes: int, path: Path) -> tuple[str, ...]:
-    text = session.get_modelmeta().custom_metadata_map.get("names", "")
-    try:
-        names = ast.literal_eval(text)
-    except (ValueError, SyntaxError):
-        names = None
-    if isinstance(names, dict):
-        names = [names.get(i) for i in range(classes)]
-    if not isinstance(names, list) or len(names) != classes or not all(isinstance(n, str) for n in names):
+def _checked_names(names: tuple[str, ...] | None, classes: int | None, path: Path) -> tuple[str, ...]:
+    if names is None:
         raise InputError(
             "the model's metadata hold no class names",
-            got=repr(text[:60]),
-            expected=f"`names` with {classes} entries",
+            expected=f"`names` with {classes if classes is not None else 'all'} entries, or --model-config FILE",
             cause="was the file exported without metadata?",
             path=path,
         )
-    return tuple(str(n) for n in names)
+    if classes is not None and len(names) != classes:
+        raise InputError("the class names are not those of the model", got=len(names), expected=classes, path=path)
+    return names

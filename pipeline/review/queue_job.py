@@ -13,6 +13,7 @@ from pipeline.errors import InputError
 from pipeline.jobs import open_source
 from pipeline.journal.journal import journal_of
 from pipeline.labels.reading import Labels, open_labels
+from pipeline.review.agreement import pair_agreements
 from pipeline.review.ordering import by_frame
 from pipeline.review.out_of_fold import DoubtConfig
 from pipeline.review.queue import QueueConfig, review_queue
@@ -49,7 +50,7 @@ class QueueJob:
     options: dict[str, Any] = field(default_factory=dict)
 
 
-def make_queue(job: QueueJob, report: Callable[[tuple[int, int]], None]) -> dict[str, int]:
+def make_queue(job: QueueJob, report: Callable[[tuple[int, int]], None]) -> dict[str, Any]:
     """Make the queue, ordered for working through, and store it.
 
     Parameters
@@ -60,7 +61,8 @@ def make_queue(job: QueueJob, report: Callable[[tuple[int, int]], None]) -> dict
     Returns
     -------
     dict
-        items : int
+        items (how many), estimated_wrong (relation labels that networks hold for wrong; None without networks), and
+        agreement (each two reviewers, how many items both have judged, and Cohen's kappa; None where it means nothing).
 
     Raises
     ------
@@ -78,7 +80,13 @@ def make_queue(job: QueueJob, report: Callable[[tuple[int, int]], None]) -> dict
         )
     metadata = queue.schema.metadata
     write_queue(by_frame(queue).replace_schema_metadata(metadata), job.out)
-    return {"items": queue.num_rows}
+    wrong = (metadata or {}).get(b"estimated_wrong")
+    pairs = [pair.record() for pair in pair_agreements(reviewed.judgements)]
+    return {
+        "items": queue.num_rows,
+        "estimated_wrong": None if wrong is None else float(wrong),
+        "agreement": [{key: pair[key] for key in ("reviewers", "items", "kappa")} for pair in pairs],
+    }
 
 
 def _reviewed(job: QueueJob, labels: Labels, folder: Path) -> Reviewed:

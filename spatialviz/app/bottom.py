@@ -41,13 +41,16 @@ def image_html(state: State) -> str:
         pixel_row_html(state),
         f'<div class="pic" style="--wh:{frame.width / frame.height:.3f}" onclick="{safe(CLICK)}" '
         f'onmousedown="svPaint(this,event,\'{band}\')">'
-        f'<img src="{url}">{_overlay(state)}</div>',
+        f'<img src="{url}"><svg viewBox="0 0 {frame.width} {frame.height}" preserveAspectRatio="none">'
+        f"{overlay_marks(state)}</svg></div>",
         style="padding-top:.6em",
     )
 
 
-def _overlay(state: State) -> str:
-    assert state.loaded is not None
+def overlay_marks(state: State) -> str:
+    """What is drawn over the picture: boxes and names, as elements of SVG in pixels of the frame."""
+    if state.loaded is None:
+        return ""
     frame, colors, roles = state.loaded.context.frame, palette(True), state.roles
     unit = frame.width / 360
     parts = []
@@ -85,7 +88,7 @@ def _overlay(state: State) -> str:
             continue
         color = hex_color(colors[roles.get(i, "other")])
         text = state.shown.names[i]
-        x0, y0 = float(state.shown.objects[i].bbox[0]), float(state.shown.objects[i].bbox[1])
+        x0, y0 = _name_place(state, i)
         width, height = (len(text) * 6.2 + 8) * unit, 14 * unit
         x = float(np.clip(x0, 0, max(frame.width - width, 0)))
         y = float(np.clip(y0 - height, 0, frame.height - height))
@@ -95,7 +98,17 @@ def _overlay(state: State) -> str:
             f'<text x="{x + 4 * unit:.1f}" y="{y + 10.4 * unit:.1f}" font-size="{10.5 * unit:.1f}" font-weight="600" '
             f'fill="#fff" font-family="system-ui,sans-serif">{safe(text)}</text>'
         )
-    return f'<svg viewBox="0 0 {frame.width} {frame.height}" preserveAspectRatio="none">{"".join(parts)}</svg>'
+    return "".join(parts)
+
+
+def _name_place(state: State, i: int) -> tuple[float, float]:
+    """Where the name of an object stands: at its 2D box; where its 3D box is being dragged, at that."""
+    entry, moved = state.shown.objects[i], None if state.labels is None else state.labels.moved
+    if state.loaded is not None and moved is not None and moved.number == entry.id:
+        edges = box_edges_2d(moved.box, state.loaded.context.frame.camera)
+        if len(edges):
+            return float(edges[..., 0].min()), float(edges[..., 1].min())
+    return float(entry.bbox[0]), float(entry.bbox[1])
 
 
 def object_at(state: State, x: float, y: float) -> int | None:

@@ -19,6 +19,7 @@ from dataclasses import asdict, dataclass
 import viser
 
 from spatialviz.app.beside_style import BESIDE_CSS
+from spatialviz.app.label_object_style import OBJECT_CSS, OBJECT_SCRIPT
 from spatialviz.app.label_style import LABEL_CSS
 from spatialviz.app.pixels_script import PIXELS_SCRIPT
 from spatialviz.app.pixels_style import PIXELS_CSS
@@ -27,6 +28,8 @@ from spatialviz.app.sentences_style import SENTENCES_CSS, SENTENCES_SCRIPT
 from spatialviz.app.style import CSS, SCRIPT
 
 HELLO = "hello"
+CALLED = ("svOverlay", "svOffer", "svFocusClass")
+"""Functions of the page that change a part of it where sending all of it again would be slow, or lose the focus."""
 HELLO_SECONDS = 12.0
 
 
@@ -62,6 +65,8 @@ class Bridge:
         self._tags: viser.GuiHtmlHandle | None = None
         self._shown_tags = ""
         self._memory: viser.GuiHtmlHandle | None = None
+        self._called: dict[str, viser.GuiHtmlHandle] = {}
+        self._calls = 0
         self._errand: viser.GuiHtmlHandle | None = None
         self._errands = 0
 
@@ -70,13 +75,14 @@ class Bridge:
         gui = self._client.gui
         bus = gui.add_text("bus", "", visible=False)
         uuid = bus._impl.uuid
-        scripts = ";".join((SCRIPT.replace("BUS_UUID", uuid), FIELD_SCRIPT, PIXELS_SCRIPT, SENTENCES_SCRIPT))
-        script = html.escape(scripts.replace("\n", " "), quote=True)
-        styles = "".join((CSS, RUN_CSS, LABEL_CSS, PIXELS_CSS, SENTENCES_CSS, BESIDE_CSS))
+        parts = (SCRIPT.replace("BUS_UUID", uuid), FIELD_SCRIPT, PIXELS_SCRIPT, SENTENCES_SCRIPT, OBJECT_SCRIPT)
+        script = html.escape(";".join(parts).replace("\n", " "), quote=True)
+        styles = "".join((CSS, RUN_CSS, LABEL_CSS, PIXELS_CSS, SENTENCES_CSS, OBJECT_CSS, BESIDE_CSS))
         gui.add_html(f'{styles}<img src="" style="display:none" onerror="{script}">', order=-1000)
         self._tags = gui.add_html("", order=1000)
         self._memory = gui.add_html("", order=1001)
         self._errand = gui.add_html("", order=1002)
+        self._called = {name: gui.add_html("", order=1002) for name in CALLED}
 
         @bus.on_update
         async def _(event: viser.GuiEvent) -> None:
@@ -108,6 +114,13 @@ class Bridge:
         self._shown_tags = data
         call = html.escape(f"window.svTags&&svTags({data})", quote=True)
         self._tags.content = f'<img src="" style="display:none" onerror="{call}">'
+
+    def call(self, name: str, data: object) -> None:
+        """Call a function of the page, one of `CALLED`, with what can be JSON."""
+        if name in self._called:
+            self._calls += 1
+            call = html.escape(f"window.{name}&&{name}({json.dumps(data)},{self._calls})", quote=True)
+            self._called[name].content = f'<img src="" style="display:none" onerror="{call}">'
 
     def remember(self, place: str) -> None:
         """Have the browser's tab keep a place; its next hello says it again. Waits until the page has said hello."""

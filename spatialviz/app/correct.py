@@ -216,7 +216,7 @@ class Correct:
         numbers = view.numbers
         chosen = None if state.pair is None else tuple(numbers[i] for i in state.pair)
         selected = None if state.selected is None else numbers[state.selected]
-        view = replace(view, frame=desk.frame(state.frame_id))
+        view = replace(view, frame=desk.frame(state.frame_id), moved=None)
         self._take(_looking_at(state, view, chosen, selected))
 
     def chosen(self) -> None:
@@ -254,7 +254,7 @@ class Correct:
             return
         state = self._state()
         opened = self._openers.get(state.source) is not None
-        self._page.review_head.content = review_head_html(state, self.desk if opened else None, None)
+        self._page.review_head.content = review_head_html(state, opened, self.open_desk)
         self._page.review_pair.content = pair_html(state)
 
     # ---- edits ------------------------------------------------------------------------

@@ -47,10 +47,10 @@ def cost_html(state: State, undos: int) -> str:
         assert state.edited is not None or state.trace is None
         cost = "" if state.edited is None else f" · recomputed in {state.edited.seconds * 1000:.1f} ms"
         said = f"<b>{len(edits)} edit{'s' if len(edits) > 1 else ''}</b>{cost}"
-    undo = _button("undo", "sv('edit-undo')", "take the last edit back (Ctrl+Z)", bool(undos))
-    reset = _button("reset all", "sv('edit-reset')", "take all edits back (0)", bool(edits))
+    undo = button("undo", "sv('edit-undo')", "take the last edit back (Ctrl+Z)", bool(undos))
+    reset = button("reset all", "sv('edit-reset')", "take all edits back (0)", bool(edits))
     return panel(
-        f'<div class="nav" style="padding-top:.6em"><span class="dim">{said}</span>'
+        f'<div class="mode">what if · nothing is saved</div><div class="nav"><span class="dim">{said}</span>'
         f'<span class="chips" style="flex:none">{undo}{reset}</span></div>'
     )
 
@@ -79,7 +79,7 @@ def _object(state: State, editable: bool) -> str:
     if not editable:
         return heading(name) + '<div class="dim">Not a candidate of this question: nothing depends on it.</div>'
     hidden = f"#{entry.id}" in state.edits.hidden
-    hide = _button("show it again" if hidden else "hide it", "sv('edit:hide')", "as if it had not been found")
+    hide = button("show it again" if hidden else "hide it", "sv('edit:hide')", "as if it had not been found")
     head = heading(name, hide)
     if hidden:
         return head + '<div class="dim">Hidden: as if the detector had not found it.</div>'
@@ -94,11 +94,11 @@ def _numbers(state: State, i: int) -> str:
     rows = []
     for kind, label in (("center", "Centre"), ("size", "Size")):
         cells = "".join(
-            _field(f"edit:{kind}:{axis}", getattr(numbers, kind)[axis], hint=f"{word}, {unit}", step="0.01", name=word)
+            field(f"edit:{kind}:{axis}", getattr(numbers, kind)[axis], hint=f"{word}, {unit}", step="0.01", name=word)
             for axis, (word, unit) in enumerate(AXES[kind])
         )
         rows.append(f'<div class="row"><label>{label}</label><div class="fields">{cells}</div></div>')
-    turn = _field("edit:yaw", numbers.yaw, hint="degrees, from right towards forward", step="1", name="yaw °", digits=1)
+    turn = field("edit:yaw", numbers.yaw, hint="degrees, from right towards forward", step="1", name="yaw °", digits=1)
     rows.append(f'<div class="row"><label>Turn</label><div class="fields">{turn}<span></span><span></span></div></div>')
     return "".join(rows)
 
@@ -120,15 +120,15 @@ def _confidences(state: State, i: int) -> str:
 
 def _mask_row(state: State, mask: np.ndarray) -> str:
     buttons = [
-        _button(f"{pixels:+d} px".replace("-", "−"), f"sv('edit:mask:grow:{pixels}')", "grow or shrink its pixels")
+        button(f"{pixels:+d} px".replace("-", "−"), f"sv('edit:mask:grow:{pixels}')", "grow or shrink its pixels")
         for pixels in GROWTHS
     ]
     if isinstance(state.judged, Judgement):
-        buttons.append(_button("labelled", "sv('edit:mask:label')", "the pixels of the label in place of its own"))
+        buttons.append(button("labelled", "sv('edit:mask:label')", "the pixels of the label in place of its own"))
     if state.pair is not None and state.selected is not None and len(set(state.pair[:2]) - {state.selected}):
         other = state.shown.names[partners(state)[1]]
         hint = f"this one gets the pixels of {other}, and that one its own"
-        buttons.append(_button(f"⇄ {other}", "sv('edit:mask:swap')", hint))
+        buttons.append(button(f"⇄ {other}", "sv('edit:mask:swap')", hint))
     hint = "Shift and drag over the picture in the Image tab to put a rectangle in place of its pixels."
     return (
         f'<div class="row" title="{hint}"><label>Mask</label><div class="chips">{"".join(buttons)}</div></div>'
@@ -160,7 +160,7 @@ def _map(state: State, editable: bool, found: DecisionMap | None) -> str:
         name = state.shown.names[state.selected]
     name = safe(name)
     hint = "colours the floor by the answer that would win if the object stood there"
-    head = heading("Decision map", _button(label, "sv('edit-map')", hint, found is not None or editable))
+    head = heading("Decision map", button(label, "sv('edit-map')", hint, found is not None or editable))
     if found is None:
         return head + f'<div class="dim">Which answer wins if {name} stands elsewhere.</div>'
     colors = map_colors(found)
@@ -207,7 +207,7 @@ def _settings(state: State, source: Source) -> str:
 
 def _setting(name: str, value: float, step: str) -> str:
     label, hint = SETTING_NAMES[name]
-    return _field(f"edit:set:{name}", value, hint=hint, step=step, name=label, digits=None)
+    return field(f"edit:set:{name}", value, hint=hint, step=step, name=label, digits=None)
 
 
 def _list(state: State) -> str:
@@ -224,12 +224,12 @@ def _list(state: State) -> str:
     return heading(f"Edits ({len(found)})") + rows
 
 
-def _button(label: str, click: str, hint: str, possible: bool = True) -> str:
+def button(label: str, click: str, hint: str, possible: bool = True) -> str:
     way = f'role="button" onclick="{safe(click)}"' if possible else 'aria-disabled="true"'
     return f'<span class="try" {way} title="{safe(hint)}">{safe(label)}</span>'
 
 
-def _field(kind: str, value: float, *, hint: str, step: str, name: str, digits: int | None = 2) -> str:
+def field(kind: str, value: float, *, hint: str, step: str, name: str, digits: int | None = 2) -> str:
     """A number; Enter, or leaving it, sends "kind:value". One that is not taken falls back to what is."""
     said = f"{value:g}" if digits is None else f"{value:.{digits}f}"
     back = "const v=this.value;setTimeout(()=>{if(this.value===v)this.value=this.defaultValue},900)"

@@ -18,7 +18,7 @@ def fill_page(
     dataset: Dataset,
     can_ask: bool,
     suggestions: Sequence[str],
-    thumbs: dict[int, str],
+    thumbs: dict[bytes, str],
     log: Sequence[tuple[str, str]],
     atomic: Callable[[], AbstractContextManager[None]],
 ) -> None:

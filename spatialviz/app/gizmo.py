@@ -30,10 +30,14 @@ class BoxGizmo:
     dragged : callable
         Gets the box as it is now, and whether the handle was let go. It is called on viser's own loop, in order, and
         must return at once.
+    root : str
+        Scene node under which they stand.
     """
 
-    def __init__(self, client: viser.ClientHandle, dragged: Callable[[Box3D, bool], None]) -> None:
-        self._client, self._dragged = client, dragged
+    def __init__(
+        self, client: viser.ClientHandle, dragged: Callable[[Box3D, bool], None], root: str = "/edit"
+    ) -> None:
+        self._client, self._dragged, self._root = client, dragged, root
         self._main: Any = None
         self._faces: list[Any] = []
         self._box: Box3D | None = None
@@ -87,10 +91,12 @@ class BoxGizmo:
 
     def _make(self) -> None:
         scene = self._client.scene
-        self._main = scene.add_transform_controls("/edit/gizmo", line_width=3.0, depth_test=False, visible=False)
+        self._main = scene.add_transform_controls(
+            f"{self._root}/gizmo", line_width=3.0, depth_test=False, visible=False
+        )
         self._faces = [
             scene.add_transform_controls(
-                f"/edit/face-{'xyz'[axis]}{'-' if side < 0 else '+'}",
+                f"{self._root}/face-{'xyz'[axis]}{'-' if side < 0 else '+'}",
                 line_width=4.0,
                 active_axes=(True, False, False),
                 disable_sliders=True,

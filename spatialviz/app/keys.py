@@ -59,6 +59,7 @@ LABEL_KEYS: tuple[tuple[str, str, str], ...] = (
     ("Shift+U", "Unsure of it", "unsure-item"),
     ("Shift+G", "Retrain on the labels as they are", "retrain"),
     ("X", "The pair the other way round", "swap"),
+    ("Shift+F", "Look at the selected object", "focus"),
     ("Shift+I", "Edit the pixels of the selected object", "px-tool:brush"),
     ("Shift+X", "Cut the selected object in parts", "px-tool:cut"),
     ("Shift+N", "New object, drawn on the picture", "px-new"),
@@ -74,6 +75,10 @@ LABEL_KEYS: tuple[tuple[str, str, str], ...] = (
     ("Alt+N", "Reject the expression", "expression-status:rejected"),
     ("Ctrl+Z", "Undo", "take-back"),
     ("Ctrl+Y", "Redo", "bring-back"),
+    ("Shift+O", "Name the class of the object", "class-focus"),
+    ("Shift+J", "Fit the box to its points", "box-fit"),
+    ("Shift+B", "Extend the box to what the object stands on", "box-snap:extend"),
+    ("Shift+Z", "Set the box down on what the object stands on", "box-snap:move"),
 )
 """What keys mean while labels are shown; all others mean the same as ever."""
 
@@ -116,9 +121,12 @@ def _pressed(key: str) -> str:
     return " ".join(f"<kbd>{safe(part)}</kbd>" for part in key.split("+"))
 
 
-def help_html(moving: bool, beside: bool = False) -> str:
-    """The keys as a list."""
+def help_html(moving: bool, correcting: bool, beside: bool = False) -> str:
+    """The keys as a list; with `correcting` those of labels, too."""
     rows = "".join(f"<span>{_pressed(k)}</span><span>{safe(label)}</span>" for k, label, _ in keys_of(moving, beside))
+    if correcting:
+        rows += '<b class="sec">While labels are shown</b>'
+        rows += "".join(f"<span>{_pressed(k)}</span><span>{safe(label)}</span>" for k, label, _ in LABEL_KEYS)
     return (
         f'<div class="sv"><div class="keys"><span><kbd>/</kbd></span><span>Type a question</span>{rows}'
         "<span><kbd>Ctrl</kbd> <kbd>K</kbd></span><span>Find any command</span></div></div>"
@@ -148,10 +156,15 @@ class HelpDialog:
     """The list of keys as a dialog; the key that opens it closes it, as Escape does."""
 
     def __init__(
-        self, client: viser.ClientHandle, post: Callable[[str], None], moving: bool, beside: bool = False
+        self,
+        client: viser.ClientHandle,
+        post: Callable[[str], None],
+        moving: bool,
+        correcting: bool,
+        beside: bool = False,
     ) -> None:
         self._client = client
-        self._html = help_html(moving, beside)
+        self._html = help_html(moving, correcting, beside)
         self._post = post
         self._modal: Any = None
 

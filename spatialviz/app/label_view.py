@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from pipeline.correcting.cards import PairCard
 from pipeline.correcting.event_lines import EventLine
 from pipeline.correcting.expression_cards import ExpressionCard
+from pipeline.correcting.moving import Moved
 from pipeline.journal.effective_frame import EffectiveFrame
 from pipeline.review.items import ItemKey
 
@@ -29,6 +30,8 @@ class LabelView:
         What came of the last action.
     bad : bool
         It was not done.
+    moved : Moved or None
+        What follows from the box that is being dragged.
     expression : str or None
         The id of the expression that is looked at.
     about : tuple of int
@@ -45,6 +48,7 @@ class LabelView:
     item: ItemKey | None = None
     said: str = ""
     bad: bool = False
+    moved: Moved | None = None
     expression: str | None = None
     about: tuple[int, ...] = ()
     expressions: tuple[ExpressionCard, ...] = ()

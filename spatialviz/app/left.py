@@ -231,7 +231,7 @@ def keep_html() -> str:
     return panel(f'<div class="keep">{cells}</div>')
 
 
-def objects_html(state: State, thumbs: dict[int, str], moving: bool = False) -> str:
+def objects_html(state: State, thumbs: dict[bytes, str], moving: bool = False) -> str:
     """The list of objects with their pictures, sizes and scores; `thumbs` is filled on the way.
 
     With `moving` it leaves room for the buttons of the moves.
@@ -247,7 +247,9 @@ def objects_html(state: State, thumbs: dict[int, str], moving: bool = False) -> 
     order = sorted(range(len(state.shown.objects)), key=lambda i: ROLE_ORDER[roles.get(i, "other")])
     for i in order:
         entry = state.shown.objects[i]
-        thumb = thumbs.setdefault(i, object_thumb(rgb, entry.bbox))
+        where = entry.bbox.tobytes()
+        if where not in thumbs:
+            thumbs[where] = object_thumb(rgb, entry.bbox)
         box, quality = entry.lifted.box, entry.lifted.quality
         size = "no depth" if box is None else " × ".join(f"{s * 100:.0f}" for s in box.size) + " cm"
         away = "" if box is None else f"{quality.distance:.1f} m"
@@ -257,7 +259,7 @@ def objects_html(state: State, thumbs: dict[int, str], moving: bool = False) -> 
         name = f'<span class="name">{dot(colors[roles.get(i, "other")])}<b>{safe(state.shown.names[i])}</b></span>'
         rows.append(
             f'<tr class="r{" sel" if i == state.selected else ""}" onclick="sv(\'object:{i}\')">'
-            f'<td style="width:42px"><img class="thumb" src="{thumb}"></td>'
+            f'<td style="width:42px"><img class="thumb" src="{thumbs[where]}"></td>'
             f'<td class="w">{name}<div class="dim" style="font-size:11px">{size}</div></td>'
             f'<td class="n dim">{away}</td><td class="n">{score} {mark}</td></tr>'
         )

@@ -13,26 +13,38 @@ STATES = {T: ("T", GOOD, "true"), U: ("U", DOUBT, "undecided"), F: ("F", "#8a919
 MARKS = {"auto": "", "human": "by hand", "recomputed": "recomputed", "stale": "stale"}
 
 
-def review_head_html(state: State, desk: Desk | None, left: tuple[int, int] | None) -> str:
-    """Whether labels are shown, under whose name they are corrected, what came of the last edit, and what waits."""
-    if desk is None:
+def review_head_html(state: State, opened: bool, desk: Desk | None) -> str:
+    """Whether labels are shown, under whose name they are corrected, what came of the last edit, and what waits.
+
+    `desk` is None until labels are shown for the first time.
+    """
+    if not opened:
         return panel('<div class="dim" style="padding:.7em 0">No labels are open (--labels).</div>')
     on = state.labels is not None
     button = f'<span class="try{" on" if on else ""}" role="button" onclick="sv(\'labels\')" title="Shift+L">'
     button += f'{"labels are shown" if on else "show the labels"}</span>'
-    progress = "" if left is None else f'<span class="dim">{left[0]} of {left[1]} left</span>'
-    parts = [f'<div class="nav" style="padding-top:.6em">{button}{progress}</div>']
+    parts = [f'<div class="nav" style="padding-top:.6em">{button}{_reviewer(desk)}</div>']
     if state.labels is not None and state.labels.said:
         parts.append(note(state.labels.said, BAD if state.labels.bad else GOOD))
-    if desk.waiting:
+    if desk is not None and desk.waiting:
         count = len(desk.waiting)
         what = f"{count} action{'s' if count > 1 else ''} not saved yet, kept here: {desk.waiting[-1].problem}"
         parts.append(note(what, BAD))
         parts.append('<span class="try go" role="button" onclick="sv(\'save-again\')">try again</span>')
-    if desk.disputed:
+    if desk is not None and desk.disputed:
         parts.append(note("Somebody was faster than you: nothing of yours is saved until you decide.", BAD))
         parts.append('<span class="try go" role="button" onclick="sv(\'conflict\')">decide</span>')
     return panel(*parts)
+
+
+def _reviewer(desk: Desk | None) -> str:
+    if desk is None:
+        return ""
+    send = "sv('author:'+this.value)"
+    return (
+        '<label class="who" title="under whose name corrections are saved"><span class="dim">reviewer</span>'
+        f'<input class="find" value="{safe(desk.author)}" maxlength="200" onchange="{send}"></label>'
+    )
 
 
 def pair_html(state: State) -> str:

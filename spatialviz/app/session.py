@@ -9,10 +9,8 @@ from datetime import datetime
 from typing import Any
 
 import viser
-from platformdirs import user_data_path
 
 from pipeline.ask import Trace
-from pipeline.correcting.desk import Desk
 from pipeline.correcting.journal_place import JournalPlace
 from pipeline.datasets import has_moves, moves
 from pipeline.demo import DEMO_EXPRESSION
@@ -29,7 +27,6 @@ from pipeline.whatif.state import ViewState
 from spatialviz.app import bottom, left, right
 from spatialviz.app.beside import BesideLayer
 from spatialviz.app.bridge import HELLO_SECONDS, Bridge
-from spatialviz.app.correct import Correct
 from spatialviz.app.dialog import Dialog
 from spatialviz.app.fallback import Fallback
 from spatialviz.app.filling import fill_answer, fill_page
@@ -38,22 +35,18 @@ from spatialviz.app.inputs import forward_inputs
 from spatialviz.app.judging import Judge
 from spatialviz.app.keeping import Keeping
 from spatialviz.app.keys import HelpDialog, add_keys, meant
+from spatialviz.app.labelling import Labelling
 from spatialviz.app.layout import build, listed
 from spatialviz.app.paint import frame_colors
-from spatialviz.app.pixels import Pixels
 from spatialviz.app.place import Place
-from spatialviz.app.retrain_panel import RetrainPanel
-from spatialviz.app.review_queue import ReviewQueue
 from spatialviz.app.run_browser import Listing
 from spatialviz.app.run_panel import RunPanel
 from spatialviz.app.scene import SceneView
 from spatialviz.app.selection import Selection
-from spatialviz.app.sentences import sentences_and_conflicts
 from spatialviz.app.state import NOTHING, State, shown_objects
 from spatialviz.app.view_settings import ViewSettings
 from spatialviz.app.view_string import BEGINS
 from spatialviz.app.view_strings import ViewStrings
-from spatialviz.app.watch import Watch
 from spatialviz.app.what_if import WhatIf
 
 LOG_LENGTH = 200
@@ -86,24 +79,24 @@ class Session:
         self._client = client
         self._store = store
         self._log: list[tuple[str, str]] = []
-        self._thumbs: dict[int, str] = {}
+        self._thumbs: dict[bytes, str] = {}
         self._suggestions: tuple[str, ...] = ()
         self._painted: tuple[Any, ...] = ()
         self._closed = threading.Event()
         self._begun = False
-        self._judge = Judge(runs or {}, others or {}, labels, lambda *at: self._correct.corrected(*at))
+        self._judge = Judge(runs or {}, others or {}, labels, lambda *at: self._labels.correct.corrected(*at))
         self._first_view = first_view
         self.bridge = Bridge(client, self.handle)
         moving = any(has_moves(opened.dataset) for opened in store.sources.values())
         second = any(opened.beside is not None for opened in store.sources.values())
-        self._help = HelpDialog(client, self.post, moving, second)
+        self._help = HelpDialog(client, self.post, moving, bool(journals), second)
         ids = store.sources[source].dataset.frame_ids
         self.state = State(source, ids[0], dark=dark, text=first_expression, correctable=bool(journals))
         self.page = build(client, self.bridge, tuple(store.sources), source, ids, bool(runs), bool(journals), second)
         self.scene = SceneView(
             client,
             on_ray=lambda pixel, boxes: self.bridge.post(
-                lambda: None if self._pixels.on_ray(pixel) else self._selection.select_on_ray(pixel, boxes)
+                lambda: None if self._labels.pixels.on_ray(pixel) else self._selection.select_on_ray(pixel, boxes)
             ),
         )
         self._selection = Selection(self._now, self._take, self._draw, self.scene.viewpoint.focus)
@@ -116,17 +109,12 @@ class Session:
             client, self.page, self.scene, *reach, self._draw_edited, self._judged, self._note, self.bridge.post
         )
         dialog = Dialog(client)
-        desks = {name: self._opener(name, place, author) for name, place in (journals or {}).items()}
-        self._correct = Correct(
-            client, self.page, desks, state=self._now, take=self._take, draw=self._draw,
+        self._labels = Labelling(
+            client, self.page, self.scene, self.bridge, dialog, self._selection, store, runs or {}, journals or {},
+            author, self._closed, state=self._now, take=self._take, draw=self._draw_edited,
+            open_frame=self._open_frame, go=self._go, handle=self.handle, note=self._note,
             ask=lambda: self._open_frame(self.state.frame_id, first=True, asking=self.state.text),
-            open_frame=self._open_frame, note=self._note,
         )  # fmt: skip
-        self._pixels = Pixels(
-            client, self.scene, self._correct, self._selection, state=self._now, take=self._take, draw=self._draw,
-            note=self._note,
-        )  # fmt: skip
-        spoken = sentences_and_conflicts(self._correct, dialog, self.bridge, self._now, self._take, self._draw)
         self._strings = ViewStrings(
             dialog, store.sources, runs or {}, self._runs, self.scene.viewpoint, state=self._now, take=self._take,
             go=self._go, ask=self._ask, show_context=self._view.show_context, draw=self._draw, note=self._note,
@@ -135,31 +123,20 @@ class Session:
             client, dialog, store.sources, runs or {}, self._judge, opened_by, state=self._now,
             view=self._strings.now, note=self._note,
         )  # fmt: skip
-        self._queue = ReviewQueue(
-            self.page, store, journals or {}, self._correct, state=self._now, note=self._note, post=self.bridge.post
-        )
-        self._retrain = RetrainPanel(
-            client, self.page, store.sources, runs or {}, journals or {}, user_data_path("spatialviz") / "retrained",
-            state=self._now, go=self._go, use=lambda name: self.handle(f"edit:set:scorer:{name}"), note=self._note,
-            post=self.bridge.post,
-        )  # fmt: skip
         parts = (
-            self._selection, self._view, self._runs, self._what_if, self._strings, keeping, self._correct,
-            self._queue, self._retrain, self._pixels, self._beside, dialog, *spoken,
+            self._selection, self._view, self._runs, self._what_if, self._strings, keeping, self._labels, self._beside,
+            dialog,
         )  # fmt: skip
         self._more = {name: run for part in parts for name, run in part.commands().items()}
         forward_inputs(self.page, self.post, self.bridge.alive)
         add_keys(client, self.post, moving, bool(journals), second)
         self.bridge.start()
-        if journals:
-            Watch(self._correct, self._now, self.bridge.post, self._closed)
         threading.Timer(PATIENCE_SECONDS, lambda: self.post("begin")).start()
         threading.Timer(HELLO_SECONDS, self._check_bridge).start()
 
     def close(self) -> None:
         self._closed.set()
-        self._retrain.close()
-        self._queue.close()
+        self._labels.close()
         self.bridge.close()
 
     def post(self, message: str) -> None:
@@ -187,7 +164,7 @@ class Session:
             "move": lambda: self._move(argument),
             "clear": self._clear,
             "begin": self._begin,
-            "hello": lambda: self._begin(self._correct.signed(argument)),
+            "hello": lambda: self._begin(self._labels.correct.signed(argument)),
             "help": self._help.toggle,
             "close-help": self._help.close,
         }
@@ -195,9 +172,6 @@ class Session:
             handlers[kind]()
         elif kind in self._more:
             self._more[kind](argument)
-
-    def _opener(self, name: str, place: JournalPlace, author: str) -> Callable[[], Desk]:
-        return lambda: Desk(place.labels, place, author, self._store.sources[name].dataset)
 
     def _now(self) -> State:
         return self.state
@@ -259,7 +233,7 @@ class Session:
         self._show_working("finding the objects")
         self._thumbs = {}
         self._painted = ()
-        correcting = self._correct.stays and asking is None
+        correcting = self._labels.correct.stays and asking is None
         cleared = replace(self.state.unasked, frame_id=frame_id, problem="")
         try:
             loaded = self._store.load(self.state.source, frame_id)
@@ -287,7 +261,7 @@ class Session:
         for remark in loaded.context.frame.notes:
             self._note(f"frame {frame_id}: {remark}")
         if correcting:
-            self._correct.show()
+            self._labels.correct.show()
             self._draw()
             self._browse()
             return
@@ -443,7 +417,7 @@ class Session:
     def _draw(self) -> None:
         """Bring the whole page up to the state. Handles that would not change send nothing."""
         self._what_if.check()
-        self._correct.chosen()
+        self._labels.correct.chosen()
         state = self.state
         fill_page(
             self.page,
@@ -461,10 +435,7 @@ class Session:
         self._draw_scene()
         self.fallback.update(state)
         self._runs.follow()
-        self._correct.follow()
-        self._queue.follow()
-        self._retrain.draw()
-        self._pixels.follow()
+        self._labels.follow()
         self.bridge.remember(state.at_place.said())
 
     def _draw_scene(self, live: bool = False) -> None:
@@ -486,6 +457,7 @@ class Session:
             )
             self.bridge.show_tags(tags + self._beside.follow(live))
         self._what_if.follow(live)
+        self._labels.follow_object(live)
 
     def _draw_edited(self, live: bool) -> None:
         """Draw an answer under edits: all of the page, or while a hand is at it only what follows the hand."""
@@ -496,6 +468,7 @@ class Session:
         with self._client.atomic():
             fill_answer(self.page, self.state)
             self._draw_scene(live=True)
+            self.bridge.call("svOverlay", bottom.overlay_marks(self.state))
 
     def _set_listing(self, listing: Listing | None) -> None:
         self.state = replace(self.state, listing=listing)

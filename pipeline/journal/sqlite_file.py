@@ -1,0 +1,85 @@
+"""Connections to one SQLite file: what is saved is on the disk, and in the file that goes by the journal's name.
+
+SQLite goes on writing to a file that was removed or moved while it was open
+(sqlite.org/howtocorrupt.html, section 4.1), and makes an empty one where there
+is none. Either would take edits that nobody finds again.
+"""
+
+from __future__ import annotations
+
+import os
+import sqlite3
+from pathlib import Path
+from typing import Any
+
+import sqlalchemy as sa
+from sqlalchemy import event
+from sqlalchemy.exc import DisconnectionError
+
+BUSY_S = 60.0
+"""How long a writer waits for its turn."""
+READING = "spatialviz_reading"
+GONE = "the journal's file is gone"
+_FILE = "spatialviz_file"
+
+
+def sqlite_engine(path: str | Path) -> sa.Engine:
+    """An engine for a file, which is made by the first connection and never again."""
+    file = Path(path).expanduser().absolute()
+    mode = "rwc"
+
+    def connect() -> sqlite3.Connection:
+        nonlocal mode
+        connection = sqlite3.connect(
+            f"{file.as_uri()}?mode={mode}", uri=True, timeout=BUSY_S, check_same_thread=False
+        )
+        mode = "rw"
+        return connection
+
+    engine = sa.create_engine(
+        sa.URL.create("sqlite", database=str(file)), creator=connect, poolclass=sa.QueuePool
+    )
+
+    def settle(connection: Any, record: Any) -> None:
+        record.info[_FILE] = _identity(file)
+        _settle(connection)
+
+    def check(_: Any, record: Any, __: Any) -> None:
+        if record.info.get(_FILE) != _identity(file):
+            # The pool closes this connection, and opens the file that is there now, or fails.
+            raise DisconnectionError(GONE)
+
+    event.listen(engine, "connect", settle)
+    event.listen(engine, "checkout", check)
+    event.listen(engine, "begin", _begin)
+    return engine
+
+
+def check_in_place(connection: sa.Connection) -> None:
+    """Raise OperationalError where the file was removed, moved or replaced since the connection was made."""
+    if connection.info.get(_FILE) != _identity(Path(str(connection.engine.url.database))):
+        raise sqlite3.OperationalError(GONE)
+
+
+def _identity(path: Path) -> tuple[int, int] | None:
+    """What tells one file from another; None where there is none."""
+    try:
+        found = os.stat(path)
+    except OSError:
+        return None
+    return found.st_dev, found.st_ino
+
+
+def _settle(connection: Any) -> None:
+    # The driver's own handling of transactions begins them late, and so lets two writers read the same version.
+    connection.isolation_level = None
+    cursor = connection.cursor()
+    cursor.execute(f"PRAGMA busy_timeout = {int(1000 * BUSY_S)}")
+    # With FULL a commit returns when the write-ahead log is on the disk (sqlite.org/pragma.html#pragma_synchronous).
+    cursor.execute("PRAGMA synchronous = FULL")
+    cursor.close()
+
+
+def _begin(connection: sa.Connection) -> None:
+    reading = connection.get_execution_options().get(READING, False)
+    connection.exec_driver_sql("BEGIN" if reading else "BEGIN IMMEDIATE")

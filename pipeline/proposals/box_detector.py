@@ -1,0 +1,175 @@
+"""Detectors of boxes that need no code: what their tensors are is said in a TOML file."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from pipeline.errors import InputError
+from pipeline.frame import Frame
+from pipeline.naming import Synonyms
+from pipeline.proposals.base import Proposals
+from pipeline.proposals.box_config import find_box_model, read_box_model
+from pipeline.proposals.box_decoding import Candidates, decode, output_names
+from pipeline.proposals.box_placement import Placement, place_picture
+from pipeline.proposals.class_names import metadata_names, names_hash, synonyms_hash, wanted_names
+from pipeline.proposals.onnx_session import model_hash, open_session, run_session, signature
+from pipeline.proposals.relative_boxes import proposals_of
+from pipeline.proposals.selection import class_wise
+
+OPTION = "--detector boxes"
+VERSION = "1"
+MAX_PER_NAME = 100
+
+
+class BoxDetector:
+    """A detector of boxes, as its TOML file describes it.
+
+    Parameters
+    ----------
+    path : Path
+        The ONNX file.
+    config : Path, optional
+        The TOML file, see `pipeline.proposals.box_config`; by default the one beside the model.
+    min_score : float, optional
+        Detections below it are dropped; by default as the TOML file says.
+
+    Raises
+    ------
+    InputError
+        Where the TOML file is wrong, or the model has no such tensors.
+    """
+
+    name = "boxes"
+    exact = False
+    reads_annotations = False
+
+    def __init__(
+        self,
+        path: str | Path,
+        *,
+        config: str | Path | None = None,
+        synonyms: Synonyms | None = None,
+        min_score: float | None = None,
+    ) -> None:
+        self.path, self.synonyms = Path(path), synonyms
+        self._session = open_session(self.path)
+        self.config_path = Path(config) if config is not None else find_box_model(self.path)
+        self.config = read_box_model(self.config_path)
+        self.min_score = self.config.output.min_score if min_score is None else min_score
+        self.vocabulary: tuple[str, ...] | None = self.config.names or self._names_inside()
+        self._input, self._sides = self._checked_input()
+        self._outputs = self._checked_outputs()
+        self._last: tuple[str, Candidates, Placement] | None = None
+
+    @cached_property
+    def _hash(self) -> str:
+        return model_hash(self.path)
+
+    def fingerprint(self) -> str:
+        said = self.config.model_dump_json(exclude={"names", "names_file"})
+        parts = (VERSION, self._hash, said, names_hash(self.vocabulary or ()), synonyms_hash(self.synonyms))
+        return f"boxes:{self.min_score}:{':'.join(parts)}"
+
+    def detect(self, frame: Frame, labels: Sequence[str] | None) -> Proposals:
+        """Detections of the classes that the names mean, the better first; `ids` are places in the network's answer."""
+        names = self.vocabulary or ()
+        wanted = wanted_names(labels, names, self.synonyms, f"the model {self.path.name}")
+        candidates, placement = self._forward(frame)
+        columns = np.flatnonzero(np.isin(np.array(names, np.str_), np.array(wanted, np.str_)))
+        scores = candidates.scores[:, columns]
+        best = scores.argmax(axis=1) if len(columns) else np.zeros(len(scores), np.int64)
+        score = scores[np.arange(len(scores)), best] if len(columns) else np.zeros(len(scores), np.float32)
+        chosen = np.flatnonzero(score >= max(self.min_score, 1e-6))
+        boxes = self._in_picture(candidates.boxes[chosen], placement, frame)
+        which = np.array([wanted.index(names[c]) for c in columns], np.int64)[best[chosen]]
+        nms_iou = self.config.output.nms_iou if self.config.output.nms else 1.0
+        kept = class_wise(boxes, score[chosen], which, MAX_PER_NAME, nms_iou=nms_iou)
+        return proposals_of(boxes[kept], score[chosen][kept], which[kept], wanted, chosen[kept], frame)
+
+    def _in_picture(self, boxes: np.ndarray, placement: Placement, frame: Frame) -> np.ndarray:
+        units = self.config.output.units
+        if units == "share":
+            boxes = boxes * ([placement.width, placement.height] * 2)
+        if units != "picture":
+            boxes = placement.to_picture(boxes)
+        return np.clip(np.nan_to_num(boxes), 0, [frame.width, frame.height] * 2)
+
+    def _forward(self, frame: Frame) -> tuple[Candidates, Placement]:
+        """The network is run once for a picture, however many names are asked for in turn."""
+        if self._last is not None and self._last[0] == frame.content_hash:
+            return self._last[1:]
+        tensor, placement = place_picture(frame.rgb, *self._sides, self.config.input)
+        numbers = {
+            "height": frame.height, "width": frame.width,
+            "input_height": placement.height, "input_width": placement.width,
+            "scale_y": placement.scale_y, "scale_x": placement.scale_x,
+        }  # fmt: skip
+        extra = {n: np.array([[numbers[w] for w in words]], np.float32) for n, words in self.config.input.extra.items()}
+        values = run_session(self._session, self._outputs, {self._input: tensor, **extra}, self.path)
+        outputs = dict(zip(self._outputs, values, strict=True))
+        try:
+            found = decode(outputs, self.config.output, len(self.vocabulary or ()), self._sides)
+        except InputError as error:
+            raise InputError(str(error), path=self.config_path) from error
+        self._last = (frame.content_hash, found, placement)
+        return found, placement
+
+    def _names_inside(self) -> tuple[str, ...]:
+        found = metadata_names(self._session)
+        if found is None:
+            raise InputError(
+                "the class names of the detector are not known", expected="names or names_file", path=self.config_path
+            )
+        return found
+
+    def _checked_input(self) -> tuple[str, tuple[int, int]]:
+        """The picture's input and the size of it."""
+        config = self.config.input
+        shapes = {i.name: tuple(i.shape) for i in self._session.get_inputs()}
+        unknown = [n for n in (config.name, *config.extra) if n is not None and n not in shapes]
+        rest = [n for n in shapes if n not in config.extra]
+        if unknown or len(rest) != 1 or (config.name is not None and rest != [config.name]):
+            said = ", ".join([*([config.name] if config.name else []), *config.extra]) or "one input"
+            raise InputError(
+                "the model has other inputs than the TOML file says",
+                got=signature(self._session)[:240],
+                expected=said,
+                cause="inputs besides the picture are named under [input.extra]" if len(rest) > 1 else None,
+                path=self.config_path,
+            )
+        shape = shapes[rest[0]]
+        channels, sides = (shape[1:2], shape[2:]) if config.layout == "NCHW" else (shape[3:], shape[1:3])
+        said_sides = config.size or (None, None)
+        if len(shape) != 4 or (isinstance(channels[0], int) and channels[0] != 3):
+            other = "NHWC" if config.layout == "NCHW" else "NCHW"
+            raise InputError(
+                f"the input {rest[0]} is not {config.layout}",
+                got=list(shape),
+                expected="3 channels",
+                cause=f'is it layout = "{other}"?',
+                path=self.config_path,
+            )
+        found = []
+        for declared, said in zip(sides, said_sides, strict=True):
+            if not isinstance(declared, int) and said is None:
+                raise InputError(
+                    "the model takes any size", expected="size = [HEIGHT, WIDTH] under [input]", path=self.config_path
+                )
+            if isinstance(declared, int) and said is not None and said != declared:
+                raise InputError(
+                    "the model takes another size", got=list(said_sides), expected=list(sides), path=self.config_path
+                )
+            found.append(declared if isinstance(declared, int) else said)
+        return rest[0], (found[0], found[1])
+
+    def _checked_outputs(self) -> list[str]:
+        known = [o.name for o in self._session.get_outputs()]
+        wanted = output_names(self.config.output)
+        missing = [n for n in wanted if n not in known]
+        if missing:
+            raise InputError(f"the model has no output {missing[0]}", got=", ".join(known)[:240], path=self.config_path)
+        return wanted

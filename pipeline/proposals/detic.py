@@ -1,0 +1,213 @@
+"""Detic by ONNX Runtime: the public exports, whose vocabulary is frozen (LVIS, or ImageNet-21k).
+
+Input: RGB 0..255, (1, 3, h, w), the shorter side 800 and the longer at most 1333. Outputs: boxes (n, 4) in input
+pixels, scores (n,), class numbers (n,), and masks (n, 1, 28, 28) of probabilities, after the suppression of rivals
+within each class. Files: `axinc-ai/ailia-models`, object_detection/detic. The files hold no class names, so these are
+read from a file beside them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.errors import InputError
+from pipeline.frame import Frame
+from pipeline.naming import Synonyms
+from pipeline.proposals.base import Proposals, no_proposals
+from pipeline.proposals.class_names import (
+    metadata_names,
+    names_hash,
+    read_class_names,
+    synonyms_hash,
+    wanted_names,
+)
+from pipeline.proposals.contracts import Contract, TensorSpec
+from pipeline.proposals.mask_paste import paste_masks
+from pipeline.proposals.onnx_session import model_hash, open_session, run_session
+from pipeline.proposals.resampling import pillow_resized
+
+OPTION = "--detector detic"
+VERSION = "1"
+MIN_SCORE = 0.02
+"""The paper's, which is Detic's own SCORE_THRESH_TEST. A file may have been exported with a higher one."""
+SHORTEST, LONGEST = 800, 1333
+NAME_FILES = ("{stem}.names.txt", "{stem}.txt", "{stem}.names.json", "imagenet_21k_class_names.txt", "lvis_v1_val.json")
+"""Where class names are looked for beside the model."""
+CONTRACTS = (
+    Contract(
+        OPTION,
+        "Detic with a frozen vocabulary (axinc-ai/ailia-models), with its class names in a file",
+        (TensorSpec("img", "float32", (1, 3, "H", "W")),),
+        (
+            TensorSpec("boxes", "float32", ("n", 4)),
+            TensorSpec("scores", "float32", ("n",)),
+            TensorSpec("classes", "int64", ("n",)),
+            TensorSpec("masks", "float32", ("n", 1, 28, 28)),
+        ),
+    ),
+)
+"""The outputs are told by their order, whatever their names."""
+
+
+class DeticDetector:
+    """Detic with the vocabulary that it was exported with.
+
+    Parameters
+    ----------
+    path : Path
+        The ONNX file.
+    names : Path, optional
+        File of its class names, see `read_class_names`. By default one of `NAME_FILES` beside the model.
+    min_score : float
+        Detections below it are dropped.
+
+    Raises
+    ------
+    InputError
+        Where the file does not follow the contract, or there are no class names.
+    """
+
+    name = "detic"
+    exact = False
+    reads_annotations = False
+
+    def __init__(
+        self,
+        path: str | Path,
+        *,
+        names: str | Path | None = None,
+        synonyms: Synonyms | None = None,
+        min_score: float = MIN_SCORE,
+    ) -> None:
+        self.path, self.synonyms, self.min_score = Path(path), synonyms, min_score
+        self._session = open_session(self.path)
+        found = tensors_of(self._session)
+        if found is None:
+            from pipeline.proposals.mismatch import not_fitting
+
+            raise not_fitting("the ONNX file is not a Detic model", OPTION, self._session, self.path, CONTRACTS)
+        self._input, self._outputs = found
+        self.vocabulary: tuple[str, ...] | None = self._class_names(None if names is None else Path(names))
+        self._last: tuple[str, list[np.ndarray]] | None = None
+
+    def _class_names(self, given: Path | None) -> tuple[str, ...]:
+        if given is not None:
+            return read_class_names(given)
+        inside = metadata_names(self._session)
+        if inside is not None:
+            return inside
+        return read_class_names(find_names(self.path))
+
+    @cached_property
+    def _hash(self) -> str:
+        return model_hash(self.path)
+
+    def fingerprint(self) -> str:
+        names = synonyms_hash(self.synonyms)
+        return f"detic:{VERSION}:{self._hash}:{self.min_score}:{names}:{names_hash(self.vocabulary or ())}"
+
+    def detect(self, frame: Frame, labels: Sequence[str] | None) -> Proposals:
+        """Detections of the classes that the names mean, the better first; `ids` are places in the network's answer."""
+        names = self.vocabulary or ()
+        wanted = wanted_names(labels, names, self.synonyms, f"the model {self.path.name}")
+        boxes, scores, classes, masks = self._forward(frame)
+        place = {name: k for k, name in enumerate(wanted)}
+        which = np.array([place.get(names[int(c)], -1) for c in classes], np.int64)
+        chosen = np.flatnonzero((which >= 0) & (scores >= self.min_score))
+        chosen = chosen[np.argsort(-scores[chosen], kind="stable")]
+        pasted = paste_masks(masks[chosen], boxes[chosen], frame.height, frame.width)
+        solid = pasted.any(axis=(1, 2))
+        chosen = chosen[solid]
+        if not len(chosen):
+            return no_proposals(frame.height, frame.width)
+        found = np.clip(scores[chosen], 0, 1).astype(np.float32)
+        return Proposals(boxes[chosen], found, which[chosen], tuple(wanted), pasted[solid], chosen)
+
+    def _forward(self, frame: Frame) -> list[np.ndarray]:
+        """Boxes (n, 4) in pixels of the frame, scores (n,), classes (n,), masks (n, 28, 28); run once for a picture."""
+        if self._last is not None and self._last[0] == frame.content_hash:
+            return self._last[1]
+        free = resized_shape(frame.height, frame.width)
+        sides = self._input.shape[2:]
+        height, width = (s if isinstance(s, int) else f for s, f in zip(sides, free, strict=True))
+        image = pillow_resized(frame.rgb, height, width)
+        tensor = np.ascontiguousarray(image.transpose(2, 0, 1)[None], np.float32)
+        boxes, scores, classes, masks = run_session(self._session, self._outputs, {self._input.name: tensor}, self.path)
+        count = len(scores)
+        vocabulary = len(self.vocabulary or ())
+        if (
+            boxes.shape != (count, 4)
+            or scores.ndim != 1
+            or classes.shape != (count,)
+            or masks.shape[:2] != (count, 1)
+            or masks.ndim != 4
+        ):
+            shapes = ", ".join(str(list(v.shape)) for v in (boxes, scores, classes, masks))
+            raise InputError(
+                "the model's outputs do not fit one another",
+                got=shapes,
+                expected="[n, 4], [n], [n], [n, 1, 28, 28]",
+                path=self.path,
+            )
+        classes = classes.astype(np.int64)
+        if count and not 0 <= classes.min() <= classes.max() < vocabulary:
+            raise InputError(
+                "the class names are not those of the model",
+                got=f"{vocabulary} names",
+                expected=f"more than {int(classes.max())}",
+                path=self.path,
+            )
+        scale = np.array([frame.width / width, frame.height / height] * 2, np.float32)
+        limits = np.array([frame.width, frame.height] * 2, np.float32)
+        boxes = np.clip(boxes * scale, 0, limits).astype(np.float32)
+        found = [boxes, scores, classes, masks[:, 0]]
+        self._last = (frame.content_hash, found)
+        return found
+
+
+def find_names(model: Path) -> Path:
+    """The file of the class names beside a model.
+
+    Raises
+    ------
+    InputError
+        Where there is none.
+    """
+    beside = [model.with_name(n.format(stem=model.stem)) for n in NAME_FILES]
+    found = next((p for p in beside if p.is_file()), None)
+    if found is None:
+        raise InputError(
+            "the class names of the Detic model are not known",
+            expected=f"{beside[0].name} beside it, or --model-config FILE",
+            cause="one name a line, or the categories of LVIS's annotations",
+            path=model,
+        )
+    return found
+
+
+def resized_shape(height: int, width: int) -> tuple[int, int]:
+    """Height and width with the shorter side 800, or less so that the longer is at most 1333, as Detic's code rounds.
+
+    That is detectron2's `ResizeShortestEdge`, which differs from transformers' by a pixel.
+    """
+    scale = min(SHORTEST / min(height, width), LONGEST / max(height, width))
+    return int(height * scale + 0.5), int(width * scale + 0.5)
+
+
+def tensors_of(session: Any) -> tuple[Any, list[str]] | None:
+    """The input, and the names of boxes, scores, classes and masks; None where this is no Detic."""
+    inputs, outputs = session.get_inputs(), session.get_outputs()
+    if len(inputs) != 1 or len(outputs) != 4 or len(inputs[0].shape) != 4 or inputs[0].shape[1] not in (3, "C"):
+        return None
+    # A file may leave the shapes of its outputs open: what it says must fit.
+    ranks = [len(o.shape) for o in outputs]
+    fits = all(r in (0, wanted) for r, wanted in zip(ranks, (2, 1, 1, 4), strict=True))
+    boxes = outputs[0].shape
+    if not fits or not any(ranks) or (len(boxes) == 2 and isinstance(boxes[1], int) and boxes[1] != 4):
+        return None
+    return inputs[0], [o.name for o in outputs]

@@ -1,0 +1,168 @@
+"""Which adapter an ONNX file is for, by what it declares; and why it does not fit the one that it was given to."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from pipeline.errors import InputError
+from pipeline.proposals import detic, grounding_dino, owl, yolo_seg
+from pipeline.proposals.contracts import Contract, TensorSpec
+from pipeline.proposals.model_pair import declared, follows
+from pipeline.proposals.segmenter_contracts import CONTRACTS as SEGMENTERS
+from pipeline.proposals.segmenter_contracts import INSTEAD, REFUSED
+
+BOXES = "--detector boxes"
+DETECTORS: tuple[Contract, ...] = (
+    *grounding_dino.CONTRACTS,
+    *owl.CONTRACTS,
+    *yolo_seg.CONTRACTS,
+    *detic.CONTRACTS,
+)
+"""Of every detector whose files need no description."""
+
+
+@dataclass(frozen=True)
+class FileKind:
+    """What a file looks like.
+
+    Attributes
+    ----------
+    what : str
+        In a few words.
+    options : tuple of str
+        Those that read it, such as "--detector yolo-seg"; empty where none does.
+    advice : str
+        What to do with it where no option simply reads it; "" where one does.
+    """
+
+    what: str
+    options: tuple[str, ...]
+    advice: str = ""
+
+    @property
+    def sentence(self) -> str:
+        """A clause for messages."""
+        if self.advice:
+            return f"this looks like {self.what}; {self.advice}"
+        return f"this looks like {self.what}: use {' or '.join(self.options)}"
+
+
+def recognise(session: Any) -> FileKind | None:
+    """What an open file is; None for one that nothing here knows."""
+    refused = next((c for c in REFUSED if follows(session, c)), None)
+    if refused is not None:
+        return FileKind(refused.what, (), INSTEAD[refused.option])
+    segmenter = next((c for c in SEGMENTERS if follows(session, c)), None)
+    if segmenter is not None:
+        return FileKind(f"the {segmenter.what}", (segmenter.option,))
+    return _detector(session) or _relatives(session)
+
+
+def _detector(session: Any) -> FileKind | None:
+    if owl.tensors_of(session) is not None and grounding_dino.tensors_of(session) is None:
+        sides = next(i.shape[2:] for i in session.get_inputs() if i.name == "pixel_values")
+        names = {owl.SIDES["owlv2"]: ("owlv2",), owl.SIDES["owlvit"]: ("owlvit",)}.get(sides[0], ("owlv2", "owlvit"))
+        what = {"owlv2": "OWLv2", "owlvit": "OWL-ViT"}
+        return FileKind(" or ".join(what[n] for n in names), tuple(f"--detector {n}" for n in names))
+    if grounding_dino.tensors_of(session) is not None:
+        return FileKind("GroundingDINO", ("--detector grounding-dino",))
+    if yolo_seg.tensors_of(session) is not None:
+        return FileKind("a YOLO export with masks", ("--detector yolo-seg", "--segmenter yolo-seg"))
+    if detic.tensors_of(session) is not None:
+        return FileKind("Detic", ("--detector detic",))
+    return None
+
+
+def _relatives(session: Any) -> FileKind | None:
+    """Files that are near to something, and those that a TOML file can describe."""
+    inputs, outputs = declared(session.get_inputs()), declared(session.get_outputs())
+    names = {s.name for s in inputs}
+    metadata = session.get_modelmeta().custom_metadata_map
+    if any(key.startswith("srm.") for key in metadata):
+        return FileKind("a relation network", ("--srm FILE",))
+    if "text_features" in names:
+        return FileKind("YOLO-World with its text from outside", (), "export it with its vocabulary set inside")
+    if "input_ids" in names and not any(len(s.shape) == 4 for s in inputs):
+        return FileKind("the text part of a model", (), "an export of the whole is needed")
+    pictures = [s for s in inputs if len(s.shape) == 4 and 3 in (s.shape[1], s.shape[3])]
+    if len(pictures) != 1 or "input_ids" in names:
+        return None
+    advice = f"describe its tensors in a TOML file and use {BOXES}"
+    if _yolo_rows(outputs):
+        return FileKind("a YOLO export without masks", (BOXES,), f"{advice}, or export a -seg model")
+    if _boxes_among(outputs):
+        return FileKind("a detector of boxes", (BOXES,), advice)
+    return None
+
+
+def _yolo_rows(outputs: Sequence[TensorSpec]) -> bool:
+    shapes = [s.shape for s in outputs]
+    return (
+        len(shapes) == 1
+        and len(shapes[0]) == 3
+        and (6 in shapes[0][1:] or any(isinstance(n, int) and n > 1000 for n in shapes[0][1:]))
+    )
+
+
+def _boxes_among(outputs: Sequence[TensorSpec]) -> bool:
+    last = [s.shape[-1] for s in outputs if len(s.shape) in (2, 3)]
+    several = [n for n in last if isinstance(n, int) and n % 4 == 0]
+    return 4 in last or (len(last) >= 4 and len(several) * 2 >= len(last))
+
+
+def explain_mismatch(session: Any, option: str) -> str:
+    """Why a file is not for an option, or which one reads it, in a clause for a message.
+
+    Parameters
+    ----------
+    session : onnxruntime.InferenceSession
+    option : str
+        Such as "--detector grounding-dino".
+    """
+    face = option.split()[0]
+    kind = recognise(session)
+    if kind is None or option in kind.options:
+        return f"is it a file for another {face}?"
+    # A segmenter's user is told of segmenters, where there is one.
+    own = tuple(o for o in kind.options if o.startswith(face))
+    if own or not kind.options or face == "--detector":
+        return FileKind(kind.what, own or kind.options, kind.advice).sentence
+    return f"this looks like {kind.what}, no {face.lstrip('-')}: it is for {' or '.join(kind.options)}"
+
+
+def shapes(specs: Sequence[TensorSpec]) -> str:
+    """ "pixel_values [1, 3, 800, 800], input_ids [1, S]"."""
+    return ", ".join(f"{s.name} [{', '.join(str(d) for d in s.shape)}]" for s in specs)
+
+
+def not_fitting(what: str, option: str, session: Any, path: Path, contracts: Sequence[Contract]) -> InputError:
+    """The error for a file that was given to the wrong option.
+
+    Parameters
+    ----------
+    what : str
+        "the ONNX file is not a GroundingDINO model".
+    option : str
+    session : onnxruntime.InferenceSession
+    path : Path
+    contracts : sequence of Contract
+        Those that the option reads.
+    """
+    wanted, given = [c.inputs for c in contracts], declared(session.get_inputs())
+    if any(_alike(inputs, given) for inputs in wanted):
+        # The inputs say nothing: it is the outputs that are others.
+        wanted, given = [c.outputs for c in contracts], declared(session.get_outputs())
+    return InputError(
+        what,
+        got=shapes(given)[:300],
+        expected=" or ".join(dict.fromkeys(shapes(w) for w in wanted)),
+        cause=explain_mismatch(session, option),
+        path=path,
+    )
+
+
+def _alike(wanted: Sequence[TensorSpec], given: Sequence[TensorSpec]) -> bool:
+    return len(wanted) == len(given) and all(len(a.shape) == len(b.shape) for a, b in zip(wanted, given, strict=True))

@@ -1,0 +1,283 @@
+"""One labelled object corrected in the page: its class, its status, its 3D box, each field given back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from threading import Lock
+
+import numpy as np
+import viser
+
+from pipeline.boxes import Box3D
+from pipeline.correcting.box_edits import fit_to_points, snap_to_support
+from pipeline.correcting.desk import Desk
+from pipeline.correcting.moving import MovingBox
+from pipeline.correcting.object_card import back_to_automatic, bring_back, judgements, object_card
+from pipeline.correcting.vocabulary import Vocabulary, completions, vocabulary_of
+from pipeline.errors import InputError
+from pipeline.journal.cells import object_cell
+from pipeline.journal.edits import Edits, set_box, set_class, set_status
+from pipeline.journal.effective import Corrector
+from pipeline.journal.effective_frame import EffectiveFrame
+from pipeline.journal.events import Saved
+from pipeline.palette import palette
+from pipeline.whatif.box_numbers import box_numbers, with_numbers
+from spatialviz.app.bridge import Bridge
+from spatialviz.app.correct import Correct
+from spatialviz.app.gizmo import BoxGizmo
+from spatialviz.app.label_object_html import STATUS_WORDS, object_html, rejected_html, saved_html
+from spatialviz.app.label_view import LabelView
+from spatialviz.app.layout import Page
+from spatialviz.app.review_html import pair_html
+from spatialviz.app.scene import SceneView
+from spatialviz.app.state import State
+from spatialviz.app.text import panel, safe
+
+
+class LabelObject:
+    """Shows and corrects the selected labelled object of one client.
+
+    Parameters
+    ----------
+    client : viser.ClientHandle
+    page : Page
+    scene : SceneView
+    bridge : Bridge
+    correct : Correct
+        Saves.
+    state : callable
+        Gives the client's state.
+    take : callable
+        Takes a new one.
+    draw : callable
+        Draws all of the page; with True what follows a drag.
+    note : callable
+        Writes a line of the log.
+    """
+
+    def __init__(
+        self,
+        client: viser.ClientHandle,
+        page: Page,
+        scene: SceneView,
+        bridge: Bridge,
+        correct: Correct,
+        *,
+        state: Callable[[], State],
+        take: Callable[[State], None],
+        draw: Callable[[bool], None],
+        note: Callable[[str], None],
+    ) -> None:
+        self._client, self._page, self._scene, self._bridge, self._correct = client, page, scene, bridge, correct
+        self._state, self._take, self._draw, self._note = state, take, draw, note
+        self._words: dict[str, Vocabulary] = {}
+        self._asked: tuple[str, int, str] | None = None
+        self._rejected: list[tuple[str, int]] = []
+        self._moving: MovingBox | None = None
+        self._held: int | None = None
+        self._drag: tuple[Box3D, bool] | None = None
+        self._lock = Lock()
+        self._gizmo = BoxGizmo(client, self._dragged, "/label")
+
+    def commands(self) -> dict[str, Callable[[str], None]]:
+        """What the page may ask for, by the first word of its message."""
+        return {
+            "class": self.name_class,
+            "class-typed": self._complete,
+            "class-focus": lambda _: self._bridge.call("svFocusClass", None),
+            "object-status": self.set_status,
+            "object-back": self.bring_back,
+            "box-set": self._set_number,
+            "box-fit": lambda _: self._fit(),
+            "box-snap": self._snap,
+            "field-back": self._give_back,
+        }
+
+    @property
+    def _selected(self) -> tuple[LabelView, int] | None:
+        """The labels that are shown, and the number of the selected object."""
+        state = self._state()
+        view = state.labels
+        if view is None or state.selected is None or state.selected >= len(view.numbers):
+            return None
+        return view, view.numbers[state.selected]
+
+    def _edit(self, made: Callable[[EffectiveFrame, int, Corrector], Edits]) -> bool:
+        """Save an edit of the selected object; whether it was."""
+        chosen, desk = self._selected, self._correct.desk
+        if chosen is None or desk is None:
+            return False
+        number = chosen[1]
+        return isinstance(self._correct.save(lambda frame: made(frame, number, desk.corrector)), Saved)
+
+    # ---- class ------------------------------------------------------------------------
+
+    def _vocabulary(self, desk: Desk) -> Vocabulary:
+        source = self._state().source
+        if source not in self._words:
+            self._words[source] = vocabulary_of(desk.labels, desk.corrector.dataset, desk.place.to_read())
+        return self._words[source]
+
+    def _complete(self, typed: str) -> None:
+        """Offer the classes that may be meant by what is being typed."""
+        desk = self._correct.desk
+        if desk is None or self._selected is None:
+            return
+        self._asked = None
+        found = completions(typed, self._vocabulary(desk))
+        self._bridge.call("svOffer", {"typed": typed, "offers": [c.record() for c in found]})
+
+    def name_class(self, name: str) -> None:
+        """Save another class name; one that no class has is asked for twice."""
+        chosen, desk = self._selected, self._correct.desk
+        name = " ".join(name.split())
+        if chosen is None or desk is None or not name:
+            return
+        view, number = chosen
+        words = self._vocabulary(desk)
+        asked = (view.frame.frame, number, name)
+        if name == view.frame.objects[number]["label"]:
+            self._draw(False)
+            return
+        if name not in words and self._asked != asked:
+            self._asked = asked
+            said = f"No class is called “{name}” yet: Enter again makes it one."
+            offers = [c.record() for c in completions(name, words) if c.known]
+            self._bridge.call("svOffer", {"offers": offers, "note": said})
+            return
+        self._asked = None
+        if self._edit(lambda f, n, c: set_class(f, n, name)):
+            self._words[self._state().source] = words.with_names([name])
+
+    # ---- status -----------------------------------------------------------------------
+
+    def set_status(self, status: str) -> None:
+        """Accept, reject or doubt the object; what it is already is taken off again."""
+        chosen, desk = self._selected, self._correct.desk
+        if chosen is None or desk is None or status not in STATUS_WORDS:
+            return
+        view, number = chosen
+        cell, author = object_cell(view.frame.frame, number, "status"), desk.author
+        wanted = None if judgements(view.frame, number).get(author) == status else status
+        if self._edit(lambda f, n, c: set_status(f, cell, wanted, author=author)) and wanted == "rejected":
+            self._rejected.append((view.frame.frame, number))
+
+    def bring_back(self, said: str) -> None:
+        """Bring a rejected object back, by its number, else the one that was rejected last, and select it."""
+        view, desk = self._state().labels, self._correct.desk
+        if view is None or desk is None:
+            return
+        gone = [n for frame, n in self._rejected if frame == view.frame.frame and n in view.frame.left_out]
+        number = int(said) if said.isdecimal() else next(reversed(gone or sorted(view.frame.left_out)), None)
+        if number is None or number not in view.frame.left_out:
+            self._note("no rejected object to bring back")
+            return
+        self._correct.save(lambda frame: bring_back(frame, number, desk.author))
+        view = self._state().labels
+        place = None if view is None else view.place(number)
+        if place is not None:
+            self._take(replace(self._state(), selected=place))
+            self._draw(False)
+
+    # ---- box --------------------------------------------------------------------------
+
+    def _fit(self) -> None:
+        self._edit(fit_to_points)
+
+    def _snap(self, way: str) -> None:
+        self._edit(lambda f, n, c: snap_to_support(f, n, c, "move" if way == "move" else "extend"))
+
+    def _give_back(self, field: str) -> None:
+        self._edit(lambda f, n, c: back_to_automatic(f, n, field))
+
+    def _set_number(self, said: str) -> None:
+        """center:AXIS:METRES, size:AXIS:METRES, yaw:DEGREES."""
+        state, chosen = self._state(), self._selected
+        box = None if state.selected is None else state.shown.objects[state.selected].lifted.box
+        what, *rest = said.split(":")
+        try:
+            value = float(rest[-1])
+        except (ValueError, IndexError):
+            return
+        if chosen is None or box is None or state.loaded is None or not np.isfinite(value):
+            return
+        viewer = state.loaded.context.viewer
+        numbers = box_numbers(box, viewer)
+        if what == "yaw":
+            changed = with_numbers(box, viewer, yaw=value)
+        elif what in ("center", "size") and rest[0] in ("0", "1", "2"):
+            a, b, c = (value if k == int(rest[0]) else float(x) for k, x in enumerate(getattr(numbers, what)))
+            moved = what == "center"
+            changed = with_numbers(box, viewer, center=(a, b, c) if moved else None, size=None if moved else (a, b, c))
+        else:
+            return
+        self._edit(lambda f, n, c: set_box(f, n, changed))
+
+    def _dragged(self, box: Box3D, ended: bool) -> None:
+        """A handle has moved. Only the latest place counts where the session is still busy with one before."""
+        with self._lock:
+            waiting = self._drag is not None
+            self._drag = box, ended or (waiting and self._drag is not None and self._drag[1])
+        if not waiting:
+            self._bridge.post(self._follow_drag)
+
+    def _follow_drag(self) -> None:
+        with self._lock:
+            drag, self._drag = self._drag, None
+        chosen, state, desk = self._selected, self._state(), self._correct.desk
+        if drag is None or chosen is None or desk is None or chosen[1] != self._held or state.selected is None:
+            self._moving = None
+            return
+        (view, number), (shown, ended) = chosen, drag
+        box = self._scene.camera_box(shown)
+        if ended:
+            self._moving = None
+            if self._correct.save(lambda frame: set_box(frame, number, box)) is None:
+                self._correct.renew()
+                self._draw(False)
+            return
+        try:
+            if self._moving is None or self._moving.frame is not view.frame or self._moving.number != number:
+                pair = None if state.pair is None else (view.numbers[state.pair[0]], view.numbers[state.pair[1]])
+                self._moving = MovingBox(view.frame, desk.corrector, number, pair)
+            moved = self._moving.moved(box)
+        except InputError as error:
+            self._note(f"not moved: {error}")
+            return
+        objects = list(state.shown.objects)
+        entry = objects[state.selected]
+        objects[state.selected] = replace(entry, lifted=replace(entry.lifted, box=box))
+        there = replace(state.shown, objects=tuple(objects))
+        self._take(replace(state, shown=there, labels=replace(view, moved=moved)))
+        self._draw(True)
+
+    # ---- drawing ----------------------------------------------------------------------
+
+    def follow(self, live: bool = False) -> None:
+        """Bring the handles and the Edit tab up to the state; `live` follows a drag."""
+        state, view, desk = self._state(), self._state().labels, self._correct.desk
+        if view is None or desk is None:
+            self._gizmo.show(None, "off")
+            return
+        chosen = self._selected
+        box = None if state.selected is None else state.shown.objects[state.selected].lifted.box
+        if not self._gizmo.held:
+            self._held = None if chosen is None else chosen[1]
+        self._gizmo.show(None if box is None else self._scene.shown_box(box), state.mode)
+        self._page.cost.content = saved_html(desk.author, view.said, view.bad, view.moved)
+        if live:
+            if self._page.review_pair is not None and view.moved is not None and view.moved.card is not None:
+                now = replace(state, labels=replace(view, card=view.moved.card))
+                self._page.review_pair.content = pair_html(now)
+            return
+        gone = rejected_html(view.frame.left_out)
+        if chosen is None or state.selected is None:
+            hint = "Select an object: click its row, its pixels or its box."
+            self._page.edit.content = panel(f'<div class="dim">{safe(hint)}</div>') + gone
+            return
+        card = object_card(view.frame, chosen[1])
+        color = palette(state.dark)[state.roles.get(state.selected, "other")]
+        name = state.shown.names[state.selected]
+        self._page.edit.content = object_html(card, name, color, state.mode, desk.author) + gone
+

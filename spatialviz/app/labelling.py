@@ -1,0 +1,129 @@
+"""Everything of one client that shows, reviews and corrects labels, put together."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import viser
+from platformdirs import user_data_path
+
+from pipeline.correcting.desk import Desk
+from pipeline.correcting.journal_place import JournalPlace
+from pipeline.evaluation.run_folder import Run
+from spatialviz.app.bridge import Bridge
+from spatialviz.app.correct import Correct
+from spatialviz.app.dialog import Dialog
+from spatialviz.app.frames import FrameStore
+from spatialviz.app.label_object import LabelObject
+from spatialviz.app.layout import Page
+from spatialviz.app.pixels import Pixels
+from spatialviz.app.place import Place
+from spatialviz.app.retrain_panel import RetrainPanel
+from spatialviz.app.review_queue import ReviewQueue
+from spatialviz.app.scene import SceneView
+from spatialviz.app.selection import Selection
+from spatialviz.app.sentences import sentences_and_conflicts
+from spatialviz.app.state import State
+from spatialviz.app.watch import Watch
+
+
+class Labelling:
+    """The labels of one client.
+
+    Parameters
+    ----------
+    client : viser.ClientHandle
+    page : Page
+    scene : SceneView
+    bridge : Bridge
+    dialog : Dialog
+    selection : Selection
+    store : FrameStore
+    runs : mapping of str to Run
+    journals : mapping of str to JournalPlace
+        Where the labels of each source are corrected; what lacks one has none.
+    author : str
+    closed : threading.Event
+        Set when the client has gone.
+    state, take : callable
+        Give and take the client's state.
+    draw : callable
+        Draws all of the page; with True what follows a drag.
+    open_frame : callable
+    ask : callable
+        Asks the question of the state again.
+    go : callable
+        Looks at a place.
+    handle : callable
+        Carries out a command.
+    note : callable
+        Writes a line of the log.
+    """
+
+    def __init__(
+        self,
+        client: viser.ClientHandle,
+        page: Page,
+        scene: SceneView,
+        bridge: Bridge,
+        dialog: Dialog,
+        selection: Selection,
+        store: FrameStore,
+        runs: Mapping[str, Run],
+        journals: Mapping[str, JournalPlace],
+        author: str,
+        closed: threading.Event,
+        *,
+        state: Callable[[], State],
+        take: Callable[[State], None],
+        draw: Callable[[bool], None],
+        open_frame: Callable[[str], None],
+        ask: Callable[[], None],
+        go: Callable[[Place], None],
+        handle: Callable[[str], None],
+        note: Callable[[str], None],
+    ) -> None:
+        def opener(name: str, place: JournalPlace) -> Callable[[], Desk]:
+            return lambda: Desk(place.labels, place, author, store.sources[name].dataset)
+
+        def whole() -> None:
+            draw(False)
+
+        desks = {name: opener(name, place) for name, place in journals.items()}
+        to_state: dict[str, Any] = {"state": state, "take": take}
+        self.correct = Correct(
+            client, page, desks, **to_state, draw=whole, ask=ask, open_frame=open_frame, note=note
+        )
+        self.pixels = Pixels(client, scene, self.correct, selection, **to_state, draw=whole, note=note)
+        self._object = LabelObject(client, page, scene, bridge, self.correct, **to_state, draw=draw, note=note)
+        self._queue = ReviewQueue(page, store, journals, self.correct, state=state, note=note, post=bridge.post)
+        self._retrain = RetrainPanel(
+            client, page, store.sources, runs, journals, user_data_path("spatialviz") / "retrained", state=state, go=go,
+            use=lambda name: handle(f"edit:set:scorer:{name}"), note=note, post=bridge.post,
+        )  # fmt: skip
+        spoken = sentences_and_conflicts(self.correct, dialog, bridge, state, take, whole)
+        self._parts = (self.correct, self.pixels, self._object, self._queue, self._retrain, *spoken)
+        if journals:
+            Watch(self.correct, state, bridge.post, closed)
+
+    def commands(self) -> dict[str, Callable[[str], None]]:
+        """What the page may ask for, by the first word of its message."""
+        return {name: run for part in self._parts for name, run in part.commands().items()}
+
+    def follow(self) -> None:
+        """Bring the tabs of the labels up to the state."""
+        self.correct.follow()
+        self._queue.follow()
+        self._retrain.draw()
+        self.pixels.follow()
+
+    def follow_object(self, live: bool) -> None:
+        """Bring the handles and the Edit tab up to the state; `live` follows a drag."""
+        self._object.follow(live)
+
+    def close(self) -> None:
+        """End what is running."""
+        self._retrain.close()
+        self._queue.close()

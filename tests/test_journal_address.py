@@ -1,0 +1,181 @@
+"""URLs of PostgreSQL as libpq reads them, logins, and what the driver says when something is wrong."""
+
+from __future__ import annotations
+
+import os
+import ssl
+from collections.abc import Callable, Iterator
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+import sqlalchemy as sa
+from postgres_cluster import Cluster, missing, started_cluster
+from sqlalchemy import event
+
+from pipeline.errors import InputError
+from pipeline.journal.cells import object_cell
+from pipeline.journal.connection import likely_cause, reason_of
+from pipeline.journal.events import Edit, NotSaved, Saved
+from pipeline.journal.journal import Journal, open_journal
+from pipeline.journal.postgres import address_of, password_in_file
+from pipeline.journal.undo import redo, undo
+
+NAME = object_cell("f", 1, "label")
+SECRET = "it's: a\\secret %40"
+
+
+@pytest.fixture(autouse=True)
+def _plain(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    for name in [n for n in os.environ if n.startswith("PG")]:
+        monkeypatch.delenv(name)
+    monkeypatch.setenv("PGPASSFILE", str(tmp_path / "none"))
+
+
+def test_a_url_and_what_it_leaves_open(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = address_of(sa.make_url("postgresql://ann:a%2Fb@db.lab:6000/labels?sslmode=disable&application_name=x"))
+    assert (found.host, found.port, found.user, found.database) == ("db.lab", 6000, "ann", "labels")
+    assert (found.password, found.ssl, found.application) == ("a/b", False, "x")
+    assert "a/b" not in repr(found)
+    monkeypatch.setenv("PGUSER", "bob")
+    monkeypatch.setenv("PGPASSWORD", "hidden")
+    monkeypatch.setenv("PGPORT", "7000")
+    found = address_of(sa.make_url("postgresql://db.lab"))
+    assert (found.port, found.user, found.database, found.password, found.ssl) == (7000, "bob", "bob", "hidden", None)
+    socket = address_of(sa.make_url("postgresql:///labels?host=/run/pg&sslmode=verify-full"))
+    assert (socket.host, socket.ssl) == ("/run/pg", False)
+
+
+@pytest.mark.parametrize(
+    ("mode", "checks", "names"),
+    [("require", ssl.CERT_NONE, False), ("verify-ca", ssl.CERT_REQUIRED, False),
+     ("verify-full", ssl.CERT_REQUIRED, True)],
+)  # fmt: skip
+def test_modes_of_encryption(mode: str, checks: ssl.VerifyMode, names: bool) -> None:
+    found = address_of(sa.make_url(f"postgresql://a@b/c?sslmode={mode}")).ssl
+    assert isinstance(found, ssl.SSLContext)
+    assert (found.verify_mode, found.check_hostname) == (checks, names)
+
+
+@pytest.mark.parametrize(
+    "where",
+    ["postgresql://a@b/c?password=x", "postgresql://a@b/c?sslmode=maybe", "postgresql://a@b,c/d", "postgresql://a@b:x/c",
+     "postgresql://a@b/c?sslmode=verify-ca&sslrootcert=/nowhere", "postgresql://a@b/c?connect_timeout=soon",
+     "postgresql+psycopg://a@b/c", "mysql://a@b/c"],
+)  # fmt: skip
+def test_what_cannot_be_used_is_refused_in_one_line(where: str) -> None:
+    with pytest.raises(InputError) as error:
+        open_journal(where)
+    assert len(str(error.value).splitlines()) == 1
+
+
+def test_the_password_file(tmp_path: Path) -> None:
+    path = tmp_path / "pgpass"
+    path.write_text("# db:5432:*:ann:no\n\nshort:1\nother:5432:*:ann:no\ndb:*:a\\:b:ann:one\\:two\\\\\n*:*:*:*:last\n")
+    path.chmod(0o600)
+    assert password_in_file(("db", "5432", "a:b", "ann"), path) == "one:two\\"
+    assert password_in_file(("db", "5432", "c", "ann"), path) == "last"
+    path.chmod(0o644)
+    if os.name == "posix":
+        assert password_in_file(("db", "5432", "c", "ann"), path) is None
+    assert password_in_file(("db", "5432", "c", "ann"), tmp_path / "nowhere") is None
+
+
+@pytest.fixture(scope="module")
+def locked() -> Iterator[Cluster]:
+    """A server that asks for a password."""
+    reason = missing()
+    if reason is not None:
+        if os.environ.get("SPATIALVIZ_REQUIRE_EXTRAS") == "1":
+            pytest.fail(reason)
+        pytest.skip(reason)
+    with started_cluster(SECRET) as cluster:
+        yield cluster
+
+
+def test_logins(locked: Cluster, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for where in (locked.url, locked.url.replace("postgres@", "postgres:wrong@")):
+        with pytest.raises(InputError, match=r"cannot be opened; got .*(password|authentication)") as error:
+            open_journal(where)
+        assert "wrong" not in str(error.value)
+    passwords = tmp_path / "pgpass"
+    passwords.write_text("127.0.0.1:*:postgres:postgres:" + SECRET.replace("\\", "\\\\").replace(":", "\\:") + "\n")
+    passwords.chmod(0o600)
+    monkeypatch.setenv("PGPASSFILE", str(passwords))
+    with open_journal(locked.url) as journal:
+        assert isinstance(journal.append([Edit(NAME, "mug", "cup 椅 %s 100%")], "ann"), Saved)
+        assert journal.events()[0].after == "cup 椅 %s 100%"
+    monkeypatch.setenv("PGPASSFILE", str(tmp_path / "none"))
+    monkeypatch.setenv("PGPASSWORD", SECRET)
+    sockets = f"postgresql://postgres@/postgres?host={locked.folder}&port={locked.url.split(':')[-1].split('/')[0]}"
+    with open_journal(sockets) as journal:
+        assert len(journal.events()) == 1
+    with pytest.raises(InputError, match="Server refuses SSL"):
+        open_journal(locked.url + "?sslmode=require")
+
+
+def test_a_taken_back_action_whose_answer_was_lost_is_taken_back_once(
+    locked: Cluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PGPASSWORD", SECRET)
+    with open_journal(locked.url, project="undo") as journal:
+        names = ("mug", "cup", "bowl", "vase")
+        for number, (before, after) in enumerate(pairwise(names)):
+            journal.append([Edit(NAME, before, after, number)], "ann")
+        for take_back in (undo, redo, undo):
+            count = len(journal.events())
+            with pytest.raises(NotSaved, match="cannot be reached") as error:
+                _cut_after_commit(journal, locked, lambda step=take_back: step(journal, "ann"))
+            done = take_back(journal, "ann", again=error.value.group)
+            assert isinstance(done, Saved)
+            assert done.group == error.value.group
+            assert len(journal.events()) == count + 1
+        assert [e.after for e in journal.events()] == ["cup", "bowl", "vase", "bowl", "vase", "bowl"]
+
+
+def _cut_after_commit(journal: Journal, cluster: Cluster, action: Callable[[], object]) -> None:
+    """The server commits what the action writes, and dies before it has said so."""
+    commit, writes = journal.engine.dialect.do_commit, []
+
+    def lost(connection: Any) -> None:
+        commit(connection)
+        if writes:
+            cluster.crash()
+            connection.cursor().execute("SELECT 1")
+
+    def watch(_: Any, __: Any, statement: str, *___: Any) -> None:
+        writes.extend([statement] if statement.startswith("INSERT") else [])
+
+    event.listen(journal.engine, "before_cursor_execute", watch)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(journal.engine.dialect, "do_commit", lost)
+        try:
+            action()
+        finally:
+            event.remove(journal.engine, "before_cursor_execute", watch)
+            if writes:
+                cluster.start()
+
+
+def test_a_server_that_restarts_takes_the_next_edit(locked: Cluster, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("PGPASSWORD", SECRET)
+    with open_journal(locked.url, project="restart") as journal:
+        assert isinstance(journal.append([Edit(NAME, None, "cup")], "ann"), Saved)
+        locked.crash()
+        group, edits = None, (Edit(NAME, "cup", "mug", 1),)
+        for _ in range(2):
+            with pytest.raises(NotSaved, match="the database cannot be reached: save again when it can") as error:
+                journal.append(edits, "ann", group=group)
+            group, edits = error.value.group, error.value.edits
+            assert len(str(error.value).splitlines()) == 1
+            assert SECRET not in str(error.value)
+        locked.start()
+        again = journal.append(edits, "ann", group=group)
+        assert isinstance(again, Saved)
+        assert [e.after for e in journal.events()] == ["cup", "mug"]
+
+
+def test_a_broken_socket_is_an_error_of_the_database() -> None:
+    assert likely_cause(reason_of(ConnectionResetError(104, "Connection reset by peer"))) is not None
+    assert likely_cause(reason_of(TimeoutError("timed out"))) is not None
