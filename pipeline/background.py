@@ -5,10 +5,14 @@ from __future__ import annotations
 import multiprocessing
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from multiprocessing.connection import Connection
 from typing import Any
 
 from pipeline.errors import InputError
+
+PATIENCE_S = 20.0
+"""How long a job that is cancelled may take to tidy up."""
 
 
 class Background:
@@ -26,9 +30,12 @@ class Background:
         self.done = False
 
     def cancel(self) -> None:
-        """End it now; what it was writing is left to its own care."""
+        """End it; what it has not finished writing it takes away first."""
         self._cancelled = True
         self._process.terminate()
+        last = threading.Timer(PATIENCE_S, self._process.kill)
+        last.daemon = True
+        last.start()
 
     def _listen(self, on_progress: Callable[[Any], None], on_end: Callable[[Any, str], None]) -> None:
         result, problem = None, "it ended without a result"
@@ -44,7 +51,7 @@ class Background:
             pass
         self._process.join()
         if self._cancelled:
-            problem = "cancelled"
+            result, problem = None, "cancelled"
         elif problem and self._process.exitcode not in (0, None):
             problem = problem if problem != "it ended without a result" else f"{problem} ({self._process.exitcode})"
         self.done = True
@@ -84,9 +91,22 @@ def _work(function: Callable[..., Any], args: tuple[Any, ...], sender: Connectio
 
     # Ctrl-C in the terminal is for the process that waits: it ends this one.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, _leave)
     try:
         sender.send(("result", function(*args, lambda value: sender.send(("progress", value)))))
+        return
     except InputError as error:
-        sender.send(("problem", str(error)))
+        problem = str(error)
     except Exception as error:  # Whatever it is, the one who waits must hear of it.
-        sender.send(("problem", f"{type(error).__name__}: {error}"))
+        problem = f"{type(error).__name__}: {error}"
+    # Nobody may be there any more.
+    with suppress(OSError):
+        sender.send(("problem", problem))
+
+
+def _leave(number: int, _: Any) -> None:
+    """End by the way of an error, so that temporary folders go."""
+    import signal
+
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    raise SystemExit(128 + number)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -50,25 +52,14 @@ class DatasetOptions:
     """Depth units in one metre (1000 for millimetres)."""
 
     def open(self, labels: Labels) -> Dataset | None:
-        from pipeline.jobs import open_source
+        from pipeline.labels.pictures import labelled_dataset
 
-        said = labels.manifest.dataset
         camera = four_numbers(self.intrinsics)
-        if self.dataset is not None:
-            return open_source(
-                self.dataset, intrinsics=camera, depth_scale=self.depth_scale, srm="rule"
-            ).dataset
-        options = dict(said.get("options") or {})
-        stated = str(options["intrinsics"]).strip("()[] ") if options.get("intrinsics") else None
-        scale = options.get("depth_scale")
         try:
-            return open_source(
-                str(said["path"]),
-                intrinsics=camera or four_numbers(stated),
-                depth_scale=self.depth_scale if scale is None else float(scale),
-                srm="rule",
-            ).dataset
-        except (InputError, KeyError, ValueError) as error:
+            return labelled_dataset(labels.manifest, self.dataset, intrinsics=camera, depth_scale=self.depth_scale)
+        except InputError as error:
+            if self.dataset is not None:
+                raise
             print(f"spatialviz: without the dataset ({error}); --dataset says where it is", file=sys.stderr)
             return None
 
@@ -127,6 +118,8 @@ class Correct:
     [{"points", "radius"}], "seeds": [[x, y], ...]; with "mode": add, remove, replace."""
     author: str
     """Who says so."""
+    again: str | None = None
+    """The group that a try named which could not be saved: what was saved after all is not saved twice."""
     journal: OmitArgPrefixes[JournalOptions] = JournalOptions()
     pictures: OmitArgPrefixes[DatasetOptions] = DatasetOptions()
     json: bool = False
@@ -141,8 +134,8 @@ class Correct:
         labels = open_labels(self.labels)
         actions = read_actions(self.edits)
         dataset = self.pictures.open(labels) if needs_pictures(actions) else None
-        with self.journal.open(labels) as journal:
-            done = apply_actions(Corrector(labels, dataset), journal, actions, self.author)
+        with self.journal.open(labels) as journal, _told_how_to_try_again():
+            done = apply_actions(Corrector(labels, dataset), journal, actions, self.author, again=self.again)
         return _told(done, "saved", self.json)
 
 
@@ -156,6 +149,8 @@ class Undo:
     """Whose."""
     group: str | None = None
     """Take back this action, and not the newest."""
+    again: str | None = None
+    """The group that a try named which could not be saved: what was done after all is not followed by the next."""
     journal: OmitArgPrefixes[JournalOptions] = JournalOptions()
     json: bool = False
     """Print one JSON object."""
@@ -164,8 +159,8 @@ class Undo:
         from pipeline.journal.undo import undo
         from pipeline.labels.reading import open_labels
 
-        with self.journal.open(open_labels(self.labels), must_exist=True) as journal:
-            return _told(undo(journal, self.author, group=self.group), "taken back", self.json)
+        with self.journal.open(open_labels(self.labels), must_exist=True) as journal, _told_how_to_try_again():
+            return _told(undo(journal, self.author, group=self.group, again=self.again), "taken back", self.json)
 
 
 @dataclass(frozen=True)
@@ -178,6 +173,8 @@ class Redo:
     """Whose."""
     group: str | None = None
     """Bring back what this undo took back."""
+    again: str | None = None
+    """The group that a try named which could not be saved: what was done after all is not followed by the next."""
     journal: OmitArgPrefixes[JournalOptions] = JournalOptions()
     json: bool = False
     """Print one JSON object."""
@@ -186,8 +183,8 @@ class Redo:
         from pipeline.journal.undo import redo
         from pipeline.labels.reading import open_labels
 
-        with self.journal.open(open_labels(self.labels), must_exist=True) as journal:
-            return _told(redo(journal, self.author, group=self.group), "brought back", self.json)
+        with self.journal.open(open_labels(self.labels), must_exist=True) as journal, _told_how_to_try_again():
+            return _told(redo(journal, self.author, group=self.group, again=self.again), "brought back", self.json)
 
 
 @dataclass(frozen=True)
@@ -218,6 +215,18 @@ class Effective:
         else:
             print_effective(found, self.out, self.show)
         return FINE
+
+
+@contextmanager
+def _told_how_to_try_again() -> Iterator[None]:
+    """A database that could not answer may have saved all the same: the next try says which one it repeats."""
+    from pipeline.journal.events import NotSaved
+
+    try:
+        yield
+    except NotSaved as error:
+        print(f"spatialviz: to try this once more, and not twice, add --again {error.group}", file=sys.stderr)
+        raise
 
 
 def _told(done: Saved | Conflict | None, verb: str, json: bool) -> int:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import tempfile
 import threading
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from pipeline.background import start_background
@@ -29,6 +31,11 @@ def endless(report: Callable[[Any], None]) -> None:
     report("begun")
     while True:
         time.sleep(0.05)
+
+
+def writing(folder: str, report: Callable[[Any], None]) -> None:
+    with tempfile.TemporaryDirectory(dir=folder):
+        endless(report)
 
 
 def gone(report: Callable[[Any], None]) -> None:
@@ -80,3 +87,18 @@ def test_problems_come_in_words() -> None:
 
 def test_a_job_can_be_ended() -> None:
     assert Heard().run(endless, cancel=True) == (None, "cancelled")
+
+
+def test_a_job_that_is_ended_leaves_nothing_behind(tmp_path: Path) -> None:
+    assert Heard().run(writing, str(tmp_path), cancel=True) == (None, "cancelled")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_what_is_cancelled_has_no_result_also_where_it_was_ready() -> None:
+    heard, held = Heard(), threading.Event()
+    job = start_background(counted, 1, on_progress=lambda _: print(held.wait(60)), on_end=heard.ended)
+    job._process.join(60)
+    job.cancel()
+    held.set()
+    assert heard._ended.wait(60)
+    assert heard.end == (None, "cancelled")

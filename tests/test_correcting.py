@@ -20,7 +20,7 @@ from pipeline.correcting.rescue import rescue
 from pipeline.correcting.unsaved import Waiting
 from pipeline.errors import InputError
 from pipeline.journal import edits
-from pipeline.journal.batch import apply_actions, read_actions
+from pipeline.journal.batch import actions_of, apply_actions, read_actions
 from pipeline.journal.cells import object_cell, relation_cell
 from pipeline.journal.events import Conflict, NotSaved, Saved
 from pipeline.journal.journal import Journal
@@ -279,6 +279,112 @@ def test_what_is_left_at_the_end_goes_to_files_that_correct_takes(
     assert fresh.objects[number]["label"] == "vase"
     # What the program saved after all, in spite of the files, is not saved twice.
     assert isinstance(apply_actions(ann.corrector, place.to_write(), read_actions(hers.files[0]), "ann"), Conflict)
+
+
+@pytest.mark.parametrize("seen", [False, True])
+def test_a_lost_answer_to_undo_takes_nothing_back_twice(
+    desk: Open, place: JournalPlace, monkeypatch: pytest.MonkeyPatch, seen: bool
+) -> None:
+    ann, real = desk("ann"), Journal.write
+    number = min(ann.frame(FRAME).objects)
+    for name in ("vase", "bowl", "lamp"):
+        ann.save(edits.set_class(ann.frame(FRAME), number, name))
+    lost = True
+
+    def write(journal: Journal, made: Any, author: str, action: Any, **how: Any) -> Any:
+        done = real(journal, made, author, action, **how)
+        if lost:
+            assert isinstance(done, Saved)
+            raise NotSaved("the answer is lost", made, done.group, got="", cause=None, path=None)
+        return done
+
+    def label() -> str:
+        return ann.frame(FRAME).objects[number]["label"]
+
+    monkeypatch.setattr(Journal, "write", write)
+    with pytest.raises(NotSaved):
+        ann.undo()
+    lost = False
+    if seen:
+        # Whoever has seen it taken back means the one before.
+        assert label() == "bowl"
+        assert isinstance(ann.undo(), Saved)
+        assert label() == "vase"
+        return
+    assert isinstance(ann.undo(), Saved)
+    assert label() == "bowl"
+    assert isinstance(ann.undo(), Saved)
+    assert label() == "vase"
+    lost = True
+    with pytest.raises(NotSaved):
+        ann.redo()
+    lost = False
+    assert isinstance(ann.redo(), Saved)
+    assert label() == "bowl"
+
+
+def test_a_file_of_edits_is_not_saved_twice(desk: Open, place: JournalPlace) -> None:
+    ann, journal = desk("ann"), place.to_write()
+    todo = actions_of([{"edit": "new", "frame": FRAME, "label": "lamp", "bbox": [10, 10, 60, 60]}])
+    done = apply_actions(ann.corrector, journal, todo, "ann")
+    assert isinstance(done, Saved)
+    again = apply_actions(ann.corrector, journal, todo, "ann", again=done.group)
+    assert again == done
+    assert len(journal.events()) == 1
+
+
+def test_judgements_that_were_not_saved_are_taken_from_the_file(
+    desk: Open, place: JournalPlace, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    ann = desk("ann")
+    frame = ann.frame(FRAME)
+    a, b = (int(n) for n in frame.pairs.numbers[:2])
+    disk = Broken(place, monkeypatch)
+    ann.save(edits.judge_relation(frame, a, b, "left", T, "ann"))
+    ann.save(edits.set_class(ann.frame(FRAME), a, "vase"))
+    (hers,) = rescue(place, [tmp_path])
+    disk.full = False
+    (path,) = hers.files
+    journal = place.to_write()
+    with pytest.raises(InputError, match="judgement of another person"):
+        apply_actions(ann.corrector, journal, read_actions(path), "bob")
+    assert isinstance(apply_actions(ann.corrector, journal, read_actions(path), "ann"), Saved)
+    assert {e.cell.kind for e in journal.events()} == {"review", "object"}
+
+
+def test_files_of_several_people_do_not_replace_each_other(
+    desk: Open, place: JournalPlace, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    Broken(place, monkeypatch)
+    # Of both names nothing is left in the name of a file.
+    for author in ("李", "王"):
+        one = desk(author)
+        one.save(edits.set_class(one.frame(FRAME), min(one.frame(FRAME).objects), author))
+    folder = tmp_path / "a file"
+    folder.touch()
+    found = rescue(place, [folder, tmp_path])
+    files = [path for each in found for path in each.files]
+    assert len(set(files)) == 2
+    assert {str(a.model_dump()["to"]) for path in files for a in read_actions(path)} == {"李", "王"}
+    assert list(tmp_path.glob(".*")) == []
+
+
+@pytest.mark.parametrize(
+    ("where", "words"),
+    [
+        (None, ()),
+        ("elsewhere.sqlite", ("--journal", "elsewhere.sqlite")),
+        ("postgresql://ann:secret@host:5433/team", ("--journal", "postgresql://ann@host:5433/team")),
+        ("postgresql://host/team?sslmode=require", ("--journal", "postgresql://host/team?sslmode=require")),
+    ],
+)
+def test_a_place_names_itself_without_its_password(
+    demo_labels: Labels, where: str | None, words: tuple[str, ...]
+) -> None:
+    assert JournalPlace(demo_labels, where).words == words
+    place = JournalPlace(demo_labels, where, "kitchen")
+    assert place.words == (*words, "--project", "kitchen")
+    assert "secret" not in str(place)
 
 
 def test_nothing_waits_nothing_is_written(place: JournalPlace, tmp_path: Path) -> None:

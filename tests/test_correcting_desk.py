@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from datetime import datetime, timezone
 from pathlib import Path
 
 import numpy as np
@@ -181,3 +182,42 @@ def test_actions_in_words_name_the_objects_and_do_not_count_the_mirror(
     done = desk.save(set_text(frame, row["id"], "the one over there"))
     assert isinstance(done, Saved)
     assert "the one over there" in said_events(done.events, desk.frame(FRAME))
+
+
+def test_what_was_made_on_an_edit_that_is_disputed_is_disputed_with_it(demo_labels: Labels, tmp_path: Path) -> None:
+    folder = tmp_path / "away"
+    place = JournalPlace(demo_labels, folder / "j.sqlite")
+    ann, ben = (Desk(demo_labels, place, name) for name in ("ann", "ben"))
+    first, other = sorted(ann.frame(FRAME).objects)[:2]
+    for name in ("vase", "bowl"):
+        ann.save(set_class(ann.frame(FRAME), first, name))
+    ann.save(set_class(ann.frame(FRAME), other, "lamp"))
+    seen = Desk(demo_labels, JournalPlace(demo_labels, tmp_path / "none.sqlite"), "ben").frame(FRAME)
+    folder.mkdir()
+    assert isinstance(ben.save(set_class(seen, first, "jar")), Saved)
+    # The second edit is of version 1, which is ben's by now.
+    conflict, saved = ann.retry()
+    assert isinstance(conflict, Conflict)
+    assert isinstance(saved, Saved)
+    (edit,) = conflict.edits
+    assert (edit.base, edit.after) == (0, "bowl")
+    assert not ann.waiting
+    frame = ann.frame(FRAME)
+    assert [frame.objects[n]["label"] for n in (first, other)] == ["jar", "lamp"]
+    assert frame.unapplied == ()
+    assert isinstance(ann.decide(ann.disputed[0], {0}), Saved)
+    assert ann.disputed == ()
+    assert ben.frame(FRAME).objects[first]["label"] == "bowl"
+
+
+def test_an_edit_is_kept_while_another_thread_saves_what_waits(
+    demo_labels: Labels, place: JournalPlace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    desk = Desk(demo_labels, place, "ann")
+    number = min(desk.frame(FRAME).objects)
+    early = Waiting(set_class(desk.frame(FRAME), number, "vase"), "ann", "g", datetime.now(timezone.utc), "disk full")
+    edits = set_class(desk.frame(FRAME), number, "bowl")
+    answers = iter([(early,)])
+    # Whoever asks a second time hears that nothing waits any more.
+    monkeypatch.setattr(type(place.unsaved), "waiting", lambda *_: next(answers, ()))
+    assert isinstance(desk.save(edits), Waiting)

@@ -71,7 +71,7 @@ def test_answers_are_set_one_by_one_and_the_origin_is_told(bare_corrector: Corre
 @settings(max_examples=60)
 @given(st.lists(st.tuples(st.integers(0, 5), st.sampled_from(["sure", "likely", "no"])), max_size=12))
 def test_targets_are_always_acceptable(steps: list[tuple[int, Any]]) -> None:
-    card = ExpressionCard("f", "e", "t", "a", "left", "b", 0, 1, (0,), (0,), {}, False, None, None, "", {}, {})
+    card = ExpressionCard("f", "e", "t", "a", "left", "b", 0, 1, (0,), (0,), {}, False, None, None, {}, "", {}, {})
     for number, doubt in steps:
         targets, acceptable = answers_with(card, number, doubt)
         assert set(targets) <= set(acceptable)
@@ -96,3 +96,14 @@ def test_a_rejected_expression_keeps_its_text_and_can_be_brought_back(
     frame = bare_corrector.frame(FRAME, journal)
     assert frame.expressions[name]["text"] == "two"
     assert not frame.unapplied
+
+
+def test_each_reviewer_has_a_word_of_their_own(bare_corrector: Corrector, journal: Journal) -> None:
+    frame = bare_corrector.frame(FRAME, journal)
+    name = next(iter(frame.expressions))
+    cell = Cell("expression", FRAME, name, "status")
+    for author, status in (("ann", "accepted"), ("ben", "unsure")):
+        saved(journal, edits.set_status(bare_corrector.frame(FRAME, journal), cell, status, author=author), author)
+    card = expression_card(bare_corrector.frame(FRAME, journal), name)
+    assert card.said == card.record()["said"] == {"ann": "accepted", "ben": "unsure"}
+    assert card.status is None

@@ -344,3 +344,35 @@ def test_edits_of_what_is_not_there_are_refused(bare_corrector: Corrector, journ
     ):
         with pytest.raises(InputError):
             wrong()
+
+
+@pytest.mark.parametrize("state", [U, T])
+def test_what_was_ruled_out_can_be_corrected_again(bare_corrector: Corrector, journal: Journal, state: int) -> None:
+    frame = bare_corrector.frame(FRAME, journal)
+    a, b = (int(n) for n in frame.pairs.numbers[np.argwhere(frame.pairs.states[..., PAIRWISE.index("left")] == T)[0]])
+    saved(journal, edits.set_relation(frame, a, b, "left", U))
+    undo(journal, "ann")
+    saved(journal, edits.set_relation(bare_corrector.frame(FRAME, journal), a, b, "right", T))
+    frame = bare_corrector.frame(FRAME, journal)
+    assert frame.pairs.state(a, b, "left") == F
+    saved(journal, edits.set_relation(frame, a, b, "left", state), "bob")
+    frame = bare_corrector.frame(FRAME, journal)
+    assert frame.unapplied == ()
+    assert frame.pairs.state(a, b, "left") == frame.pairs.state(b, a, "right") == state
+    assert frame.origin(relation_cell(FRAME, a, b, "left")).author == "bob"
+    undo(journal, "bob")
+    assert bare_corrector.frame(FRAME, journal).pairs.state(a, b, "left") == F
+
+
+def test_pixels_can_be_set_where_they_followed_from_a_2d_box(full_corrector: Corrector, journal: Journal) -> None:
+    frame = full_corrector.frame(FRAME, journal)
+    number = widest(frame)
+    half, _ = half_of(frame, number)
+    saved(journal, edits.set_mask(frame, number, None))
+    frame = full_corrector.frame(FRAME, journal)
+    x0, y0, x1, y1 = frame.objects[number]["bbox"]
+    saved(journal, edits.set_bbox(frame, number, [x0 + 4, y0 + 4, x1 - 4, y1 - 4]))
+    saved(journal, edits.set_mask(full_corrector.frame(FRAME, journal), number, half))
+    frame = full_corrector.frame(FRAME, journal)
+    assert frame.unapplied == ()
+    assert frame.objects[number]["mask_pixels"] == half.sum()

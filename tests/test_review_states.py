@@ -31,7 +31,7 @@ from pipeline.review.progress import review_progress, wrong_left
 from pipeline.review.queue import QueueConfig, review_queue
 from pipeline.review.reviewed import reviewed_labels, settled_cells, states_on_labels, trusted_of_data
 from pipeline.review.second_opinions import left_for
-from pipeline.review.states import judgements_of, states_of
+from pipeline.review.states import item_of, judgements_of, states_of
 from pipeline.srm.label_data import read_label_data
 from pipeline.srm.train import TrainConfig
 
@@ -158,6 +158,28 @@ def test_a_second_opinion_neither_conflicts_nor_changes_the_label(frame: Any, jo
     redo(journal, "cay")
     saved(journal, actions.judge_relation(frame(), a, b, "left", F, "ann"))
     assert judgements_of(journal).state(left(a, b)) == "unsure", "a word after the settlement opens it again"
+
+
+@pytest.mark.parametrize("kind", ["object", "expression"])
+def test_who_takes_back_a_rejection_takes_it_back_for_all(frame: Any, journal: Journal, kind: Any) -> None:
+    number, name = min(frame().objects), an_expression(frame())["id"]
+    cell = Cell(kind, FRAME, str(number) if kind == "object" else name, "status")
+
+    def stands() -> bool:
+        return number in frame().objects if kind == "object" else name in frame().expressions
+
+    saved(journal, actions.set_status(frame(), cell, "rejected", author="ann"))
+    assert not stands()
+    # Another reviewer only says so: the two differ, until somebody settles it.
+    saved(journal, actions.set_status(frame(), cell, "accepted", author="ben"), "ben")
+    assert not stands()
+    saved(journal, actions.set_status(frame(), cell, "accepted", author="ann"))
+    assert stands()
+    key = item_of(cell)
+    assert key is not None
+    assert judgements_of(journal).state(key) == "accepted"
+    undo(journal, "ann")
+    assert not stands()
 
 
 def test_judgements_go_through_a_file_of_edits(bare_corrector: Corrector, journal: Journal) -> None:

@@ -43,6 +43,7 @@ class Desk:
     def __init__(self, labels: Labels, place: JournalPlace, author: str, dataset: Dataset | None = None) -> None:
         self.labels, self.place, self.author, self._dataset = labels, place, author, dataset
         self._events: dict[str, tuple[Event, ...]] = {}
+        self._again: tuple[str, str] | None = None
         self._seen: tuple[str, tuple[str, ...], EffectiveFrame] | None = None
 
     @cached_property
@@ -134,6 +135,9 @@ class Desk:
             # Who works on while the database is away sees what they saw, and their own edits.
             return known
         self._events[frame] = found
+        if self._again is not None and any(e.group == self._again[1] for e in found):
+            # It was done after all, and is seen: whoever asks once more means the next.
+            self._again = None
         return found
 
     def history(
@@ -159,10 +163,11 @@ class Desk:
         InputError
             It is no action: see `Journal.append`.
         """
-        edits = tuple(edits)
-        if self.waiting:
+        edits, self._again = tuple(edits), None
+        # Read once: another thread may save what waits at this moment.
+        if waiting := self.waiting:
             # What is made on an edit that waits is saved after it.
-            return self._keep(edits, new_ulid(), self.waiting[-1].problem)
+            return self._keep(edits, new_ulid(), waiting[-1].problem)
         try:
             journal = self.place.to_write()
         except InputError as error:
@@ -211,19 +216,27 @@ class Desk:
         NotSaved, InputError
             The journal cannot be read or written.
         """
-        if self.waiting:
-            if group is not None and group != self.waiting[-1].group:
+        if waiting := self.waiting:
+            if group is not None and group != waiting[-1].group:
                 raise InputError("newer edits wait to be saved", expected="save them or take them back first")
             return self.place.unsaved.drop_last(self.author)
-        return self._taken(undo, group)
+        return self._taken("undo", undo, group)
 
     def redo(self) -> Outcome | None:
         """Bring back what this person took back last; as `undo`."""
-        return None if self.waiting else self._taken(redo, None)
+        return None if self.waiting else self._taken("redo", redo, None)
 
-    def _taken(self, take: Callable[..., Saved | Conflict | None], group: str | None) -> Outcome | None:
+    def _taken(self, which: str, take: Callable[..., Saved | Conflict | None], group: str | None) -> Outcome | None:
         journal = self.place.to_read()
         if journal is None:
             return None
-        outcome = take(journal, self.author, group=group)
+        # One whose answer was lost may have been saved: asked for again, it is not followed by the next.
+        what = " ".join((which, self.author, group or ""))
+        again = self._again[1] if self._again is not None and self._again[0] == what else None
+        self._again = None
+        try:
+            outcome = take(journal, self.author, group=group, again=again)
+        except NotSaved as error:
+            self._again = what, error.group
+            raise
         return None if outcome is None else self._kept(outcome)

@@ -10,6 +10,7 @@ from pipeline.errors import InputError
 from pipeline.journal.cells import Cell
 from pipeline.journal.edits import Edits, set_answers
 from pipeline.journal.effective_frame import EffectiveFrame
+from pipeline.journal.judgements import said_of_items
 from pipeline.journal.origins import Origin
 
 Doubt = Literal["sure", "likely", "no"]
@@ -35,6 +36,8 @@ class ExpressionCard:
         Classes of all these objects; of one that is gone, "".
     ambiguous : bool
     mark, status : str or None
+    said : dict of str to str
+        What each reviewer says of it.
     withdrawn : str
         Why it is left out of the labels; "" where it stands.
     origins : dict of str to Origin
@@ -56,6 +59,7 @@ class ExpressionCard:
     ambiguous: bool
     mark: str | None
     status: str | None
+    said: dict[str, str]
     withdrawn: str
     origins: dict[str, Origin]
     versions: dict[str, int]
@@ -86,6 +90,7 @@ class ExpressionCard:
             "ambiguous": self.ambiguous,
             "mark": self.mark,
             "status": self.status,
+            "said": self.said,
             "withdrawn": self.withdrawn or None,
             "origin": {name: origin.source for name, origin in self.origins.items()},
             "from": {name: str(origin) for name, origin in self.origins.items()},
@@ -96,7 +101,8 @@ class ExpressionCard:
 def expression_cards(frame: EffectiveFrame, pair: Iterable[int] = ()) -> tuple[ExpressionCard, ...]:
     """All expressions of a frame: those of a pair of objects first, those that were left out last."""
     withdrawn = {w.id: w.reason for w in frame.withdrawn}
-    cards = [_card(frame, name, withdrawn.get(name, "")) for name in frame.auto.expressions]
+    said = said_of_items(frame.statuses)
+    cards = [_card(frame, name, withdrawn.get(name, ""), said) for name in frame.auto.expressions]
     chosen = tuple(pair)
     return tuple(sorted(cards, key=lambda c: (not c.is_of(chosen), bool(c.withdrawn))))
 
@@ -105,7 +111,8 @@ def expression_card(frame: EffectiveFrame, name: str) -> ExpressionCard:
     """One expression, by its id; InputError where the frame has no such expression."""
     if name not in frame.auto.expressions:
         raise InputError(f"frame {frame.frame} has no such expression", got=repr(name)[:60])
-    return _card(frame, name, next((w.reason for w in frame.withdrawn if w.id == name), ""))
+    withdrawn = next((w.reason for w in frame.withdrawn if w.id == name), "")
+    return _card(frame, name, withdrawn, said_of_items(frame.statuses))
 
 
 def expression_records(frame: EffectiveFrame) -> list[dict[str, Any]]:
@@ -113,7 +120,9 @@ def expression_records(frame: EffectiveFrame) -> list[dict[str, Any]]:
     return [card.record() for card in expression_cards(frame)]
 
 
-def _card(frame: EffectiveFrame, name: str, withdrawn: str) -> ExpressionCard:
+def _card(
+    frame: EffectiveFrame, name: str, withdrawn: str, said: dict[tuple[str, int, int | None, str], dict[str, str]]
+) -> ExpressionCard:
     row = frame.expression(name)
     assert row is not None
     cells = {field: Cell("expression", frame.frame, name, field) for field in CORRECTED_FIELDS}
@@ -123,7 +132,8 @@ def _card(frame: EffectiveFrame, name: str, withdrawn: str) -> ExpressionCard:
         frame.frame, name, row["text"], row["target"], row["relation"], row["reference"], row["target_object"],
         row["reference_object"], tuple(row["targets"]), tuple(row["acceptable"]),
         {n: "" if r is None else r["label"] for n, r in rows.items()}, bool(row["ambiguous"]),
-        frame.marks.get(name), frame.statuses.get(cells["status"]), withdrawn,
+        frame.marks.get(name), frame.statuses.get(cells["status"]), said.get(("expression", -1, None, name), {}),
+        withdrawn,
         {field: frame.origin(cell) for field, cell in cells.items()},
         {field: frame.version(cell) for field, cell in cells.items()},
     )  # fmt: skip

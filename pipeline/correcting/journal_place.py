@@ -5,6 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from threading import Lock
 
+import sqlalchemy as sa
+from sqlalchemy.exc import ArgumentError
+
 from pipeline.correcting.unsaved import Unsaved
 from pipeline.journal.connection import is_url
 from pipeline.journal.journal import JOURNAL_FILE, Journal, journal_of
@@ -37,9 +40,25 @@ class JournalPlace:
     def __str__(self) -> str:
         if self._journal is not None:
             return self._journal.place
-        if self.where is not None and is_url(self.where):
+        return str(self.labels.root / JOURNAL_FILE) if self.where is None else self.address
+
+    @property
+    def address(self) -> str:
+        """What `--journal` takes to open it again; of a URL without the password."""
+        if self.where is None or not is_url(self.where):
+            return "" if self.where is None else str(self.where)
+        try:
+            # `set` takes no password away.
+            url = sa.make_url(str(self.where))
+            return url._replace(password=None).render_as_string(hide_password=True)
+        except (ArgumentError, ValueError):
             return str(self.where).rpartition("@")[2]
-        return str(self.labels.root / JOURNAL_FILE if self.where is None else self.where)
+
+    @property
+    def words(self) -> tuple[str, ...]:
+        """The options by which a command finds this journal."""
+        words = () if self.where is None else ("--journal", self.address)
+        return words if self.project is None else (*words, "--project", self.project)
 
     def to_read(self) -> Journal | None:
         """The journal; None where nothing was ever corrected.

@@ -9,10 +9,11 @@ import numpy as np
 
 from pipeline.correcting.scene import labelled_box
 from pipeline.errors import InputError
-from pipeline.journal.cells import judged_item, object_cell, same_value, shown_value
+from pipeline.journal.cells import object_cell, same_value, shown_value
 from pipeline.journal.edits import Edits, judge, set_status, set_value
 from pipeline.journal.effective_frame import EffectiveFrame
 from pipeline.journal.effective_objects import object_value
+from pipeline.journal.judgements import said_of_items
 from pipeline.journal.origins import Origin
 from pipeline.relations import F, T, U
 from pipeline.viewer import ViewerAxes, viewer_axes
@@ -200,13 +201,7 @@ def back_to_automatic(frame: EffectiveFrame, number: int, field: str, reason: st
 
 def judgements(frame: EffectiveFrame, number: int) -> dict[str, str]:
     """What reviewers say of an object: status by author."""
-    found = {}
-    for cell, value in frame.statuses.items():
-        if cell.kind == "review" and cell.field == "said" and cell.numbers == (number,):
-            author, kind, *_ = judged_item(cell.key)
-            if kind == "object":
-                found[author] = value["status"]
-    return dict(sorted(found.items()))
+    return said_of_items(frame.statuses).get(("object", number, None, ""), {})
 
 
 def bring_back(frame: EffectiveFrame, number: int, author: str, reason: str = "") -> Edits:

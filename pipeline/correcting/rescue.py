@@ -6,8 +6,10 @@ import json
 import re
 import tempfile
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import datetime
+from itertools import count
 from pathlib import Path
 
 from pipeline.correcting.journal_place import JournalPlace
@@ -62,18 +64,32 @@ def rescue(place: JournalPlace, folders: Sequence[Path] | None = None) -> tuple[
 
 
 def _written(lists: list[list[dict]], author: str, folders: Sequence[Path]) -> tuple[Path, ...]:
-    """The files; nothing where no folder takes all of them."""
+    """The files; nothing where no folder takes all of them. A file that is there is left alone."""
     stem = "-".join(("unsaved", re.sub(r"[^A-Za-z0-9]+", "_", author), datetime.now().strftime("%Y%m%d-%H%M%S")))
     for folder in folders:
-        files = [folder / f"{stem}{'' if len(lists) == 1 else f'-{k}'}.json" for k in range(1, len(lists) + 1)]
+        files: list[Path] = []
+        temporary = None
         try:
-            for path, actions in zip(files, lists, strict=True):
-                temporary = temporary_beside(path)
+            for k, actions in enumerate(lists, start=1):
+                files.append(_free(folder, stem if len(lists) == 1 else f"{stem}-{k}"))
+                temporary = temporary_beside(files[-1])
                 write_synced(temporary, json.dumps(actions, ensure_ascii=False, indent=1).encode())
-                temporary.replace(path)
+                temporary.replace(files[-1])
         except OSError:
-            for path in files:
-                path.unlink(missing_ok=True)
+            for path in (*files, *([] if temporary is None else [temporary])):
+                # A folder that takes no file may not let go of one either.
+                with suppress(OSError):
+                    path.unlink(missing_ok=True)
             continue
         return tuple(files)
     return ()
+
+
+def _free(folder: Path, stem: str) -> Path:
+    """A new empty file: other authors' names may come down to the same letters."""
+    for number in count(1):
+        path = folder / f"{stem}{'' if number == 1 else f'-{number}'}.json"
+        with suppress(FileExistsError):
+            path.open("xb").close()
+            return path
+    raise AssertionError

@@ -14,7 +14,7 @@ from typing import Any
 
 from pipeline.errors import InputError
 from pipeline.journal.cells import Cell
-from pipeline.journal.events import Conflict, Edit, Event, Saved
+from pipeline.journal.events import Conflict, Edit, Event, Rival, Saved
 from pipeline.journal.journal import Journal
 
 
@@ -107,8 +107,9 @@ class Unsaved:
         """Try again to save what waits of an author, oldest first, until one fails.
 
         What others have changed in the meantime is a conflict: it no longer
-        waits, and its author has to decide. Nothing is tried while another
-        thread does.
+        waits, and its author has to decide. Later actions on the same fields
+        were made on what is not saved now, and so are a part of it. Nothing is
+        tried while another thread does.
         """
         if not self._saving.acquire(blocking=False):
             return ()
@@ -121,13 +122,37 @@ class Unsaved:
                 except InputError as error:
                     self._replace(author, replace(first, problem=str(error)))
                     return (*done, self.waiting(author)[0])
-                self._replace(author, None)
                 if isinstance(outcome, Conflict):
-                    self.dispute(author, outcome)
+                    outcome = self._disputed_with_later(author, outcome)
+                else:
+                    self._replace(author, None)
                 done.append(outcome)
         finally:
             self._saving.release()
         return tuple(done)
+
+    def _disputed_with_later(self, author: str, conflict: Conflict) -> Conflict:
+        """The conflict of the first action that waits, with all that was made on it, from waiting to disputed.
+
+        Their versions are those of fields as their author saw them: saved on
+        their own, they could hit the version that somebody else has made.
+        """
+        with self._lock:
+            first, *rest = self.waiting(author)
+            edits, left = list(conflict.edits or first.edits), []
+            cells = {e.cell for e in edits}
+            for action in rest:
+                if cells.isdisjoint(e.cell for e in action.edits):
+                    left.append(action)
+                else:
+                    edits += action.edits
+                    cells |= {e.cell for e in action.edits}
+            wanted = {e.cell: e for e in _merged(edits)}
+            rivals = tuple(Rival(wanted[r.edit.cell], r.event) for r in conflict.rivals)
+            whole = Conflict(rivals, tuple(wanted.values()))
+            self._waiting[author] = tuple(left)
+            self._disputed[author] = (*self.disputed(author), whole)
+        return whole
 
     def _replace(self, author: str, first: Waiting | None) -> None:
         with self._lock:

@@ -13,7 +13,7 @@ from pipeline.drawing.gestures import Canvas
 from pipeline.errors import InputError
 from pipeline.journal import edits as actions
 from pipeline.journal.batch_shapes import Mode, Shapes, combined
-from pipeline.journal.cells import Cell, box_of
+from pipeline.journal.cells import OF_ALL, Cell, Kind, box_of, judged_item
 from pipeline.journal.effective import Corrector
 from pipeline.journal.effective_frame import EffectiveFrame
 from pipeline.journal.events import Conflict, Edit, Rival, Saved
@@ -166,10 +166,10 @@ class Note(Action):
 
 
 class Value(Action):
-    """One field of one entity, as the journal keeps it; nothing else is set with it."""
+    """One field of one entity, as the journal keeps it; nothing else is set with it. Of judgements, one's own."""
 
     edit: Literal["value"]
-    kind: Literal["object", "relation", "expression", "frame"]
+    kind: Kind
     key: str
     field: str
     to: Any
@@ -255,7 +255,10 @@ def edits_of(action: AnyAction, frame: EffectiveFrame, author: str, canvas: Canv
     if isinstance(a, Mark):
         return actions.set_mark(frame, a.expression, a.to, why)
     if isinstance(a, Value):
-        return actions.set_value(frame, Cell(a.kind, a.frame, a.key, a.field), a.to, why)
+        cell = Cell(a.kind, a.frame, a.key, a.field)
+        if cell.kind == "review" and judged_item(cell.key)[0] not in (author.strip(), OF_ALL):
+            raise InputError("a judgement of another person", got=judged_item(cell.key)[0], expected=author)
+        return actions.set_value(frame, cell, a.to, why)
     return actions.set_note(frame, a.to, why)
 
 
@@ -284,12 +287,17 @@ def _status_cell(action: Status | Judge) -> Cell:
 
 
 def apply_actions(
-    corrector: Corrector, journal: Journal, todo: Sequence[AnyAction], author: str
+    corrector: Corrector, journal: Journal, todo: Sequence[AnyAction], author: str, *, again: str | None = None
 ) -> Saved | Conflict:
     """Save actions as one: all of them, or none.
 
     An action that does not say which version it was made on may not change
     what somebody else has said: that is a conflict.
+
+    Parameters
+    ----------
+    again : str, optional
+        `NotSaved.group`, where this is another try: what was saved after all is not saved again.
 
     Raises
     ------
@@ -298,6 +306,8 @@ def apply_actions(
     NotSaved
         As `Journal.append`.
     """
+    if again is not None and (saved := journal.events(group=again)):
+        return Saved(saved)
     frames: dict[str, EffectiveFrame] = {}
     canvases: dict[str, Canvas] = {}
     edits: list[Edit] = []
@@ -318,4 +328,4 @@ def apply_actions(
             heads = journal.heads([e.cell for e in made])
             rivals += [Rival(e, heads[e.cell]) for e in made if e.cell in heads and heads[e.cell].author != author]
         edits += made
-    return Conflict(tuple(rivals), tuple(edits)) if rivals else journal.append(edits, author)
+    return Conflict(tuple(rivals), tuple(edits)) if rivals else journal.append(edits, author, group=again)

@@ -45,12 +45,18 @@ def set_status(
 
     With an author the status is that person's own judgement, which no other's
     gets in the way of (`pipeline.journal.judgements`); only what leaves an
-    object or expression out of the labels is set for all then.
+    object or expression out of the labels, or brings back what this person
+    has left out, is set for all then.
     """
     if author is not None:
         own = judge(frame, cell, status, author, reason)
-        leaves = cell.kind in ("object", "expression") and status == "rejected" != frame.statuses.get(cell)
-        return (*own, *set_status(frame, cell, status, reason)) if leaves else own
+        if cell.kind not in ("object", "expression"):
+            return own
+        out = frame.statuses.get(cell) == "rejected"
+        if status == "rejected":
+            return own if out else (*own, *set_status(frame, cell, status, reason))
+        mine = out and frame.origin(cell).author == author
+        return (*own, *set_status(frame, cell, None, reason)) if mine else own
     if not cell.field.endswith("status"):
         raise InputError("not a status", got=cell.field)
     if cell.kind == "object":

@@ -122,7 +122,7 @@ def _correct(
         if not created and any(is_another(e.anchor, number, auto.objects[number]["bbox"]) for e in events):
             note(name, all_gone(was, events, f"object {number} is another thing now"))
             continue
-        trusted = created or (name in ("bbox", "box") and refitted)
+        trusted = created or (name in ("bbox", "box") and refitted) or (name == "mask" and _from_bbox(row, fields))
         after = note(name, replay(was, events, trusted=trusted, released_by_none=name == "box"))
         if after.event is None:
             continue
@@ -139,6 +139,12 @@ def _correct(
             origins.put("objects", str(number), column, Origin.of("human", after.event), automatic)
     status = found.statuses.get(Cell("object", auto.frame, str(number), "status"))
     (found.left_out if status == "rejected" else found.rows)[number] = row
+
+
+def _from_bbox(row: Row, fields: Mapping[str, Sequence[Event]]) -> bool:
+    """Whether an object's pixels were those of its 2D box when people set them, and so no automatic ones."""
+    released = any(e.after is None for e in fields["mask"])
+    return released or (row["mask_source"] == "box" and "bbox" in fields)
 
 
 def _set(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from pipeline.journal.effective_objects import CorrectedObjects
 from pipeline.journal.events import Event
 from pipeline.journal.frame_rows import NO_STATE, FrameRows, Pairs
 from pipeline.journal.origins import Origin, Origins
-from pipeline.journal.replay import Unapplied, all_gone, is_another, replay
+from pipeline.journal.replay import Unapplied, all_gone, is_another, replay, standing
 from pipeline.journal.setting import Setting
 from pipeline.labels.check.relations import OPPOSITES
 from pipeline.relations import PAIRWISE, F, T
@@ -72,7 +72,8 @@ def correct_pairs(
     judged = {cell: events for cell, events in cells.items() if cell.kind == "relation"}
     said: list[tuple[int, int, str, Event]] = []
     for cell in sorted(judged, key=lambda c: (c.key, c.field)):
-        _correct(found, cell, judged[cell], auto, objects, setting, origins, said)
+        ruled_out = _ruled_out_before(cell, judged)
+        _correct(found, cell, judged[cell], auto, objects, setting, origins, said, ruled_out)
     for i, j, relation, event in said:
         _exclude(found, i, j, relation, event, setting, origins)
     return found
@@ -125,6 +126,7 @@ def _correct(
     setting: Setting,
     origins: Origins,
     said: list[tuple[int, int, str, Event]],
+    ruled_out: bool,
 ) -> None:
     a, b = cell.numbers
     i, j = found.pairs.place(a), found.pairs.place(b)
@@ -151,7 +153,8 @@ def _correct(
         return
     k = PAIRWISE.index(relation)
     was = found.pairs.state(a, b, relation)
-    trusted = a in objects.geometry or b in objects.geometry
+    # Who saw F where another correction ruled out the labeller's T, did not see the automatic label.
+    trusted = a in objects.geometry or b in objects.geometry or (ruled_out and was == T)
     after = replay(was, events, trusted=trusted)
     found.versions[cell], found.unapplied = after.version, [*found.unapplied, *after.unapplied]
     if after.event is None:
@@ -161,6 +164,16 @@ def _correct(
     said.append((i, j, relation, after.event))
     automatic = auto.pairs.state(a, b, relation)
     origins.put("relations", cell.key, relation, Origin.of("human", after.event), automatic)
+
+
+def _ruled_out_before(cell: Cell, judged: Mapping[Cell, Sequence[Event]]) -> bool:
+    """Whether a person had said what rules the cell's relation out (see `_exclude`) when it was corrected."""
+    stands = standing(judged[cell])
+    if cell.field not in _OPPOSITE or not stands:
+        return False
+    (a, b), first = cell.numbers, stands[0]
+    others = (Cell("relation", cell.frame, cell.key, _OPPOSITE[cell.field]), replace(cell, key=f"{b},{a}"))
+    return first.before == F and any(e.after == T and e.id < first.id for c in others for e in judged.get(c, ()))
 
 
 def _settle(found: CorrectedPairs, i: int, j: int, k: int, state: int | None) -> None:

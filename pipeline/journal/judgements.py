@@ -41,6 +41,22 @@ def judgement_cell(frame: str, kind: str, a: int, b: int | None, what: str, auth
     return Cell("review", frame, judged_key(name, kind, a, b, what), "settled" if name == OF_ALL else "said")
 
 
+def said_of_items(statuses: Mapping[Cell, Any]) -> dict[tuple[str, int, int | None, str], dict[str, str]]:
+    """The status that each author gives, by kind, a, b and what of the item (see `judgement_cell`).
+
+    Parameters
+    ----------
+    statuses : mapping of Cell to JSON value
+        Of an effective frame.
+    """
+    found: dict[tuple[str, int, int | None, str], dict[str, str]] = {}
+    for cell, value in statuses.items():
+        if cell.kind == "review" and cell.field == "said":
+            author, kind, a, b, what = judged_item(cell.key)
+            found.setdefault((kind, a, b, what), {})[author] = value["status"]
+    return {item: dict(sorted(said.items())) for item, said in found.items()}
+
+
 def replayed_judgement(
     cell: Cell,
     events: Sequence[Event],

@@ -18,9 +18,9 @@ from pipeline.errors import InputError
 from pipeline.evaluation.compare import Comparison
 from pipeline.evaluation.job import evaluate_dataset
 from pipeline.evaluation.run_folder import Run, open_run
-from pipeline.jobs import open_source
 from pipeline.journal.journal import journal_of
 from pipeline.journal.materialise import MARKS_FILE, materialise
+from pipeline.labels.pictures import labelled_dataset
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.review.retraining import RetrainConfig, Retraining, compare_networks, retrain, shared_split
 from pipeline.srm import shipped_network
@@ -50,7 +50,7 @@ class CircleJob:
     dataset : str or None
         For what follows from corrected pixels and boxes; without it, as the labels name it.
     options : dict
-        Of the dataset, for `open_source`: intrinsics, depth_scale.
+        Of the dataset, for `labelled_dataset`: intrinsics, depth_scale.
     run : Path or None
         The run that is made again.
     config : RetrainConfig
@@ -146,10 +146,8 @@ def run_circle(job: CircleJob, progress: Progress | None = None) -> Circle:
 
 
 def _mend(job: CircleJob, labels: Labels, folder: Path) -> tuple[Labels, dict[str, Any]]:
-    said = labels.manifest.dataset
-    path = job.dataset or said.get("path")
     try:
-        dataset = None if path is None else open_source(str(path), srm="rule", **job.options).dataset
+        dataset = labelled_dataset(labels.manifest, job.dataset, **job.options)
     except InputError:
         # What follows from corrected pixels and boxes is then marked stale.
         dataset = None

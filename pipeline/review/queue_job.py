@@ -10,9 +10,10 @@ from typing import Any
 
 from pipeline.datasets import Dataset
 from pipeline.errors import InputError
-from pipeline.jobs import open_source
 from pipeline.journal.journal import journal_of
+from pipeline.labels.pictures import labelled_dataset
 from pipeline.labels.reading import Labels, open_labels
+from pipeline.review.agreement import pair_agreements
 from pipeline.review.ordering import by_frame
 from pipeline.review.out_of_fold import DoubtConfig
 from pipeline.review.queue import QueueConfig, review_queue
@@ -33,11 +34,11 @@ class QueueJob:
     journal, project : str or None
         See `journal_of`.
     dataset : str or None
-        For what follows from corrected pixels and boxes.
+        For what follows from corrected pixels and boxes; without it, as the labels name it.
     networks : bool
         Ask networks that have not learnt from a label; that takes the most time.
     options : dict
-        Of the dataset, for `open_source`.
+        Of the dataset, for `labelled_dataset`: intrinsics, depth_scale.
     """
 
     labels: Path
@@ -49,7 +50,7 @@ class QueueJob:
     options: dict[str, Any] = field(default_factory=dict)
 
 
-def make_queue(job: QueueJob, report: Callable[[tuple[int, int]], None]) -> dict[str, int]:
+def make_queue(job: QueueJob, report: Callable[[tuple[int, int]], None]) -> dict[str, Any]:
     """Make the queue, ordered for working through, and store it.
 
     Parameters
@@ -60,7 +61,8 @@ def make_queue(job: QueueJob, report: Callable[[tuple[int, int]], None]) -> dict
     Returns
     -------
     dict
-        items : int
+        items (how many), estimated_wrong (relation labels that networks hold for wrong; None without networks), and
+        agreement (each two reviewers, how many items both have judged, and Cohen's kappa; None where it means nothing).
 
     Raises
     ------
@@ -78,7 +80,13 @@ def make_queue(job: QueueJob, report: Callable[[tuple[int, int]], None]) -> dict
         )
     metadata = queue.schema.metadata
     write_queue(by_frame(queue).replace_schema_metadata(metadata), job.out)
-    return {"items": queue.num_rows}
+    wrong = (metadata or {}).get(b"estimated_wrong")
+    pairs = [pair.record() for pair in pair_agreements(reviewed.judgements)]
+    return {
+        "items": queue.num_rows,
+        "estimated_wrong": None if wrong is None else float(wrong),
+        "agreement": [{key: pair[key] for key in ("reviewers", "items", "kappa")} for pair in pairs],
+    }
 
 
 def _reviewed(job: QueueJob, labels: Labels, folder: Path) -> Reviewed:
@@ -87,11 +95,12 @@ def _reviewed(job: QueueJob, labels: Labels, folder: Path) -> Reviewed:
     except InputError:
         return Reviewed(labels)
     with journal:
-        return reviewed_labels(labels, journal, folder, _dataset(job))
+        return reviewed_labels(labels, journal, folder, _dataset(job, labels))
 
 
-def _dataset(job: QueueJob) -> Dataset | None:
+def _dataset(job: QueueJob, labels: Labels) -> Dataset | None:
     try:
-        return None if job.dataset is None else open_source(job.dataset, srm="rule", **job.options).dataset
+        return labelled_dataset(labels.manifest, job.dataset, **job.options)
     except InputError:
+        # What follows from corrected pixels and boxes is then marked stale.
         return None

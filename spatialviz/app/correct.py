@@ -245,7 +245,9 @@ class Correct:
         lines = () if desk is None else desk.history(
             view.frame.frame, objects=objects, pair=pair, expression=view.expression
         )  # fmt: skip
-        return replace(view, about=about, expressions=expression_cards(view.frame, about), history=lines)
+        author = "" if desk is None else desk.author
+        cards = expression_cards(view.frame, about)
+        return replace(view, about=about, expressions=cards, history=lines, author=author)
 
     def follow(self) -> None:
         """Bring the Review tab up to the state."""

@@ -40,6 +40,8 @@ class LabelView:
         All of the frame.
     history : tuple of EventLine
         Of what is selected.
+    author : str
+        Who looks.
     """
 
     frame: EffectiveFrame
@@ -53,6 +55,7 @@ class LabelView:
     about: tuple[int, ...] = ()
     expressions: tuple[ExpressionCard, ...] = ()
     history: tuple[EventLine, ...] = ()
+    author: str = ""
 
     @property
     def sentence(self) -> ExpressionCard | None:

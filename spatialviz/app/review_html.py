@@ -26,9 +26,9 @@ def review_head_html(state: State, opened: bool, desk: Desk | None) -> str:
     parts = [f'<div class="nav" style="padding-top:.6em">{button}{_reviewer(desk)}</div>']
     if state.labels is not None and state.labels.said:
         parts.append(note(state.labels.said, BAD if state.labels.bad else GOOD))
-    if desk is not None and desk.waiting:
-        count = len(desk.waiting)
-        what = f"{count} action{'s' if count > 1 else ''} not saved yet, kept here: {desk.waiting[-1].problem}"
+    if desk is not None and (waiting := desk.waiting):
+        count = len(waiting)
+        what = f"{count} action{'s' if count > 1 else ''} not saved yet, kept here: {waiting[-1].problem}"
         parts.append(note(what, BAD))
         parts.append('<span class="try go" role="button" onclick="sv(\'save-again\')">try again</span>')
     if desk is not None and desk.disputed:

@@ -111,7 +111,7 @@ class ReviewQueue:
             str(self._store.sources[name].dataset.root),
             networks,
         )
-        self._making[name] = Making(True, networks)
+        self._making[name] = replace(self._making.get(name, Making()), running=True, networks=networks, done=0, of=0)
 
         def heard(step: tuple[int, int]) -> None:
             self._post(lambda: self._made(name, replace(self._making[name], done=step[0], of=step[1])))
@@ -128,7 +128,7 @@ class ReviewQueue:
                 folder.cleanup()
                 if said:
                     self._note(f"no review queue: {said}")
-                self._made(name, Making(problem=said))
+                self._made(name, Making(problem=said, made=record if not said else None))
 
             self._post(take)
 

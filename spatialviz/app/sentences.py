@@ -145,11 +145,13 @@ class Sentences:
         self._save(made)
 
     def status(self, status: str) -> None:
-        """Accept or reject the expression; the same again takes it back."""
+        """Accept or reject the expression as this person sees it; the same again takes it back."""
+        desk = self._correct.desk
+        author = "" if desk is None else desk.author
 
         def made(frame: EffectiveFrame, card: ExpressionCard) -> Edits:
             cell = Cell("expression", card.frame, card.id, "status")
-            return set_status(frame, cell, None if card.status == status else status)
+            return set_status(frame, cell, None if card.said.get(author) == status else status, author=author)
 
         self._save(made)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+
 from pipeline.correcting.event_lines import EventLine
 from pipeline.correcting.expression_cards import ExpressionCard
 from pipeline.correcting.wording import said_cell, said_value
@@ -48,7 +50,7 @@ def sentence_html(state: State) -> str:
         '<div class="sets">',
         f"<label>true of</label>{_answers(state, view, card)}",
         f"<label>selected</label>{_selected(state, view, card)}",
-        _verdicts(card),
+        _verdicts(card, view.author),
         "</div>",
         said,
     ]
@@ -98,17 +100,19 @@ def _selected(state: State, view: LabelView, card: ExpressionCard) -> str:
     return f'<div class="acts" style="align-items:center"><b>{name}</b>{cells}</div>'
 
 
-def _verdicts(card: ExpressionCard) -> str:
+def _verdicts(card: ExpressionCard, author: str) -> str:
     def cell(on: bool, color: str, message: str, words: str, title: str) -> str:
         return (
             f'<span class="{"on" if on else ""}" style="--c:{color}" onclick="sv(\'{message}\')" '
             f'title="{safe(title)}">{words}</span>'
         )
 
-    status = "expression-status:"
+    status, own = "expression-status:", card.said.get(author, card.status)
+    others = "".join(f" · {name}: {said}" for name, said in card.said.items() if name != author)
+    accept, reject = (_hint(card, "status", key) + others for key in ("Alt+Y", "Alt+N"))
     cells = [
-        cell(card.status == "accepted", GOOD, f"{status}accepted", "accepted", _hint(card, "status", "Alt+Y")),
-        cell(card.status == "rejected", BAD, f"{status}rejected", "rejected", _hint(card, "status", "Alt+N")),
+        cell(own == "accepted", GOOD, f"{status}accepted", "accepted", accept),
+        cell(own == "rejected", BAD, f"{status}rejected", "rejected", reject),
         cell(card.ambiguous, DOUBT, "ambiguous", "ambiguous", _hint(card, "ambiguous", "Alt+B")),
         *(
             cell(card.mark == mark, BAD, f"mark:{mark}", words, _hint(card, "mark", "Alt+M steps"))
@@ -152,8 +156,7 @@ def _row(state: State, view: LabelView, card: ExpressionCard) -> str:
     tags = []
     if card.mark is not None:
         tags.append(f'<b style="--c:{BAD}">{MARKED[card.mark]}</b>')
-    if card.status is not None and card.status != "rejected":
-        tags.append(f'<b style="--c:{GOOD}">{safe(card.status)}</b>')
+    tags += [f'<b style="--c:{GOOD}">{safe(s)}</b>' for s in sorted({*card.said.values()} - {"rejected"})]
     if card.ambiguous:
         tags.append(f'<b style="--c:{DOUBT}">ambiguous</b>')
     changed = {ORIGINS[o.source] for f, o in card.origins.items() if f not in ("mark", "status")} - {"auto"}
@@ -164,10 +167,15 @@ def _row(state: State, view: LabelView, card: ExpressionCard) -> str:
         f'<div class="dim" style="font-size:11px"><span>{safe(card.withdrawn)}</span></div>'
     )
     return (
-        f'<div class="{kinds}" onclick="sv(\'expression:{safe(card.id)}\')" title="{safe(title)}">'
+        f'<div class="{kinds}" onclick="{_sends("expression:" + card.id)}" title="{safe(title)}">'
         f'<div><span class="say">{safe(card.text)}</span><span class="tags">{" · ".join(tags)}</span></div>'
         f"{below}</div>"
     )
+
+
+def _sends(message: str) -> str:
+    """A call of the page's bus, as an attribute's value: what is said is data, and no part of the script."""
+    return safe(f"sv({json.dumps(message)})")
 
 
 def history_html(state: State) -> str:
@@ -197,7 +205,7 @@ def _event(view: LabelView, line: EventLine) -> str:
         told += f" · undone by {safe(line.undone.author)}"
     elif line.group:
         action = (
-            f'<span class="try" role="button" onclick="sv(\'undo-group:{safe(line.group)}\')" '
+            f'<span class="try" role="button" onclick="{_sends("undo-group:" + line.group)}" '
             'title="take this action back">undo</span>'
         )
     gone = ' class="gone"' if line.undone is not None else ""

@@ -181,5 +181,5 @@ def _say_unsaved(place: JournalPlace) -> None:
             print("spatialviz: no folder can be written: they are lost", file=sys.stderr)
         for path in found.files:
             words = ["spatialviz", "correct", str(place.labels.root), "--edits", str(path), "--author", found.author]
-            words += [] if place.where is None else ["--journal", str(place)]
+            words += place.words
             print(f"spatialviz: kept in {path}; save them with: {shlex.join(words)}", file=sys.stderr)

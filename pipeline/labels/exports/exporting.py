@@ -14,9 +14,10 @@ from pipeline.datasets import Dataset
 from pipeline.errors import InputError
 from pipeline.labels.exports import coco, hub, jsonl, kitti, vqa
 from pipeline.labels.exports.base import ExportFormat, ExportReport, Job, Progress
-from pipeline.labels.exports.images import ImageCopy, labelled_dataset
+from pipeline.labels.exports.images import ImageCopy
 from pipeline.labels.exports.json_text import load_json
 from pipeline.labels.exports.provenance import open_provenance
+from pipeline.labels.pictures import labelled_dataset
 from pipeline.labels.reading import MANIFEST_FILE, Labels
 from pipeline.labels.tables import content_hash
 from pipeline.plugins import load_plugins
@@ -94,7 +95,7 @@ def export_labels(
     out = Path(out).expanduser()
     _keep_the_labels(labels, out)
     with staged_folder(out, overwrite=overwrite, mark=MARK) as folder:
-        copy = ImageCopy(dataset or labelled_dataset(labels)) if images == "copy" else None
+        copy = ImageCopy(dataset or labelled_dataset(labels.manifest)) if images == "copy" else None
         provenance = open_provenance(labels)
         written = chosen.write(Job(labels, folder, copy, progress or (lambda done, of: None), options, provenance))
         shutil.copyfile(labels.root / MANIFEST_FILE, folder / MANIFEST_FILE)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,10 +9,8 @@ from typing import Any
 
 import cv2
 
-from pipeline.datasets import Dataset, open_dataset
-from pipeline.demo import DEMO_NAME, demo_path
+from pipeline.datasets import Dataset
 from pipeline.errors import InputError
-from pipeline.labels.reading import Labels
 
 JPEG_QUALITY = 95
 
@@ -50,23 +47,3 @@ class ImageCopy:
         if not done:
             raise InputError(f"frame {frame['frame']}: the picture cannot be encoded as {path.suffix}")
         path.write_bytes(data.tobytes())
-
-
-def labelled_dataset(labels: Labels) -> Dataset:
-    """The dataset that the manifest names, opened.
-
-    Raises
-    ------
-    InputError
-        It is not where it was.
-    """
-    record = labels.manifest.dataset
-    path, options = str(record["path"]), dict(record.get("options") or {})
-    if path == DEMO_NAME and not Path(path).exists():
-        return open_dataset(demo_path())
-    intrinsics, depth_scale = options.get("intrinsics"), options.get("depth_scale")
-    return open_dataset(
-        path,
-        intrinsics=None if intrinsics is None else tuple(float(x) for x in ast.literal_eval(intrinsics)),  # type: ignore[arg-type]
-        depth_scale=None if depth_scale is None else float(depth_scale),
-    )

@@ -1,0 +1,39 @@
+"""The dataset of labels, opened again."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from dataset_writers import write_folder
+
+from pipeline.errors import InputError
+from pipeline.labels.pictures import labelled_dataset
+from pipeline.labels.reading import Labels
+
+
+def test_a_recording_keeps_the_camera_that_was_said_when_it_was_labelled(demo_labels: Labels, tmp_path: Path) -> None:
+    write_folder(tmp_path / "moved", [1])
+
+    def opened(options: dict[str, Any], path: str | None = str(tmp_path / "moved"), **said: Any) -> tuple[float, float]:
+        manifest = demo_labels.manifest.model_copy(update={"dataset": {"path": "/absent", "options": options}})
+        frame = (dataset := labelled_dataset(manifest, path, **said)).load(dataset.frame_ids[0])
+        return float(frame.camera.K[0, 0]), float(frame.depth.max())
+
+    options = {"intrinsics": "(60.0, 61.0, 31.5, 23.5)", "depth_scale": "1000.0", "segmenter": "depth"}
+    focal, deepest = opened(options)
+    assert focal == 60
+    assert opened({**options, "intrinsics": [60.0, 61.0, 31.5, 23.5], "depth_scale": 1000}) == (focal, deepest)
+    other = opened(options, intrinsics=(90.0, 90.0, 31.5, 23.5), depth_scale=500.0)
+    np.testing.assert_allclose(other, (90, 2 * deepest), rtol=1e-6)
+    for strange in ({"intrinsics": "1,2,3"}, {"intrinsics": 7}, {"depth_scale": "many"}):
+        with pytest.raises(InputError, match="the labels name"):
+            opened({**options, **strange})
+    with pytest.raises(InputError):
+        opened(options, None)
+
+
+def test_the_demo_is_where_it_is_installed(demo_labels: Labels) -> None:
+    assert set(labelled_dataset(demo_labels.manifest).frame_ids) >= set(demo_labels.frames.column("frame").to_pylist())
