@@ -13,10 +13,12 @@ from pipeline.errors import InputError
 from pipeline.journal.journal import journal_of
 from pipeline.labels.pictures import labelled_dataset
 from pipeline.labels.reading import Labels, open_labels
+from pipeline.review.cells import read_cells
+from pipeline.review.items import with_states
 from pipeline.review.ordering import by_frame
 from pipeline.review.out_of_fold import DoubtConfig
 from pipeline.review.queue import QueueConfig, review_queue
-from pipeline.review.reviewed import Reviewed, reviewed_labels
+from pipeline.review.reviewed import Reviewed, reviewed_labels, states_on_labels
 from pipeline.review.worklist import write_queue
 
 
@@ -61,6 +63,9 @@ def make_queue(job: QueueJob, report: Callable[[tuple[int, int]], None]) -> dict
     -------
     dict
         items : int
+        last : int
+            `id` of the newest event that surely counts in it; 0 where there is none. The states of the items then are
+            the queue's column `state`.
 
     Raises
     ------
@@ -71,23 +76,25 @@ def make_queue(job: QueueJob, report: Callable[[tuple[int, int]], None]) -> dict
     """
     labels = open_labels(job.labels)
     with tempfile.TemporaryDirectory(prefix="spatialviz-") as folder:
-        reviewed = _reviewed(job, labels, Path(folder) / "labels")
+        reviewed, last = _reviewed(job, labels, Path(folder) / "labels")
         config = QueueConfig(DoubtConfig() if job.networks else None)
         queue = review_queue(
             reviewed.labels, config, judgements=reviewed.judgements, progress=lambda done, of: report((done, of))
         )
+        states = states_on_labels(reviewed.judgements, read_cells(reviewed.labels))
     metadata = queue.schema.metadata
-    write_queue(by_frame(queue).replace_schema_metadata(metadata), job.out)
-    return {"items": queue.num_rows}
+    write_queue(with_states(by_frame(queue), states).replace_schema_metadata(metadata), job.out)
+    return {"items": queue.num_rows, "last": last}
 
 
-def _reviewed(job: QueueJob, labels: Labels, folder: Path) -> Reviewed:
+def _reviewed(job: QueueJob, labels: Labels, folder: Path) -> tuple[Reviewed, int]:
     try:
         journal = journal_of(labels, job.journal, project=job.project, must_exist=True)
     except InputError:
-        return Reviewed(labels)
+        return Reviewed(labels), 0
     with journal:
-        return reviewed_labels(labels, journal, folder, _dataset(job, labels))
+        newest = journal.events(last=1)
+        return reviewed_labels(labels, journal, folder, _dataset(job, labels)), newest[0].id if newest else 0
 
 
 def _dataset(job: QueueJob, labels: Labels) -> Dataset | None:

@@ -35,6 +35,8 @@ class Worklist:
         States as places in STATES.
     tally : tuple of int
         How many items are in each of STATES.
+    kinds : (N,) int8
+        Places in KINDS.
     """
 
     queue: pa.Table
@@ -42,6 +44,7 @@ class Worklist:
     places: Mapping[ItemKey, int]
     codes: np.ndarray
     tally: tuple[int, ...]
+    kinds: np.ndarray
 
     def __len__(self) -> int:
         return len(self.keys)
@@ -81,7 +84,16 @@ class Worklist:
         codes.flags.writeable = False
         return replace(self, codes=codes, tally=tuple(tally))
 
-    def next_item(self, after: ItemKey | None = None, skip: Collection[ItemKey] = ()) -> ItemKey | None:
+    def with_states(self, states: Mapping[ItemKey, State]) -> Worklist:
+        """The list after the states of several items have changed; as `with_state`."""
+        found = self
+        for key, state in states.items():
+            found = found.with_state(key, state)
+        return found
+
+    def next_item(
+        self, after: ItemKey | None = None, skip: Collection[ItemKey] = (), kind: str | None = None
+    ) -> ItemKey | None:
         """The next item to review: the first unreviewed one behind `after`, else from the top; those that somebody is
         unsure of come when no other is left. None where nothing is.
 
@@ -91,12 +103,16 @@ class Worklist:
             None, and one that the queue does not hold, stand before the first.
         skip : collection of ItemKey
             Put off: not shown.
+        kind : str, optional
+            Only items of this kind.
         """
         start = -1 if after is None else self.places.get(after.plain, -1)
         put_off = [self.places[k.plain] for k in skip if k.plain in self.places]
         for code in (_UNREVIEWED, _UNSURE):
             wanted = self.codes == code
             wanted[put_off] = False
+            if kind is not None:
+                wanted &= self.kinds == KINDS.index(kind)
             # The item itself comes last: it is shown again only where it is the only one.
             for found, first in ((wanted[start + 1 :], start + 1), (wanted[: start + 1], 0)):
                 at = int(found.argmax()) if len(found) else 0
@@ -122,14 +138,18 @@ class Worklist:
 def worklist(queue: pa.Table, states: Mapping[ItemKey, State] | None = None) -> Worklist:
     """A queue with the states of its items; what the mapping lacks is unreviewed.
 
+    Without a mapping they are those of the queue's column `state`, where it has one.
+
     Raises
     ------
     InputError
         A state is none, or the queue holds an item twice.
     """
-    states = states or {}
-    checked_states(states)
     keys = tuple(item_keys(queue))
+    if states is None:
+        stored = queue.column("state").to_pylist() if "state" in queue.column_names else []
+        states = dict(zip(keys, stored, strict=False))
+    checked_states(states)
     places = {key: k for k, key in enumerate(keys)}
     if len(places) < len(keys):
         raise InputError("the queue holds an item twice", got=f"{len(keys) - len(places)} of {len(keys)} items")
@@ -139,7 +159,8 @@ def worklist(queue: pa.Table, states: Mapping[ItemKey, State] | None = None) -> 
         if place is not None:
             codes[place] = STATES.index(state)
     codes.flags.writeable = False
-    return Worklist(queue, keys, places, codes, tuple(np.bincount(codes, minlength=len(STATES)).tolist()))
+    kinds = np.array([KINDS.index(key.kind) for key in keys], np.int8)
+    return Worklist(queue, keys, places, codes, tuple(np.bincount(codes, minlength=len(STATES)).tolist()), kinds)
 
 
 def write_queue(queue: pa.Table, path: Path) -> None:
