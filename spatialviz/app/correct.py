@@ -12,8 +12,7 @@ from pipeline.correcting.consequences import consequences
 from pipeline.correcting.desk import Desk, Outcome
 from pipeline.correcting.expression_cards import expression_cards
 from pipeline.correcting.scene import labelled_objects
-from pipeline.correcting.unsaved import Waiting
-from pipeline.correcting.wording import said_cell, said_events
+from pipeline.correcting.wording import said_events, said_outcome
 from pipeline.errors import InputError
 from pipeline.journal.cells import LONGEST_NAME, plain_text
 from pipeline.journal.edits import Edits, judge_relation, set_relation
@@ -145,6 +144,9 @@ class Correct:
     def sign(self, author: str) -> None:
         """Save what follows under another name; raises as `Desk.sign`."""
         name = plain_text(author.strip(), "an author", LONGEST_NAME).strip()
+        # All of them, or none.
+        for desk in self._desks.values():
+            desk.check_name(name)
         for desk in self._desks.values():
             desk.sign(name)
         self._author = name
@@ -320,7 +322,7 @@ class Correct:
     def came_to(self, outcome: Outcome | None, verb: str, draw: bool = True) -> None:
         """Show what came of an action, and what followed from it."""
         before = self._state().labels
-        said, bad = outcome_said(outcome, verb, None if before is None else before.frame)
+        said, bad = said_outcome(outcome, verb, None if before is None else before.frame)
         self.tell(said, bad, draw=False, before=None if before is None else before.frame)
         if isinstance(outcome, Saved):
             for listener in self._listeners:
@@ -415,21 +417,6 @@ class Correct:
         """Say why something was not done."""
         self._note(f"not done: {problem}")
         self._client.add_notification("Not done", safe(problem), auto_close_seconds=8)
-
-
-def outcome_said(outcome: Outcome | None, verb: str, frame: EffectiveFrame | None = None) -> tuple[str, bool]:
-    """What came of an action in words, and whether it was not done."""
-    if isinstance(outcome, Saved):
-        return f"{verb}: {said_events(outcome.events, frame)}", False
-    if isinstance(outcome, Conflict):
-        rival = outcome.rivals[0]
-        who = "somebody" if rival.event is None else rival.event.author
-        return f"not saved, {who} was faster: {said_cell(rival.edit.cell, frame)}", True
-    if isinstance(outcome, Waiting) and verb == "taken back":
-        return "taken back before it was saved", False
-    if isinstance(outcome, Waiting):
-        return f"not saved yet: {outcome.problem}", True
-    return "", False
 
 
 def _looking_at(
