@@ -65,6 +65,7 @@ class ReviewQueue:
         self._jobs: dict[str, Background] = {}
         self._names: dict[str, dict[tuple[str, int], str]] = {}
         self._kind = "all"
+        self._closed = False
         correct.on_saved(self._saved)
 
     def commands(self) -> dict[str, Callable[[str], None]]:
@@ -82,6 +83,7 @@ class ReviewQueue:
 
     def close(self) -> None:
         """End what is running."""
+        self._closed = True
         for job in self._jobs.values():
             if not job.done:
                 job.cancel()
@@ -131,7 +133,11 @@ class ReviewQueue:
                     self._note(f"no review queue: {said}")
                 self._made(name, Making(problem=said))
 
-            self._post(take)
+            if self._closed:
+                # Nobody takes it any more.
+                folder.cleanup()
+            else:
+                self._post(take)
 
         self._jobs[name] = start_background(make_queue, job, on_progress=heard, on_end=ended)
         self.follow()
