@@ -387,6 +387,16 @@ def test_a_place_names_itself_without_its_password(
     assert "secret" not in str(place)
 
 
+def test_who_has_something_to_decide_keeps_the_name(desk: Open) -> None:
+    _, bob, conflict, _ = two_on_one_relation(desk)
+    with pytest.raises(InputError, match="has not decided"):
+        bob.sign("cleo")
+    assert bob.author == "bob"
+    bob.decide(conflict, ())
+    bob.sign("cleo")
+    assert bob.author == "cleo"
+
+
 def test_nothing_waits_nothing_is_written(place: JournalPlace, tmp_path: Path) -> None:
     assert rescue(place, [tmp_path]) == ()
     assert list(tmp_path.glob("unsaved*")) == []

@@ -16,14 +16,14 @@ from pipeline.labels.reading import Labels
 from pipeline.relations import F, T
 from pipeline.review.items import item_keys
 from pipeline.review.queue_job import QueueJob, make_queue
-from pipeline.review.worklist import read_queue
+from pipeline.review.worklist import read_queue, worklist
 
 
 def test_a_queue_without_corrections(demo_labels: Labels, tmp_path: Path) -> None:
     job = QueueJob(demo_labels.root, tmp_path / "q.parquet", str(tmp_path / "none.sqlite"), networks=False)
     made = make_queue(job, lambda step: None)
     queue = read_queue(job.out)
-    assert made == {"items": queue.num_rows, "estimated_wrong": None, "agreement": []}
+    assert made == {"items": queue.num_rows, "last": 0, "estimated_wrong": None, "agreement": []}
     frames = queue.column("frame").to_pylist()[:60]
     assert sum(x != y for x, y in pairwise(frames)) == len(set(frames)) - 1
 
@@ -43,6 +43,12 @@ def test_what_people_said_is_in_the_queue_and_its_figures(
     assert pair["reviewers"] == ["ann", "ben"]
     # Two relations and their mirrors, of which one and its mirror are judged alike.
     assert pair["items"] == 4
+    work = worklist(read_queue(job.out))
+    assert made["last"] == journal.events()[-1].id
+    top = work.next_item()
+    assert top is not None
+    assert work.is_disputed(top)
+    assert not work.is_disputed(work.keys[-1])
     first = [(k.frame, k.a, k.b, k.what) for k in item_keys(read_queue(job.out))[:2]]
     assert set(first) == {(FRAME, a, b, "left"), (FRAME, b, a, "right")}
 

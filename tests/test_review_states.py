@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -25,13 +26,16 @@ from pipeline.labels.reading import Labels
 from pipeline.relations import F, T
 from pipeline.review.agreement import pair_agreements
 from pipeline.review.cells import read_cells
+from pipeline.review.following import states_since
 from pipeline.review.items import NOBODY, SETTLED, ItemKey, State, item_keys, left_to_review
 from pipeline.review.out_of_fold import DoubtConfig, doubt_labels
 from pipeline.review.progress import review_progress, wrong_left
 from pipeline.review.queue import QueueConfig, review_queue
+from pipeline.review.queue_job import QueueJob, make_queue
 from pipeline.review.reviewed import reviewed_labels, settled_cells, states_on_labels, trusted_of_data
 from pipeline.review.second_opinions import left_for
 from pipeline.review.states import item_of, judgements_of, states_of
+from pipeline.review.worklist import read_queue, worklist
 from pipeline.srm.label_data import read_label_data
 from pipeline.srm.train import TrainConfig
 
@@ -341,3 +345,39 @@ def test_states_are_of_the_last_word(frame: Any, journal: Journal) -> None:
             assert found.state(left(a, b)) == "unsure"
         elif words[order[a, b]] != "unreviewed":
             assert found.state(left(a, b)) == words[order[a, b]]
+
+
+def test_states_are_followed_as_a_new_queue_has_them(
+    demo_labels: Labels, bare_corrector: Corrector, journal: Journal, frame: Any, tmp_path: Path
+) -> None:
+    (a, b), (c, d), (e, f), (g, h) = some_pairs(frame(), 4)
+    number, name = max(frame().objects), an_expression(frame())["id"]
+    saved(journal, actions.set_status(frame(), status_cell(a, b), "accepted"))
+    saved(journal, actions.judge_relation(frame(), a, b, "left", T, "ben"), "ben")
+    known = journal.events(last=1)[0].id
+    saved(journal, actions.judge_relation(frame(), c, d, "left", F, "ben"), "ben")
+    saved(journal, actions.set_relation(frame(), e, f, "left", F))
+    saved(journal, actions.set_relation(frame(), g, h, "left", F))
+    undo(journal, "ann")
+    saved(journal, actions.set_status(frame(), Cell("expression", FRAME, name, "status"), "accepted", author="ann"))
+    # The labels were made again: what this was made on is no longer there.
+    other = replace(actions.set_class(frame(), number, "kettle")[0], before="something else")
+    saved(journal, (other,))
+    found, newest = states_since(bare_corrector, journal, known)
+    assert newest == journal.events(last=1)[0].id
+    assert states_since(bare_corrector, journal, newest) == ({}, newest)
+    reviewed = reviewed_labels(demo_labels, journal, tmp_path / "labels")
+    expected = states_on_labels(reviewed.judgements, read_cells(reviewed.labels))
+    assert {k: s for k, s in found.items() if s != "unreviewed"} == expected
+    assert [found[left(*pair)] for pair in ((a, b), (c, d), (e, f), (g, h))] == [
+        "accepted", "unsure", "corrected", "unreviewed",
+    ]  # fmt: skip
+    assert found[ItemKey(FRAME, "object", number, None, "")] == "unreviewed"
+    # Whoever works through a queue made now is shown the same.
+    job = QueueJob(demo_labels.root, tmp_path / "queue.parquet", str(journal.place), networks=False)
+    assert make_queue(job, lambda _: None)["last"] == newest
+    work = worklist(read_queue(job.out))
+    assert {k: work.state(k) for k in expected if k in work.places} == {
+        k: s for k, s in expected.items() if k in work.places
+    }
+    assert work.counts["settled"] > 0

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from pipeline.errors import InputError
 from pipeline.labels.reading import Labels
-from pipeline.review.items import STATES, ItemKey, item_keys, left_to_review, progress_counts
+from pipeline.review.items import KINDS, STATES, ItemKey, item_keys, left_to_review, progress_counts, with_states
 from pipeline.review.queue import QueueConfig, review_queue
 from pipeline.review.reviewed import automatic_version
 from pipeline.review.worklist import Worklist, read_queue, worklist, write_queue
@@ -53,6 +53,11 @@ def test_a_list_is_its_queue_with_its_states(
     skip = set(data.draw(st.lists(st.sampled_from(keys), max_size=4))) if keys else set()
     left = [k for k in item_keys(left_to_review(queue, states)) if k not in skip]
     assert found.next_item(skip=skip) == (left[0] if left else None)
+    for kind in KINDS:
+        of_kind = [k for k in left if k.kind == kind]
+        assert found.next_item(skip=skip, kind=kind) == (of_kind[0] if of_kind else None)
+    assert (worklist(with_states(queue, states)).codes == found.codes).all()
+    assert (worklist(queue).with_states(states).codes == found.codes).all()
     seen, at, now = [], None, found
     while (key := now.next_item(at, skip)) is not None:
         seen.append(key)

@@ -70,12 +70,24 @@ class Desk:
         Raises
         ------
         InputError
-            It is no name, or what was done under the one before is not saved yet.
+            As `check_name`.
+        """
+        self.author = self.check_name(author)
+
+    def check_name(self, author: str) -> str:
+        """A name as it is kept.
+
+        Raises
+        ------
+        InputError
+            It is no name, or what was done under the one before is not saved, or not decided, yet.
         """
         name = plain_text(author.strip(), "an author", LONGEST_NAME).strip()
         if name != self.author and self.waiting:
             raise InputError(f"edits of {self.author} are not saved yet", expected="save them or take them back first")
-        self.author = name
+        if name != self.author and self.disputed:
+            raise InputError(f"{self.author} has not decided yet where somebody was faster", expected="decide first")
+        return name
 
     def frame(self, frame: str) -> EffectiveFrame:
         """A frame as this person sees it: with what everybody saved, and with what waits to be saved.

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 
 from pipeline.boxes import Box3D
+from pipeline.correcting.unsaved import Waiting
 from pipeline.journal.cells import Cell, box_of, judged_item, shown_value
 from pipeline.journal.effective_frame import EffectiveFrame
-from pipeline.journal.events import Event
+from pipeline.journal.events import Conflict, Event, Saved
 from pipeline.relations import INVERSE, PHRASE, letter
 
 FIELDS = {
@@ -105,6 +106,23 @@ def said_events(events: Sequence[Event], frame: EffectiveFrame | None) -> str:
         return ""
     more = sum(not _mirrors(changes[0], e) for e in changes[1:])
     return said_event(changes[0], frame) + (f" (and {more} more)" if more else "")
+
+
+def said_outcome(
+    outcome: Saved | Conflict | Waiting | None, verb: str, frame: EffectiveFrame | None = None
+) -> tuple[str, bool]:
+    """What came of an action in words, and whether it was not done."""
+    if isinstance(outcome, Saved):
+        return f"{verb}: {said_events(outcome.events, frame)}", False
+    if isinstance(outcome, Conflict):
+        rival = outcome.rivals[0]
+        who = "somebody" if rival.event is None else rival.event.author
+        return f"not saved, {who} was faster: {said_cell(rival.edit.cell, frame)}", True
+    if isinstance(outcome, Waiting) and verb == "taken back":
+        return "taken back before it was saved", False
+    if isinstance(outcome, Waiting):
+        return f"not saved yet: {outcome.problem}", True
+    return "", False
 
 
 def _judged(cell: Cell, frame: EffectiveFrame | None) -> str:

@@ -6,6 +6,8 @@ import json
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Literal, NamedTuple, get_args
 
+import numpy as np
+
 from pipeline.errors import InputError
 
 if TYPE_CHECKING:
@@ -15,6 +17,8 @@ Kind = Literal["relation", "object", "expression"]
 State = Literal["unreviewed", "accepted", "corrected", "rejected", "unsure"]
 KINDS: tuple[Kind, ...] = get_args(Kind)
 STATES: tuple[State, ...] = get_args(State)
+DISAGREED = 1 - 1e-6
+"""The weight of an item on which reviewers say different things: above all that machines find."""
 SETTLED: tuple[State, ...] = ("accepted", "corrected", "rejected")
 """Nothing is left to do; an item that a reviewer is unsure of may be asked of another."""
 
@@ -114,13 +118,25 @@ def with_states(queue: pa.Table, states: Mapping[ItemKey, State]) -> pa.Table:
 
 
 def left_to_review(queue: pa.Table, states: Mapping[ItemKey, State]) -> pa.Table:
-    """The rows that are not settled, in the order of the queue; those that someone is unsure of last."""
+    """The rows that are not settled, in the order of the queue; those that someone is unsure of last.
+
+    What reviewers judge differently is unsure, too, but stays where it is: at the top.
+    """
     import pyarrow as pa
 
     known = with_states(queue, states)
-    column = known.column("state").to_pylist()
-    chosen = [[k for k, state in enumerate(column) if state == wanted] for wanted in ("unreviewed", "unsure")]
-    return known.take(pa.array(chosen[0] + chosen[1], pa.int64()))
+    column, disputed = known.column("state").to_pylist(), disputed_rows(known)
+    last = [state == "unsure" and not first for state, first in zip(column, disputed.tolist(), strict=True)]
+    is_open = [k for k, state in enumerate(column) if state not in SETTLED]
+    return known.take(pa.array(sorted(is_open, key=lambda k: last[k]), pa.int64()))
+
+
+def disputed_rows(queue: pa.Table) -> np.ndarray:
+    """(N,) bool: what reviewers judge differently, by its score."""
+    if "score" not in queue.column_names:
+        return np.zeros(queue.num_rows, np.bool_)
+    score = queue.column("score").to_numpy(zero_copy_only=False).astype(np.float64)
+    return score >= DISAGREED
 
 
 def progress_counts(queue: pa.Table, states: Mapping[ItemKey, State]) -> dict[str, int]:

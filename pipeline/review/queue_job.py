@@ -14,10 +14,12 @@ from pipeline.journal.journal import journal_of
 from pipeline.labels.pictures import labelled_dataset
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.review.agreement import pair_agreements
+from pipeline.review.cells import read_cells
+from pipeline.review.items import with_states
 from pipeline.review.ordering import by_frame
 from pipeline.review.out_of_fold import DoubtConfig
 from pipeline.review.queue import QueueConfig, review_queue
-from pipeline.review.reviewed import Reviewed, reviewed_labels
+from pipeline.review.reviewed import Reviewed, reviewed_labels, states_on_labels
 from pipeline.review.worklist import write_queue
 
 
@@ -61,8 +63,10 @@ def make_queue(job: QueueJob, report: Callable[[tuple[int, int]], None]) -> dict
     Returns
     -------
     dict
-        items (how many), estimated_wrong (relation labels that networks hold for wrong; None without networks), and
-        agreement (each two reviewers, how many items both have judged, and Cohen's kappa; None where it means nothing).
+        items (how many), estimated_wrong (relation labels that networks hold for wrong; None without networks),
+        agreement (each two reviewers, how many items both have judged, and Cohen's kappa; None where it means nothing),
+        and last (`id` of the newest event that surely counts in it; 0 where there is none). The states of the items
+        then are the queue's column `state`.
 
     Raises
     ------
@@ -73,29 +77,32 @@ def make_queue(job: QueueJob, report: Callable[[tuple[int, int]], None]) -> dict
     """
     labels = open_labels(job.labels)
     with tempfile.TemporaryDirectory(prefix="spatialviz-") as folder:
-        reviewed = _reviewed(job, labels, Path(folder) / "labels")
+        reviewed, last = _reviewed(job, labels, Path(folder) / "labels")
         config = QueueConfig(DoubtConfig() if job.networks else None)
         queue = review_queue(
             reviewed.labels, config, judgements=reviewed.judgements, progress=lambda done, of: report((done, of))
         )
+        states = states_on_labels(reviewed.judgements, read_cells(reviewed.labels))
     metadata = queue.schema.metadata
-    write_queue(by_frame(queue).replace_schema_metadata(metadata), job.out)
+    write_queue(with_states(by_frame(queue), states).replace_schema_metadata(metadata), job.out)
     wrong = (metadata or {}).get(b"estimated_wrong")
     pairs = [pair.record() for pair in pair_agreements(reviewed.judgements)]
     return {
         "items": queue.num_rows,
+        "last": last,
         "estimated_wrong": None if wrong is None else float(wrong),
         "agreement": [{key: pair[key] for key in ("reviewers", "items", "kappa")} for pair in pairs],
     }
 
 
-def _reviewed(job: QueueJob, labels: Labels, folder: Path) -> Reviewed:
+def _reviewed(job: QueueJob, labels: Labels, folder: Path) -> tuple[Reviewed, int]:
     try:
         journal = journal_of(labels, job.journal, project=job.project, must_exist=True)
     except InputError:
-        return Reviewed(labels)
+        return Reviewed(labels), 0
     with journal:
-        return reviewed_labels(labels, journal, folder, _dataset(job, labels))
+        newest = journal.events(last=1)
+        return reviewed_labels(labels, journal, folder, _dataset(job, labels)), newest[0].id if newest else 0
 
 
 def _dataset(job: QueueJob, labels: Labels) -> Dataset | None:

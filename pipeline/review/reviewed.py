@@ -22,13 +22,11 @@ from pipeline.labels.schema import Manifest
 from pipeline.relations import F, T, U
 from pipeline.review.cells import Cells, read_cells
 from pipeline.review.evidence import CellEvidence, ItemEvidence
-from pipeline.review.items import SETTLED, ItemKey, State
+from pipeline.review.items import DISAGREED, SETTLED, ItemKey, State
 from pipeline.review.out_of_fold import unstacked
 from pipeline.review.states import Judgements, item_of, judgements_of
 from pipeline.srm.label_data import LabelData
 
-DISAGREED = 1 - 1e-6
-"""Of an item on which reviewers say different things: above all that machines find."""
 _LETTER = {T: "T", U: "U", F: "F"}
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from pipeline.errors import InputError
 from pipeline.labels.tables import write_table
-from pipeline.review.items import KINDS, SETTLED, STATES, ItemKey, State, checked_states, item_keys
+from pipeline.review.items import KINDS, SETTLED, STATES, ItemKey, State, checked_states, disputed_rows, item_keys
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -35,6 +35,10 @@ class Worklist:
         States as places in STATES.
     tally : tuple of int
         How many items are in each of STATES.
+    kinds : (N,) int8
+        Places in KINDS.
+    disputed : (N,) bool
+        What reviewers judged differently when the queue was made.
     """
 
     queue: pa.Table
@@ -42,6 +46,8 @@ class Worklist:
     places: Mapping[ItemKey, int]
     codes: np.ndarray
     tally: tuple[int, ...]
+    kinds: np.ndarray
+    disputed: np.ndarray
 
     def __len__(self) -> int:
         return len(self.keys)
@@ -55,6 +61,11 @@ class Worklist:
     def state(self, key: ItemKey) -> State:
         """The state of an item; InputError where the queue has no such item."""
         return STATES[self.codes[self._place(key)]]
+
+    def is_disputed(self, key: ItemKey) -> bool:
+        """Whether reviewers differ on an item, and nobody has settled it since."""
+        place = self.places.get(key.plain)
+        return place is not None and bool(self.disputed[place]) and self.codes[place] == _UNSURE
 
     def row(self, key: ItemKey) -> dict:
         """The item's row of the queue; InputError where it has none."""
@@ -81,9 +92,18 @@ class Worklist:
         codes.flags.writeable = False
         return replace(self, codes=codes, tally=tuple(tally))
 
-    def next_item(self, after: ItemKey | None = None, skip: Collection[ItemKey] = ()) -> ItemKey | None:
-        """The next item to review: the first unreviewed one behind `after`, else from the top; those that somebody is
-        unsure of come when no other is left. None where nothing is.
+    def with_states(self, states: Mapping[ItemKey, State]) -> Worklist:
+        """The list after the states of several items have changed; as `with_state`."""
+        found = self
+        for key, state in states.items():
+            found = found.with_state(key, state)
+        return found
+
+    def next_item(
+        self, after: ItemKey | None = None, skip: Collection[ItemKey] = (), kind: str | None = None
+    ) -> ItemKey | None:
+        """The next item to review: the first open one behind `after`, else from the top; those that somebody is
+        unsure of come when no other is left, unless reviewers differ on them. None where nothing is.
 
         Parameters
         ----------
@@ -91,12 +111,16 @@ class Worklist:
             None, and one that the queue does not hold, stand before the first.
         skip : collection of ItemKey
             Put off: not shown.
+        kind : str, optional
+            Only items of this kind.
         """
         start = -1 if after is None else self.places.get(after.plain, -1)
         put_off = [self.places[k.plain] for k in skip if k.plain in self.places]
-        for code in (_UNREVIEWED, _UNSURE):
-            wanted = self.codes == code
+        unsure = self.codes == _UNSURE
+        for wanted in ((self.codes == _UNREVIEWED) | (unsure & self.disputed), unsure & ~self.disputed):
             wanted[put_off] = False
+            if kind is not None:
+                wanted &= self.kinds == KINDS.index(kind)
             # The item itself comes last: it is shown again only where it is the only one.
             for found, first in ((wanted[start + 1 :], start + 1), (wanted[: start + 1], 0)):
                 at = int(found.argmax()) if len(found) else 0
@@ -122,14 +146,18 @@ class Worklist:
 def worklist(queue: pa.Table, states: Mapping[ItemKey, State] | None = None) -> Worklist:
     """A queue with the states of its items; what the mapping lacks is unreviewed.
 
+    Without a mapping they are those of the queue's column `state`, where it has one.
+
     Raises
     ------
     InputError
         A state is none, or the queue holds an item twice.
     """
-    states = states or {}
-    checked_states(states)
     keys = tuple(item_keys(queue))
+    if states is None:
+        stored = queue.column("state").to_pylist() if "state" in queue.column_names else []
+        states = dict(zip(keys, stored, strict=False))
+    checked_states(states)
     places = {key: k for k, key in enumerate(keys)}
     if len(places) < len(keys):
         raise InputError("the queue holds an item twice", got=f"{len(keys) - len(places)} of {len(keys)} items")
@@ -139,7 +167,9 @@ def worklist(queue: pa.Table, states: Mapping[ItemKey, State] | None = None) -> 
         if place is not None:
             codes[place] = STATES.index(state)
     codes.flags.writeable = False
-    return Worklist(queue, keys, places, codes, tuple(np.bincount(codes, minlength=len(STATES)).tolist()))
+    kinds = np.array([KINDS.index(key.kind) for key in keys], np.int8)
+    tally = tuple(np.bincount(codes, minlength=len(STATES)).tolist())
+    return Worklist(queue, keys, places, codes, tally, kinds, disputed_rows(queue))
 
 
 def write_queue(queue: pa.Table, path: Path) -> None:

@@ -33,6 +33,16 @@ CALLED = ("svOverlay", "svOffer", "svFocusClass")
 HELLO_SECONDS = 12.0
 
 
+def script_html(script: str, number: int = 0) -> str:
+    """HTML that runs JavaScript when it is mounted; where the same is to run again, the number tells them apart."""
+    return f'<img src="" style="display:none" data-n="{number}" onerror="{html.escape(script, quote=True)}">'
+
+
+def call_html(function: str, data: object, number: int = 0) -> str:
+    """HTML that calls a function of the page, where it is there, with what can be JSON."""
+    return script_html(f"window.{function}&&{function}({json.dumps(data)},{number})", number)
+
+
 @dataclass(frozen=True)
 class Tag:
     """A coloured name that follows a node of the scene.
@@ -76,9 +86,9 @@ class Bridge:
         bus = gui.add_text("bus", "", visible=False)
         uuid = bus._impl.uuid
         parts = (SCRIPT.replace("BUS_UUID", uuid), FIELD_SCRIPT, PIXELS_SCRIPT, SENTENCES_SCRIPT, OBJECT_SCRIPT)
-        script = html.escape(";".join(parts).replace("\n", " "), quote=True)
+        script = script_html(";".join(parts).replace("\n", " "))
         styles = "".join((CSS, RUN_CSS, LABEL_CSS, PIXELS_CSS, SENTENCES_CSS, OBJECT_CSS, BESIDE_CSS))
-        gui.add_html(f'{styles}<img src="" style="display:none" onerror="{script}">', order=-1000)
+        gui.add_html(styles + script, order=-1000)
         self._tags = gui.add_html("", order=1000)
         self._memory = gui.add_html("", order=1001)
         self._errand = gui.add_html("", order=1002)
@@ -108,32 +118,27 @@ class Bridge:
 
     def show_tags(self, tags: Sequence[Tag]) -> None:
         """Show these names in the scene, and no others."""
-        data = json.dumps([asdict(t) for t in tags])
-        if self._tags is None or data == self._shown_tags:
+        shown = call_html("svTags", [asdict(t) for t in tags])
+        if self._tags is None or shown == self._shown_tags:
             return
-        self._shown_tags = data
-        call = html.escape(f"window.svTags&&svTags({data})", quote=True)
-        self._tags.content = f'<img src="" style="display:none" onerror="{call}">'
+        self._shown_tags = self._tags.content = shown
 
     def call(self, name: str, data: object) -> None:
         """Call a function of the page, one of `CALLED`, with what can be JSON."""
         if name in self._called:
             self._calls += 1
-            call = html.escape(f"window.{name}&&{name}({json.dumps(data)},{self._calls})", quote=True)
-            self._called[name].content = f'<img src="" style="display:none" onerror="{call}">'
+            self._called[name].content = call_html(name, data, self._calls)
 
     def remember(self, place: str) -> None:
         """Have the browser's tab keep a place; its next hello says it again. Waits until the page has said hello."""
         if self._memory is not None and self.alive.is_set():
-            call = html.escape(f"sessionStorage.setItem('sv',{json.dumps(place)})", quote=True)
-            self._memory.content = f'<img src="" style="display:none" onerror="{call}">'
+            self._memory.content = script_html(f"sessionStorage.setItem('sv',{json.dumps(place)})")
 
     def run_in_page(self, script: str) -> None:
         """Run JavaScript in the page, once."""
         if self._errand is not None and self.alive.is_set():
             self._errands += 1
-            call = html.escape(script, quote=True)
-            self._errand.content = f'<img src="" style="display:none" data-n="{self._errands}" onerror="{call}">'
+            self._errand.content = script_html(script, self._errands)
 
     def _work(self) -> None:
         while (job := self._queue.get()) is not None:

@@ -12,11 +12,10 @@ from pipeline.correcting.consequences import consequences
 from pipeline.correcting.desk import Desk, Outcome
 from pipeline.correcting.expression_cards import expression_cards
 from pipeline.correcting.scene import labelled_objects
-from pipeline.correcting.unsaved import Waiting
-from pipeline.correcting.wording import said_cell, said_events
+from pipeline.correcting.wording import said_events, said_outcome
 from pipeline.errors import InputError
-from pipeline.journal.cells import LONGEST_NAME, plain_text
-from pipeline.journal.edits import Edits, judge_relation, set_relation
+from pipeline.journal.cells import LONGEST_NAME, plain_text, relation_cell
+from pipeline.journal.edits import Edits, judge_relation, set_relation, settle
 from pipeline.journal.effective_frame import EffectiveFrame
 from pipeline.journal.events import Conflict, Event, Saved
 from pipeline.relations import F, T, U
@@ -144,6 +143,9 @@ class Correct:
     def sign(self, author: str) -> None:
         """Save what follows under another name; raises as `Desk.sign`."""
         name = plain_text(author.strip(), "an author", LONGEST_NAME).strip()
+        # All of them, or none.
+        for desk in self._desks.values():
+            desk.check_name(name)
         for desk in self._desks.values():
             desk.sign(name)
         self._author = name
@@ -269,12 +271,15 @@ class Correct:
         """Whether something could not be saved yet."""
         return self.desk is not None and bool(self.desk.waiting)
 
-    def settle(self, said: str, draw: bool = True) -> tuple[str, tuple[int, int]] | None:
+    def settle(
+        self, said: str, draw: bool = True, last_word: bool = False
+    ) -> tuple[str, tuple[int, int]] | None:
         """Settle a relation of the chosen pair: "left:T", or "T" for the one that is looked at.
 
         A label that is right already is accepted, under this person's name. One
         that somebody else has settled by hand stays as it is, too: this person's
-        word on it is noted, and reviewers who differ are told.
+        word on it is noted, and reviewers who differ are told; where they do,
+        `last_word` settles it for all of them.
 
         Returns
         -------
@@ -293,6 +298,10 @@ class Correct:
         others = line.origin.source == "human" and line.origin.author != desk.author
 
         def made(frame: EffectiveFrame) -> Edits:
+            if last_word:
+                cell = relation_cell(frame.frame, card.a, card.b, f"{line.relation}.status")
+                status = "accepted" if line.state == state else "corrected"
+                return settle(frame, cell, status, state=state)
             if line.state == state or others:
                 return judge_relation(frame, card.a, card.b, line.relation, state, desk.author)
             return set_relation(frame, card.a, card.b, line.relation, state)
@@ -319,7 +328,7 @@ class Correct:
     def came_to(self, outcome: Outcome | None, verb: str, draw: bool = True) -> None:
         """Show what came of an action, and what followed from it."""
         before = self._state().labels
-        said, bad = outcome_said(outcome, verb, None if before is None else before.frame)
+        said, bad = said_outcome(outcome, verb, None if before is None else before.frame)
         self.tell(said, bad, draw=False, before=None if before is None else before.frame)
         if isinstance(outcome, Saved):
             for listener in self._listeners:
@@ -414,21 +423,6 @@ class Correct:
         """Say why something was not done."""
         self._note(f"not done: {problem}")
         self._client.add_notification("Not done", problem, auto_close_seconds=8)
-
-
-def outcome_said(outcome: Outcome | None, verb: str, frame: EffectiveFrame | None = None) -> tuple[str, bool]:
-    """What came of an action in words, and whether it was not done."""
-    if isinstance(outcome, Saved):
-        return f"{verb}: {said_events(outcome.events, frame)}", False
-    if isinstance(outcome, Conflict):
-        rival = outcome.rivals[0]
-        who = "somebody" if rival.event is None else rival.event.author
-        return f"not saved, {who} was faster: {said_cell(rival.edit.cell, frame)}", True
-    if isinstance(outcome, Waiting) and verb == "taken back":
-        return "taken back before it was saved", False
-    if isinstance(outcome, Waiting):
-        return f"not saved yet: {outcome.problem}", True
-    return "", False
 
 
 def _looking_at(

@@ -119,7 +119,12 @@ class LabelObject:
     def _vocabulary(self, desk: Desk) -> Vocabulary:
         source = self._state().source
         if source not in self._words:
-            self._words[source] = vocabulary_of(desk.labels, desk.corrector.dataset, desk.place.to_read())
+            labels, dataset = desk.labels, desk.corrector.dataset
+            try:
+                self._words[source] = vocabulary_of(labels, dataset, desk.place.to_read())
+            except InputError:
+                # While the journal is away, class names that people have given are unknown; the next time they may not.
+                return vocabulary_of(labels, dataset)
         return self._words[source]
 
     def _complete(self, typed: str) -> None:

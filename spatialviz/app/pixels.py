@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import html
 import json
 from collections.abc import Callable
 from dataclasses import replace
@@ -18,6 +17,7 @@ from pipeline.journal.edits import merge_objects
 from pipeline.journal.events import Conflict
 from pipeline.palette import depth_colors, hex_color
 from pipeline.picture import box_edges_2d
+from spatialviz.app.bridge import call_html
 from spatialviz.app.correct import Correct
 from spatialviz.app.frames import jpeg_url
 from spatialviz.app.label_view import LabelView
@@ -269,7 +269,7 @@ class Pixels:
         self._label, self._saving = label, True
         if not stay:
             # Closed at once: drawing the whole page takes longer than saving.
-            self._host.content = _call("svPixels", {"on": False})
+            self._host.content = call_html("svPixels", {"on": False})
         try:
             outcome = self._correct.save(lambda _: made)
         finally:
@@ -336,7 +336,7 @@ class Pixels:
         draft = self._draft
         if draft is None or view is None or state.loaded is None:
             self._scene.clear()
-            self._host.content = _call("svPixels", {"on": False})
+            self._host.content = call_html("svPixels", {"on": False})
             return
         selected = self._selected()
         if draft.number is not None and draft.number not in view.frame.objects:
@@ -363,7 +363,7 @@ class Pixels:
         else:
             self._scene.clear()
             picture = frame.rgb if self._kind == "rgb" else depth_colors(frame.depth)
-            self._picture.content = _call("svPixelsPicture", {"kind": self._kind, "url": jpeg_url(picture, 92)})
+            self._picture.content = call_html("svPixelsPicture", {"kind": self._kind, "url": jpeg_url(picture, 92)})
         fresh = draft.number is None
         row = None if draft.number is None else view.frame.objects[draft.number]
         data: dict[str, Any] = {
@@ -392,12 +392,7 @@ class Pixels:
             "bad": self._bad,
             "info": told_of(draft, lifted, parts),
         }
-        self._host.content = _call("svPixels", data)
-
-
-def _call(function: str, data: dict[str, Any]) -> str:
-    call = html.escape(f"window.{function}&&{function}({json.dumps(data)})", quote=True)
-    return f'<img src="" style="display:none" onerror="{call}">'
+        self._host.content = call_html("svPixels", data)
 
 
 def _rectangle(corners: list[str], draft: Draft) -> Gesture:

@@ -17,9 +17,9 @@ from pipeline.journal.cells import Cell, object_cell
 from pipeline.journal.edits import Edits, judge_both_ways, judge_missing, set_status
 from pipeline.journal.effective_frame import EffectiveFrame
 from pipeline.journal.events import Event
+from pipeline.review.following import states_since
 from pipeline.review.items import ItemKey
 from pipeline.review.queue_job import QueueJob, make_queue
-from pipeline.review.states import item_of, states_of
 from pipeline.review.worklist import Worklist, read_queue, worklist
 from spatialviz.app.correct import Correct, Wanted
 from spatialviz.app.frames import FrameStore
@@ -60,11 +60,13 @@ class ReviewQueue:
         self._page, self._store, self._journals, self._correct = page, store, journals, correct
         self._state, self._note, self._post = state, note, post
         self._works: dict[str, Worklist] = {}
+        self._newest: dict[str, int] = {}
         self._making: dict[str, Making] = {}
         self._jobs: dict[str, Background] = {}
         self._names: dict[str, dict[tuple[str, int], str]] = {}
         self._kind = "all"
-        correct.on_saved(self.saved)
+        self._closed = False
+        correct.on_saved(self._saved)
 
     def commands(self) -> dict[str, Callable[[str], None]]:
         """What the page may ask for, by the first word of its message."""
@@ -81,6 +83,7 @@ class ReviewQueue:
 
     def close(self) -> None:
         """End what is running."""
+        self._closed = True
         for job in self._jobs.values():
             if not job.done:
                 job.cancel()
@@ -121,7 +124,7 @@ class ReviewQueue:
                 said = problem
                 try:
                     if not problem:
-                        self._works[name] = worklist(read_queue(job.out), self._states(place))
+                        self._works[name], self._newest[name] = worklist(read_queue(job.out)), record["last"]
                         self._note(f"review queue: {record['items']} items")
                 except InputError as error:
                     said = str(error)
@@ -130,7 +133,11 @@ class ReviewQueue:
                     self._note(f"no review queue: {said}")
                 self._made(name, Making(problem=said, made=record if not said else None))
 
-            self._post(take)
+            if self._closed:
+                # Nobody takes it any more.
+                folder.cleanup()
+            else:
+                self._post(take)
 
         self._jobs[name] = start_background(make_queue, job, on_progress=heard, on_end=ended)
         self.follow()
@@ -139,27 +146,27 @@ class ReviewQueue:
         self._making[name] = making
         self.follow()
 
-    def _states(self, place: JournalPlace) -> Mapping[ItemKey, Any]:
-        journal = place.to_read()
-        return {} if journal is None else states_of(journal)
-
-    def saved(self, events: tuple[Event, ...]) -> None:
-        """Labels have changed: the states of their items follow."""
-        work, desk = self._work, self._correct.desk
+    def _caught_up(self) -> Worklist | None:
+        """The list of the source that is looked at, with what anybody has saved by now."""
+        name, work, desk = self._state().source, self._work, self._correct.desk
         if work is None or desk is None:
-            return
-        for frame in {e.cell.frame for e in events}:
-            states = states_of(desk.events(frame))
-            for key in {item_of(e.cell) for e in events if e.cell.frame == frame}:
-                if key is not None:
-                    work = work.with_state(key, states.get(key, "unreviewed"))
-        self._works[self._state().source] = work
+            return work
+        # Where the journal cannot be read now, what waits says so already.
+        with suppress(InputError):
+            journal = desk.place.to_read()
+            if journal is not None:
+                states, self._newest[name] = states_since(desk.corrector, journal, self._newest.get(name, 0))
+                work = self._works[name] = work.with_states(states)
+        return work
+
+    def _saved(self, _: tuple[Event, ...]) -> None:
+        self._caught_up()
 
     # ---- walking ----------------------------------------------------------------------
 
     def step(self, step: int) -> None:
         """Look at the next item that is open, or at the one above."""
-        work = self._work
+        work = self._caught_up()
         if work is None:
             return
         if step < 0:
@@ -172,10 +179,7 @@ class ReviewQueue:
             self.look_at(found)
 
     def _next(self, work: Worklist, after: ItemKey | None) -> ItemKey | None:
-        if self._kind == "all":
-            return work.next_item(after)
-        others = [k for k in work.keys if not self._fits(k)]
-        return work.next_item(after, skip=others)
+        return work.next_item(after, kind=None if self._kind == "all" else self._kind)
 
     def _fits(self, key: ItemKey) -> bool:
         return self._kind in ("all", key.kind)
@@ -227,7 +231,9 @@ class ReviewQueue:
         if view is None:
             return
         item = view.item
-        done = self._correct.settle(said, draw=False)
+        work = self._work
+        last_word = work is not None and item is not None and work.is_disputed(item)
+        done = self._correct.settle(said, draw=False, last_word=last_word)
         if done is None:
             return
         relation, ends = done

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import shlex
+import signal
 import socket
 import sys
 import threading
@@ -158,6 +159,8 @@ def serve(
     print(f"spatialviz: {names} at {address} (Ctrl-C stops)", flush=True)
     if open_browser:
         webbrowser.open(address)
+    # Whoever ends it from outside ends it as Ctrl-C does: what could not be saved is written to files.
+    signal.signal(signal.SIGTERM, _ended)
     try:
         server.sleep_forever()
     finally:
@@ -165,6 +168,10 @@ def serve(
             server.stop()
         for place in (journals or {}).values():
             _say_unsaved(place)
+
+
+def _ended(number: int, _: object) -> None:
+    raise SystemExit(128 + number)
 
 
 def _say_unsaved(place: JournalPlace) -> None:

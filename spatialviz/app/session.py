@@ -12,7 +12,7 @@ import viser
 
 from pipeline.ask import Trace
 from pipeline.correcting.journal_place import JournalPlace
-from pipeline.datasets import has_moves, moves
+from pipeline.datasets import has_moves
 from pipeline.demo import DEMO_EXPRESSION
 from pipeline.diagnosis.live import Judgement
 from pipeline.errors import InputError
@@ -30,6 +30,7 @@ from spatialviz.app.bridge import HELLO_SECONDS, Bridge
 from spatialviz.app.dialog import Dialog
 from spatialviz.app.fallback import Fallback
 from spatialviz.app.filling import fill_answer, fill_page
+from spatialviz.app.frame_steps import FrameSteps
 from spatialviz.app.frames import FrameStore, LoadedFrame
 from spatialviz.app.inputs import forward_inputs
 from spatialviz.app.judging import Judge
@@ -50,7 +51,6 @@ from spatialviz.app.view_strings import ViewStrings
 from spatialviz.app.what_if import WhatIf
 
 LOG_LENGTH = 200
-BROWSED = 6
 PATIENCE_SECONDS = 2.0
 """How long the first frame waits for the page to say which one it is."""
 
@@ -108,6 +108,9 @@ class Session:
         self._what_if = WhatIf(
             client, self.page, self.scene, *reach, self._draw_edited, self._judged, self._note, self.bridge.post
         )
+        self._steps = FrameSteps(
+            self.page, store, self._closed, state=self._now, open_frame=self._open_frame, post=self.bridge.post
+        )
         dialog = Dialog(client)
         self._labels = Labelling(
             client, self.page, self.scene, self.bridge, dialog, self._selection, store, runs or {}, journals or {},
@@ -125,7 +128,7 @@ class Session:
         )  # fmt: skip
         parts = (
             self._selection, self._view, self._runs, self._what_if, self._strings, keeping, self._labels, self._beside,
-            dialog,
+            dialog, self._steps,
         )  # fmt: skip
         self._more = {name: run for part in parts for name, run in part.commands().items()}
         forward_inputs(self.page, self.post, self.bridge.alive)
@@ -157,11 +160,7 @@ class Session:
             "try": lambda: self._ask(self._suggestions[number]) if 0 <= number < len(self._suggestions) else None,
             "ask": lambda: self._ask(argument),
             "again": lambda: self._ask(str(self.page.expression.value)),
-            "open": lambda: self._open_frame(argument),
             "data": lambda: self._go(Place(argument)),
-            "frame": lambda: self._open_number(number),
-            "next-frame": lambda: self._step_frame(number),
-            "move": lambda: self._move(argument),
             "clear": self._clear,
             "begin": self._begin,
             "hello": lambda: self._begin(self._labels.correct.signed(argument)),
@@ -246,7 +245,7 @@ class Session:
             self._beside.clear()
             self.bridge.show_tags([])
             self._draw()
-            self._browse()
+            self._steps.browse()
             return
         self.state = replace(cleared, loaded=loaded, shown=shown_objects(loaded, None, self._exact()))
         self._painted = self.state.paint_key
@@ -263,7 +262,7 @@ class Session:
         if correcting:
             self._labels.correct.show()
             self._draw()
-            self._browse()
+            self._steps.browse()
             return
         text = self.state.text if asking is None else asking
         if self._source().detector is None:
@@ -276,7 +275,7 @@ class Session:
         else:
             self.page.expression.value = ""
         self._draw()
-        self._browse()
+        self._steps.browse()
 
     def _can_ask(self, loaded: LoadedFrame, text: str) -> bool:
         try:
@@ -290,36 +289,6 @@ class Session:
             self.page.frame.options = listed(self._source().dataset.frame_ids, frame_id)
         if str(self.page.frame.value) != frame_id:
             self.page.frame.value = frame_id
-
-    def _open_number(self, number: int) -> None:
-        ids = self._source().dataset.frame_ids
-        if 0 <= number < len(ids):
-            self._open_frame(ids[number])
-
-    def _step_frame(self, step: int) -> None:
-        ids = self._source().dataset.frame_ids
-        self._open_number(ids.index(self.state.frame_id) + step)
-
-    def _move(self, move: str) -> None:
-        """Go where a move of the dataset's robot leads; one that is not possible does nothing."""
-        to = moves(self._source().dataset, self.state.frame_id).get(move)
-        if to is not None:
-            self._open_frame(to)
-
-    def _browse(self) -> None:
-        """Fill the grid of small pictures bit by bit, behind whatever the user does."""
-        ids = self._source().dataset.frame_ids
-        current = (self.state.source, self.state.frame_id)
-        total = len(bottom.window(ids, ids.index(self.state.frame_id)))
-
-        def fill(ready: int) -> None:
-            if (self.state.source, self.state.frame_id) != current or self._closed.is_set():
-                return
-            self.page.frames.content = bottom.frames_html(self.state, ids, self._store, ready)
-            if ready < total:
-                self.bridge.post(lambda: fill(min(ready + BROWSED, total)))
-
-        self.bridge.post(lambda: fill(min(BROWSED, total)))
 
     # ---- questions ------------------------------------------------------------------
 

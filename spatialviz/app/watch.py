@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 
 from pipeline.correcting.unsaved import Waiting
 from pipeline.errors import InputError
@@ -42,11 +43,10 @@ class Watch:
 
     def _work(self) -> None:
         while not self._closed.wait(PERIOD_SECONDS):
-            try:
-                self._save_again()
-                self._look()
-            except InputError:
-                continue  # The journal cannot be read now: what waits says so already.
+            # Where the journal cannot be read now, what waits says so already, and is tried again all the same.
+            for job in (self._save_again, self._look):
+                with suppress(InputError):
+                    job()
 
     def _save_again(self) -> None:
         desk = self._correct.open_desk
