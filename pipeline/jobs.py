@@ -17,6 +17,8 @@ from pipeline.frame import Frame
 from pipeline.naming import Synonyms
 from pipeline.objects import FrameContext, SceneObject, all_objects
 from pipeline.proposals import Detector, Segmented, make_detector, make_segmenter
+from pipeline.proposals.ensemble import fused_detector
+from pipeline.proposals.registry import named_model
 from pipeline.proposals.segmenters import SegmenterFiles
 from pipeline.relations import PAIRWISE
 from pipeline.srm import RelationScorer, RelationScores, make_scorer
@@ -41,6 +43,8 @@ class Source:
     synonyms : Synonyms or None
     open_unfiltered : callable or None
         Opens the same detector without a minimum score.
+    beside : Detector or None
+        Another detector, to compare with; it answers nothing.
     """
 
     dataset: Dataset
@@ -49,6 +53,7 @@ class Source:
     config: AskConfig = field(default_factory=AskConfig)
     synonyms: Synonyms | None = None
     open_unfiltered: Callable[[], Detector | None] | None = None
+    beside: Detector | None = None
 
     def unfiltered_detector(self) -> Detector:
         """The detector without a minimum score, for what it sees and does not say; itself where it has none."""
@@ -110,6 +115,9 @@ def open_source(
     vectors: Path | None = None,
     synonyms: Path | None = None,
     config: AskConfig | None = None,
+    fuse: Sequence[str] = (),
+    fusion: str = "wbf",
+    also: str | None = None,
 ) -> Source:
     """Open a dataset and the models for it; the path "demo" is the built-in one.
 
@@ -118,6 +126,9 @@ def open_source(
     named by its id on the model hub. `model_config` says what the detector's file does not.
     `srm` is "trained" (the shipped network), "rule", or the path of a network that `spatialviz train` wrote;
     `vectors` the file of text vectors it was trained with, for classes it was not trained on.
+    `fuse` names further detectors ("NAME" or "NAME=MODEL") whose detections are fused with the detector's, by weighted
+    boxes ("wbf") or non-maximum suppression ("nms") as `fusion` says; `also` names one to compare with. The minimum
+    score and the segmenter are for all of them.
 
     Raises
     ------
@@ -133,33 +144,36 @@ def open_source(
         detector = "annotations" if dataset.class_names else None
         if model is not None:
             raise InputError("--model needs --detector", cause="which kind of model is it?", path=model)
+        if fuse:
+            raise InputError("--fuse needs --detector", cause="what is fused with what?")
+        if also is not None and detector is None:
+            raise InputError("--also needs --detector", cause="what is it compared with?")
     if detector is None and model_config is not None:
         raise InputError("--model-config needs --detector", cause="what is it for?", path=model_config)
 
-    def make(min_score: float | None) -> Detector | None:
-        return (
-            None
-            if detector is None
-            else make_detector(
-                detector,
-                model=model,
-                class_names=dataset.class_names,
-                synonyms=table,
-                min_score=min_score,
-                config=model_config,
-            )
+    def make_one(name: str, model: Path | None, min_score: float | None, config: Path | None = None) -> Detector:
+        return make_detector(
+            name, model=model, class_names=dataset.class_names, synonyms=table, min_score=min_score, config=config
         )
 
+    def make(min_score: float | None) -> Detector | None:
+        if detector is None:
+            return None
+        others = [make_one(*named_model(text), min_score) for text in fuse]
+        return fused_detector(make_one(detector, model, min_score, model_config), others, fusion, table)
+
     found = make(min_score)
+    beside = None if also is None else make_one(*named_model(also), min_score)
     if segmenter is None and segmenter_model is not None:
         raise InputError("--segmenter-model needs --segmenter", cause="what is it for?")
     if segmenter is not None:
         masks = make_segmenter(segmenter, model=segmenter_model, synonyms=table)
         found = None if found is None else Segmented(found, masks)
+        beside = None if beside is None else Segmented(beside, masks)
     config = config or AskConfig()
     if config.score_calibration is not None and found is not None:
         config.score_calibration.check(found)
-    return Source(dataset, found, make_scorer(srm, vectors), config, table, lambda: make(0.0))
+    return Source(dataset, found, make_scorer(srm, vectors), config, table, lambda: make(0.0), beside)
 
 
 def open_sources(path: str | Path, **options: Any) -> tuple[dict[str, Source], dict[str, str]]:

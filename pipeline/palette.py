@@ -30,6 +30,10 @@ ON_LIGHT: dict[Role, RGB] = {
     "edited": (158, 122, 0),
 }
 
+SECOND_ON_DARK: RGB = (236, 122, 214)
+SECOND_ON_LIGHT: RGB = (170, 28, 146)
+"""A second detector's boxes, always dashed: the reddish purple of Okabe and Ito, made lighter and darker."""
+
 RELATIONS: dict[str, RGB] = {
     "left": (51, 34, 136),
     "right": (136, 204, 238),
@@ -57,6 +61,11 @@ DROPPED: dict[Pixel, RGB] = {
 def palette(dark: bool) -> dict[Role, RGB]:
     """Role colours for a dark or a light background."""
     return ON_DARK if dark else ON_LIGHT
+
+
+def second_color(dark: bool) -> RGB:
+    """The colour of a second detector, on a dark or a light background."""
+    return SECOND_ON_DARK if dark else SECOND_ON_LIGHT
 
 
 def hex_color(color: RGB) -> str:

@@ -16,6 +16,7 @@ from tyro.conf import OmitArgPrefixes, Positional, subcommand
 
 from pipeline import __version__
 from pipeline.errors import InputError, MissingExtra
+from spatialviz.cli_agree import Agree
 from spatialviz.cli_bench_srm import BenchSrm
 from spatialviz.cli_cases import Replay, Report, SaveCase
 from spatialviz.cli_detect import Calibrate, Detect
@@ -279,6 +280,7 @@ Command = Union[
     Annotated[Retrain, subcommand("retrain")],
     Annotated[Install, subcommand("install")],
     Annotated[Detect, subcommand("detect")],
+    Annotated[Agree, subcommand("agree")],
     Annotated[Calibrate, subcommand("calibrate")],
     Annotated[Models, subcommand("models")],
     Annotated[Eval, subcommand("eval")],

@@ -11,6 +11,7 @@ from tyro.conf import OmitArgPrefixes, Positional
 from pipeline.execution import Provider
 from spatialviz.exits import FINE, NO
 from spatialviz.options import four_numbers, print_json, warn_skipped
+from spatialviz.source_options import fusing
 
 if TYPE_CHECKING:
     from pipeline.jobs import Source
@@ -27,8 +28,12 @@ class DetectorOptions:
     """Model file, its id on the model hub (OWNER/REPO:FILE@REVISION), a recording, or options of the simulated one."""
     model_config: Path | None = None
     """What the model file does not say: the TOML file of boxes (default: beside the model), class names of detic."""
+    fuse: tuple[str, ...] = ()
+    """Further detectors, NAME or NAME=MODEL, whose detections are fused with the detector's."""
+    fusion: Literal["wbf", "nms"] = "wbf"
+    """With --fuse: weighted boxes fusion, or all with non-maximum suppression."""
     min_score: float | None = None
-    """Drop detections below this score. Default: the detector's own."""
+    """Drop detections below this score, of each detector before they are fused. Default: the detector's own."""
     segmenter: str | None = None
     """depth | recorded | yolo-seg | sam | sam2 | efficientsam: makes masks for boxes that have none. Default: none."""
     segmenter_model: Path | tuple[Path, Path] | None = None
@@ -48,8 +53,8 @@ class DetectorOptions:
     verbose: bool = False
     """Show ONNX Runtime's own messages."""
 
-    def open(self, dataset: str) -> tuple[Source, tuple[str, ...]]:
-        """The dataset with the detector, and the frames that are meant."""
+    def open(self, dataset: str, also: str | None = None) -> tuple[Source, tuple[str, ...]]:
+        """The dataset with the detector (and `also` another beside it), and the frames that are meant."""
         from pipeline.ask import AskConfig
         from pipeline.execution import use_execution
         from pipeline.jobs import frame_range, open_source
@@ -57,6 +62,8 @@ class DetectorOptions:
         use_execution(self.provider, self.verbose)
         source = open_source(
             dataset,
+            also=also,
+            **fusing(self.fuse, self.fusion),
             intrinsics=four_numbers(self.intrinsics),
             depth_scale=self.depth_scale,
             detector=self.detector,

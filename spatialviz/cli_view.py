@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from pipeline.correcting.journal_place import JournalPlace
+    from pipeline.evaluation.run_folder import Run
     from pipeline.jobs import Source
     from pipeline.labels.reading import Labels
     from pipeline.whatif.state import ViewState
@@ -45,6 +46,8 @@ class View:
     state: str | None = None
     """A view as a string, "sv1:...", as the page copies it: what is opened, and what is looked at first. No link can
     carry it: the page's address has no room for it."""
+    also: str | None = None
+    """A second detector, NAME or NAME=MODEL, whose boxes are shown beside those of the first; it answers nothing."""
     source: OmitArgPrefixes[SourceOptions] = SourceOptions()
     port: int = 8080
     """Port; if it is taken, the next free one is used."""
@@ -75,13 +78,13 @@ class View:
             own = None if self.labels is None else str(self.labels)
             run = open_run(folder, dataset=None if dataset == DEMO_NAME else dataset, labels=own)
             name = Path(run.spec.dataset).name
-            sources, runs = {name: run.source}, {name: run}
+            sources, runs = {name: self._with_second(run)}, {name: run}
             if own is not None:
                 _check_labels(run.labels, run.source)
             if self.compare is not None:
                 others = {name: open_run(self.compare, dataset=run.spec.dataset)}
         else:
-            sources, left_out = open_sources(dataset, **self.source.options())
+            sources, left_out = open_sources(dataset, **self.source.options(), also=self.also)
             for name, reason in left_out.items():
                 print(f"spatialviz: left out {name}: {reason}", file=sys.stderr)
             if self.labels is not None:
@@ -111,6 +114,15 @@ class View:
             open_browser=self.open_browser,
         )
         return FINE
+
+    def _with_second(self, run: Run) -> Source:
+        """The run's source, with the second detector beside its own."""
+        from pipeline.jobs import open_source
+
+        if self.also is None:
+            return run.source
+        opened = open_source(run.spec.dataset, **{**run.spec.options, "also": self.also})
+        return replace(run.source, beside=opened.beside)
 
     def _journal(self, labels: Labels) -> JournalPlace:
         """Where corrections are kept; those of the built-in demo with the user's own data, not in the installation."""
@@ -148,7 +160,8 @@ class View:
         words = ["view"]
         if folder is None or self.dataset != "demo":
             words.append(dataset)
-        for option, value in (("--run", folder), ("--compare", self.compare), ("--labels", self.labels)):
+        opened = (("--run", folder), ("--compare", self.compare), ("--labels", self.labels), ("--also", self.also))
+        for option, value in opened:
             words += [] if value is None else [option, str(value)]
         return words if folder is not None else [*words, *self.source.words()]
 

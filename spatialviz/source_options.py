@@ -27,6 +27,11 @@ def read_calibration(path: Path | None, forced: bool = False) -> ScoreCalibratio
     return calibration.for_any() if forced else calibration
 
 
+def fusing(fuse: tuple[str, ...], fusion: str) -> dict[str, Any]:
+    """Detectors to be fused as arguments of `pipeline.jobs.open_source`; none where there is nothing to fuse."""
+    return {"fuse": fuse, "fusion": fusion} if fuse else {}
+
+
 @dataclass(frozen=True)
 class SourceOptions:
     """What is opened, and with which models."""
@@ -38,8 +43,12 @@ class SourceOptions:
     """Model file, its id on the model hub (OWNER/REPO:FILE@REVISION), a recording, or options of the simulated one."""
     model_config: Path | None = None
     """What the model file does not say: the TOML file of boxes (default: beside the model), class names of detic."""
+    fuse: tuple[str, ...] = ()
+    """Further detectors, NAME or NAME=MODEL, whose detections are fused with the detector's."""
+    fusion: Literal["wbf", "nms"] = "wbf"
+    """With --fuse: weighted boxes fusion, or all with non-maximum suppression."""
     min_score: float | None = None
-    """Drop detections below this score. Default: the detector's own."""
+    """Drop detections below this score, of each detector before they are fused. Default: the detector's own."""
     segmenter: str | None = None
     """Makes masks for boxes that have none: depth | recorded | yolo-seg | sam | sam2 | efficientsam.
     Default: none, the whole box is lifted."""
@@ -87,6 +96,7 @@ class SourceOptions:
             "srm": self.srm,
             "vectors": self.vectors,
             "synonyms": self.synonyms,
+            **fusing(self.fuse, self.fusion),
             "config": AskConfig(
                 k=self.k,
                 lift=LiftConfig(box=self.box),

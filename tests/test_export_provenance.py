@@ -44,6 +44,8 @@ def corrected(demo_labels: Labels, bare_corrector: Corrector, tmp_path_factory: 
             *saved(journal, edits.set_status(frame, Cell("frame", FRAME, "", "status"), "unsure")),
             *saved(journal, edits.set_note(frame, "check the lamp")),
             *saved(journal, edits.set_status(frame, relation_cell(FRAME, a, b, "near.status"), "accepted")),
+            *saved(journal, edits.judge_relation(frame, a, other, "near", F, "ann")),
+            *saved(journal, edits.set_status(frame, object_cell(FRAME, other, "status"), "unsure", author="ann")),
         ]
         materialise(demo_labels, journal, folder / "labels")
     return open_labels(folder / "labels"), events, {"a": a, "b": b, "other": other, "quiet": quiet["id"], "row": row}

@@ -125,6 +125,7 @@ def test_the_commands_review_and_retrain(
     rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert len(rows) == 7
     written = pq.read_table(tmp_path / "q" / "queue.parquet")
+    assert {row.pop("state") for row in rows} == {"unreviewed"}
     assert written.slice(0, 7).to_pylist() == rows
     assert written.num_rows > 500
     assert main(["review", before, "--no-networks", "--limit", "2"]) == 0

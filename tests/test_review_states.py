@@ -91,6 +91,19 @@ def test_every_state_has_its_edit_and_undo_takes_it_back(frame: Any, journal: Jo
         redo(journal, "ann")
 
 
+def test_what_is_accepted_of_a_relation_is_not_asked_again_the_other_way_round(frame: Any, journal: Journal) -> None:
+    (a, b), (c, d) = some_pairs(frame(), 2)
+    saved(journal, actions.judge_both_ways(frame(), status_cell(a, b), "accepted", "ann"), "ann")
+    saved(journal, actions.judge_both_ways(frame(), status_cell(c, d), "unsure", "ann"), "ann")
+    mirrors = [ItemKey(FRAME, "relation", y, x, "right") for x, y in ((a, b), (c, d))]
+    expected = dict.fromkeys((left(a, b), mirrors[0]), "accepted") | dict.fromkeys((left(c, d), mirrors[1]), "unsure")
+    assert states_of(journal, "ann") == expected
+    assert judgements_of(journal).words[mirrors[0]]["ann"].said == "T"
+    undo(journal, "ann")
+    undo(journal, "ann")
+    assert states_of(journal) == {}
+
+
 def test_setting_back_what_the_labels_said_accepts_it(frame: Any, journal: Journal) -> None:
     ((a, b),) = some_pairs(frame(), 1)
     saved(journal, actions.set_relation(frame(), a, b, "left", F))

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.correcting.scene import labelled_box
+from pipeline.journal.cells import object_cell
 from pipeline.journal.effective_frame import EffectiveFrame
 from pipeline.journal.frame_rows import NO_STATE
 from pipeline.relations import PAIRWISE, PHRASE, letter
@@ -74,6 +75,7 @@ class Consequences:
     unusable : tuple of str
         Objects that stand but are not asked for, and were before, with the reason.
     boxes : tuple of BoxChange
+        Without those that a person placed.
     recomputed : int
         Relations that were judged anew; a relation and its mirror image are one.
     changed : tuple of RelationChange
@@ -159,6 +161,8 @@ def _box_changes(before: EffectiveFrame, after: EffectiveFrame, both: Iterable[i
     for n in sorted({*both, *(after.objects.keys() - before.objects.keys())}):
         was = labelled_box(before.objects[n]) if n in before.objects else None
         now = labelled_box(after.objects[n])
+        if after.origin(object_cell(after.frame, n, "box")).source == "human":
+            continue
         if now is None:
             if was is not None:
                 yield BoxChange(n, _name(after, n), None, None, gone=True)

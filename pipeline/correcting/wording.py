@@ -5,8 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
+
+from pipeline.boxes import Box3D
 from pipeline.correcting.unsaved import Waiting
-from pipeline.journal.cells import Cell, judged_item, shown_value
+from pipeline.journal.cells import Cell, box_of, judged_item, shown_value
 from pipeline.journal.effective_frame import EffectiveFrame
 from pipeline.journal.events import Conflict, Event, Saved
 from pipeline.relations import INVERSE, PHRASE, letter
@@ -16,6 +19,10 @@ FIELDS = {
     "mask": "pixels", "exists": "presence",
 }  # fmt: skip
 LONGEST = 48
+SMALLEST_MOVE = 5e-4
+"""Metres: less is not told of a box."""
+SMALLEST_TURN = 0.05
+"""Degrees."""
 
 
 def said_object(number: int, frame: EffectiveFrame | None) -> str:
@@ -57,6 +64,8 @@ def said_value(cell: Cell, value: Any, frame: EffectiveFrame | None) -> str:
         return ", ".join(said_object(n, frame) for n in value) or "nothing"
     if isinstance(value, bool):
         return "yes" if value else "no"
+    if cell.kind == "object" and cell.field == "box":
+        return "as its points make it" if value is None else "placed by hand"
     return shown_value(cell, value)
 
 
@@ -69,8 +78,22 @@ def said_event(event: Event, frame: EffectiveFrame | None) -> str:
         value = event.after.get("value")
         state = "" if value is None else f" is {letter(value)}"
         return f"{_judged(cell, frame)}{state}: {event.after['status']}"
+    if cell.kind == "object" and cell.field == "box" and event.before is not None and event.after is not None:
+        return f"{said_cell(cell, frame)}: {_box_change(box_of(event.before), box_of(event.after))}"
     before, after = (said_value(cell, value, frame) for value in (event.before, event.after))
     return f"{said_cell(cell, frame)}: {before} → {after}"
+
+
+def _box_change(before: Box3D, after: Box3D) -> str:
+    """What of a box a person changed; what stays is not told."""
+    moved = float(np.linalg.norm(after.center - before.center))
+    angle = np.rad2deg(np.arccos(np.clip((np.trace(before.R.T @ after.R) - 1) / 2, -1, 1)))
+    parts = [f"moved {100 * moved:.1f} cm"] if moved >= SMALLEST_MOVE else []
+    if np.abs(after.size - before.size).max() >= SMALLEST_MOVE:
+        parts.append(" → ".join(" × ".join(f"{x:.3f}" for x in box.size) for box in (before, after)) + " m")
+    if angle >= SMALLEST_TURN:
+        parts.append(f"turned {angle:.1f}°")
+    return ", ".join(parts) or "less than a millimetre"
 
 
 def said_events(events: Sequence[Event], frame: EffectiveFrame | None) -> str:

@@ -19,6 +19,7 @@ from pipeline.evaluation.run import EvalSpec
 from pipeline.jobs import Source, open_source
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.proposals.model_files import parse_hub_id
+from pipeline.proposals.registry import with_model
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -85,6 +86,8 @@ def spec_record(spec: EvalSpec, folder: Path) -> dict[str, Any]:
     options = {k: v for k, v in spec.options.items() if k != "config" and v is not None}
     for name in _files(options):
         options[name] = _each(options[name], lambda path: _written_model(path, folder))
+    if "fuse" in options:
+        options["fuse"] = [with_model(text, lambda path: _written_model(path, folder)) for text in options["fuse"]]
     config = spec.options.get("config")
     return {
         "dataset": spec.dataset if spec.dataset == DEMO_NAME else written_path(spec.dataset, folder),
@@ -176,6 +179,9 @@ def _read_spec(record: Mapping[str, Any], folder: Path) -> EvalSpec:
     options: dict[str, Any] = dict(record["options"])
     for name in _files(options):
         options[name] = _each(options[name], lambda path: _resolved_model(path, folder))
+    if "fuse" in options:
+        own = [str(text) for text in options["fuse"]]
+        options["fuse"] = [with_model(text, lambda path: _resolved_model(str(path), folder)) for text in own]
     if isinstance(options.get("intrinsics"), list):
         options["intrinsics"] = tuple(options["intrinsics"])
     if record["config"] is not None:

@@ -76,8 +76,9 @@ class OpenedCase:
         from pipeline.proposals import make_detector
 
         name = self.manifest.detector.name if name == "live" else name
-        if "+" in name:
-            raise InputError("a detector with a segmenter cannot be run again live", got=name, path=self.root)
+        if "+" in name or "&" in name:
+            what = "a detector with a segmenter" if "+" in name else "fused detectors"
+            raise InputError(f"{what} cannot be run again live", got=name, path=self.root)
         made = {
             least: make_detector(
                 name, model=model, class_names=self.manifest.class_names, synonyms=self.source.synonyms, min_score=least

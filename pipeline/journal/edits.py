@@ -192,6 +192,20 @@ def judge_relation(
     )
 
 
+def judge_both_ways(
+    frame: EffectiveFrame, cell: Cell, status: str | None, author: str, reason: str = ""
+) -> Edits:
+    """As `judge` of a relation, and of what says the same the other way round, unless the labels contradict it."""
+    _check_judged(frame, cell)
+    cells, inverse = [cell], frame.setting.inverse(cell.field.removesuffix(".status"))
+    if inverse is not None:
+        a, b = cell.numbers
+        mirror = Cell("relation", frame.frame, f"{b},{a}", f"{inverse}.status")
+        if frame.value(_state_cell(mirror)) == frame.value(_state_cell(cell)):
+            cells.append(mirror)
+    return tuple(e for c in cells for e in judge(frame, c, status, author, reason))
+
+
 def judge_missing(frame: EffectiveFrame, what: str, status: str | None, author: str, reason: str = "") -> Edits:
     """What a reviewer says of a place where an object may be missing: "rejected" where there is none."""
     cell = judgement_cell(frame.frame, "object", -1, None, what, author)

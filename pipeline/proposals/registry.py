@@ -161,3 +161,23 @@ def make_detector(
     if config is not None and name in DETECTORS and name not in CONFIGURABLE:
         raise InputError(f"--detector {name} takes no --model-config", expected=" or ".join(CONFIGURABLE), path=config)
     return known[name](DetectorRequest(model, class_names, synonyms, min_score, config))
+
+
+def named_model(text: str) -> tuple[str, Path | None]:
+    """A detector and its model as the command line names them together: "yolo-seg=FILE.onnx", or "simulated" alone.
+
+    Raises
+    ------
+    InputError
+        There is no name, or nothing behind the sign.
+    """
+    name, sign, model = text.partition("=")
+    if not name.strip() or (sign and not model.strip()):
+        raise InputError("a further detector needs a name", got=repr(text), expected="NAME or NAME=MODEL")
+    return name.strip(), Path(model.strip()) if sign else None
+
+
+def with_model(text: str, change: Callable[[Path], str | Path]) -> str:
+    """The same text with its model's path changed."""
+    name, model = named_model(text)
+    return name if model is None else f"{name}={change(model)}"

@@ -13,6 +13,7 @@ from pipeline.errors import InputError
 from pipeline.journal.journal import journal_of
 from pipeline.labels.pictures import labelled_dataset
 from pipeline.labels.reading import Labels, open_labels
+from pipeline.review.agreement import pair_agreements
 from pipeline.review.cells import read_cells
 from pipeline.review.items import with_states
 from pipeline.review.ordering import by_frame
@@ -51,7 +52,7 @@ class QueueJob:
     options: dict[str, Any] = field(default_factory=dict)
 
 
-def make_queue(job: QueueJob, report: Callable[[tuple[int, int]], None]) -> dict[str, int]:
+def make_queue(job: QueueJob, report: Callable[[tuple[int, int]], None]) -> dict[str, Any]:
     """Make the queue, ordered for working through, and store it.
 
     Parameters
@@ -62,10 +63,10 @@ def make_queue(job: QueueJob, report: Callable[[tuple[int, int]], None]) -> dict
     Returns
     -------
     dict
-        items : int
-        last : int
-            `id` of the newest event that surely counts in it; 0 where there is none. The states of the items then are
-            the queue's column `state`.
+        items (how many), estimated_wrong (relation labels that networks hold for wrong; None without networks),
+        agreement (each two reviewers, how many items both have judged, and Cohen's kappa; None where it means nothing),
+        and last (`id` of the newest event that surely counts in it; 0 where there is none). The queue's column `state`
+        has the states of its items then.
 
     Raises
     ------
@@ -84,7 +85,14 @@ def make_queue(job: QueueJob, report: Callable[[tuple[int, int]], None]) -> dict
         states = states_on_labels(reviewed.judgements, read_cells(reviewed.labels))
     metadata = queue.schema.metadata
     write_queue(with_states(by_frame(queue), states).replace_schema_metadata(metadata), job.out)
-    return {"items": queue.num_rows, "last": last}
+    wrong = (metadata or {}).get(b"estimated_wrong")
+    pairs = [pair.record() for pair in pair_agreements(reviewed.judgements)]
+    return {
+        "items": queue.num_rows,
+        "last": last,
+        "estimated_wrong": None if wrong is None else float(wrong),
+        "agreement": [{key: pair[key] for key in ("reviewers", "items", "kappa")} for pair in pairs],
+    }
 
 
 def _reviewed(job: QueueJob, labels: Labels, folder: Path) -> tuple[Reviewed, int]:

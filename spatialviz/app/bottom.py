@@ -6,8 +6,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from pipeline.objects import SceneObject
 from pipeline.palette import hex_color, palette
 from pipeline.picture import box_edges_2d, tinted
+from spatialviz.app.beside_html import second_overlay
 from spatialviz.app.frames import FrameStore, jpeg_url
 from spatialviz.app.paint import frame_colors
 from spatialviz.app.pixels_html import pixel_row_html
@@ -29,7 +31,7 @@ def image_html(state: State) -> str:
         return panel(note(state.problem or "no frame"))
     frame = state.loaded.context.frame
     if state.colors == "rgb":
-        picture = tinted(frame.rgb, state.shown.objects, state.roles)
+        picture = tinted(frame.rgb, state.shown.objects, state.roles if state.own_layer else {})
     else:
         picture = frame_colors(state.colors, state.loaded, state.roles, state.dark)
     step = max(1, round(frame.width / IMAGE_WIDTH))
@@ -52,7 +54,8 @@ def overlay_marks(state: State) -> str:
     frame, colors, roles = state.loaded.context.frame, palette(True), state.roles
     unit = frame.width / 360
     parts = []
-    order = sorted(range(len(state.shown.objects)), key=lambda i: (i in roles, i == state.selected))
+    own = range(len(state.shown.objects)) if state.own_layer else range(0)
+    order = sorted(own, key=lambda i: (i in roles, i == state.selected))
     for i in order:
         entry = state.shown.objects[i]
         role = roles.get(i, "other")
@@ -79,6 +82,7 @@ def overlay_marks(state: State) -> str:
             f'stroke-width="{1.1 * unit:.2f}" stroke-dasharray="{3 * unit:.1f} {2 * unit:.1f}"/>'
             for (ax, ay), (bx, by) in box_edges_2d(ghost.box, frame.camera)
         ]
+    parts += second_overlay(state, unit)
     for i in order:
         if i not in roles and i != state.selected:
             continue
@@ -111,9 +115,19 @@ def object_at(state: State, x: float, y: float) -> int | None:
     """The smallest object whose mask (else whose 2D box) holds a point, given as fractions of width and height."""
     if state.loaded is None:
         return None
-    frame = state.loaded.context.frame
-    u, v = int(np.clip(x * frame.width, 0, frame.width - 1)), int(np.clip(y * frame.height, 0, frame.height - 1))
-    objects = state.shown.objects
+    return _smallest_at(state.shown.objects, x, y) if state.own_layer else None
+
+
+def second_at(state: State, x: float, y: float) -> int | None:
+    """The same of the second detector's objects."""
+    return _smallest_at(state.second_layer, x, y)
+
+
+def _smallest_at(objects: Sequence[SceneObject], x: float, y: float) -> int | None:
+    if not objects:
+        return None
+    height, width = objects[0].mask.shape
+    u, v = int(np.clip(x * width, 0, width - 1)), int(np.clip(y * height, 0, height - 1))
     hits = [i for i, o in enumerate(objects) if o.mask[v, u]]
     return min(hits, key=lambda i: objects[i].lifted.quality.mask_pixels) if hits else None
 

@@ -18,6 +18,7 @@ from dataclasses import asdict, dataclass
 
 import viser
 
+from spatialviz.app.beside_style import BESIDE_CSS
 from spatialviz.app.label_object_style import OBJECT_CSS, OBJECT_SCRIPT
 from spatialviz.app.label_style import LABEL_CSS
 from spatialviz.app.pixels_script import PIXELS_SCRIPT
@@ -86,7 +87,7 @@ class Bridge:
         uuid = bus._impl.uuid
         parts = (SCRIPT.replace("BUS_UUID", uuid), FIELD_SCRIPT, PIXELS_SCRIPT, SENTENCES_SCRIPT, OBJECT_SCRIPT)
         script = script_html(";".join(parts).replace("\n", " "))
-        styles = "".join((CSS, RUN_CSS, LABEL_CSS, PIXELS_CSS, SENTENCES_CSS, OBJECT_CSS))
+        styles = "".join((CSS, RUN_CSS, LABEL_CSS, PIXELS_CSS, SENTENCES_CSS, OBJECT_CSS, BESIDE_CSS))
         gui.add_html(styles + script, order=-1000)
         self._tags = gui.add_html("", order=1000)
         self._memory = gui.add_html("", order=1001)

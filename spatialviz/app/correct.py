@@ -25,7 +25,6 @@ from spatialviz.app.layout import Page
 from spatialviz.app.place import Place
 from spatialviz.app.review_html import pair_html, review_head_html
 from spatialviz.app.state import Shown, State
-from spatialviz.app.text import safe
 
 LETTERS = {"T": T, "U": U, "F": F}
 
@@ -416,7 +415,7 @@ class Correct:
     def refuse(self, problem: str) -> None:
         """Say why something was not done."""
         self._note(f"not done: {problem}")
-        self._client.add_notification("Not done", safe(problem), auto_close_seconds=8)
+        self._client.add_notification("Not done", problem, auto_close_seconds=8)
 
 
 def _looking_at(

@@ -6,7 +6,7 @@ from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 
 from pipeline.datasets import Dataset, has_moves, moves
-from spatialviz.app import bottom, left, right, sentences_html, why
+from spatialviz.app import beside_html, bottom, left, right, sentences_html, why
 from spatialviz.app.layout import Page
 from spatialviz.app.state import State
 
@@ -33,6 +33,8 @@ def fill_page(
         page.objects.content = left.objects_html(state, thumbs, moving=leads is not None)
         fill_answer(page, state, can_ask)
         page.object.content = right.object_html(state)
+        if page.agreement is not None:
+            page.agreement.content = beside_html.agreement_html(state)
         page.image.content = bottom.image_html(state)
         page.log.content = bottom.log_html(log)
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
+from pipeline.agreeing import Beside, beside
 from pipeline.errors import InputError
 from pipeline.jobs import Source
 from pipeline.objects import FrameContext, SceneObject, all_objects
@@ -28,12 +29,15 @@ class LoadedFrame:
     objects : tuple of SceneObject
         Everything the detector finds in it; empty without a detector.
     problem : str
-        Why the detector could not be asked about this frame.
+        Why a detector could not be asked about this frame.
+    beside : Beside or None
+        What a second detector finds in it.
     """
 
     context: FrameContext
     objects: tuple[SceneObject, ...]
     problem: str = ""
+    beside: Beside | None = None
 
 
 class FrameStore:
@@ -61,13 +65,14 @@ class FrameStore:
         opened = self.sources[source]
         context = FrameContext(opened.dataset.load(frame_id), opened.config.lift)
         objects: tuple[SceneObject, ...] = ()
-        problem = ""
+        problem, second = "", None
         if opened.detector is not None:
             try:
                 objects = all_objects(context, opened.detector)
+                second = beside(opened, context, objects)
             except InputError as error:
                 problem = str(error)
-        loaded = LoadedFrame(context, objects, problem)
+        loaded = LoadedFrame(context, objects, problem, second)
         with self._lock:
             self._loaded[key] = loaded
             while len(self._loaded) > KEPT_FRAMES:

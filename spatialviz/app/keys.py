@@ -82,6 +82,13 @@ LABEL_KEYS: tuple[tuple[str, str, str], ...] = (
 )
 """What keys mean while labels are shown; all others mean the same as ever."""
 
+LAYER_KEYS: tuple[tuple[str, str, str], ...] = (
+    ("Shift+B", "Boxes of both detectors, of the own, of the second", "layer:next"),
+    ("Shift+J", "Next disagreement of the two detectors", "next-disagreement:1"),
+    ("Shift+O", "Previous disagreement of the two detectors", "next-disagreement:-1"),
+)
+"""The keys where a second detector stands beside the own one."""
+
 MOVE_KEYS: tuple[tuple[str, str, str], ...] = (
     ("7", "Turn left", "move:rotate_ccw"),
     ("8", "Step forward", "move:forward"),
@@ -96,9 +103,9 @@ MOVE_KEYS: tuple[tuple[str, str, str], ...] = (
 MODIFIERS = {"": None, "Shift": "shift", "Ctrl": "cmd/ctrl", "Alt": "alt"}
 
 
-def keys_of(moving: bool) -> tuple[tuple[str, str, str], ...]:
-    """(key, what it does, message) of every key; those of moves only where a dataset has them."""
-    return (*KEYS, *MOVE_KEYS) if moving else KEYS
+def keys_of(moving: bool, beside: bool = False) -> tuple[tuple[str, str, str], ...]:
+    """(key, what it does, message) of every key; those of moves and of a second detector only where there are any."""
+    return (*KEYS, *(LAYER_KEYS if beside else ()), *(MOVE_KEYS if moving else ()))
 
 
 def meant(message: str, correcting: bool) -> str:
@@ -106,7 +113,7 @@ def meant(message: str, correcting: bool) -> str:
     kind, _, pressed = message.partition(":")
     if kind != "key":
         return message
-    rows = (*LABEL_KEYS, *KEYS, *MOVE_KEYS) if correcting else (*KEYS, *MOVE_KEYS)
+    rows = (*LABEL_KEYS, *KEYS, *MOVE_KEYS) if correcting else (*KEYS, *LAYER_KEYS, *MOVE_KEYS)
     return next((m for key, _, m in rows if key == pressed), "")
 
 
@@ -114,9 +121,9 @@ def _pressed(key: str) -> str:
     return " ".join(f"<kbd>{safe(part)}</kbd>" for part in key.split("+"))
 
 
-def help_html(moving: bool, correcting: bool) -> str:
+def help_html(moving: bool, correcting: bool, beside: bool = False) -> str:
     """The keys as a list; with `correcting` those of labels, too."""
-    rows = "".join(f"<span>{_pressed(k)}</span><span>{safe(label)}</span>" for k, label, _ in keys_of(moving))
+    rows = "".join(f"<span>{_pressed(k)}</span><span>{safe(label)}</span>" for k, label, _ in keys_of(moving, beside))
     if correcting:
         rows += '<b class="sec">While labels are shown</b>'
         rows += "".join(f"<span>{_pressed(k)}</span><span>{safe(label)}</span>" for k, label, _ in LABEL_KEYS)
@@ -126,10 +133,12 @@ def help_html(moving: bool, correcting: bool) -> str:
     )
 
 
-def add_keys(client: viser.ClientHandle, post: Callable[[str], None], moving: bool, correcting: bool) -> None:
+def add_keys(
+    client: viser.ClientHandle, post: Callable[[str], None], moving: bool, correcting: bool, beside: bool = False
+) -> None:
     """Register every key as a command of this client; with `correcting`, those of labels, too."""
     labels = {key: label for key, label, _ in LABEL_KEYS} if correcting else {}
-    rows = {key: label for key, label, _ in keys_of(moving)}
+    rows = {key: label for key, label, _ in keys_of(moving, beside)}
     for key in {**rows, **labels}:
         said = rows[key] if key not in labels else f"{rows[key]} | {labels[key]}" if key in rows else labels[key]
         held, _, pressed = key.rpartition("+")
@@ -147,10 +156,15 @@ class HelpDialog:
     """The list of keys as a dialog; the key that opens it closes it, as Escape does."""
 
     def __init__(
-        self, client: viser.ClientHandle, post: Callable[[str], None], moving: bool, correcting: bool
+        self,
+        client: viser.ClientHandle,
+        post: Callable[[str], None],
+        moving: bool,
+        correcting: bool,
+        beside: bool = False,
     ) -> None:
         self._client = client
-        self._html = help_html(moving, correcting)
+        self._html = help_html(moving, correcting, beside)
         self._post = post
         self._modal: Any = None
 

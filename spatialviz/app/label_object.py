@@ -22,7 +22,7 @@ from pipeline.journal.effective import Corrector
 from pipeline.journal.effective_frame import EffectiveFrame
 from pipeline.journal.events import Saved
 from pipeline.palette import palette
-from pipeline.whatif.box_numbers import box_numbers, with_numbers
+from pipeline.whatif.box_numbers import SMALLEST_SIDE, box_numbers, with_numbers
 from spatialviz.app.bridge import Bridge
 from spatialviz.app.correct import Correct
 from spatialviz.app.gizmo import BoxGizmo
@@ -33,6 +33,9 @@ from spatialviz.app.review_html import pair_html
 from spatialviz.app.scene import SceneView
 from spatialviz.app.state import State
 from spatialviz.app.text import panel, safe
+
+FARTHEST = 1000.0
+"""Metres: no typed side or place of a box is beyond; a number that slipped would otherwise be saved."""
 
 
 class LabelObject:
@@ -206,6 +209,10 @@ class LabelObject:
         except (ValueError, IndexError):
             return
         if chosen is None or box is None or state.loaded is None or not np.isfinite(value):
+            return
+        if (what == "size" and not SMALLEST_SIDE <= value <= FARTHEST) or (what == "center" and abs(value) > FARTHEST):
+            least = SMALLEST_SIDE if what == "size" else -FARTHEST
+            self._correct.refuse(f"{value:g} m: a 3D box takes {least:g} to {FARTHEST:g} m here")
             return
         viewer = state.loaded.context.viewer
         numbers = box_numbers(box, viewer)

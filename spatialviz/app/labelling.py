@@ -91,6 +91,11 @@ class Labelling:
         def whole() -> None:
             draw(False)
 
+        def use(network: str) -> None:
+            # While labels are shown nothing is asked that it could answer.
+            if state().labels is None:
+                handle(f"edit:set:scorer:{network}")
+
         desks = {name: opener(name, place) for name, place in journals.items()}
         to_state: dict[str, Any] = {"state": state, "take": take}
         self.correct = Correct(
@@ -101,7 +106,7 @@ class Labelling:
         self._queue = ReviewQueue(page, store, journals, self.correct, state=state, note=note, post=bridge.post)
         self._retrain = RetrainPanel(
             client, page, store.sources, runs, journals, user_data_path("spatialviz") / "retrained", state=state, go=go,
-            use=lambda name: handle(f"edit:set:scorer:{name}"), note=note, post=bridge.post,
+            use=use, note=note, post=bridge.post,
         )  # fmt: skip
         spoken = sentences_and_conflicts(self.correct, dialog, bridge, state, take, whole)
         self._parts = (self.correct, self.pixels, self._object, self._queue, self._retrain, *spoken)

@@ -60,6 +60,7 @@ class Page:
     review_pair: viser.GuiHtmlHandle | None = None
     review_list: viser.GuiHtmlHandle | None = None
     review_train: viser.GuiHtmlHandle | None = None
+    agreement: viser.GuiHtmlHandle | None = None
 
 
 def build(
@@ -70,6 +71,7 @@ def build(
     frame_ids: Sequence[str],
     with_run: bool = False,
     with_labels: bool = False,
+    with_second: bool = False,
 ) -> Page:
     """Build the page of one client."""
     gui = client.gui
@@ -97,6 +99,10 @@ def build(
         answer, pairs, relations = (gui.add_html("") for _ in range(3))
     with upper.add_tab("Why", viser.Icon.HELP_CIRCLE):
         why = gui.add_html("")
+    agreement = None
+    if with_second:
+        with upper.add_tab("Agree", viser.Icon.LAYERS_INTERSECT):
+            agreement = gui.add_html("")
     review: tuple[viser.GuiHtmlHandle, ...] = ()
     if with_labels:
         with upper.add_tab("Review", viser.Icon.CHECKLIST):
@@ -118,4 +124,5 @@ def build(
         dataset_box, frame_box, expression, ask, form, steps, parse, modules, controls, objects,
         answer, pairs, relations, why, object_, image, search, offers, listing,
         run_summary, run_slices, run_confusion, cost, edit, frames, log, *review,
+        agreement=agreement,
     )  # fmt: skip

@@ -10,6 +10,7 @@ from pipeline.diagnosis.live import Judgement
 from pipeline.diagnosis.verdict import MODULE_OF
 from pipeline.palette import DROPPED, VERDICTS, hex_color, palette
 from pipeline.records import why_no_answer
+from spatialviz.app.beside_html import layers_html
 from spatialviz.app.frames import object_thumb
 from spatialviz.app.keys import MOVE_KEYS
 from spatialviz.app.state import State
@@ -209,6 +210,7 @@ def controls_html(state: State) -> str:
     return panel(
         f'<div class="row"><label>Paint</label>{segments("color", COLORS, state.colors)}</div>{legend}',
         f'<div class="row"><label>From</label>{segments("camera", CAMERAS, state.camera)}</div>',
+        layers_html(state),
         f'<div class="row"><label>Show</label><div class="tog">{toggles}</div></div>',
         style="padding-top:.3em",
     )
@@ -264,6 +266,7 @@ def objects_html(state: State, thumbs: dict[bytes, str], moving: bool = False) -
     height = 626 if moving else 566
     # The legend of the cleaned pixels stands above.
     height += 44 if state.colors == "evidence" else 0
+    height += 0 if state.beside is None else 26
     return panel(
         heading(f"Objects ({len(rows)})"),
         f'<div class="scroll" style="--mh:max(150px, calc(100vh - {height}px))"><table>{"".join(rows)}</table></div>',

@@ -9,7 +9,7 @@ from typing import Any
 from pipeline.relations import PHRASE
 from pipeline.review.items import ItemKey
 from pipeline.review.worklist import Worklist
-from spatialviz.app.text import BAD, DOUBT, GOOD, heading, note, panel, safe
+from spatialviz.app.text import BAD, DOUBT, GOOD, heading, note, panel, safe, tail
 
 ROWS = 40
 MARKS = {
@@ -35,6 +35,8 @@ class Making:
     done, of : int
         Of the networks.
     problem : str
+    made : dict or None
+        What is known of the queue that was made last: `queue_job.make_queue`.
     """
 
     running: bool = False
@@ -42,6 +44,7 @@ class Making:
     done: int = 0
     of: int = 0
     problem: str = ""
+    made: Mapping[str, Any] | None = None
 
 
 def item_html(row: Mapping[str, Any] | None, names: Names, item: ItemKey | None) -> str:
@@ -83,9 +86,23 @@ def queue_html(
         heading("Queue", again),
         busy,
         f'<div class="dim">{counts["settled"]:,} of {counts["items"]:,} settled{" · " + tally if tally else ""}</div>',
+        _known(making.made),
         f'<div class="seg" style="margin:3px 0">{chosen}</div>',
         f'<div class="queue">{rows or "nothing of this kind"}</div>',
     )
+
+
+def _known(made: Mapping[str, Any] | None) -> str:
+    """How many labels the networks hold for wrong, and how far reviewers agree."""
+    if made is None:
+        return ""
+    parts = []
+    if made["estimated_wrong"] is not None:
+        parts.append(f"networks hold {made['estimated_wrong']:.0f} relation labels for wrong")
+    for pair in made["agreement"]:
+        kappa = "–" if pair["kappa"] is None else f"{pair['kappa']:.2f}"
+        parts.append(f"{' and '.join(map(safe, pair['reviewers']))}: κ {kappa} on {pair['items']} items")
+    return f'<div class="dim" title="when the queue was made">{" · ".join(parts)}</div>' if parts else ""
 
 
 def shown_places(work: Worklist, kind: str, item: ItemKey | None) -> Sequence[int]:
@@ -110,7 +127,7 @@ def _row(work: Worklist, place: int, names: Names, item: ItemKey | None) -> str:
     return (
         f'<div class="q{selected}" onclick="sv(\'item:{place}\')" title="{safe(reason)}">'
         f'<i style="--v:{row["score"]:.2f}"></i><span>{said(row, names)}</span>'
-        f'<b style="color:{color}">{mark}</b><em>{safe(row["frame"])}</em></div>'
+        f'<b style="color:{color}">{mark}</b><em>{tail(row["frame"])}</em></div>'
     )
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from pipeline.relations import PHRASE
-from spatialviz.app.text import BAD, DOUBT, GOOD, heading, note, safe
+from spatialviz.app.text import BAD, DOUBT, GOOD, heading, note, safe, tail
 
 STEPS = {
     "labels": "applying the corrections",
@@ -163,7 +163,7 @@ def _sends(message: str) -> str:
 def _install(training: Training) -> str:
     record = training.record
     assert record is not None
-    where = f'<div class="dim path" title="{safe(record["folder"])}">{safe(record["folder"])}</div>'
+    where = f'<div class="dim path" title="{safe(record["folder"])}">{tail(record["folder"])}</div>'
     if training.installed:
         said = f"Installed: --srm {training.installed}; in the Edit tab it answers any question."
         return note(said, GOOD) + where

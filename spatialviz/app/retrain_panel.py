@@ -22,7 +22,7 @@ from spatialviz.app.layout import Page
 from spatialviz.app.place import Place
 from spatialviz.app.retrain_html import Training, retrain_html
 from spatialviz.app.state import State
-from spatialviz.app.text import panel, safe
+from spatialviz.app.text import panel
 
 
 class RetrainPanel:
@@ -144,7 +144,7 @@ class RetrainPanel:
         try:
             done = install_network(Path(training.record["network"]), name.strip())
         except InputError as error:
-            self._client.add_notification("Not installed", safe(error), auto_close_seconds=8)
+            self._client.add_notification("Not installed", str(error), auto_close_seconds=8)
             self._note(f"not installed: {error}")
             return
         self._trainings[self._state().source] = replace(training, installed=done.name)

@@ -71,7 +71,9 @@ def _line(card: PairCard, line: RelationLine, focused: bool) -> str:
         f'onclick="sv(\'settle:{line.relation}:{name}\')" title="{word} ({name})">{name}</span>'
         for state, (name, color, word) in STATES.items()
     )
-    margin = "" if line.margin is None else f"{line.margin * 100:+.1f} cm"
+    # Where a person says otherwise than the rule, the rule's margin is none: 0 is not a distance then.
+    overruled = line.origin.source == "human" and line.margin == 0
+    margin = "" if line.margin is None or overruled else f"{line.margin * 100:+.1f} cm"
     mark = MARKS[line.origin.source] + (f" · {line.status}" if line.status else "")
     now = "none" if line.state is None else letter(line.state)
     return (

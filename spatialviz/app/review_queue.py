@@ -14,7 +14,7 @@ from pipeline.background import Background, start_background
 from pipeline.correcting.journal_place import JournalPlace
 from pipeline.errors import InputError
 from pipeline.journal.cells import Cell, object_cell
-from pipeline.journal.edits import Edits, judge_missing, set_status
+from pipeline.journal.edits import Edits, judge_both_ways, judge_missing, set_status
 from pipeline.journal.effective_frame import EffectiveFrame
 from pipeline.journal.events import Event
 from pipeline.review.following import states_since
@@ -114,7 +114,7 @@ class ReviewQueue:
             str(self._store.sources[name].dataset.root),
             networks,
         )
-        self._making[name] = Making(True, networks)
+        self._making[name] = replace(self._making.get(name, Making()), running=True, networks=networks, done=0, of=0)
 
         def heard(step: tuple[int, int]) -> None:
             self._post(lambda: self._made(name, replace(self._making[name], done=step[0], of=step[1])))
@@ -131,7 +131,7 @@ class ReviewQueue:
                 folder.cleanup()
                 if said:
                     self._note(f"no review queue: {said}")
-                self._made(name, Making(problem=said))
+                self._made(name, Making(problem=said, made=record if not said else None))
 
             if self._closed:
                 # Nobody takes it any more.
@@ -255,6 +255,8 @@ class ReviewQueue:
             cell = object_cell(frame.frame, int(number or 0), "status") if item is None else status_cell(item)
             if cell.kind == "relation" and status == "rejected":
                 raise InputError("a relation is not rejected", expected="T, U or F")
+            if cell.kind == "relation":
+                return judge_both_ways(frame, cell, status, desk.author)
             return set_status(frame, cell, status, author=desk.author)
 
         if self._correct.save(made, draw=False) and (item is None or not self._go_on(item)):

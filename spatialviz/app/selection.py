@@ -49,7 +49,7 @@ class Selection:
         if 0 <= i < len(state.shown.objects):
             now = None if i == state.selected else i
             pair = state.pair if state.labels is None else paired(state.pair, now, state.selected)
-            self._take(replace(state, selected=now, pair=pair))
+            self._take(replace(state, selected=now, pair=pair, second=None))
             self._draw()
 
     def select_on_ray(self, pixel: tuple[int, int] | None, boxes: list[int]) -> None:
@@ -60,7 +60,10 @@ class Selection:
         found = None
         if pixel is not None:
             frame = state.loaded.context.frame
-            found = bottom.object_at(state, (pixel[0] + 0.5) / frame.width, (pixel[1] + 0.5) / frame.height)
+            at = (pixel[0] + 0.5) / frame.width, (pixel[1] + 0.5) / frame.height
+            found = bottom.object_at(state, *at)
+            if found is None and self._select_second(*at):
+                return
         if found is None and boxes:
             found = boxes[0]
         self._select_other(found)
@@ -77,7 +80,19 @@ class Selection:
             x, y = (float(part) for part in fractions.split(","))
         except ValueError:
             return
-        self._select_other(bottom.object_at(self._state(), x, y))
+        found = bottom.object_at(self._state(), x, y)
+        if found is None and self._select_second(x, y):
+            return
+        self._select_other(found)
+
+    def _select_second(self, x: float, y: float) -> bool:
+        """Select what only the second detector has at a point of the picture."""
+        state = self._state()
+        found = bottom.second_at(state, x, y)
+        if found is not None:
+            self._take(replace(state, selected=None, second=found))
+            self._draw()
+        return found is not None
 
     def _select_other(self, found: int | None) -> None:
         if found is not None and found != self._state().selected:
@@ -86,6 +101,9 @@ class Selection:
     def focus(self) -> None:
         """Look at the selected object."""
         state = self._state()
-        box = None if state.selected is None else state.shown.objects[state.selected].lifted.box
+        chosen = None if state.selected is None else state.shown.objects[state.selected]
+        if chosen is None and state.beside is not None and state.second_selected is not None:
+            chosen = state.beside.objects[state.second_selected]
+        box = None if chosen is None else chosen.lifted.box
         if box is not None:
             self._look_at(box)

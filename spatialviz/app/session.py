@@ -25,6 +25,7 @@ from pipeline.relations import PHRASE
 from pipeline.suggestions import suggest_expressions
 from pipeline.whatif.state import ViewState
 from spatialviz.app import bottom, left, right
+from spatialviz.app.beside import BesideLayer
 from spatialviz.app.bridge import HELLO_SECONDS, Bridge
 from spatialviz.app.dialog import Dialog
 from spatialviz.app.fallback import Fallback
@@ -87,10 +88,11 @@ class Session:
         self._first_view = first_view
         self.bridge = Bridge(client, self.handle)
         moving = any(has_moves(opened.dataset) for opened in store.sources.values())
-        self._help = HelpDialog(client, self.post, moving, bool(journals))
+        second = any(opened.beside is not None for opened in store.sources.values())
+        self._help = HelpDialog(client, self.post, moving, bool(journals), second)
         ids = store.sources[source].dataset.frame_ids
         self.state = State(source, ids[0], dark=dark, text=first_expression, correctable=bool(journals))
-        self.page = build(client, self.bridge, tuple(store.sources), source, ids, bool(runs), bool(journals))
+        self.page = build(client, self.bridge, tuple(store.sources), source, ids, bool(runs), bool(journals), second)
         self.scene = SceneView(
             client,
             on_ray=lambda pixel, boxes: self.bridge.post(
@@ -99,6 +101,7 @@ class Session:
         )
         self._selection = Selection(self._now, self._take, self._draw, self.scene.viewpoint.focus)
         reach = (self._source, self._now, self._take)
+        self._beside = BesideLayer(client, self.scene, self._now, self._take, self._draw)
         self._view = ViewSettings(client, self.page, self.scene, *reach, self._draw, self._note)
         self.fallback = Fallback(client, self.post)
         self._runs = RunPanel(runs or {}, store, self.page, self._now, self._set_listing, self._go, self.bridge.post)
@@ -124,12 +127,12 @@ class Session:
             view=self._strings.now, note=self._note,
         )  # fmt: skip
         parts = (
-            self._selection, self._view, self._runs, self._what_if, self._strings, keeping, self._labels, dialog,
-            self._steps,
+            self._selection, self._view, self._runs, self._what_if, self._strings, keeping, self._labels, self._beside,
+            dialog, self._steps,
         )  # fmt: skip
         self._more = {name: run for part in parts for name, run in part.commands().items()}
         forward_inputs(self.page, self.post, self.bridge.alive)
-        add_keys(client, self.post, moving, bool(journals))
+        add_keys(client, self.post, moving, bool(journals), second)
         self.bridge.start()
         threading.Timer(PATIENCE_SECONDS, lambda: self.post("begin")).start()
         threading.Timer(HELLO_SECONDS, self._check_bridge).start()
@@ -239,6 +242,7 @@ class Session:
             self._note(str(error))
             self._suggestions = ()
             self.scene.clear()
+            self._beside.clear()
             self.bridge.show_tags([])
             self._draw()
             self._steps.browse()
@@ -351,7 +355,7 @@ class Session:
         if not 0 <= place < len(self.state.ranked):
             return  # A click on a row that a newer answer has replaced.
         pair = self.state.at(self.state.ranked[place])
-        self.state = replace(self.state, pair=pair, selected=pair[0])
+        self.state = replace(self.state, pair=pair, selected=pair[0], second=None)
         self._draw()
 
     def _step_pair(self, step: int) -> None:
@@ -408,9 +412,10 @@ class Session:
         state = self.state
         if state.loaded is not None:
             truth = [a.box for a in state.loaded.context.frame.annotations if a.box is not None]
+            shown = state.shown if state.own_layer else NOTHING
             tags = self.scene.draw(
-                state.shown.objects,
-                state.shown.names,
+                shown.objects,
+                shown.names,
                 state.roles,
                 state.selected,
                 state.pair_lines,
@@ -419,7 +424,7 @@ class Session:
                 state.flags,
                 state.dark,
             )
-            self.bridge.show_tags(tags)
+            self.bridge.show_tags(tags + self._beside.follow(live))
         self._what_if.follow(live)
         self._labels.follow_object(live)
 

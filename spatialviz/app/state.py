@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
+from pipeline.agreeing import Beside
 from pipeline.ask import Trace
 from pipeline.boxes import iou_2d
 from pipeline.diagnosis.live import Judgement
@@ -22,6 +23,7 @@ from spatialviz.app.run_browser import Listing
 from spatialviz.app.scene import Ghost, SceneFlags
 
 ColorMode = Literal["rgb", "objects", "depth", "evidence"]
+Layers = Literal["both", "a", "b"]
 CameraMode = Literal["sensor", "orbit", "top"]
 
 
@@ -111,6 +113,10 @@ class State:
         The labels that are shown, and may be corrected, in place of an answer.
     correctable : bool
         Labels are open that may be corrected.
+    layers : str
+        Whose boxes are shown where there is a second detector.
+    second : int or None
+        The selected object of the second detector, where it is not the one that stands for `selected`.
     """
 
     source: str
@@ -135,13 +141,38 @@ class State:
     mode: EditMode = "off"
     labels: LabelView | None = None
     correctable: bool = False
+    layers: Layers = "both"
+    second: int | None = None
 
     @property
     def unasked(self) -> State:
         """The same without any answer."""
         return replace(
-            self, trace=None, pair=None, selected=None, error="", judged=None, other=None, edited=None, labels=None
-        )
+            self, trace=None, pair=None, selected=None, error="", judged=None, other=None, edited=None, labels=None,
+            second=None,
+        )  # fmt: skip
+
+    @property
+    def beside(self) -> Beside | None:
+        """What a second detector finds, where that is looked at."""
+        return None if self.loaded is None or self.labels is not None else self.loaded.beside
+
+    @property
+    def own_layer(self) -> bool:
+        """The objects of the detector that answers are shown."""
+        return self.beside is None or self.layers != "b"
+
+    @property
+    def second_layer(self) -> tuple[SceneObject, ...]:
+        """The objects of the second detector that are shown."""
+        return () if self.beside is None or self.layers == "a" else self.beside.objects
+
+    @property
+    def second_selected(self) -> int | None:
+        """The selected object of the second detector: the one that was selected, else what it has of the own one."""
+        if self.beside is None or self.second is not None:
+            return None if self.beside is None else self.second
+        return self.beside.partner(self.selected)
 
     def named(self, key: str) -> str:
         """The name of an object by its key (`pipeline.whatif.keys`)."""

@@ -15,6 +15,11 @@ def safe(text: object) -> str:
     return html.escape(str(text), quote=True)
 
 
+def tail(text: object) -> str:
+    """Text as HTML for a line that is cut at its left: written from right to left, where its ends must not move."""
+    return f"&lrm;{safe(text)}&lrm;"
+
+
 def dot(color: RGB) -> str:
     """A filled square in a role's colour."""
     return f'<span class="dot" style="--c:{hex_color(color)}"></span>'

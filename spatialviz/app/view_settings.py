@@ -14,7 +14,6 @@ from spatialviz.app import left
 from spatialviz.app.layout import Page
 from spatialviz.app.scene import SceneView
 from spatialviz.app.state import CameraMode, ColorMode, State
-from spatialviz.app.text import safe
 from spatialviz.app.theme import apply_theme
 
 MODES: tuple[ColorMode, ...] = ("rgb", "objects", "depth", "evidence")
@@ -96,7 +95,7 @@ class ViewSettings:
             except (FrameUnusable, MissingExtra) as error:
                 self._take(replace(state, flags=replace(state.flags, context=False)))
                 self._note(str(error))
-                self._client.add_notification("No room to show", safe(error), auto_close_seconds=12)
+                self._client.add_notification("No room to show", str(error), auto_close_seconds=12)
         self._scene.show_context(mesh, state.dark)
 
     def switch_theme(self) -> None:

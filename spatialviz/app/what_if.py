@@ -27,7 +27,6 @@ from spatialviz.app.gizmo import MODES, BoxGizmo
 from spatialviz.app.layout import Page
 from spatialviz.app.scene import SceneView
 from spatialviz.app.state import Shown, State, shown_objects
-from spatialviz.app.text import safe
 
 UNDOS = 200
 Judge = Callable[[Trace, RankConfig | None], Judgement | str | None]
@@ -155,7 +154,7 @@ class WhatIf:
         except InputError as error:
             self._live_since = None
             self._note(f"not edited: {error}")
-            self._client.add_notification("Not edited", safe(error), auto_close_seconds=8)
+            self._client.add_notification("Not edited", str(error), auto_close_seconds=8)
         self._draw(live)
 
     def _remove(self, id: str) -> None:
@@ -232,7 +231,7 @@ class WhatIf:
             self._map = decision_map(self._base(), self._state().edits, key)
             self._note(f"decision map of {self._state().named(key)}: {self._map.seconds * 1000:.0f} ms")
         except InputError as error:
-            self._client.add_notification("No decision map", safe(error), auto_close_seconds=8)
+            self._client.add_notification("No decision map", str(error), auto_close_seconds=8)
         self._draw(False)
 
     def _renewed_map(self) -> None:

@@ -35,6 +35,9 @@ def verdict_line(state: State) -> str:
             f'<div class="vline" onclick="svTab(\'Why\')" title="{safe(state.judged.said)}">'
             f"{verdict_chip(d.verdict, detail)}<span>{safe(state.judged.said)}</span></div>"
         )
+    if isinstance(state.judged, str):
+        said = safe(f"No verdict: {state.judged}")
+        return f'<div class="vline dim" onclick="svTab(\'Why\')" title="{said}"><span>{said}</span></div>'
     return ""
 
 

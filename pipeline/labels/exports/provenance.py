@@ -7,7 +7,7 @@ Every row of every table has, whether anything was corrected or not:
 * `provenance`: a list with an entry for each value that is not the labeller's: `column`, `source` (human, recomputed,
   stale), `author`, `time` (ISO 8601, UTC), `event` (ULID in the journal), `reason`, `was` (the labeller's value, JSON).
 * `status` (frames, objects, expressions): accepted, corrected, rejected, unsure; null is unreviewed. Of relations
-  `statuses`: a list of {relation, status}.
+  `statuses`: a list of {relation, status}. What one reviewer said for themselves alone is in the journal only.
 * `note` (frames), `mark` (expressions): BAD_LABEL, BAD_BOX or null.
 """
 
@@ -186,6 +186,9 @@ def open_provenance(labels: Labels) -> Provenance:
         for mark in _listed(labels.root / MARKS_FILE):
             found.reviewed.setdefault(("expressions", mark["frame"], mark["id"]), {})["mark"] = mark["mark"]
         for status in _listed(labels.root / STATUSES_FILE):
+            if status["kind"] == "review":
+                # A person's own judgement is no value of the labels, and an import takes none over.
+                continue
             name = _TABLE[status["kind"]], status["frame"], status["key"]
             found.reviewed.setdefault(name, {})[status["field"]] = status["value"]
     except (KeyError, TypeError, AttributeError) as error:

@@ -1,0 +1,203 @@
+"""Several detectors as one: their detections of the same thing are fused."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal, get_args
+
+import numpy as np
+import xxhash
+
+from pipeline.errors import InputError
+from pipeline.frame import Frame
+from pipeline.naming import Synonyms
+from pipeline.proposals.annotations import box_mask
+from pipeline.proposals.base import (
+    Detector,
+    Proposals,
+    detect_expression,
+    no_proposals,
+    reads_annotations,
+    unknown_class,
+)
+from pipeline.proposals.known_names import known_names, knows, name_groups, same_name
+from pipeline.proposals.selection import NMS_IOU, suppress
+from pipeline.proposals.weighted_boxes import FUSION_IOU, FusedBoxes, falling, fuse_boxes
+
+Fusion = Literal["wbf", "nms"]
+FUSIONS: tuple[str, ...] = get_args(Fusion)
+_ID_BITS = 53
+"""So many are whole numbers to every reader of JSON."""
+
+
+class EnsembleDetector:
+    """Runs several detectors and fuses what they find.
+
+    With "wbf" (weighted boxes fusion) a fused box is the mean of the members' boxes, weighted by score, and what few of
+    the detectors that know its class have found loses score. With "nms" everything stands as it is, but for what
+    overlaps a detection of higher score in the same class. Either way the mask is that of the member with the highest
+    score that has one, and the name that of the highest score.
+
+    A class that a member does not know is asked of the others. Detections are fused within a class; what answers one
+    name, or a whole expression, is of one class. The order of the members does not matter.
+
+    Parameters
+    ----------
+    members : sequence of Detector
+        At least two.
+    fusion : str
+        "wbf" or "nms".
+    synonyms : Synonyms, optional
+
+    Raises
+    ------
+    InputError
+        Fewer than two members, or an unknown fusion.
+    """
+
+    exact = False
+
+    def __init__(self, members: Sequence[Detector], fusion: str = "wbf", synonyms: Synonyms | None = None) -> None:
+        if len(members) < 2:
+            raise InputError("at least two detectors are needed to fuse them", got=len(members))
+        if fusion not in FUSIONS:
+            raise InputError(f"there is no fusion {fusion!r}", expected=" or ".join(FUSIONS))
+        self.members = tuple(members)
+        self.fusion = fusion
+        self.synonyms = synonyms
+
+    @property
+    def name(self) -> str:
+        return "&".join(member.name for member in self.members)
+
+    @property
+    def vocabulary(self) -> tuple[str, ...] | None:
+        known = [member.vocabulary for member in self.members]
+        if any(names is None for names in known):
+            return None
+        return tuple(sorted({name for names in known for name in names or ()}))
+
+    @property
+    def default_labels(self) -> tuple[str, ...] | None:
+        """What it looks for where it is asked for everything; None where that may be any name."""
+        known = [known_names(member) for member in self.members]
+        if any(names is None for names in known):
+            return None
+        return tuple(sorted({name for names in known for name in names or ()}))
+
+    @property
+    def reads_annotations(self) -> bool:
+        return any(reads_annotations(member) for member in self.members)
+
+    def fingerprint(self) -> str:
+        return f"ensemble:{self.fusion}:" + "&".join(sorted(member.fingerprint() for member in self.members))
+
+    def detect(self, frame: Frame, labels: Sequence[str] | None) -> Proposals:
+        if labels is None:
+            found = [member.detect(frame, None) for member in self.members]
+            return self._fused(frame, found, [known_names(member) for member in self.members])
+        for label in labels:
+            if not any(knows(member.vocabulary, label, self.synonyms) for member in self.members):
+                names = [name for member in self.members for name in member.vocabulary or ()]
+                raise unknown_class(label, names, "none of the detectors")
+        found, known = [], []
+        for member in self.members:
+            own = [label for label in labels if knows(member.vocabulary, label, self.synonyms)]
+            if own:
+                found.append(member.detect(frame, own))
+                known.append(own)
+        return self._fused(frame, found, known, one=labels[0] if len(labels) == 1 else None)
+
+    def detect_expression(self, frame: Frame, text: str) -> Proposals:
+        """What the members find of a whole expression, as one class."""
+        found = [detect_expression(member, frame, text) for member in self.members]
+        return self._fused(frame, found, [None] * len(found), one=text)
+
+    def _fused(
+        self,
+        frame: Frame,
+        found: Sequence[Proposals],
+        known: Sequence[Sequence[str] | None],
+        one: str | None = None,
+    ) -> Proposals:
+        """One answer of several; `known` are the names each was asked for, `one` the only name where there is one."""
+        labels = [p.label(i) for p in found for i in range(len(p))]
+        if not labels:
+            return no_proposals(frame.height, frame.width)
+        boxes = np.concatenate([p.boxes for p in found]).astype(np.float32)
+        scores = np.concatenate([p.scores for p in found]).astype(np.float32)
+        groups = dict.fromkeys(labels, one) if one is not None else name_groups(labels, self.synonyms)
+        names = sorted({str(name) for name in groups.values()})
+        classes = np.array([names.index(str(groups[label])) for label in labels], np.int64)
+        if self.fusion == "wbf":
+            could = [sum(self._gives(own, name) for own in known) if one is None else len(found) for name in names]
+            fused = fuse_boxes(boxes, scores, classes, np.array(could, np.int64), FUSION_IOU)
+        else:
+            fused = _suppressed(boxes, scores, classes)
+        return _proposals(frame, fused, labels, found)
+
+    def _gives(self, names: Sequence[str] | None, name: str) -> bool:
+        """Whether a detector that was asked for `names` (None: any) could have said `name`."""
+        return names is None or any(same_name(own, name, self.synonyms) for own in names)
+
+
+def _suppressed(boxes: np.ndarray, scores: np.ndarray, classes: np.ndarray) -> FusedBoxes:
+    """The union after non-maximum suppression within each class; every cluster is one box."""
+    order = falling(boxes, scores)
+    kept = [own[suppress(boxes[own], NMS_IOU)] for own in (order[classes[order] == k] for k in np.unique(classes))]
+    chosen = np.concatenate(kept)
+    chosen = chosen[falling(boxes[chosen], scores[chosen])]
+    members = tuple(np.array([i]) for i in chosen)
+    return FusedBoxes(boxes[chosen].astype(np.float64), scores[chosen].astype(np.float64), classes[chosen], members)
+
+
+def _proposals(frame: Frame, fused: FusedBoxes, labels: Sequence[str], found: Sequence[Proposals]) -> Proposals:
+    """Fused boxes with the name of the best member, and the mask of the best that has one."""
+    shape = (frame.height, frame.width)
+    own = [(p, i) for p in found for i in range(len(p))]
+    named = [labels[int(members[0])] for members in fused.members]
+    names = tuple(dict.fromkeys(named))
+    boxes = fused.boxes.astype(np.float32)
+    masked = [next((own[int(i)] for i in members if _has_mask(*own[int(i)])), None) for members in fused.members]
+    masks = None
+    if any(member is not None for member in masked):
+        made = [_mask(member, box, shape) for member, box in zip(masked, boxes, strict=True)]
+        masks = np.stack(made)
+    has_mask = np.array([member is not None for member in masked])
+    return Proposals(
+        boxes,
+        np.clip(fused.scores, 0, 1).astype(np.float32),
+        np.array([names.index(name) for name in named], np.int64),
+        names,
+        masks,
+        np.array([_identity(box, None if masks is None else masks[n]) for n, box in enumerate(boxes)], np.int64),
+        has_mask,
+        np.array([m is not None and m[0].segmented is not None and bool(m[0].segmented[m[1]]) for m in masked]),
+    )
+
+
+def _has_mask(found: Proposals, i: int) -> bool:
+    return found.masks is not None and (found.has_mask is None or bool(found.has_mask[i]))
+
+
+def _mask(member: tuple[Proposals, int] | None, box: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+    if member is None or member[0].masks is None:
+        return box_mask(box, *shape)
+    return member[0].masks[member[1]]
+
+
+def _identity(box: np.ndarray, mask: np.ndarray | None) -> int:
+    """The same number where box and mask are the same: what is fused has no other identity from run to run."""
+    digest = xxhash.xxh3_64(box.tobytes())
+    if mask is not None:
+        digest.update(np.packbits(mask).tobytes())
+    return digest.intdigest() >> (64 - _ID_BITS)
+
+
+def fused_detector(
+    first: Detector | None, others: Sequence[Detector], fusion: str, synonyms: Synonyms | None
+) -> Detector | None:
+    """The first detector alone, or with others fused into it."""
+    if not others or first is None:
+        return first
+    return EnsembleDetector((first, *others), fusion, synonyms)

@@ -1,0 +1,52 @@
+"""The review queue as a job: stored in the order of work, with what people have said so far."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+from journal_world import FRAME, saved
+
+from pipeline.errors import InputError
+from pipeline.journal.edits import judge_relation
+from pipeline.journal.effective import Corrector
+from pipeline.journal.journal import Journal
+from pipeline.labels.reading import Labels
+from pipeline.relations import F, T
+from pipeline.review.items import item_keys
+from pipeline.review.queue_job import QueueJob, make_queue
+from pipeline.review.worklist import read_queue
+
+
+def test_a_queue_without_corrections(demo_labels: Labels, tmp_path: Path) -> None:
+    job = QueueJob(demo_labels.root, tmp_path / "q.parquet", str(tmp_path / "none.sqlite"), networks=False)
+    made = make_queue(job, lambda step: None)
+    queue = read_queue(job.out)
+    assert made == {"items": queue.num_rows, "estimated_wrong": None, "agreement": []}
+    frames = queue.column("frame").to_pylist()[:60]
+    assert sum(x != y for x, y in pairwise(frames)) == len(set(frames)) - 1
+
+
+def test_what_people_said_is_in_the_queue_and_its_figures(
+    demo_labels: Labels, bare_corrector: Corrector, journal: Journal, tmp_path: Path
+) -> None:
+    frame = bare_corrector.frame(FRAME, journal)
+    a, b, c = frame.pairs.numbers[:3].tolist()
+    for author, state in (("ann", T), ("ben", F)):
+        saved(journal, judge_relation(frame, a, b, "left", state, author), author)
+        saved(journal, judge_relation(frame, a, c, "left", T, author), author)
+    where = str(journal.engine.url.database)
+    job = QueueJob(demo_labels.root, tmp_path / "q.parquet", where, networks=False)
+    made = make_queue(job, lambda step: None)
+    (pair,) = made["agreement"]
+    assert pair["reviewers"] == ["ann", "ben"]
+    # Two relations and their mirrors, of which one and its mirror are judged alike.
+    assert pair["items"] == 4
+    first = [(k.frame, k.a, k.b, k.what) for k in item_keys(read_queue(job.out))[:2]]
+    assert set(first) == {(FRAME, a, b, "left"), (FRAME, b, a, "right")}
+
+
+def test_what_cannot_be_read_is_told(tmp_path: Path) -> None:
+    with pytest.raises(InputError):
+        make_queue(QueueJob(tmp_path, tmp_path / "q.parquet"), lambda step: None)
