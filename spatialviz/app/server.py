@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import shlex
+import signal
 import socket
 import sys
 import threading
@@ -158,6 +159,7 @@ def serve(
     print(f"spatialviz: {names} at {address} (Ctrl-C stops)", flush=True)
     if open_browser:
         webbrowser.open(address)
+    _end_in_order()
     try:
         server.sleep_forever()
     finally:
@@ -165,6 +167,19 @@ def serve(
             server.stop()
         for place in (journals or {}).values():
             _say_unsaved(place)
+
+
+def _end_in_order() -> None:
+    """End by SIGTERM and by a closed terminal as by Ctrl-C: what is not saved yet is kept."""
+
+    def end(number: int, frame: object) -> None:
+        raise SystemExit(128 + number)
+
+    if threading.current_thread() is threading.main_thread():
+        for name in ("SIGTERM", "SIGHUP"):
+            number = getattr(signal, name, None)
+            if number is not None and signal.getsignal(number) is signal.SIG_DFL:
+                signal.signal(number, end)
 
 
 def _say_unsaved(place: JournalPlace) -> None:
