@@ -42,7 +42,8 @@ class View:
     project: str | None = None
     """Whose corrections, where several datasets share a database. Default: the name of the dataset's folder."""
     author: str | None = None
-    """Under whose name labels are corrected. Default: the name you are logged in with."""
+    """Under whose name labels are corrected. Default: the name that the browser's tab used last, else that of the
+    login."""
     state: str | None = None
     """A view as a string, "sv1:...", as the page copies it: what is opened, and what is looked at first. No link can
     carry it: the page's address has no room for it."""
@@ -66,6 +67,8 @@ class View:
         from pipeline.whatif.state import decode
         from spatialviz.app.server import serve
 
+        if self.author is not None and not self.author.strip():
+            raise InputError("--author must not be empty")
         view = None if self.state is None else decode(self.state)
         dataset, folder = (self.dataset, self.run_folder) if view is None else self._named(view)
         built_in = dataset == DEMO_NAME and not Path(DEMO_NAME).exists()
@@ -105,7 +108,7 @@ class View:
             others=others,
             labels=labels,
             journals={name: self._journal(found) for name, found in corrected.items()},
-            author=_author(self.author),
+            author=self.author,
             opened_by=self._words(dataset, folder),
             first_view=None if view is None else _in(view, sources),
             host=self.host,
@@ -164,18 +167,6 @@ class View:
         for option, value in opened:
             words += [] if value is None else [option, str(value)]
         return words if folder is not None else [*words, *self.source.words()]
-
-
-def _author(said: str | None) -> str:
-    """The name that was given, else that of the login."""
-    import getpass
-
-    if said is not None and not said.strip():
-        raise InputError("--author must not be empty")
-    try:
-        return said or getpass.getuser()
-    except (OSError, KeyError):  # A container may know no name of its user.
-        return "somebody"
 
 
 def _check_labels(labels: Labels, source: Source) -> None:

@@ -89,6 +89,7 @@ class Correct:
         self._open_frame = open_frame
         self._desks: dict[str, Desk] = {}
         self._author = ""
+        self.keeps_name = False
         self.on_conflict: Callable[[], None] = lambda: None
         self._wanted: Wanted | None = None
         self._listeners: list[Callable[[tuple[Event, ...]], None]] = []
@@ -121,10 +122,10 @@ class Correct:
         return self._desks.get(name)
 
     def signed(self, said: str) -> str:
-        """Take the name that a browser has kept, where it still is one; the rest of what it says comes back."""
+        """Take the name that a browser has kept, unless one was given; the rest of what it says comes back."""
         rest, author = Place.signed(said)
         try:
-            if author:
+            if author and not self.keeps_name:
                 self.sign(author)
         except InputError as error:
             self._note(str(error))

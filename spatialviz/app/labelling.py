@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import getpass
 import threading
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -44,7 +45,8 @@ class Labelling:
     runs : mapping of str to Run
     journals : mapping of str to JournalPlace
         Where the labels of each source are corrected; what lacks one has none.
-    author : str
+    author : str or None
+        Where none is given, the name that the browser has kept, else that of the login.
     closed : threading.Event
         Set when the client has gone.
     state, take : callable
@@ -73,7 +75,7 @@ class Labelling:
         store: FrameStore,
         runs: Mapping[str, Run],
         journals: Mapping[str, JournalPlace],
-        author: str,
+        author: str | None,
         closed: threading.Event,
         *,
         state: Callable[[], State],
@@ -86,7 +88,7 @@ class Labelling:
         note: Callable[[str], None],
     ) -> None:
         def opener(name: str, place: JournalPlace) -> Callable[[], Desk]:
-            return lambda: Desk(place.labels, place, author, store.sources[name].dataset)
+            return lambda: Desk(place.labels, place, author or login_name(), store.sources[name].dataset)
 
         def whole() -> None:
             draw(False)
@@ -101,6 +103,7 @@ class Labelling:
         self.correct = Correct(
             client, page, desks, **to_state, draw=whole, ask=ask, open_frame=open_frame, note=note
         )
+        self.correct.keeps_name = author is not None
         self.pixels = Pixels(client, scene, self.correct, selection, **to_state, draw=whole, note=note)
         self._object = LabelObject(client, page, scene, bridge, self.correct, **to_state, draw=draw, note=note)
         self._queue = ReviewQueue(page, store, journals, self.correct, state=state, note=note, post=bridge.post)
@@ -132,3 +135,11 @@ class Labelling:
         """End what is running."""
         self._retrain.close()
         self._queue.close()
+
+
+def login_name() -> str:
+    """The name that the user is logged in with; "somebody" where there is none."""
+    try:
+        return getpass.getuser()
+    except (OSError, KeyError):  # A container may know no name of its user.
+        return "somebody"

@@ -36,7 +36,7 @@ def start(
     others: Mapping[str, Run] | None = None,
     labels: Mapping[str, Labels] | None = None,
     journals: Mapping[str, JournalPlace] | None = None,
-    author: str = "",
+    author: str | None = None,
     opened_by: Sequence[str] = (),
     first_view: ViewState | None = None,
     host: str = "127.0.0.1",
@@ -57,8 +57,9 @@ def start(
         What is true where there is no run, by the same names.
     journals : mapping of str to JournalPlace, optional
         Labels that may be corrected, by the same names.
-    author : str
-        Under whose name they are, unless the page says another.
+    author : str, optional
+        Under whose name they are, until the page says another. Default: the name that a browser has kept, else that of
+        the login.
     opened_by : sequence of str, optional
         The words of the command line, for commands that open the page again.
     first_view : ViewState, optional
@@ -132,7 +133,7 @@ def serve(
     others: Mapping[str, Run] | None = None,
     labels: Mapping[str, Labels] | None = None,
     journals: Mapping[str, JournalPlace] | None = None,
-    author: str = "",
+    author: str | None = None,
     opened_by: Sequence[str] = (),
     first_view: ViewState | None = None,
     host: str = "127.0.0.1",
@@ -159,8 +160,7 @@ def serve(
     print(f"spatialviz: {names} at {address} (Ctrl-C stops)", flush=True)
     if open_browser:
         webbrowser.open(address)
-    # Whoever ends it from outside ends it as Ctrl-C does: what could not be saved is written to files.
-    signal.signal(signal.SIGTERM, _ended)
+    _end_in_order()
     try:
         server.sleep_forever()
     finally:
@@ -170,8 +170,17 @@ def serve(
             _say_unsaved(place)
 
 
-def _ended(number: int, _: object) -> None:
-    raise SystemExit(128 + number)
+def _end_in_order() -> None:
+    """End by SIGTERM and by a closed terminal as by Ctrl-C: what is not saved yet is kept."""
+
+    def end(number: int, frame: object) -> None:
+        raise SystemExit(128 + number)
+
+    if threading.current_thread() is threading.main_thread():
+        for name in ("SIGTERM", "SIGHUP"):
+            number = getattr(signal, name, None)
+            if number is not None and signal.getsignal(number) is signal.SIG_DFL:
+                signal.signal(number, end)
 
 
 def _say_unsaved(place: JournalPlace) -> None:

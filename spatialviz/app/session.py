@@ -74,7 +74,7 @@ class Session:
         opened_by: Sequence[str] = (),
         first_view: ViewState | None = None,
         journals: Mapping[str, JournalPlace] | None = None,
-        author: str = "",
+        author: str | None = None,
     ) -> None:
         self._client = client
         self._store = store
@@ -232,7 +232,9 @@ class Session:
         self._show_working("finding the objects")
         self._thumbs = {}
         self._painted = ()
-        correcting = self._labels.correct.stays and asking is None
+        stays = self._labels.correct.stays and asking is None
+        # A frame that the labels lack is shown with its answer, and why is said.
+        correcting = stays and (desk := self._labels.correct.desk) is not None and frame_id in desk
         cleared = replace(self.state.unasked, frame_id=frame_id, problem="")
         try:
             loaded = self._store.load(self.state.source, frame_id)
@@ -259,8 +261,9 @@ class Session:
             self._note(loaded.problem)
         for remark in loaded.context.frame.notes:
             self._note(f"frame {frame_id}: {remark}")
-        if correcting:
+        if stays:
             self._labels.correct.show()
+        if correcting:
             self._draw()
             self._steps.browse()
             return
