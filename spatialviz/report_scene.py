@@ -16,8 +16,9 @@ from pipeline.failure_report.cast import Cast, cast_of
 from pipeline.lifting import flying_pixels
 from pipeline.objects import FrameContext
 from pipeline.palette import RGB, Role, palette
+from spatialviz.app.cloud import BAND_RATIO, FAR
 from spatialviz.app.origin import checked_origins
-from spatialviz.app.scene import BAND_RATIO, CUBE, CUBE_FACES, FACE_OPACITY, FAR, LINE_WIDTH
+from spatialviz.app.scene import CUBE, CUBE_FACES, FACE_OPACITY, LINE_WIDTH
 
 if TYPE_CHECKING:
     import viser

@@ -6,6 +6,7 @@ import base64
 import threading
 from collections import OrderedDict
 from dataclasses import dataclass
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -14,6 +15,7 @@ from pipeline.agreeing import Beside, beside
 from pipeline.errors import InputError
 from pipeline.jobs import Source
 from pipeline.objects import FrameContext, SceneObject, all_objects
+from spatialviz.app.cloud import Cloud, cloud_of
 
 KEPT_FRAMES = 4
 THUMB_WIDTH = 160
@@ -38,6 +40,11 @@ class LoadedFrame:
     objects: tuple[SceneObject, ...]
     problem: str = ""
     beside: Beside | None = None
+
+    @cached_property
+    def cloud(self) -> Cloud:
+        """Its points, made when they are first needed."""
+        return cloud_of(self.context)
 
 
 class FrameStore:

@@ -213,7 +213,7 @@ class ReviewQueue:
         def load() -> None:
             # Whoever opens it is told what is wrong with it.
             with suppress(InputError):
-                self._store.load(name, frame)
+                _ = self._store.load(name, frame).cloud
 
         threading.Thread(target=load, daemon=True).start()
 

@@ -15,21 +15,15 @@ import viser
 import viser.transforms as vtf
 
 from pipeline.boxes import EDGES, Box3D, ray_entry
-from pipeline.camera import lift_pixels
 from pipeline.context import ContextMesh
-from pipeline.lifting import flying_pixels
 from pipeline.objects import SceneObject
 from pipeline.palette import RGB, Role, hex_color, palette
 from spatialviz.app.bridge import Tag
+from spatialviz.app.cloud import BAND_RATIO, Cloud
 from spatialviz.app.frames import LoadedFrame
 from spatialviz.app.glb import unlit_glb
 from spatialviz.app.viewpoint import Viewpoint
 
-MAX_POINTS = 320_000
-BAND_RATIO = 1.3
-"""Points are drawn in bands of depth, each with its own point size, so that near
-and far surfaces look equally closed from the sensor."""
-FAR = 12.0
 CUBE = np.array([[x, y, z] for x in (-0.5, 0.5) for y in (-0.5, 0.5) for z in (-0.5, 0.5)], np.float32)
 CUBE_FACES = np.array(
     [
@@ -78,14 +72,6 @@ class SceneFlags:
     region: bool = False
 
 
-@dataclass(frozen=True)
-class _Cloud:
-    v: np.ndarray
-    u: np.ndarray
-    points: np.ndarray
-    bands: tuple[np.ndarray, ...]
-
-
 class SceneView:
     """Draws into one client's scene."""
 
@@ -98,7 +84,7 @@ class SceneView:
         self._client = client
         self._flags = SceneFlags()
         self._boxed: dict[int, Box3D] = {}
-        self._cloud: _Cloud | None = None
+        self._cloud: Cloud | None = None
         self._bands: list[viser.PointCloudHandle] = []
         self._lines: dict[str, Any] = {}
         self._faces: Any = None
@@ -120,30 +106,22 @@ class SceneView:
         """Show another frame; `colors` is (H, W, 3) uint8."""
         frame, viewer = loaded.context.frame, loaded.context.viewer
         self.to_show = np.stack([viewer.right, viewer.forward, viewer.up])
-        stride = max(1, int(np.ceil(np.sqrt(frame.width * frame.height / MAX_POINTS))))
-        v, u = np.meshgrid(np.arange(0, frame.height, stride), np.arange(0, frame.width, stride), indexing="ij")
-        z = frame.depth[v, u]
-        keep = (z > 0) & (z < FAR) & ~flying_pixels(frame.depth)[v, u]
-        v, u, z = v[keep], u[keep], z[keep]
-        points = (lift_pixels(z, frame.camera, v, u) @ self.to_show.T.astype(np.float32)).astype(np.float32)
-        band = np.floor(np.log(np.maximum(z, 1e-3)) / np.log(BAND_RATIO)).astype(int)
-        levels = np.unique(band)
-        self.viewpoint.set_frame(points, self.to_show, frame.camera)
-        self._cloud = _Cloud(v, u, points, tuple(np.flatnonzero(band == level) for level in levels))
+        cloud = self._cloud = loaded.cloud
+        self.viewpoint.set_frame(cloud.points, self.to_show, frame.camera)
         with self._client.atomic():
             for handle in self._bands:
                 handle.remove()
             self._bands = [
                 self._client.scene.add_point_cloud(
                     f"/cloud/{k}",
-                    points[index],
-                    colors[v[index], u[index]],
-                    point_size=float(BAND_RATIO ** (level + 0.6) / frame.camera.fx * stride * 1.15),
+                    cloud.points[index],
+                    colors[cloud.v[index], cloud.u[index]],
+                    point_size=float(BAND_RATIO ** (level + 0.6) / frame.camera.fx * cloud.stride * 1.15),
                     precision="float32",
                     point_shading="flat",
                     point_shape="square",
                 )
-                for k, (level, index) in enumerate(zip(levels, self._cloud.bands, strict=True))
+                for k, (level, index) in enumerate(zip(cloud.levels, cloud.bands, strict=True))
             ]
             if self._frustum is not None:
                 self._frustum.remove()
