@@ -16,9 +16,8 @@ from pipeline.errors import FrameUnusable, InputError, UnknownFormat
 from pipeline.frame import Frame
 from pipeline.naming import Synonyms
 from pipeline.objects import FrameContext, SceneObject, all_objects
-from pipeline.proposals import Detector, Segmented, make_detector, make_segmenter
-from pipeline.proposals.ensemble import fused_detector
-from pipeline.proposals.registry import named_model
+from pipeline.proposals import Detector, Segmented, make_segmenter
+from pipeline.proposals.detector_setup import DetectorSetup
 from pipeline.proposals.segmenters import SegmenterFiles
 from pipeline.relations import PAIRWISE
 from pipeline.srm import RelationScorer, RelationScores, make_scorer
@@ -45,6 +44,8 @@ class Source:
         Opens the same detector without a minimum score.
     beside : Detector or None
         Another detector, to compare with; it answers nothing.
+    setup, beside_setup : DetectorSetup or None
+        What the two detectors are made from, without the segmenter.
     """
 
     dataset: Dataset
@@ -54,6 +55,8 @@ class Source:
     synonyms: Synonyms | None = None
     open_unfiltered: Callable[[], Detector | None] | None = None
     beside: Detector | None = None
+    setup: DetectorSetup | None = None
+    beside_setup: DetectorSetup | None = None
 
     def unfiltered_detector(self) -> Detector:
         """The detector without a minimum score, for what it sees and does not say; itself where it has none."""
@@ -151,19 +154,16 @@ def open_source(
     if detector is None and model_config is not None:
         raise InputError("--model-config needs --detector", cause="what is it for?", path=model_config)
 
-    def make_one(name: str, model: Path | None, min_score: float | None, config: Path | None = None) -> Detector:
-        return make_detector(
-            name, model=model, class_names=dataset.class_names, synonyms=table, min_score=min_score, config=config
-        )
+    setup = None
+    if detector is not None:
+        setup = DetectorSetup(detector, model, model_config, min_score, synonyms, tuple(fuse), fusion)
+    beside_setup = None if also is None else DetectorSetup.named(also, min_score, synonyms)
 
     def make(min_score: float | None) -> Detector | None:
-        if detector is None:
-            return None
-        others = [make_one(*named_model(text), min_score) for text in fuse]
-        return fused_detector(make_one(detector, model, min_score, model_config), others, fusion, table)
+        return None if setup is None else setup.with_min_score(min_score).open(dataset.class_names, table)
 
     found = make(min_score)
-    beside = None if also is None else make_one(*named_model(also), min_score)
+    beside = None if beside_setup is None else beside_setup.open(dataset.class_names, table)
     if segmenter is None and segmenter_model is not None:
         raise InputError("--segmenter-model needs --segmenter", cause="what is it for?")
     if segmenter is not None:
@@ -173,7 +173,9 @@ def open_source(
     config = config or AskConfig()
     if config.score_calibration is not None and found is not None:
         config.score_calibration.check(found)
-    return Source(dataset, found, make_scorer(srm, vectors), config, table, lambda: make(0.0), beside)
+    return Source(
+        dataset, found, make_scorer(srm, vectors), config, table, lambda: make(0.0), beside, setup, beside_setup
+    )
 
 
 def open_sources(path: str | Path, **options: Any) -> tuple[dict[str, Source], dict[str, str]]:

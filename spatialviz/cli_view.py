@@ -125,7 +125,7 @@ class View:
         if self.also is None:
             return run.source
         opened = open_source(run.spec.dataset, **{**run.spec.options, "also": self.also})
-        return replace(run.source, beside=opened.beside)
+        return replace(run.source, beside=opened.beside, beside_setup=opened.beside_setup)
 
     def _journal(self, labels: Labels) -> JournalPlace:
         """Where corrections are kept; those of the built-in demo with the user's own data, not in the installation."""

@@ -10,17 +10,23 @@ from typing import Any
 
 from pipeline.datasets import Dataset
 from pipeline.errors import InputError
+from pipeline.jobs import Source
 from pipeline.journal.journal import journal_of
 from pipeline.labels.pictures import labelled_dataset
 from pipeline.labels.reading import Labels, open_labels
+from pipeline.proposals.detector_setup import DetectorSetup, made_by
 from pipeline.review.agreement import pair_agreements
 from pipeline.review.cells import read_cells
+from pipeline.review.detector_evidence import SecondDetector, detector_evidence
 from pipeline.review.items import with_states
 from pipeline.review.ordering import by_frame
 from pipeline.review.out_of_fold import DoubtConfig
 from pipeline.review.queue import QueueConfig, review_queue
 from pipeline.review.reviewed import Reviewed, reviewed_labels, states_on_labels
 from pipeline.review.worklist import write_queue
+
+Step = tuple[str, int, int]
+"""What is asked ("frames" of a detector, "networks"), how many are done, of how many."""
 
 
 @dataclass(frozen=True)
@@ -41,6 +47,8 @@ class QueueJob:
         Ask networks that have not learnt from a label; that takes the most time.
     options : dict
         Of the dataset, for `labelled_dataset`: intrinsics, depth_scale.
+    detector : DetectorSetup or None
+        Asked about the labelled frames too; see `second_setup`.
     """
 
     labels: Path
@@ -50,20 +58,38 @@ class QueueJob:
     dataset: str | None = None
     networks: bool = True
     options: dict[str, Any] = field(default_factory=dict)
+    detector: DetectorSetup | None = None
 
 
-def make_queue(job: QueueJob, report: Callable[[tuple[int, int]], None]) -> dict[str, Any]:
+def second_setup(source: Source, labels: Labels) -> tuple[str, DetectorSetup] | None:
+    """The detector that can say something new of labels: the one beside the source's, else the source's own.
+
+    One that the labels were made from is none; None where there is no other.
+
+    Returns
+    -------
+    (its name, what it is made from)
+    """
+    said = labels.manifest.models.get("detector")
+    for detector, setup in ((source.beside, source.beside_setup), (source.detector, source.setup)):
+        if detector is not None and setup is not None and not made_by(said, detector):
+            return detector.name, setup
+    return None
+
+
+def make_queue(job: QueueJob, report: Callable[[Step], None]) -> dict[str, Any]:
     """Make the queue, ordered for working through, and store it.
 
     Parameters
     ----------
     report : callable
-        Called with (networks trained, of how many).
+        Called with a Step.
 
     Returns
     -------
     dict
-        items (how many), estimated_wrong (relation labels that networks hold for wrong; None without networks),
+        items (how many), detector (the one that was asked: its name, frames it looked at, skipped ones with the reason;
+        None without one), estimated_wrong (relation labels that networks hold for wrong; None without networks),
         agreement (each two reviewers, how many items both have judged, and Cohen's kappa; None where it means nothing),
         and last (`id` of the newest event that surely counts in it; 0 where there is none). The states of the items
         then are the queue's column `state`.
@@ -71,7 +97,8 @@ def make_queue(job: QueueJob, report: Callable[[tuple[int, int]], None]) -> dict
     Raises
     ------
     InputError
-        The labels or the journal cannot be read, or hold nothing to learn from.
+        The labels or the journal cannot be read, or hold nothing to learn from; the detector cannot be made, or
+        could look at no frame.
     MissingExtra
         torch is not installed, and networks are to be asked.
     """
@@ -79,8 +106,13 @@ def make_queue(job: QueueJob, report: Callable[[tuple[int, int]], None]) -> dict
     with tempfile.TemporaryDirectory(prefix="spatialviz-") as folder:
         reviewed, last = _reviewed(job, labels, Path(folder) / "labels")
         config = QueueConfig(DoubtConfig() if job.networks else None)
+        name, seen = _seen(job, labels, reviewed.labels, report)
         queue = review_queue(
-            reviewed.labels, config, judgements=reviewed.judgements, progress=lambda done, of: report((done, of))
+            reviewed.labels,
+            config,
+            found_elsewhere=() if seen is None else seen.items,
+            judgements=reviewed.judgements,
+            progress=lambda done, of: report(("networks", done, of)),
         )
         states = states_on_labels(reviewed.judgements, read_cells(reviewed.labels))
     metadata = queue.schema.metadata
@@ -90,9 +122,21 @@ def make_queue(job: QueueJob, report: Callable[[tuple[int, int]], None]) -> dict
     return {
         "items": queue.num_rows,
         "last": last,
+        "detector": None if seen is None else {"name": name, "frames": seen.frames, "skipped": seen.skipped},
         "estimated_wrong": None if wrong is None else float(wrong),
         "agreement": [{key: pair[key] for key in ("reviewers", "items", "kappa")} for pair in pairs],
     }
+
+
+def _seen(
+    job: QueueJob, automatic: Labels, labels: Labels, report: Callable[[Step], None]
+) -> tuple[str, SecondDetector | None]:
+    if job.detector is None:
+        return "", None
+    dataset = labelled_dataset(automatic.manifest, job.dataset, **job.options)
+    detector = job.detector.open(dataset.class_names)
+    found = detector_evidence(labels, dataset, detector, progress=lambda done, of: report(("frames", done, of)))
+    return detector.name, found
 
 
 def _reviewed(job: QueueJob, labels: Labels, folder: Path) -> tuple[Reviewed, int]:
