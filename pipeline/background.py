@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
+import signal
 import threading
+import time
 from collections.abc import Callable
 from contextlib import suppress
 from multiprocessing.connection import Connection
@@ -87,11 +90,10 @@ def start_background(
 
 
 def _work(function: Callable[..., Any], args: tuple[Any, ...], sender: Connection) -> None:
-    import signal
-
     # Ctrl-C in the terminal is for the process that waits: it ends this one.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _leave)
+    threading.Thread(target=_leave_with_parent, daemon=True).start()
     try:
         sender.send(("result", function(*args, lambda value: sender.send(("progress", value)))))
         return
@@ -104,9 +106,18 @@ def _work(function: Callable[..., Any], args: tuple[Any, ...], sender: Connectio
         sender.send(("problem", problem))
 
 
+def _leave_with_parent() -> None:
+    """End when the process that waits is gone, however that ended: nobody would take the result."""
+    parent = multiprocessing.parent_process()
+    if parent is None:
+        return
+    parent.join()
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep(PATIENCE_S)
+    os._exit(1)
+
+
 def _leave(number: int, _: Any) -> None:
     """End by the way of an error, so that temporary folders go."""
-    import signal
-
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
     raise SystemExit(128 + number)

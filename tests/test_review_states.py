@@ -26,7 +26,7 @@ from pipeline.labels.reading import Labels
 from pipeline.relations import F, T
 from pipeline.review.agreement import pair_agreements
 from pipeline.review.cells import read_cells
-from pipeline.review.following import states_since
+from pipeline.review.following import followed, gone_items, states_since
 from pipeline.review.items import NOBODY, SETTLED, ItemKey, State, item_keys, left_to_review
 from pipeline.review.out_of_fold import DoubtConfig, doubt_labels
 from pipeline.review.progress import review_progress, wrong_left
@@ -381,3 +381,34 @@ def test_states_are_followed_as_a_new_queue_has_them(
         k: s for k, s in expected.items() if k in work.places
     }
     assert work.counts["settled"] > 0
+
+
+def test_what_a_rejected_object_takes_along_is_gone_until_it_is_back(
+    demo_labels: Labels, bare_corrector: Corrector, journal: Journal, frame: Any, tmp_path: Path
+) -> None:
+    before = frame()
+    number = some_pairs(before, 1)[0][0]
+    whole = review_queue(demo_labels, QueueConfig(doubts=None, linter=False))
+    of_frame = [k for k in item_keys(whole) if k.frame == FRAME]
+    more = [ItemKey(FRAME, "expression", NOBODY, None, name) for name in before.expressions]
+    more += [ItemKey(FRAME, "object", n, None, "") for n in before.objects]
+    assert gone_items(before, [*of_frame, *more], {}) == frozenset()
+    work = worklist(whole)
+    saved(journal, actions.set_status(before, Cell("object", FRAME, str(number), "status"), "rejected", author="ann"))
+    away, newest = followed(work, bare_corrector, journal, 0)
+    gone = {k for k in work.keys if away.is_gone(k)}
+    assert gone == {k for k in of_frame if k.kind == "relation" and number in (k.a, k.b)}
+    assert gone
+    assert away.counts["items"] == work.counts["items"] - len(gone)
+    # A queue made now has the same relations of the frame, and expressions only of what is left.
+    now = reviewed_labels(demo_labels, journal, tmp_path / "labels").labels
+    made_now = item_keys(review_queue(now, QueueConfig(doubts=None, linter=False)))
+    assert {k for k in made_now if k.frame == FRAME and k.kind == "relation"} <= {k for k in of_frame if k not in gone}
+    lost = gone_items(frame(), more, states_of(journal))
+    said = {e["id"] for e in now.expressions.to_pylist() if e["frame"] == FRAME}
+    assert {k.what for k in lost} == set(before.expressions) - said
+    assert {k.kind for k in lost} == {"expression"}, "the object itself is settled"
+    undo(journal, "ann")
+    back, _ = followed(away, bare_corrector, journal, newest)
+    assert not back.gone.any()
+    assert back.counts == work.counts

@@ -95,6 +95,27 @@ def test_what_comes_next_and_what_was_before() -> None:
     assert worklist(queue_of(0)).next_item() is None
 
 
+def test_what_has_gone_is_not_open_until_it_is_back() -> None:
+    queue = queue_of(9)
+    keys = item_keys(queue)
+    found = worklist(queue, {keys[1]: "accepted", keys[2]: "unsure"})
+    away = found.with_gone("f0", {keys[0], keys[1], keys[2], keys[4], keys[8]})
+    assert away.next_item() == keys[3]
+    assert away.next_item(skip=[keys[3], *keys[5:]]) is None
+    assert away.previous(keys[3]) is None
+    assert away.previous(keys[5]) == keys[3]
+    assert [away.is_gone(k) for k in keys] == [True, True, True, False, True, False, False, False, False], "of f0 alone"
+    assert away.counts == {
+        "items": 5, "unreviewed": 5, "accepted": 0, "corrected": 0, "rejected": 0, "unsure": 0, "settled": 0,
+    }  # fmt: skip
+    # What is said of it meanwhile is known when it is back.
+    back = away.with_state(keys[4], "rejected").with_gone("f0", ())
+    assert back.counts == found.with_state(keys[4], "rejected").counts
+    assert back.with_state(keys[4], "unreviewed").next_item(keys[3]) == keys[4]
+    assert found.with_gone("f9", {keys[0]}) is found
+    assert found.with_gone("f0", ()) is found
+
+
 @pytest.fixture(scope="module")
 def stored(label_sets: dict[str, Labels], tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, pa.Table]:
     path = tmp_path_factory.mktemp("queue") / "deep" / "queue.parquet"

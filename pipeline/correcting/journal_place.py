@@ -8,6 +8,7 @@ from threading import Lock
 import sqlalchemy as sa
 from sqlalchemy.exc import ArgumentError
 
+from pipeline.correcting.label_jobs import LabelJobs
 from pipeline.correcting.unsaved import Unsaved
 from pipeline.journal.connection import is_url
 from pipeline.journal.journal import JOURNAL_FILE, Journal, journal_of
@@ -29,11 +30,14 @@ class JournalPlace:
     ----------
     unsaved : Unsaved
         What could not be saved yet, of everyone.
+    jobs : LabelJobs
+        Of these labels, of everyone.
     """
 
     def __init__(self, labels: Labels, where: str | Path | None = None, project: str | None = None) -> None:
         self.labels, self.where, self.project = labels, where, project
         self.unsaved = Unsaved()
+        self.jobs = LabelJobs()
         self._journal: Journal | None = None
         self._lock = Lock()
 

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 
 from pipeline.journal.effective import Corrector
 from pipeline.journal.effective_frame import EffectiveFrame
 from pipeline.journal.events import Event
 from pipeline.journal.journal import Journal
 from pipeline.relations import PAIRWISE, letter
-from pipeline.review.items import ItemKey, State
+from pipeline.review.items import SETTLED, ItemKey, State
 from pipeline.review.states import item_of, judgements_of
+from pipeline.review.worklist import Worklist
 
 
 def frame_states(frame: EffectiveFrame, events: Sequence[Event]) -> dict[ItemKey, State]:
@@ -58,13 +59,57 @@ def states_since(corrector: Corrector, journal: Journal, after: int) -> tuple[di
     InputError
         The journal or a frame cannot be read.
     """
-    fresh = journal.events(after=after)
     found: dict[ItemKey, State] = {}
+    fresh = journal.events(after=after)
+    for _, states in _changed(corrector, journal, fresh):
+        found |= states
+    return found, fresh[-1].id if fresh else after
+
+
+def followed(work: Worklist, corrector: Corrector, journal: Journal, after: int) -> tuple[Worklist, int]:
+    """A list with what became of its items since an event: their states, and which of them have gone.
+
+    Parameters, errors and the second result are those of `states_since`.
+    """
+    fresh = journal.events(after=after)
+    for frame, states in _changed(corrector, journal, fresh):
+        keys = [work.keys[place] for place in work.frames.get(frame.frame, ())]
+        work = work.with_states(states).with_gone(frame.frame, gone_items(frame, keys, states))
+    return work, fresh[-1].id if fresh else after
+
+
+def gone_items(
+    frame: EffectiveFrame, keys: Collection[ItemKey], states: Mapping[ItemKey, State]
+) -> frozenset[ItemKey]:
+    """The items of a frame that a queue made now would not have: nothing is left that could be right or wrong.
+
+    A relation goes with its pair, an expression with its objects, everything with its frame. An object or expression
+    that somebody has settled, by leaving it out for one, stays.
+    """
+
+    def stands(key: ItemKey) -> bool:
+        if key.kind != "relation" and states.get(key.plain) in SETTLED:
+            return True
+        if not frame.stands:
+            return False
+        if key.kind == "relation":
+            return frame.pairs.state(key.a, -1 if key.b is None else key.b, key.what) is not None
+        if key.kind == "expression":
+            return key.what in frame.expressions
+        return key.a < 0 or key.a in frame.objects
+
+    return frozenset(key for key in keys if not stands(key))
+
+
+def _changed(
+    corrector: Corrector, journal: Journal, fresh: Sequence[Event]
+) -> Iterator[tuple[EffectiveFrame, dict[ItemKey, State]]]:
+    """The frames of new events, each with the states of its items."""
     for name in dict.fromkeys(e.cell.frame for e in fresh):
         if name not in corrector.index.of_frame:
             continue
         events = journal.events(frame=name)
-        states = frame_states(corrector.frame(name, events), events)
+        frame = corrector.frame(name, events)
+        states = frame_states(frame, events)
         keys = (item_of(e.cell) for e in events)
-        found |= {key: states.get(key, "unreviewed") for key in keys if key is not None}
-    return found, fresh[-1].id if fresh else after
+        yield frame, {key: states.get(key, "unreviewed") for key in keys if key is not None}

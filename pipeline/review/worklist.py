@@ -34,11 +34,16 @@ class Worklist:
     codes : (N,) int8
         States as places in STATES.
     tally : tuple of int
-        How many items are in each of STATES.
+        How many items are in each of STATES, of those that have not gone.
     kinds : (N,) int8
         Places in KINDS.
     disputed : (N,) bool
         What reviewers judged differently when the queue was made.
+    frames : dict of str to (K,) int64
+        The places of each frame's items.
+    gone : (N,) bool
+        Items of which nothing is left, since what they are about was left out: not shown and not counted, until they
+        come back.
     """
 
     queue: pa.Table
@@ -48,15 +53,17 @@ class Worklist:
     tally: tuple[int, ...]
     kinds: np.ndarray
     disputed: np.ndarray
+    frames: Mapping[str, np.ndarray]
+    gone: np.ndarray
 
     def __len__(self) -> int:
         return len(self.keys)
 
     @property
     def counts(self) -> dict[str, int]:
-        """`items`, those in each state, and `settled`."""
+        """`items` that have not gone, those in each state, and `settled`."""
         by_state = dict(zip(STATES, self.tally, strict=True))
-        return {"items": len(self), **by_state, "settled": sum(by_state[s] for s in SETTLED)}
+        return {"items": sum(self.tally), **by_state, "settled": sum(by_state[s] for s in SETTLED)}
 
     def state(self, key: ItemKey) -> State:
         """The state of an item; InputError where the queue has no such item."""
@@ -66,6 +73,10 @@ class Worklist:
         """Whether reviewers differ on an item, and nobody has settled it since."""
         place = self.places.get(key.plain)
         return place is not None and bool(self.disputed[place]) and self.codes[place] == _UNSURE
+
+    def is_gone(self, key: ItemKey) -> bool:
+        """Whether nothing is left of an item; InputError where the queue has no such item."""
+        return bool(self.gone[self._place(key)])
 
     def row(self, key: ItemKey) -> dict:
         """The item's row of the queue; InputError where it has none."""
@@ -86,8 +97,9 @@ class Worklist:
         if place is None or STATES[self.codes[place]] == state:
             return self
         codes, tally, code = self.codes.copy(), list(self.tally), STATES.index(state)
-        tally[codes[place]] -= 1
-        tally[code] += 1
+        if not self.gone[place]:
+            tally[codes[place]] -= 1
+            tally[code] += 1
         codes[place] = code
         codes.flags.writeable = False
         return replace(self, codes=codes, tally=tuple(tally))
@@ -98,6 +110,19 @@ class Worklist:
         for key, state in states.items():
             found = found.with_state(key, state)
         return found
+
+    def with_gone(self, frame: str, gone: Collection[ItemKey]) -> Worklist:
+        """The list after these items of a frame have gone, and all others of it have not."""
+        if frame not in self.frames:
+            return self
+        places = self.frames[frame]
+        now = np.array([self.keys[place] in gone for place in places.tolist()], np.bool_)
+        if (now == self.gone[places]).all():
+            return self
+        marks = self.gone.copy()
+        marks[places] = now
+        marks.flags.writeable = False
+        return replace(self, gone=marks, tally=_tally(self.codes[~marks]))
 
     def next_item(
         self, after: ItemKey | None = None, skip: Collection[ItemKey] = (), kind: str | None = None
@@ -118,6 +143,7 @@ class Worklist:
         put_off = [self.places[k.plain] for k in skip if k.plain in self.places]
         unsure = self.codes == _UNSURE
         for wanted in ((self.codes == _UNREVIEWED) | (unsure & self.disputed), unsure & ~self.disputed):
+            wanted = wanted & ~self.gone
             wanted[put_off] = False
             if kind is not None:
                 wanted &= self.kinds == KINDS.index(kind)
@@ -129,12 +155,14 @@ class Worklist:
         return None
 
     def previous(self, before: ItemKey | None = None) -> ItemKey | None:
-        """The item above, whatever its state: to look again at what was settled just now. None above the first.
+        """The item above that has not gone, whatever its state: to look again at what was settled just now. None above
+        the first.
 
         None, and one that the queue does not hold, stand behind the last.
         """
         place = len(self) if before is None else self.places.get(before.plain, len(self))
-        return self.keys[place - 1] if place else None
+        above = np.flatnonzero(~self.gone[:place])
+        return self.keys[above[-1]] if len(above) else None
 
     def _place(self, key: ItemKey) -> int:
         place = self.places.get(key.plain)
@@ -168,8 +196,17 @@ def worklist(queue: pa.Table, states: Mapping[ItemKey, State] | None = None) -> 
             codes[place] = STATES.index(state)
     codes.flags.writeable = False
     kinds = np.array([KINDS.index(key.kind) for key in keys], np.int8)
-    tally = tuple(np.bincount(codes, minlength=len(STATES)).tolist())
-    return Worklist(queue, keys, places, codes, tally, kinds, disputed_rows(queue))
+    gone = np.zeros(len(keys), np.bool_)
+    gone.flags.writeable = False
+    of_frame: dict[str, list[int]] = {}
+    for place, key in enumerate(keys):
+        of_frame.setdefault(key.frame, []).append(place)
+    frames = {frame: np.array(found, np.int64) for frame, found in of_frame.items()}
+    return Worklist(queue, keys, places, codes, _tally(codes), kinds, disputed_rows(queue), frames, gone)
+
+
+def _tally(codes: np.ndarray) -> tuple[int, ...]:
+    return tuple(np.bincount(codes, minlength=len(STATES)).tolist())
 
 
 def write_queue(queue: pa.Table, path: Path) -> None:

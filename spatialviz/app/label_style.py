@@ -10,6 +10,7 @@ LABEL_CSS = """<style>
 .sv .cellrow span:first-child{flex:1;min-width:0;overflow:hidden;text-overflow:ellipsis;white-space:nowrap}
 .sv .cellrow .n{white-space:nowrap}
 .sv .vrow2{display:flex;flex-wrap:wrap;gap:0 10px;padding-top:2px}
+.sv .asks{display:flex;flex-wrap:wrap;gap:4px;font-size:11.5px;padding:1px 0 3px}
 .sv .queue{max-height:max(140px,calc(50vh - 330px));overflow:auto;margin:0 -4px}
 .sv .q{display:grid;grid-template-columns:26px 1fr auto auto;gap:6px;align-items:center;padding:1px 4px;border-radius:3px;cursor:pointer}
 .sv .q:hover{background:var(--mantine-color-default-hover)}

@@ -6,12 +6,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+from pipeline.correcting.label_jobs import CANCELLED, Making
 from pipeline.relations import PHRASE
 from pipeline.review.items import ItemKey
 from pipeline.review.worklist import Worklist
 from spatialviz.app.text import BAD, DOUBT, GOOD, heading, note, panel, safe, tail
 
 ROWS = 40
+SKIPPED = 8
+"""Frames that a hint names."""
 MARKS = {
     "unreviewed": ("", ""),
     "accepted": ("✓", GOOD),
@@ -24,27 +27,20 @@ Names = Mapping[tuple[str, int], str]
 
 
 @dataclass(frozen=True)
-class Making:
-    """How far a queue that is being made is.
+class Asked:
+    """What a queue that is made next is made of, besides the rules and the linter.
 
     Attributes
     ----------
-    running : bool
     networks : bool
-        Whether networks are asked.
-    done, of : int
-        Of the networks.
-    problem : str
-    made : dict or None
-        What is known of the queue that was made last: `queue_job.make_queue`.
+    detector : bool
+    named : str
+        The detector that can be asked; empty without one.
     """
 
-    running: bool = False
     networks: bool = False
-    done: int = 0
-    of: int = 0
-    problem: str = ""
-    made: Mapping[str, Any] | None = None
+    detector: bool = True
+    named: str = ""
 
 
 def item_html(row: Mapping[str, Any] | None, names: Names, item: ItemKey | None) -> str:
@@ -62,19 +58,15 @@ def item_html(row: Mapping[str, Any] | None, names: Names, item: ItemKey | None)
 
 
 def queue_html(
-    work: Worklist | None, making: Making, kind: str, item: ItemKey | None, names: Names, can_learn: bool = True
+    work: Worklist | None, making: Making, asked: Asked, kind: str, item: ItemKey | None, names: Names
 ) -> str:
-    """The list from the current item on, what it was made from, and the buttons that make it anew."""
-    if making.running:
-        share = making.done / making.of if making.of else 0.0
-        what = f"asking network {making.done + 1} of {making.of}" if making.of else "ranking the labels"
-        busy = f'<div class="prog"><i style="width:{share:.0%}"></i></div><div class="dim">{what}</div>'
-    else:
-        busy = note(f"No queue: {making.problem}", BAD) if making.problem else ""
-    again = _button("make-queue:networks", "rank by networks", "asks networks that have not learnt from a label")
-    again = "" if making.running or not can_learn else again
+    """What the queue is made of, how far that is, and the list from the current item on."""
+    again = "make again" if work is not None else "make"
+    stop = _button("stop-queue", "stop", "ends the asking; the queue that there is stays")
+    make = _button("make-queue", again, "ranks the labels by what is switched on here")
+    parts = [heading("Queue", stop if making.running else make), _asked(asked), _busy(making)]
     if work is None:
-        return panel(heading("Queue", again), busy or '<div class="dim">No queue yet.</div>')
+        return panel(*parts, "" if making.running else '<div class="dim">No queue yet.</div>')
     counts = work.counts
     tally = " · ".join(f"{counts[state]:,} {state}" for state in MARKS if state != "unreviewed" and counts[state])
     chosen = "".join(
@@ -83,26 +75,62 @@ def queue_html(
     )
     rows = "".join(_row(work, place, names, item) for place in shown_places(work, kind, item))
     return panel(
-        heading("Queue", again),
-        busy,
-        f'<div class="dim">{counts["settled"]:,} of {counts["items"]:,} settled{" · " + tally if tally else ""}</div>',
+        *parts,
         _known(making.made),
+        f'<div class="dim">{counts["settled"]:,} of {counts["items"]:,} settled{" · " + tally if tally else ""}</div>',
         f'<div class="seg" style="margin:3px 0">{chosen}</div>',
         f'<div class="queue">{rows or "nothing of this kind"}</div>',
     )
 
 
+def _asked(asked: Asked) -> str:
+    """What goes into the next queue: switches."""
+    parts = ['<span class="try on" style="cursor:default" title="always in it">rules and linter</span>']
+    parts.append(_switch("networks", "networks", asked.networks, "networks that have not learnt from a label"))
+    if asked.named:
+        hint = f"what the detector {asked.named} sees otherwise in the labelled frames"
+        parts.append(_switch("detector", f"detector {asked.named}", asked.detector, hint))
+    return f'<div class="asks">{"".join(parts)}</div>'
+
+
+def _switch(name: str, label: str, on: bool, hint: str) -> str:
+    return (
+        f'<span class="try{" on" if on else ""}" role="switch" aria-checked="{str(on).lower()}" '
+        f'onclick="sv(\'queue-from:{name}\')" title="{safe(hint)}">{safe(label)}</span>'
+    )
+
+
+def _busy(making: Making) -> str:
+    """How far a queue that is made is, or why there is none."""
+    if not making.running:
+        failed = making.problem and making.problem != CANCELLED
+        return note(f"The queue was not made: {making.problem}", BAD) if failed else ""
+    share, what = 0.0, "ranking the labels"
+    if making.step is not None:
+        kind, done, of = making.step
+        share = done / of if of else 0.0
+        if done < of:
+            what = f"asking network {done + 1} of {of}" if kind == "networks" else f"detector: frame {done + 1} of {of}"
+    return f'<div class="prog"><i style="width:{share:.0%}"></i></div><div class="dim">{what}</div>'
+
+
 def _known(made: Mapping[str, Any] | None) -> str:
-    """How many labels the networks hold for wrong, and how far reviewers agree."""
+    """What the queue was made of: what networks and a detector said; and how far reviewers agreed by then."""
     if made is None:
         return ""
-    parts = []
+    parts, hint = ["rules and linter"], "what this queue was made of"
     if made["estimated_wrong"] is not None:
-        parts.append(f"networks hold {made['estimated_wrong']:.0f} relation labels for wrong")
+        parts.append(f"networks: {made['estimated_wrong']:.0f} relations wrong")
+    if (said := made["detector"]) is not None:
+        skipped = said["skipped"]
+        left_out = f", {len(skipped)} skipped" if skipped else ""
+        parts.append(f"{safe(said['name'])}: {said['frames']} frames{left_out}")
+        hint += "".join(f"\n{frame}: {why}" for frame, why in list(skipped.items())[:SKIPPED])
+        hint += f"\nand {len(skipped) - SKIPPED} more" if len(skipped) > SKIPPED else ""
     for pair in made["agreement"]:
         kappa = "–" if pair["kappa"] is None else f"{pair['kappa']:.2f}"
         parts.append(f"{' and '.join(map(safe, pair['reviewers']))}: κ {kappa} on {pair['items']} items")
-    return f'<div class="dim" title="when the queue was made">{" · ".join(parts)}</div>' if parts else ""
+    return f'<div class="dim" title="{safe(hint)}">made of {" · ".join(parts)}</div>'
 
 
 def shown_places(work: Worklist, kind: str, item: ItemKey | None) -> Sequence[int]:
@@ -111,7 +139,7 @@ def shown_places(work: Worklist, kind: str, item: ItemKey | None) -> Sequence[in
     start = max(0, at - 3)
     places = []
     for place in range(start, len(work)):
-        if kind in ("all", work.keys[place].kind):
+        if kind in ("all", work.keys[place].kind) and not work.gone[place]:
             places.append(place)
         if len(places) == ROWS:
             break

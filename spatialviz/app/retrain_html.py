@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any
 
+from pipeline.correcting.label_jobs import CANCELLED, Training
 from pipeline.relations import PHRASE
 from spatialviz.app.text import BAD, DOUBT, GOOD, heading, note, safe, tail
 
@@ -18,31 +18,6 @@ STEPS = {
 LISTED = 6
 
 
-@dataclass(frozen=True)
-class Training:
-    """How far a training is, and what came of it.
-
-    Attributes
-    ----------
-    running : bool
-    step : tuple of (str, int, int)
-        What is being done, how far, of how much.
-    record : dict or None
-        Of `pipeline.review.circle.Circle`.
-    problem : str
-    seconds : float
-    installed : str
-        The name under which the network was installed.
-    """
-
-    running: bool = False
-    step: tuple[str, int, int] = ("labels", 0, 1)
-    record: Mapping[str, Any] | None = None
-    problem: str = ""
-    seconds: float = 0.0
-    installed: str = ""
-
-
 def retrain_html(training: Training, corrections: int, with_run: bool) -> str:
     """The section of the Review tab."""
     head = heading("Retrain", _action(training, corrections))
@@ -51,7 +26,7 @@ def retrain_html(training: Training, corrections: int, with_run: bool) -> str:
         share = done / of if of else 0.0
         said = f"{STEPS.get(what, what)} · {training.seconds:.0f} s"
         return head + f'<div class="prog"><i style="width:{share:.1%}"></i></div><div class="dim">{said}</div>'
-    if training.problem:
+    if training.problem and training.problem != CANCELLED:
         return head + note(f"Not trained: {training.problem}", BAD)
     if training.record is None:
         run = ", and makes the run again with it" if with_run else ""

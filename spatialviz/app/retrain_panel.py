@@ -1,4 +1,4 @@
-"""Retraining on the labels as one client has corrected them, in a process of its own."""
+"""Retraining on the labels as they are corrected, in a process of its own that all clients see."""
 
 from __future__ import annotations
 
@@ -6,21 +6,19 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from datetime import datetime
 from pathlib import Path
-from time import perf_counter
-from typing import Any
 
 import viser
 
-from pipeline.background import Background, start_background
 from pipeline.correcting.journal_place import JournalPlace
+from pipeline.correcting.label_jobs import CANCELLED, Training
 from pipeline.errors import InputError
 from pipeline.evaluation.run_folder import Run
 from pipeline.jobs import Source
-from pipeline.review.circle import CircleJob, circle_in_background
+from pipeline.review.circle import CircleJob
 from pipeline.srm.installed import install_network
 from spatialviz.app.layout import Page
 from spatialviz.app.place import Place
-from spatialviz.app.retrain_html import Training, retrain_html
+from spatialviz.app.retrain_html import retrain_html
 from spatialviz.app.state import State
 from spatialviz.app.text import panel
 
@@ -66,8 +64,11 @@ class RetrainPanel:
         self._client, self._page, self._sources, self._runs = client, page, sources, runs
         self._journals, self._folder = journals, folder
         self._state, self._go, self._use, self._note, self._post = state, go, use, note, post
-        self._trainings: dict[str, Training] = {}
-        self._jobs: dict[str, Background] = {}
+        self._last = {name: place.jobs.training.seen for name, place in journals.items()}
+        self._leave = [
+            place.jobs.training.listen(lambda name=name: post(lambda: self._follow(name)))
+            for name, place in journals.items()
+        ]
 
     def commands(self) -> dict[str, Callable[[str], None]]:
         """What the page may ask for, by the first word of its message."""
@@ -79,14 +80,27 @@ class RetrainPanel:
         }
 
     def close(self) -> None:
-        """End what is running."""
-        for job in self._jobs.values():
-            if not job.done:
-                job.cancel()
+        """Listen no more; what runs goes on, for those who stay or come back."""
+        for leave in self._leave:
+            leave()
 
     @property
     def _training(self) -> Training:
-        return self._trainings.get(self._state().source, Training())
+        place = self._journals.get(self._state().source)
+        return Training() if place is None else place.jobs.training.seen
+
+    def _follow(self, name: str) -> None:
+        """Say what has begun or ended, whoever began it, and draw."""
+        was, now = self._last[name], self._journals[name].jobs.training.seen
+        self._last[name] = now
+        if now.running and not was.running:
+            self._note(f"retraining on the labels of {name}")
+        elif was.running and not now.running:
+            done = f"not retrained: {now.problem}" if now.record is None else (
+                f"retrained in {now.seconds:.0f} s: {now.record['folder']}"
+            )  # fmt: skip
+            self._note("retraining was stopped" if now.problem == CANCELLED else done)
+        self.draw()
 
     def start(self) -> None:
         """Train on the labels of the source that is looked at, as they are now."""
@@ -94,47 +108,23 @@ class RetrainPanel:
         place = self._journals.get(name)
         if place is None or self._training.running:
             return
-        began = perf_counter()
-        out = self._folder / f"{name}-{datetime.now():%Y%m%d-%H%M%S}"
         run = self._runs.get(name)
-        job = CircleJob(
-            place.labels.root,
-            out,
-            None if place.where is None else str(place.where),
-            place.project,
-            str(self._sources[name].dataset.root),
-            run=None if run is None else run.folder,
+        place.jobs.train(
+            CircleJob(
+                place.labels.root,
+                self._folder / f"{name}-{datetime.now():%Y%m%d-%H%M%S}",
+                None if place.where is None else str(place.where),
+                place.project,
+                str(self._sources[name].dataset.root),
+                run=None if run is None else run.folder,
+            )
         )
-        self._trainings[name] = Training(running=True)
-        self._note(f"retraining on the labels of {name}")
-
-        def heard(step: tuple[str, int, int]) -> None:
-            def show() -> None:
-                self._trainings[name] = replace(
-                    self._trainings[name], step=step, seconds=perf_counter() - began
-                )
-                self.draw()
-
-            self._post(show)
-
-        def ended(record: Any, problem: str) -> None:
-            seconds = perf_counter() - began
-
-            def show() -> None:
-                self._trainings[name] = Training(record=record, problem=problem, seconds=seconds)
-                self._note(f"not retrained: {problem}" if problem else f"retrained in {seconds:.0f} s: {out}")
-                self.draw()
-
-            self._post(show)
-
-        self._jobs[name] = start_background(circle_in_background, job, on_progress=heard, on_end=ended)
-        self.draw()
 
     def stop(self) -> None:
-        """End a training; nothing of it stays."""
-        job = self._jobs.get(self._state().source)
-        if job is not None and not job.done:
-            job.cancel()
+        """End a training, whoever began it; nothing of it stays."""
+        place = self._journals.get(self._state().source)
+        if place is not None:
+            place.jobs.training.stop()
 
     def install(self, name: str) -> None:
         """Install the trained network under a name, and answer the question that is asked with it."""
@@ -147,9 +137,8 @@ class RetrainPanel:
             self._client.add_notification("Not installed", str(error), auto_close_seconds=8)
             self._note(f"not installed: {error}")
             return
-        self._trainings[self._state().source] = replace(training, installed=done.name)
         self._note(f"installed: --srm {done.name} is {done.path}")
-        self.draw()
+        self._journals[self._state().source].jobs.training.change(lambda now: replace(now, installed=done.name))
         self._use(done.name)
 
     def open_expression(self, said: str) -> None:

@@ -1,30 +1,27 @@
-"""The review queue of one client: made in another process, worked through with single keys."""
+"""The review queue as one client works through it, with single keys; it is made in another process, for all clients."""
 
 from __future__ import annotations
 
-import tempfile
 import threading
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import replace
-from pathlib import Path
-from typing import Any
 
-from pipeline.background import Background, start_background
 from pipeline.correcting.journal_place import JournalPlace
+from pipeline.correcting.label_jobs import CANCELLED, Making
 from pipeline.errors import InputError
 from pipeline.journal.cells import Cell, object_cell
 from pipeline.journal.edits import Edits, judge_both_ways, judge_missing, set_status
 from pipeline.journal.effective_frame import EffectiveFrame
 from pipeline.journal.events import Event
-from pipeline.review.following import states_since
+from pipeline.review.following import followed
 from pipeline.review.items import ItemKey
-from pipeline.review.queue_job import QueueJob, make_queue
-from pipeline.review.worklist import Worklist, read_queue, worklist
+from pipeline.review.queue_job import QueueJob, second_setup
+from pipeline.review.worklist import Worklist
 from spatialviz.app.correct import Correct, Wanted
 from spatialviz.app.frames import FrameStore
 from spatialviz.app.layout import Page
-from spatialviz.app.queue_html import KINDS, Making, item_html, queue_html
+from spatialviz.app.queue_html import KINDS, Asked, item_html, queue_html
 from spatialviz.app.state import State
 
 
@@ -61,12 +58,16 @@ class ReviewQueue:
         self._state, self._note, self._post = state, note, post
         self._works: dict[str, Worklist] = {}
         self._newest: dict[str, int] = {}
-        self._making: dict[str, Making] = {}
-        self._jobs: dict[str, Background] = {}
+        self._makings: dict[str, Making] = {}
+        self._behind: set[str] = set()
+        self._asked: dict[str, Asked] = {}
         self._names: dict[str, dict[tuple[str, int], str]] = {}
         self._kind = "all"
-        self._closed = False
         correct.on_saved(self._saved)
+        self._leave = [
+            place.jobs.queue.listen(lambda name=name: post(lambda: self._made(name)))
+            for name, place in journals.items()
+        ]
 
     def commands(self) -> dict[str, Callable[[str], None]]:
         """What the page may ask for, by the first word of its message."""
@@ -75,18 +76,18 @@ class ReviewQueue:
             "next-item": lambda step: self.step(int(step)),
             "item": lambda place: self.open(int(place)),
             "queue-kind": self.choose_kind,
-            "make-queue": lambda how: self.make(networks=how == "networks"),
+            "make-queue": lambda _: self.make(),
+            "stop-queue": lambda _: self.stop(),
+            "queue-from": self.switch,
             "accept-item": lambda _: self.say("accepted"),
             "reject-item": lambda _: self.say("rejected"),
             "unsure-item": lambda _: self.say("unsure"),
         }
 
     def close(self) -> None:
-        """End what is running."""
-        self._closed = True
-        for job in self._jobs.values():
-            if not job.done:
-                job.cancel()
+        """Listen no more; what is being made goes on, for those who stay or come back."""
+        for leave in self._leave:
+            leave()
 
     @property
     def _work(self) -> Worklist | None:
@@ -99,64 +100,75 @@ class ReviewQueue:
 
     # ---- the queue --------------------------------------------------------------------
 
-    def make(self, networks: bool) -> None:
-        """Make the queue of the source that is looked at, in another process."""
+    def make(self) -> None:
+        """Make the queue of the source that is looked at, of what is switched on."""
         name = self._state().source
-        place = self._journals.get(name)
-        if place is None or self._making.get(name, Making()).running:
+        place, asked = self._journals.get(name), self._asks(name)
+        if place is None or place.jobs.queue.running:
             return
-        folder = tempfile.TemporaryDirectory(prefix="spatialviz-")
-        job = QueueJob(
-            place.labels.root,
-            Path(folder.name) / "queue.parquet",
-            None if place.where is None else str(place.where),
-            place.project,
-            str(self._store.sources[name].dataset.root),
-            networks,
+        source = self._store.sources[name]
+        second = second_setup(source, place.labels) if asked.detector else None
+        place.jobs.make(
+            lambda out: QueueJob(
+                place.labels.root,
+                out,
+                None if place.where is None else str(place.where),
+                place.project,
+                str(source.dataset.root),
+                asked.networks,
+                detector=None if second is None else second[1],
+            )
         )
-        self._making[name] = replace(self._making.get(name, Making()), running=True, networks=networks, done=0, of=0)
 
-        def heard(step: tuple[int, int]) -> None:
-            self._post(lambda: self._made(name, replace(self._making[name], done=step[0], of=step[1])))
+    def stop(self) -> None:
+        """End what makes the queue, whoever began it; the one that there is stays."""
+        place = self._journals.get(self._state().source)
+        if place is not None:
+            place.jobs.queue.stop()
 
-        def ended(record: Any, problem: str) -> None:
-            def take() -> None:
-                said = problem
-                try:
-                    if not problem:
-                        self._works[name], self._newest[name] = worklist(read_queue(job.out)), record["last"]
-                        self._note(f"review queue: {record['items']} items")
-                except InputError as error:
-                    said = str(error)
-                folder.cleanup()
-                if said:
-                    self._note(f"no review queue: {said}")
-                self._made(name, Making(problem=said, made=record if not said else None))
+    def switch(self, what: str) -> None:
+        """Put networks or the detector into the next queue, or leave them out."""
+        name = self._state().source
+        asked = self._asks(name)
+        if what in ("networks", "detector"):
+            self._asked[name] = replace(asked, **{what: not getattr(asked, what)})
+            self.follow()
 
-            if self._closed:
-                # Nobody takes it any more.
-                folder.cleanup()
-            else:
-                self._post(take)
+    def _asks(self, name: str) -> Asked:
+        if name not in self._asked:
+            second = second_setup(self._store.sources[name], self._journals[name].labels)
+            self._asked[name] = Asked(named="" if second is None else second[0])
+        return self._asked[name]
 
-        self._jobs[name] = start_background(make_queue, job, on_progress=heard, on_end=ended)
+    def _made(self, name: str) -> None:
+        """Take what is made by now, whoever began it."""
+        self._taken(name)
         self.follow()
 
-    def _made(self, name: str, making: Making) -> None:
-        self._making[name] = making
-        self.follow()
+    def _taken(self, name: str) -> Making:
+        was, now = self._makings.get(name, Making()), self._journals[name].jobs.queue.seen
+        self._makings[name] = now
+        if now.work is not None and now.work is not was.work:
+            self._works[name], self._newest[name] = now.work, (now.made or {}).get("last", 0)
+            self._behind.add(name)
+            self._note(f"review queue: {len(now.work)} items")
+        if now.problem and now.problem != was.problem:
+            stopped = now.problem == CANCELLED
+            self._note("the review queue is not made" if stopped else f"no review queue: {now.problem}")
+        return now
 
     def _caught_up(self) -> Worklist | None:
         """The list of the source that is looked at, with what anybody has saved by now."""
         name, work, desk = self._state().source, self._work, self._correct.desk
         if work is None or desk is None:
             return work
+        self._behind.discard(name)
         # Where the journal cannot be read now, what waits says so already.
         with suppress(InputError):
             journal = desk.place.to_read()
             if journal is not None:
-                states, self._newest[name] = states_since(desk.corrector, journal, self._newest.get(name, 0))
-                work = self._works[name] = work.with_states(states)
+                work, self._newest[name] = followed(work, desk.corrector, journal, self._newest.get(name, 0))
+                self._works[name] = work
         return work
 
     def _saved(self, _: tuple[Event, ...]) -> None:
@@ -279,15 +291,18 @@ class ReviewQueue:
         name, page = self._state().source, self._page
         if page.review_list is None or page.review_item is None or name not in self._journals:
             return
-        work, making = self._work, self._making.get(name, Making())
-        if self._state().labels is not None and work is None and not making.running and not making.problem:
-            self.make(networks=False)
-            return
-        names = self._known_names(name)
-        item = self._item
-        row = work.row(item) if work is not None and item is not None and item.plain in work.places else None
+        making = self._taken(name)
+        if self._state().labels is not None:
+            if name in self._behind:
+                self._caught_up()
+            if making == Making():
+                self.make()
+                making = self._taken(name)
+        work, names, item = self._work, self._known_names(name), self._item
+        known = work is not None and item is not None and item.plain in work.places and not work.is_gone(item)
+        row = work.row(item) if known and work is not None and item is not None else None
         page.review_item.content = "" if row is None else f'<div class="sv">{item_html(row, names, item)}</div>'
-        page.review_list.content = queue_html(work, making, self._kind, item, names)
+        page.review_list.content = queue_html(work, making, self._asks(name), self._kind, item, names)
 
     def _known_names(self, name: str) -> dict[tuple[str, int], str]:
         """Class names of the labelled objects, as the labels were made."""

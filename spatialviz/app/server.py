@@ -164,6 +164,8 @@ def serve(
     try:
         server.sleep_forever()
     finally:
+        for place in (journals or {}).values():
+            place.jobs.end()
         with redirect_stdout(io.StringIO()):
             server.stop()
         for place in (journals or {}).values():
