@@ -1,0 +1,134 @@
+"""Work that many look at, and the queue that is made so."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from pipeline.correcting.label_jobs import CANCELLED, LabelJobs, Making
+from pipeline.errors import InputError
+from pipeline.labels.reading import Labels
+from pipeline.proposals.detector_setup import DetectorSetup
+from pipeline.review.queue import QueueConfig, review_queue
+from pipeline.review.queue_job import QueueJob
+from pipeline.review.worklist import write_queue
+from pipeline.shared_job import SharedJob
+
+
+class Held:
+    """In place of another process: it waits until a test runs it, or cancels it."""
+
+    def __init__(self) -> None:
+        self.waiting: list[Held.Job] = []
+
+    class Job:
+        def __init__(
+            self, function: Callable[..., Any], argument: Any, on_progress: Callable[[Any], None],
+            on_end: Callable[[Any, str], None],
+        ) -> None:  # fmt: skip
+            self.work, self.argument, self.on_progress, self.on_end = function, argument, on_progress, on_end
+
+        def run(self) -> None:
+            try:
+                result = self.work(self.argument, self.on_progress)
+            except InputError as error:
+                self.on_end(None, str(error))
+            else:
+                self.on_end(result, "")
+
+    def start(self, function: Callable[..., Any], argument: Any, **heard: Any) -> Any:
+        self.waiting.append(Held.Job(function, argument, **heard))
+        return self.waiting[-1]
+
+    def run(self) -> None:
+        self.waiting.pop(0).run()
+
+
+def counted(to: int, report: Callable[[Any], None]) -> str:
+    for n in range(to):
+        report(n)
+    return "counted"
+
+
+def test_one_runs_at_a_time_and_who_comes_later_finds_it() -> None:
+    held = Held()
+    job: SharedJob[tuple[Any, ...]] = SharedJob((), held.start)
+
+    def start(to: int, then: Callable[[], None] | None = None) -> bool:
+        return job.start(
+            counted, to, begun=lambda seen: (*seen, "begun"), heard=lambda seen, n: (*seen, n),
+            ended=lambda seen, result, problem: (*seen, result or problem), then=then,
+        )  # fmt: skip
+
+    first: list[Any] = []
+    leave = job.listen(lambda: first.append(job.seen[-1]))
+    assert start(2)
+    assert not start(5), "another page asked for the same"
+    assert (job.running, job.seen) == (True, ("begun",))
+    late: list[Any] = []
+    job.listen(lambda: late.append(job.seen[-1]))
+    leave()
+    held.run()
+    assert (job.running, job.seen) == (False, ("begun", 0, 1, "counted"))
+    assert first == ["begun"]
+    assert late == [0, 1, "counted"]
+    assert start(0, then=lambda: None if start(1) else pytest.fail("what follows has to wait for nothing"))
+    held.run()
+    assert job.running, "and there is no pause"
+    held.run()
+    job.change(lambda seen: (*seen, "noted"))
+    assert late[-2:] == ["counted", "noted"]
+    job.end()
+    assert not start(1)
+    assert held.waiting == []
+
+
+def test_the_first_queue_is_there_before_the_detector_is_asked(demo_labels: Labels, tmp_path: Path) -> None:
+    frame = demo_labels.frames.column("frame")[0].as_py()
+    recording = tmp_path / "recording.json"
+    recording.write_text(json.dumps({"frames": {frame: []}}))
+    held, jobs = Held(), LabelJobs()
+    jobs.queue = SharedJob(Making(), held.start)
+    outs: list[Path] = []
+
+    def job_for(out: Path) -> QueueJob:
+        outs.append(out)
+        return QueueJob(
+            demo_labels.root, out, str(tmp_path / "none.sqlite"), networks=False,
+            detector=DetectorSetup("recorded", recording),
+        )  # fmt: skip
+
+    assert jobs.make(job_for)
+    assert not jobs.make(job_for)
+    assert held.waiting[0].argument.detector is None
+    held.waiting[0].work = lambda job, report: quick(job, demo_labels, report)
+    held.run()
+    seen = jobs.queue.seen
+    assert seen.running
+    assert seen.job is not None
+    assert seen.job.detector is not None, "what was asked for follows by itself"
+    assert seen.work is not None
+    assert len(seen.work) == 0
+    recording.unlink()
+    held.run()
+    seen = jobs.queue.seen
+    assert not seen.running
+    assert "recording" in seen.problem
+    assert seen.work is not None, "the queue that there was stays"
+    assert not any(out.parent.exists() for out in outs)
+    assert jobs.make(job_for)
+    held.waiting.pop().on_end(None, CANCELLED)
+    now = jobs.queue.seen
+    assert (now.running, now.problem) == (False, CANCELLED)
+    assert now.work is seen.work
+
+
+def quick(job: QueueJob, labels: Labels, report: Callable[[Any], None]) -> dict[str, Any]:
+    """An empty queue, made without looking at the labels."""
+    config = QueueConfig(doubts=None, linter=False, margins=False, doubtful=False)
+    write_queue(review_queue(labels, config), job.out)
+    return {"items": 0, "last": 0}
