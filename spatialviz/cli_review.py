@@ -80,7 +80,7 @@ class Review:
         from pipeline.review.agreement import pair_agreements
         from pipeline.review.cells import read_cells
         from pipeline.review.progress import review_progress
-        from pipeline.review.reviewed import states_on_labels
+        from pipeline.review.reviewed import states_on_labels, without_gone
         from pipeline.review.worklist import write_queue
         from spatialviz.printing_review import print_agreement, print_progress, print_queue
 
@@ -98,6 +98,8 @@ class Review:
                 return FINE if pairs else NO
             queue = self._queue(reviewed, labels)
             states = states_on_labels(reviewed.judgements, read_cells(reviewed.labels))
+            if self.queue is not None:
+                queue = without_gone(queue, reviewed.labels, states)
         if self.out is not None:
             write_queue(queue, self.out)
         if self.progress:

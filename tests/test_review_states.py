@@ -32,7 +32,13 @@ from pipeline.review.out_of_fold import DoubtConfig, doubt_labels
 from pipeline.review.progress import review_progress, wrong_left
 from pipeline.review.queue import QueueConfig, review_queue
 from pipeline.review.queue_job import QueueJob, make_queue
-from pipeline.review.reviewed import reviewed_labels, settled_cells, states_on_labels, trusted_of_data
+from pipeline.review.reviewed import (
+    reviewed_labels,
+    settled_cells,
+    states_on_labels,
+    trusted_of_data,
+    without_gone,
+)
 from pipeline.review.second_opinions import left_for
 from pipeline.review.states import item_of, judgements_of, states_of
 from pipeline.review.worklist import read_queue, worklist
@@ -404,6 +410,7 @@ def test_what_a_rejected_object_takes_along_is_gone_until_it_is_back(
     now = reviewed_labels(demo_labels, journal, tmp_path / "labels").labels
     made_now = item_keys(review_queue(now, QueueConfig(doubts=None, linter=False)))
     assert {k for k in made_now if k.frame == FRAME and k.kind == "relation"} <= {k for k in of_frame if k not in gone}
+    assert item_keys(without_gone(whole, now, states_of(journal))) == [k for k in work.keys if k not in gone]
     lost = gone_items(frame(), more, states_of(journal))
     said = {e["id"] for e in now.expressions.to_pylist() if e["frame"] == FRAME}
     assert {k.what for k in lost} == set(before.expressions) - said

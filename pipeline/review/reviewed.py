@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -22,10 +23,13 @@ from pipeline.labels.schema import Manifest
 from pipeline.relations import F, T, U
 from pipeline.review.cells import Cells, read_cells
 from pipeline.review.evidence import CellEvidence, ItemEvidence
-from pipeline.review.items import DISAGREED, SETTLED, ItemKey, State
+from pipeline.review.items import DISAGREED, SETTLED, ItemKey, State, item_keys
 from pipeline.review.out_of_fold import unstacked
 from pipeline.review.states import Judgements, item_of, judgements_of
 from pipeline.srm.label_data import LabelData
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 _LETTER = {T: "T", U: "U", F: "F"}
 
@@ -98,6 +102,39 @@ def states_on_labels(judgements: Judgements, cells: Cells) -> dict[ItemKey, Stat
         if said in ("T", "U", "F") and said != _LETTER[state]:
             states[key] = "unsure"
     return states
+
+
+def without_gone(queue: pa.Table, labels: Labels, states: Mapping[ItemKey, State]) -> pa.Table:
+    """A queue that was made before, without items of which nothing is left in the labels as they are now.
+
+    It is what `following.gone_items` finds frame by frame.
+
+    Parameters
+    ----------
+    queue : pyarrow.Table
+    labels : Labels
+        Effective ones.
+    states : mapping of ItemKey to str
+        As of `states_on_labels`.
+    """
+    keys = item_keys(queue)
+    pairs = set(_places(read_cells(labels), {k for k in keys if k.kind == "relation"})[0])
+    frames = set(labels.frames.column("frame").to_pylist())
+    objects, expressions = (
+        set(zip(*(table.column(name).to_pylist() for name in ("frame", number)), strict=True))
+        for table, number in ((labels.objects, "object"), (labels.expressions, "id"))
+    )
+
+    def stands(key: ItemKey) -> bool:
+        if key.kind == "relation":
+            return key in pairs
+        if states.get(key) in SETTLED:
+            return True
+        if key.kind == "expression":
+            return (key.frame, key.what) in expressions
+        return key.frame in frames if key.a < 0 else (key.frame, key.a) in objects
+
+    return queue.filter([stands(key) for key in keys])
 
 
 def settled_cells(cells: Cells, states: Mapping[ItemKey, State]) -> np.ndarray:
