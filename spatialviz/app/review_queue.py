@@ -152,10 +152,17 @@ class ReviewQueue:
             self._works[name], self._newest[name] = now.work, (now.made or {}).get("last", 0)
             self._behind.add(name)
             self._note(f"review queue: {len(now.work)} items")
+            self._note_skipped(now)
         if now.problem and now.problem != was.problem:
             stopped = now.problem == CANCELLED
             self._note("the review queue is not made" if stopped else f"no review queue: {now.problem}")
         return now
+
+    def _note_skipped(self, making: Making) -> None:
+        asked = (making.made or {}).get("detector")
+        if asked is not None and (skipped := asked["skipped"]):
+            frame, why = next(iter(skipped.items()))
+            self._note(f"the detector {asked['name']} could not look at {len(skipped)} frames, as {frame}: {why}")
 
     def _caught_up(self) -> Worklist | None:
         """The list of the source that is looked at, with what anybody has saved by now."""
