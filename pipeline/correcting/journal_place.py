@@ -11,6 +11,7 @@ from sqlalchemy.exc import ArgumentError
 from pipeline.correcting.unsaved import Unsaved
 from pipeline.journal.connection import is_url
 from pipeline.journal.journal import JOURNAL_FILE, Journal, journal_of
+from pipeline.journal.migrations import known_revisions
 from pipeline.labels.reading import Labels
 
 
@@ -86,6 +87,10 @@ class JournalPlace:
             if self._journal is None:
                 self._journal = journal_of(self.labels, self.where, project=self.project)
             return self._journal
+
+    def prepare(self) -> None:
+        """Load what making a journal takes, and make none: the first edit then takes no longer than the others."""
+        known_revisions()
 
     def close(self) -> None:
         """Let go of the database."""
