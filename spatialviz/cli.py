@@ -319,7 +319,11 @@ def main(argv: Sequence[str] | None = None) -> int:
             prog="spatialviz",
             args=arguments,
             description="See why an RGB-D spatial-reasoning pipeline answered what it answered.",
-            config=(tyro.conf.FlagCreatePairsOff,),
+            config=(
+                tyro.conf.FlagCreatePairsOff,
+                tyro.conf.PositionalMetavarFromFieldName,
+                tyro.conf.DisallowNone,
+            ),
         )
         return command.run()
     except (InputError, MissingExtra) as error:
