@@ -182,6 +182,7 @@ def test_every_kind_of_disagreement_is_told_apart() -> None:
     assert "bin" not in rows
     assert "zebra" not in rows
     assert rows["mug"].otherwise == rows["cup"].otherwise == 1
+    assert sums.renamed == (("mug", "cup", 1),)
     record = agreement_record("f", found)
     assert [p["same_name"] for p in record["pairs"]].count(True) == 1
     assert record["alone_a"] == [{"index": 2, "label": "lamp", "score": 0.4, "nearest_iou": 0.0}]
