@@ -43,8 +43,9 @@ def second_overlay(state: State, unit: float) -> list[str]:
         if not chosen and not state.flags.boxes:
             continue
         x0, y0, x1, y1 = (float(v) for v in entry.bbox)
-        width = 1.8 if chosen else 0.8 if j in alike else 1.2
-        opacity = 1.0 if chosen else 0.5 if j in alike and state.layers == "both" else 0.95
+        faint = j in alike and state.layers == "both"
+        width = 1.8 if chosen else 0.8 if faint else 1.2
+        opacity = 1.0 if chosen else 0.5 if faint else 0.95
         parts.append(
             f'<rect x="{x0:.1f}" y="{y0:.1f}" width="{x1 - x0:.1f}" height="{y1 - y0:.1f}" fill="none" '
             f'stroke="{color}" stroke-width="{width * unit:.2f}" opacity="{opacity}" '
@@ -101,7 +102,7 @@ def agreement_html(state: State) -> str:
         ("scores ρ", sums.score_correlation, "rank correlation of the scores of what both found"),
     )
     cells = "".join(
-        f'<span class="dim" title="{safe(hint)}"><b>{"–" if value is None else f"{value:.2f}"}</b>{name}</span>'
+        f'<span class="dim" title="{safe(hint)}"><b>{_figure(value)}</b>{name}</span>'
         for name, value, hint in figures
     )
     return panel(
@@ -110,6 +111,10 @@ def agreement_html(state: State) -> str:
         _rows(state, beside),
         _beyond(beside),
     )
+
+
+def _figure(value: float | None) -> str:
+    return "–" if value is None else f"{value:.2f}".replace("-", "−")
 
 
 def _rows(state: State, beside: Beside) -> str:

@@ -201,18 +201,29 @@ def _bar(phrase: str, p: float, mark: str, asked: RGB | None, click: str, was: f
 
 def object_html(state: State) -> str:
     """What is selected, of the detector that answers and of one beside it, as far as they are shown."""
-    parts, i, j = [], state.selected, state.second_selected
-    if i is not None and i < len(state.shown.objects) and state.own_layer:
-        color = palette(state.dark)[state.roles.get(i, "other")]
-        parts.append(_facts_html(state.shown.objects[i], f"{dot(color)}{safe(state.shown.names[i])}"))
+    i, j = state.selected, state.second_selected
+    second, title = None, ""
     if j is not None and state.beside is not None and state.second_layer:
-        mark = hollow(hex_color(second_color(state.dark)))
-        parts.append(_facts_html(state.second_layer[j], f"{mark}B {safe(second_name(state.beside, j))}"))
-    return panel(*parts) if parts else ""
+        second = state.second_layer[j]
+        title = f"{hollow(hex_color(second_color(state.dark)))}B {safe(second_name(state.beside, j))}"
+    if i is None or i >= len(state.shown.objects) or not state.own_layer:
+        return "" if second is None else panel(_facts_html(second, title))
+    own = f"{dot(palette(state.dark)[state.roles.get(i, 'other')])}{safe(state.shown.names[i])}"
+    return panel(_facts_html(state.shown.objects[i], own, "" if second is None else _brief_html(second, title)))
 
 
-def _facts_html(entry: SceneObject, title: str) -> str:
-    """An object's size, its place, and what became of every pixel of its mask; the title is HTML already."""
+def _brief_html(entry: SceneObject, title: str) -> str:
+    """An object in one line, beside one that is told in full."""
+    said = [] if entry.score >= 0.9995 else [f"score {entry.score:.2f}"]
+    if entry.lifted.box is not None:
+        sides = " × ".join(f"{side:.2f}" for side in entry.lifted.box.size)
+        said = [f"{sides} m", f"{entry.lifted.quality.distance:.2f} m away", *said]
+    return heading(f"<b>{title}</b>", " · ".join(said))
+
+
+def _facts_html(entry: SceneObject, title: str, after: str = "") -> str:
+    """An object's size, its place, and what became of every pixel of its mask; the title is HTML already, as what
+    stands after it."""
     lifted, quality = entry.lifted, entry.lifted.quality
     facts = []
     if lifted.box is not None:
@@ -225,7 +236,7 @@ def _facts_html(entry: SceneObject, title: str) -> str:
     facts.append(("points", f"{quality.points:,} of {quality.mask_pixels:,} mask pixels{made} ({quality.kept:.0%})"))
     rows = "".join(f"<span>{k}</span><span>{v}</span>" for k, v in facts)
     score = "" if entry.score >= 0.9995 else f"score {entry.score:.2f}"
-    parts = [heading(f"<b>{title}</b>", score)]
+    parts = [heading(f"<b>{title}</b>", score), after]
     if lifted.evidence is not None and quality.mask_pixels:
         counts = lifted.evidence.counts()
         pieces = [
