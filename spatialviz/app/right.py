@@ -209,7 +209,8 @@ def object_html(state: State) -> str:
     if i is None or i >= len(state.shown.objects) or not state.own_layer:
         return "" if second is None else panel(_facts_html(second, title))
     own = f"{dot(palette(state.dark)[state.roles.get(i, 'other')])}{safe(state.shown.names[i])}"
-    return panel(_facts_html(state.shown.objects[i], own, "" if second is None else _brief_html(second, title)))
+    # In front of it: below the facts it would not be seen.
+    return panel("" if second is None else _brief_html(second, title), _facts_html(state.shown.objects[i], own))
 
 
 def _brief_html(entry: SceneObject, title: str) -> str:
@@ -221,9 +222,8 @@ def _brief_html(entry: SceneObject, title: str) -> str:
     return heading(f"<b>{title}</b>", " · ".join(said))
 
 
-def _facts_html(entry: SceneObject, title: str, after: str = "") -> str:
-    """An object's size, its place, and what became of every pixel of its mask; the title is HTML already, as what
-    stands after it."""
+def _facts_html(entry: SceneObject, title: str) -> str:
+    """An object's size, its place, and what became of every pixel of its mask; the title is HTML already."""
     lifted, quality = entry.lifted, entry.lifted.quality
     facts = []
     if lifted.box is not None:
@@ -236,7 +236,7 @@ def _facts_html(entry: SceneObject, title: str, after: str = "") -> str:
     facts.append(("points", f"{quality.points:,} of {quality.mask_pixels:,} mask pixels{made} ({quality.kept:.0%})"))
     rows = "".join(f"<span>{k}</span><span>{v}</span>" for k, v in facts)
     score = "" if entry.score >= 0.9995 else f"score {entry.score:.2f}"
-    parts = [heading(f"<b>{title}</b>", score), after]
+    parts = [heading(f"<b>{title}</b>", score)]
     if lifted.evidence is not None and quality.mask_pixels:
         counts = lifted.evidence.counts()
         pieces = [
