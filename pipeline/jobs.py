@@ -60,11 +60,11 @@ class Source:
 
     @property
     def sides(self) -> tuple[str, str]:
-        """The names of the detector and of the one beside it, with their models where the names are the same."""
+        """The names of the detector and of the one beside it; those of their model files where they are of one kind."""
         a, b = (None if one is None else one.name for one in (self.detector, self.beside))
         models = [None if path is None else path.stem for path in self.models]
         if a == b and models[0] != models[1]:
-            a, b = (name if model is None else f"{name} {model}" for name, model in zip((a, b), models, strict=True))
+            a, b = (model or name for name, model in zip((a, b), models, strict=True))
         return a or "", b or ""
 
     def unfiltered_detector(self) -> Detector:

@@ -77,7 +77,9 @@ def agreement_html(state: State) -> str:
     sums, a, b = beside.sums, *beside.names
     second = hex_color(second_color(state.dark))
     other = hex_color(palette(state.dark)["other"])
-    title = heading("Agreement", f"{dot(palette(state.dark)['other'])}A {safe(a)} &emsp;{hollow(second)}B {safe(b)}")
+    whose = f"{dot(palette(state.dark)['other'])}A {safe(a)} &emsp;{hollow(second)}B {safe(b)}"
+    whose = f'<span title="{safe(f"A: {a}, B: {b}")}">{whose}</span>'
+    title = heading("Agreement", whose)
     if not sums.a + sums.b:
         return panel(title, '<div class="dim">Neither finds anything that the other knows.</div>', _beyond(beside))
     shares = (
