@@ -260,7 +260,7 @@ def objects_html(state: State, moving: bool = False) -> str:
     height += 44 if state.colors == "evidence" else 0
     height += 0 if state.beside is None else 26
     return panel(
-        heading(f"Objects ({len(rows)})"),
+        heading(f"Objects{' of A' if state.beside else ''} ({len(rows)})"),
         f'<div class="scroll" style="--mh:max(150px, calc(100vh - {height}px))"><table>{"".join(rows)}</table></div>',
         f'<img src="" style="display:none" onerror="{safe(SHOW_SELECTED)}">',
         '<div class="dim" style="font-size:11px;padding-top:5px"><kbd>/</kbd> ask &nbsp;<kbd>J</kbd> <kbd>K</kbd> pair'
