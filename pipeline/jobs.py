@@ -58,6 +58,16 @@ class Source:
     setup: DetectorSetup | None = None
     beside_setup: DetectorSetup | None = None
 
+    @property
+    def sides(self) -> tuple[str, str]:
+        """The names of the detector and of the one beside it; those of their model files where they are of one kind."""
+        a, b = (None if one is None else one.name for one in (self.detector, self.beside))
+        files = [None if one is None else one.model for one in (self.setup, self.beside_setup)]
+        models = [None if path is None else path.stem for path in files]
+        if a == b and models[0] != models[1]:
+            a, b = (model or name for name, model in zip((a, b), models, strict=True))
+        return a or "", b or ""
+
     def unfiltered_detector(self) -> Detector:
         """The detector without a minimum score, for what it sees and does not say; itself where it has none."""
         return self._unfiltered or self.needed_detector()

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import permutations
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -29,6 +31,7 @@ from pipeline.proposals.agreement import (
     overlaps,
 )
 from pipeline.proposals.agreement_figures import figures, rank_correlation
+from pipeline.proposals.detector_setup import DetectorSetup
 from pipeline.proposals.simulated import SimulatedDetector, SimulationOptions
 
 WORDS = ("mug", "trash can", "bin", "lamp")
@@ -182,6 +185,7 @@ def test_every_kind_of_disagreement_is_told_apart() -> None:
     assert "bin" not in rows
     assert "zebra" not in rows
     assert rows["mug"].otherwise == rows["cup"].otherwise == 1
+    assert sums.renamed == (("mug", "cup", 1),)
     record = agreement_record("f", found)
     assert [p["same_name"] for p in record["pairs"]].count(True) == 1
     assert record["alone_a"] == [{"index": 2, "label": "lamp", "score": 0.4, "nearest_iou": 0.0}]
@@ -314,3 +318,14 @@ def test_dashes_lie_on_their_lines_and_reach_both_ends(segments: np.ndarray, per
     assert drawn.sum() <= length.sum() + 1e-4
     assert (drawn <= period + 1e-5).all()
     assert dashed(np.zeros((0, 2, 3)), 1).shape == (0, 2, 3)
+
+
+def test_two_models_of_one_kind_go_by_their_files() -> None:
+    source = open_source("demo", detector="simulated", also="simulated", srm="rule")
+    assert source.sides == ("simulated", "simulated")
+    small, large = (DetectorSetup("simulated", Path(f"a/{name}.onnx")) for name in ("small", "large"))
+    both = replace(source, setup=small, beside_setup=large)
+    assert both.sides == ("small", "large")
+    assert replace(source, beside_setup=large).sides == ("simulated", "large")
+    other = replace(both, detector=open_source("demo", srm="rule").detector)
+    assert other.sides == ("annotations", "simulated")

@@ -68,12 +68,14 @@ def second_setup(source: Source, labels: Labels) -> tuple[str, DetectorSetup] | 
 
     Returns
     -------
-    (its name, what it is made from)
+    (its name, see `Source.sides`; what it is made from)
     """
     said = labels.manifest.models.get("detector")
-    for detector, setup in ((source.beside, source.beside_setup), (source.detector, source.setup)):
+    own, other = source.sides
+    known = ((other, source.beside, source.beside_setup), (own, source.detector, source.setup))
+    for name, detector, setup in known:
         if detector is not None and setup is not None and not made_by(said, detector):
-            return detector.name, setup
+            return name, setup
     return None
 
 
