@@ -216,13 +216,14 @@ class GroundingDinoDetector:
 
     def _tensor(self, frame: Frame) -> np.ndarray:
         """The picture is resized once, however many captions are asked of it."""
-        if self._pixels is None or self._pixels[0] != frame.content_hash:
+        kept = self._pixels  # Once: another thread may put another picture there.
+        if kept is None or kept[0] != frame.content_hash:
             free = shortest_edge(frame.height, frame.width)
             declared = self._inputs[self._picture][2:]
             height, width = (d if isinstance(d, int) else f for d, f in zip(declared, free, strict=True))
             image = pillow_resized(frame.rgb, height, width)
-            self._pixels = frame.content_hash, normalised(image, IMAGENET_MEAN, IMAGENET_STD)
-        return self._pixels[1]
+            self._pixels = kept = frame.content_hash, normalised(image, IMAGENET_MEAN, IMAGENET_STD)
+        return kept[1]
 
 
 def tensors_of(session: Any) -> tuple[str, list[str]] | None:

@@ -224,14 +224,15 @@ class OwlDetector:
 
     def _tensor(self, frame: Frame) -> np.ndarray:
         """The picture is resized once, however many names are asked for in turn."""
-        if self._pixels is None or self._pixels[0] != frame.content_hash:
+        kept = self._pixels  # Once: another thread may put another picture there.
+        if kept is None or kept[0] != frame.content_hash:
             sides = [s if isinstance(s, int) else SIDES[self.name] for s in self._inputs["pixel_values"][2:]]
             if self.name == "owlv2":
                 image = padded_square(frame.rgb, sides[0], self.fill)
             else:
                 image = pillow_resized(frame.rgb, sides[0], sides[1], cubic=True)
-            self._pixels = frame.content_hash, normalised(image, CLIP_MEAN, CLIP_STD)
-        return self._pixels[1]
+            self._pixels = kept = frame.content_hash, normalised(image, CLIP_MEAN, CLIP_STD)
+        return kept[1]
 
 
 def _marks(tokenizer: Any, path: Path) -> tuple[int, int]:
@@ -263,7 +264,9 @@ def tensors_of(session: Any) -> list[str] | None:
 
 def _check_contract(session: Any, kind: Kind, path: Path) -> list[str]:
     found = tensors_of(session)
-    if found is None:
+    sides = {side for i in session.get_inputs() if i.name == "pixel_values" for side in i.shape[2:]}
+    # A file of the other kind would run, and its boxes lie wrong in every picture that is no square.
+    if found is None or sides & {side for other, side in SIDES.items() if other != kind}:
         from pipeline.proposals.mismatch import not_fitting
 
         own = [c for c in CONTRACTS if c.option.endswith(kind)]
