@@ -171,6 +171,16 @@ def test_the_class_names_stand_beside_the_model(tmp_path: Path, frame: Frame) ->
         make_detector("detic", model=path, config=other).detect(frame, None)
 
 
+@pytest.mark.parametrize(("file", "content"), [
+    ("n.txt", "\ufeffmug\ncup\n"), ("n.json", '\ufeff["mug", "cup"]'), ("n.txt", "mug\r\ncup\r\n\r\n"),
+])  # fmt: skip
+def test_names_are_read_as_any_editor_writes_them(tmp_path: Path, file: str, content: str) -> None:
+    (tmp_path / file).write_bytes(content.encode())
+    assert read_class_names(tmp_path / file) == ("mug", "cup")
+    (tmp_path / "odd.txt").write_bytes("mug\u2028x\ncup\n".encode())
+    assert len(read_class_names(tmp_path / "odd.txt")) == 2
+
+
 @pytest.mark.parametrize("content", [
     "[]", "{}", '{"categories": 3}', '{"categories": [{"id": 1}]}', "[1, 2]", "[", '["a", ""]', "null",
 ])  # fmt: skip
