@@ -129,6 +129,8 @@ def test_the_input_is_what_detectron2_makes(tmp_path: Path, frame: Frame) -> Non
         short, long = min(shape), max(shape)
         scale = 800 / short if 800 / short * long <= 1333 else 1333 / long
         assert resized_shape(*shape) == (int(shape[0] * scale + 0.5), int(shape[1] * scale + 0.5))
+    # It scales twice, so that these are rounded down.
+    assert [resized_shape(22, 124), resized_shape(1551, 2914)] == [(236, 1333), (709, 1333)]
     import onnx
     from onnx import helper, numpy_helper
 

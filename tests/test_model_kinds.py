@@ -26,6 +26,7 @@ from pipeline.execution import (
 )
 from pipeline.frame import Frame
 from pipeline.proposals import make_detector, make_segmenter
+from pipeline.proposals.base import reads_annotations
 from pipeline.proposals.ensemble import EnsembleDetector
 from pipeline.proposals.mismatch import explain_mismatch, recognise
 from pipeline.proposals.onnx_session import open_session
@@ -65,7 +66,9 @@ def used(kind: str, path: Path, files: dict[str, Path], frame: Frame) -> int:
     """Make what the kind is for out of the file, run it, and say how much it found."""
     name = kind.split()[0]
     if "coder" not in kind:
-        return len(make_detector(name, model=path).detect(frame, ["mug"]))
+        made = make_detector(name, model=path)
+        assert not reads_annotations(made)
+        return len(made.detect(frame, ["mug"]))
     pair = (path, files[f"{name} decoder"]) if "encoder" in kind else (files[f"{name} encoder"], path)
     box = np.array([[20, 20, 90, 90]], np.float32)
     return int(make_segmenter(name, model=pair).segment(frame, box, ["mug"])[1].sum())

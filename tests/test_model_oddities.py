@@ -38,6 +38,7 @@ def test_the_thinnest_picture_keeps_a_pixel() -> None:
         for resized in (shortest_edge, detic.resized_shape, sam.resized_shape):
             size = resized(height, width)
             assert min(size) == 1
+            assert max(size) <= 1333
             assert (size[0] > size[1]) == (height > width)
         image, place = letterbox(np.zeros((height, width, 3), np.uint8), 64, 64)
         assert (image == 0).all(axis=2).sum() == 64 == place.width * place.height

@@ -14,7 +14,7 @@ import platformdirs
 import xxhash
 
 from pipeline.frame import Frame
-from pipeline.proposals.base import Detector, Proposals, detect_expression
+from pipeline.proposals.base import Detector, Proposals, detect_expression, reads_annotations
 
 _IN_MEMORY = 8
 _VERSION = "2"
@@ -50,6 +50,10 @@ class CachedDetector:
     @property
     def exact(self) -> bool:
         return self.detector.exact
+
+    @property
+    def reads_annotations(self) -> bool:
+        return reads_annotations(self.detector)
 
     def fingerprint(self) -> str:
         return self.detector.fingerprint()

@@ -196,8 +196,11 @@ def resized_shape(height: int, width: int) -> tuple[int, int]:
 
     That is detectron2's `ResizeShortestEdge`, which differs from transformers' by a pixel.
     """
-    scale = min(SHORTEST / min(height, width), LONGEST / max(height, width))
-    return max(int(height * scale + 0.5), 1), max(int(width * scale + 0.5), 1)
+    scale = SHORTEST / min(height, width)
+    # In two steps, as there: one alone rounds otherwise at a half.
+    high, wide = (float(SHORTEST), scale * width) if height < width else (scale * height, float(SHORTEST))
+    less = min(LONGEST / max(high, wide), 1.0)
+    return max(int(high * less + 0.5), 1), max(int(wide * less + 0.5), 1)
 
 
 def tensors_of(session: Any) -> tuple[Any, list[str]] | None:

@@ -265,8 +265,17 @@ def tensors_of(session: Any) -> list[str] | None:
 def _check_contract(session: Any, kind: Kind, path: Path) -> list[str]:
     found = tensors_of(session)
     sides = {side for i in session.get_inputs() if i.name == "pixel_values" for side in i.shape[2:]}
-    # A file of the other kind would run, and its boxes lie wrong in every picture that is no square.
-    if found is None or sides & {side for other, side in SIDES.items() if other != kind}:
+    other = next((k for k, side in SIDES.items() if k != kind and side in sides), None)
+    if found is not None and other is not None:
+        # It would run, and its boxes would lie wrong in every picture that is no square.
+        raise InputError(
+            f"the ONNX file is not an {kind} model",
+            got=f"a picture of {SIDES[other]} x {SIDES[other]}",
+            expected=f"{SIDES[kind]} x {SIDES[kind]}, or another size",
+            cause=f"this is {other}'s: use --detector {other}",
+            path=path,
+        )
+    if found is None:
         from pipeline.proposals.mismatch import not_fitting
 
         own = [c for c in CONTRACTS if c.option.endswith(kind)]

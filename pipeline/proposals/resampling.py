@@ -31,10 +31,10 @@ def shortest_edge(height: int, width: int, shortest: int = 800, longest: int = 1
     exact = float(shortest)
     if high / low * shortest > longest:
         exact = longest * low / high
-    short = max(round(exact), 1)
+    short = round(exact)
     if low == short:
         return height, width
-    long = max(int(exact * high / low), 1)
+    short, long = max(short, 1), max(int(exact * high / low), 1)
     return (long, short) if width < height else (short, long)
 
 
