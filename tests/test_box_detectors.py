@@ -213,12 +213,25 @@ def test_distances_are_decoded_cell_by_cell(tmp_path: Path, frame: Frame) -> Non
     ('names_file = "x.txt"\n[output]\nform = "rows"\nrows = "o"', "class names cannot be read"),
     ('names = ["a", "b", "c"]\n[output]\nform = "rows"\nrows = "o"', "another number of columns.*7: 4 of box, 3 of"),
     (NAMES + '[output]\nform = "rows"\nrows = "o"\nunits = "metres"', "wrong at output.units"),
+    (NAMES + '[output]\nform = "rows"\nrows = "o"\ncolumns = ["box", "score", "class"]\nactivation = "softmax"',
+     "one score in all"),
+    (NAMES + '[output]\nform = "separate"\nboxes = "b"\nscores = "s"\nclasses = "c"\nactivation = "softmax"',
+     "one score in all"),
 ])  # fmt: skip
 def test_what_is_wrong_in_the_toml_file_is_one_line(tmp_path: Path, frame: Frame, toml: str, message: str) -> None:
     with pytest.raises(InputError, match=message) as caught:
         detector(tmp_path, toml, {"o": array([*CORNERS, 0.1, 0.75])}).detect(frame, None)
     assert "\n" not in str(caught.value)
     assert "model.toml" in str(caught.value) or "x.txt" in str(caught.value)
+
+
+def test_inputs_of_bytes_are_given_whole_numbers_only(tmp_path: Path, frame: Frame) -> None:
+    inputs = {"image": (TensorProto.UINT8, (1, 64, 128, 3))}
+    said = NAMES + '[output]\nform = "rows"\nrows = "o"\n[input]\nlayout = "NHWC"\n'
+    outputs = {"o": array([*CORNERS, 0.1, 0.75])}
+    assert len(detector(tmp_path, said + "scale = 1", outputs, inputs).detect(frame, None)) == 1
+    with pytest.raises(InputError, match="'image' takes whole numbers"):
+        detector(tmp_path, said, outputs, inputs).detect(frame, None)
 
 
 def test_logits_are_not_taken_for_probabilities(tmp_path: Path, frame: Frame) -> None:

@@ -129,6 +129,8 @@ def test_the_input_is_what_detectron2_makes(tmp_path: Path, frame: Frame) -> Non
         short, long = min(shape), max(shape)
         scale = 800 / short if 800 / short * long <= 1333 else 1333 / long
         assert resized_shape(*shape) == (int(shape[0] * scale + 0.5), int(shape[1] * scale + 0.5))
+    # It scales twice, so that these are rounded down.
+    assert [resized_shape(22, 124), resized_shape(1551, 2914)] == [(236, 1333), (709, 1333)]
     import onnx
     from onnx import helper, numpy_helper
 
@@ -169,6 +171,16 @@ def test_the_class_names_stand_beside_the_model(tmp_path: Path, frame: Frame) ->
     other.write_text('["x", "y"]', encoding="utf-8")
     with pytest.raises(InputError, match="not those of the model; got 2 names; expected more than 2"):
         make_detector("detic", model=path, config=other).detect(frame, None)
+
+
+@pytest.mark.parametrize(("file", "content"), [
+    ("n.txt", "\ufeffmug\ncup\n"), ("n.json", '\ufeff["mug", "cup"]'), ("n.txt", "mug\r\ncup\r\n\r\n"),
+])  # fmt: skip
+def test_names_are_read_as_any_editor_writes_them(tmp_path: Path, file: str, content: str) -> None:
+    (tmp_path / file).write_bytes(content.encode())
+    assert read_class_names(tmp_path / file) == ("mug", "cup")
+    (tmp_path / "odd.txt").write_bytes("mug\u2028x\ncup\n".encode())
+    assert len(read_class_names(tmp_path / "odd.txt")) == 2
 
 
 @pytest.mark.parametrize("content", [

@@ -246,6 +246,8 @@ def test_many_names_go_into_several_captions(vocabulary: Path, tmp_path: Path, f
     found = GroundingDinoDetector(path).detect(frame, names)
     assert sorted(found.label_index.tolist()) == [int(c.names[0]) for c in captions]
     assert len(set(found.ids.tolist())) == len(captions)
+    # So many are whole numbers to every reader of JSON.
+    assert 0 <= found.ids.min() <= found.ids.max() < 2**53
 
 
 @pytest.mark.parametrize(("name", "message"), [
@@ -377,6 +379,9 @@ def test_another_models_tokenizer_is_refused(tmp_path: Path, vocabulary: Path, t
     vocabulary.write_text("\n".join(words[1:]) + "\n", encoding="utf-8")
     path = stub(tmp_path, vocabulary, grounding_outputs({}, {}))
     with pytest.raises(InputError, match=r"not the one of GroundingDINO.*\[CLS\] = 100.*bert-base-uncased"):
+        GroundingDinoDetector(path)
+    vocabulary.write_text("\n".join(w.replace("[UNK]", "[unk]") for w in words) + "\n", encoding="utf-8")
+    with pytest.raises(InputError, match="no token for unknown words"):
         GroundingDinoDetector(path)
     vocabulary.unlink()
     with pytest.raises(InputError, match=r"no tokenizer.*tokenizer.json or vocab.txt"):

@@ -199,6 +199,8 @@ def broken(kind: str, folder: Path) -> Path:
         inputs["pixel_mask"] = TensorProto.INT64, (1, 96, 96)
     if kind == "oblong":
         inputs["pixel_values"] = TensorProto.FLOAT, (1, 3, 96, 128)
+    if kind == "of owlvit":
+        inputs["pixel_values"] = TensorProto.FLOAT, (1, 3, 768, 768)
     if kind == "no boxes":
         del outputs["pred_boxes"]
     if kind == "other names":
@@ -214,7 +216,7 @@ def broken(kind: str, folder: Path) -> Path:
 
 
 @pytest.mark.parametrize("kind", [
-    "no text", "grounding", "oblong", "no boxes", "other names", "nan", "opset", "external", "truncated",
+    "no text", "grounding", "oblong", "of owlvit", "no boxes", "other names", "nan", "opset", "external", "truncated",
 ])  # fmt: skip
 def test_a_broken_file_is_one_clear_line(
     kind: str, tmp_path: Path, exported: dict[str, Export], frame: Frame, capfd: pytest.CaptureFixture[str]
@@ -224,6 +226,7 @@ def test_a_broken_file_is_one_clear_line(
         OwlDetector(path, tokenizer=exported["owlv2"].path.with_name("tokenizer.json")).detect(frame, ["mug"])
     assert "\n" not in str(caught.value)
     assert str(path) in str(caught.value)
+    assert ("use --detector owlvit" in str(caught.value)) == (kind == "of owlvit")
     assert capfd.readouterr() == ("", "")
 
 

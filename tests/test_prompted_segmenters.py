@@ -275,6 +275,12 @@ def test_the_fingerprint_holds_both_files(sam: Export) -> None:
         SamModel([sam.encoders[e], sam.decoders[d]]).fingerprint() for e in ("square", "x") for d in ("single", "four")
     }
     assert len(found) == 4
+    beside = sam.encoders["x"].with_name(sam.encoders["x"].name + ".data")
+    beside.write_bytes(b"weights in a file of their own")
+    try:
+        assert SamModel([sam.encoders["x"], sam.decoders["four"]]).fingerprint() not in found
+    finally:
+        beside.unlink()
 
 
 # Files that do not fit.

@@ -100,6 +100,9 @@ class BoxOutput(_Table):
         one, all_of_them = "score" in self.columns, "scores" in self.columns
         if self.form == "rows" and (one == all_of_them or one != ("class" in self.columns)):
             raise ValueError("columns need either `scores`, or `score` and `class`")
+        alone = self.classes is not None if self.form == "separate" else self.form == "rows" and one
+        if alone and self.activation == "softmax":
+            raise ValueError("softmax is over the scores of all classes, and there is one score in all")
         return self
 
 
@@ -123,8 +126,8 @@ def read_box_model(path: Path) -> BoxModel:
         The file cannot be read, or a key is unknown, missing or wrong.
     """
     try:
-        table: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError, RecursionError) as error:
+        table: dict[str, Any] = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except (OSError, ValueError, RecursionError) as error:
         raise InputError("the detector's TOML file cannot be read", got=str(error), path=path) from error
     try:
         model = BoxModel.model_validate(table)

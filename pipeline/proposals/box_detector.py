@@ -100,8 +100,9 @@ class BoxDetector:
 
     def _forward(self, frame: Frame) -> tuple[Candidates, Placement]:
         """The network is run once for a picture, however many names are asked for in turn."""
-        if self._last is not None and self._last[0] == frame.content_hash:
-            return self._last[1:]
+        last = self._last  # Once: another thread may put another picture there.
+        if last is not None and last[0] == frame.content_hash:
+            return last[1:]
         tensor, placement = place_picture(frame.rgb, *self._sides, self.config.input)
         numbers = {
             "height": frame.height, "width": frame.width,

@@ -7,16 +7,17 @@ import tempfile
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from threading import Lock
 
 import numpy as np
 import platformdirs
 import xxhash
 
 from pipeline.frame import Frame
-from pipeline.proposals.base import Detector, Proposals, detect_expression
+from pipeline.proposals.base import Detector, Proposals, detect_expression, reads_annotations
 
 _IN_MEMORY = 8
-_VERSION = "1"
+_VERSION = "2"
 """Part of every key: a change of what detectors make of a network's output must change it."""
 
 
@@ -36,6 +37,7 @@ class CachedDetector:
         self.detector = detector
         self.folder = (folder or cache_folder()) / "proposals"
         self._recent: OrderedDict[str, Proposals] = OrderedDict()
+        self._lock = Lock()
 
     @property
     def name(self) -> str:
@@ -48,6 +50,10 @@ class CachedDetector:
     @property
     def exact(self) -> bool:
         return self.detector.exact
+
+    @property
+    def reads_annotations(self) -> bool:
+        return reads_annotations(self.detector)
 
     def fingerprint(self) -> str:
         return self.detector.fingerprint()
@@ -76,10 +82,11 @@ class CachedDetector:
         if found is None:
             found = run()
             _store(self.folder / f"{key}.npz", found)
-        self._recent[key] = found
-        self._recent.move_to_end(key)
-        while len(self._recent) > _IN_MEMORY:
-            self._recent.popitem(last=False)
+        with self._lock:
+            self._recent[key] = found
+            self._recent.move_to_end(key)
+            while len(self._recent) > _IN_MEMORY:
+                self._recent.popitem(last=False)
         return found
 
 

@@ -57,6 +57,8 @@ def check_bert(tokenizer: Any, path: Path) -> None:
             cause="it must be that of bert-base-uncased",
             path=path,
         )
+    if tokenizer.token_to_id("[UNK]") is None:
+        raise InputError("the tokenizer has no token for unknown words", expected="[UNK]", path=path)
 
 
 def build_captions(names: Sequence[str], tokenizer: Any, limit: int = MAX_TOKENS) -> list[Caption]:

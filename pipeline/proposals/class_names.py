@@ -13,6 +13,7 @@ import xxhash
 from pipeline.errors import InputError
 from pipeline.naming import Synonyms, default_synonyms, match
 from pipeline.proposals.base import unknown_class
+from pipeline.proposals.onnx_session import metadata
 
 ADVICE = "all: `spatialviz models FILE`; another name for one: --synonyms FILE with {{\"groups\": [[{}, NAME]]}}"
 
@@ -52,14 +53,15 @@ def names_hash(names: Sequence[str]) -> str:
 
 def metadata_names(session: Any) -> tuple[str, ...] | None:
     """The class names in a file's metadata, as Ultralytics writes them; None where there are none."""
-    text = session.get_modelmeta().custom_metadata_map.get("names", "")
+    text = metadata(session).get("names", "")
     try:
         names = ast.literal_eval(text)
-    except (ValueError, SyntaxError, MemoryError, RecursionError):
+    except (ValueError, TypeError, SyntaxError, MemoryError, RecursionError):
         return None
     if isinstance(names, dict):
-        names = [names.get(i) for i in range(len(names))]
-    if not isinstance(names, list) or not names or not all(isinstance(n, str) for n in names):
+        # Where the names went through JSON, their numbers became words.
+        names = [names.get(i, names.get(str(i))) for i in range(len(names))]
+    if not isinstance(names, list | tuple) or not names or not all(isinstance(n, str) for n in names):
         return None
     return tuple(str(n) for n in names)
 
@@ -79,9 +81,10 @@ def read_class_names(path: Path) -> tuple[str, ...]:
         Where the file cannot be read, or holds something else.
     """
     try:
-        text = path.read_text(encoding="utf-8")
-        names: Any = json.loads(text) if path.suffix.lower() == ".json" else text.splitlines()
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError, RecursionError) as error:
+        # Some editors put a mark before the first name. Lines end as files have it: other breaks may be in a name.
+        text = path.read_text(encoding="utf-8-sig")
+        names: Any = json.loads(text) if path.suffix.lower() == ".json" else text.split("\n")
+    except (OSError, ValueError, RecursionError) as error:
         raise InputError("the class names cannot be read", got=str(error), path=path) from error
     if isinstance(names, dict):
         names = _of_categories(names.get("categories"))

@@ -130,8 +130,9 @@ class DeticDetector:
 
     def _forward(self, frame: Frame) -> list[np.ndarray]:
         """Boxes (n, 4) in pixels of the frame, scores (n,), classes (n,), masks (n, 28, 28); run once for a picture."""
-        if self._last is not None and self._last[0] == frame.content_hash:
-            return self._last[1]
+        last = self._last  # Once: another thread may put another picture there.
+        if last is not None and last[0] == frame.content_hash:
+            return last[1]
         free = resized_shape(frame.height, frame.width)
         sides = self._input.shape[2:]
         height, width = (s if isinstance(s, int) else f for s, f in zip(sides, free, strict=True))
@@ -195,8 +196,11 @@ def resized_shape(height: int, width: int) -> tuple[int, int]:
 
     That is detectron2's `ResizeShortestEdge`, which differs from transformers' by a pixel.
     """
-    scale = min(SHORTEST / min(height, width), LONGEST / max(height, width))
-    return int(height * scale + 0.5), int(width * scale + 0.5)
+    scale = SHORTEST / min(height, width)
+    # In two steps, as there: one alone rounds otherwise at a half.
+    high, wide = (float(SHORTEST), scale * width) if height < width else (scale * height, float(SHORTEST))
+    less = min(LONGEST / max(high, wide), 1.0)
+    return max(int(high * less + 0.5), 1), max(int(wide * less + 0.5), 1)
 
 
 def tensors_of(session: Any) -> tuple[Any, list[str]] | None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import tempfile
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from time import perf_counter
@@ -15,6 +15,7 @@ import numpy as np
 from pipeline.errors import InputError
 from pipeline.frame import Frame
 from pipeline.proposals.cache import CachedDetector
+from pipeline.proposals.mask_cache import CachedSegmenter
 
 if TYPE_CHECKING:
     from pipeline.jobs import Source
@@ -77,23 +78,37 @@ def run_endurance(
     every = max(count // SAMPLES, 1)
     detections, seconds = 0, 0.0
     with tempfile.TemporaryDirectory() as folder:
-        for inner in (detector, getattr(detector, "detector", None)):
-            if isinstance(inner, CachedDetector):
-                inner.folder = Path(folder)
-        for number in range(count):
-            picture = _changed(frames[number % len(frames)], number)
-            start = perf_counter()
-            found = detector.detect(picture, names)
-            seconds += perf_counter() - start
-            detections += len(found)
-            if number % every == every - 1:
-                resident += _resident_mb()
-            if progress is not None:
-                progress(number + 1, count)
+        caches = [(cache, cache.folder) for cache in _caches(detector)]
+        for cache, _ in caches:
+            cache.folder = Path(folder)
+        try:
+            for number in range(count):
+                picture = _changed(frames[number % len(frames)], number)
+                start = perf_counter()
+                found = detector.detect(picture, names)
+                seconds += perf_counter() - start
+                detections += len(found)
+                if number % every == every - 1:
+                    resident += _resident_mb()
+                if progress is not None:
+                    progress(number + 1, count)
+        finally:
+            for cache, own in caches:
+                cache.folder = own
     quarter = len(resident) // 4
     growth = float(np.mean(resident[-quarter:]) - np.mean(resident[quarter : 2 * quarter])) if quarter else None
     rate = count / max(seconds, 1e-9)
     return Endurance(detector.name, count, detections, rate, tuple(resident), growth)
+
+
+def _caches(part: object) -> Iterator[CachedDetector | CachedSegmenter]:
+    """What keeps results on disk in a detector, in what it wraps, in its segmenter and in its members."""
+    if isinstance(part, CachedDetector | CachedSegmenter):
+        yield part
+    inner = (getattr(part, "detector", None), getattr(part, "segmenter", None), *getattr(part, "members", ()))
+    for one in inner:
+        if one is not None:
+            yield from _caches(one)
 
 
 def _frames(source: Source, frame_ids: Sequence[str], most: int = 16) -> list[Frame]:
@@ -115,7 +130,8 @@ def _frames(source: Source, frame_ids: Sequence[str], most: int = 16) -> list[Fr
 def _changed(frame: Frame, number: int) -> Frame:
     """The frame with the number written into the colours of four pixels."""
     rgb = frame.rgb.copy()
-    rgb.reshape(-1)[:4] = np.frombuffer(number.to_bytes(4, "little"), np.uint8)
+    values = rgb.reshape(-1)[:4]
+    values[:] = np.frombuffer(number.to_bytes(4, "little"), np.uint8)[: len(values)]
     return replace(frame, id=f"{frame.id}#{number}", rgb=rgb)
 
 

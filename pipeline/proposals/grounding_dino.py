@@ -193,7 +193,8 @@ class GroundingDinoDetector:
         winner = by_name.argmax(axis=1)
         queries = np.flatnonzero((best > self.min_score) & (by_name.max(axis=1) > self.text_threshold))
         boxes = to_pixels(relative[0][queries], frame.width, frame.height, frame)
-        run = xxhash.xxh3_64_intdigest(caption.text.encode()) >> 17
+        # 37 and 16 bits: so many are whole numbers to every reader of JSON.
+        run = xxhash.xxh3_64_intdigest(caption.text.encode()) >> 27
         return _Found(boxes, best[queries], caption.names[winner[queries]], (run << 16) + queries)
 
     def _feed(self, frame: Frame, caption: Caption) -> dict[str, np.ndarray]:
@@ -216,13 +217,14 @@ class GroundingDinoDetector:
 
     def _tensor(self, frame: Frame) -> np.ndarray:
         """The picture is resized once, however many captions are asked of it."""
-        if self._pixels is None or self._pixels[0] != frame.content_hash:
+        kept = self._pixels  # Once: another thread may put another picture there.
+        if kept is None or kept[0] != frame.content_hash:
             free = shortest_edge(frame.height, frame.width)
             declared = self._inputs[self._picture][2:]
             height, width = (d if isinstance(d, int) else f for d, f in zip(declared, free, strict=True))
             image = pillow_resized(frame.rgb, height, width)
-            self._pixels = frame.content_hash, normalised(image, IMAGENET_MEAN, IMAGENET_STD)
-        return self._pixels[1]
+            self._pixels = kept = frame.content_hash, normalised(image, IMAGENET_MEAN, IMAGENET_STD)
+        return kept[1]
 
 
 def tensors_of(session: Any) -> tuple[str, list[str]] | None:

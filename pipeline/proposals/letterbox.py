@@ -44,7 +44,7 @@ def letterbox(rgb: np.ndarray, height: int, width: int, pad: int = 114) -> tuple
     """
     h, w = rgb.shape[:2]
     scale = min(height / h, width / w)
-    inner_w, inner_h = min(round(w * scale), width), min(round(h * scale), height)
+    inner_w, inner_h = min(max(round(w * scale), 1), width), min(max(round(h * scale), 1), height)
     left, top = round((width - inner_w) / 2 - 0.1), round((height - inner_h) / 2 - 0.1)
     image = np.full((height, width, 3), pad, np.uint8)
     resized = rgb

@@ -11,6 +11,7 @@ from pipeline.errors import InputError
 from pipeline.proposals import detic, grounding_dino, owl, yolo_seg
 from pipeline.proposals.contracts import Contract, TensorSpec
 from pipeline.proposals.model_pair import declared, follows
+from pipeline.proposals.onnx_session import metadata
 from pipeline.proposals.segmenter_contracts import CONTRACTS as SEGMENTERS
 from pipeline.proposals.segmenter_contracts import INSTEAD, REFUSED
 
@@ -80,8 +81,7 @@ def _relatives(session: Any) -> FileKind | None:
     """Files that are near to something, and those that a TOML file can describe."""
     inputs, outputs = declared(session.get_inputs()), declared(session.get_outputs())
     names = {s.name for s in inputs}
-    metadata = session.get_modelmeta().custom_metadata_map
-    if any(key.startswith("srm.") for key in metadata):
+    if any(key.startswith("srm.") for key in metadata(session)):
         return FileKind("a relation network", ("--srm FILE",))
     if "text_features" in names:
         return FileKind("YOLO-World with its text from outside", (), "export it with its vocabulary set inside")

@@ -12,7 +12,7 @@ import numpy as np
 
 from pipeline.errors import InputError
 from pipeline.proposals.contracts import Contract, TensorSpec
-from pipeline.proposals.onnx_session import file_hash, open_session, signature
+from pipeline.proposals.onnx_session import as_declared, model_hash, open_session, signature
 
 _DTYPES = {
     "tensor(float)": "float32",
@@ -46,8 +46,8 @@ class ModelPair:
 
     @cached_property
     def content_hash(self) -> str:
-        """Of both files."""
-        return f"{file_hash(self.encoder_path)}:{file_hash(self.decoder_path)}"
+        """Of both files, with weights that are in files of their own."""
+        return f"{model_hash(self.encoder_path)}:{model_hash(self.decoder_path)}"
 
     @cached_property
     def encoder_inputs(self) -> dict[str, TensorSpec]:
@@ -73,16 +73,15 @@ class ModelPair:
         Parameters
         ----------
         image : ndarray
-            As the encoder's contract says; converted to the type that the file declares.
+            As the encoder's contract says.
         """
         (spec,) = self.encoder_inputs.values()
-        feed = {spec.name: image.astype(spec.dtype, copy=False)}
-        values = run(self.encoder_session, list(self.features), feed, self.encoder_path)
+        values = run(self.encoder_session, list(self.features), {spec.name: image}, self.encoder_path)
         return dict(zip(self.features.values(), values, strict=True))
 
     def decode(self, feed: dict[str, np.ndarray], outputs: Sequence[str]) -> list[np.ndarray]:
-        """The decoder's outputs as float32; inputs are converted to the types that the file declares."""
-        feed = {n: feed[n].astype(s.dtype, copy=False) for n, s in self.decoder_inputs.items()}
+        """The decoder's outputs as float32."""
+        feed = {n: feed[n] for n in self.decoder_inputs}
         return [o.astype(np.float32, copy=False) for o in run(self.decoder_session, outputs, feed, self.decoder_path)]
 
     def decoder_outputs(self) -> dict[str, TensorSpec]:
@@ -100,13 +99,14 @@ def declared(values: Iterable[Any]) -> tuple[TensorSpec, ...]:
 
 
 def run(session: Any, outputs: Sequence[str], feed: dict[str, np.ndarray], path: Path) -> list[np.ndarray]:
-    """Run a session.
+    """Run a session on inputs converted to the types that the file declares.
 
     Raises
     ------
     InputError
-        ONNX Runtime refuses the input, or fails inside the model.
+        An input cannot be converted, ONNX Runtime refuses the input, or fails inside the model.
     """
+    feed = as_declared(session, feed, path)
     try:
         return session.run(list(outputs), feed)
     except Exception as error:  # ONNX Runtime raises its own classes, which differ between releases.

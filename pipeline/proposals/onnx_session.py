@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import mmap
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -50,14 +51,44 @@ def open_session(path: Path, threads: int | None = None) -> Any:
     for level in (ort.GraphOptimizationLevel.ORT_ENABLE_ALL, ort.GraphOptimizationLevel.ORT_DISABLE_ALL):
         options.graph_optimization_level = level
         try:
-            return create(str(path), options)
+            return _legible(create(str(path), options), path)
         except InputError:
             raise
         except Exception as error:  # ONNX Runtime raises its own classes, which differ between releases.
             failure = failure or error
+    cause = _no_model(path) or _likely_cause(str(failure))
     raise InputError(
-        "ONNX Runtime cannot load the model", got=first_line(failure), cause=_likely_cause(str(failure)), path=path
+        "ONNX Runtime cannot load the model", got=first_line(failure), cause=cause, path=path
     ) from failure
+
+
+def _legible(session: Any, path: Path) -> Any:
+    """The session, where what it declares can be read at all."""
+    try:
+        for value in (*session.get_inputs(), *session.get_outputs()):
+            _ = value.name, value.shape
+    except UnicodeDecodeError as error:
+        raise InputError("the names in the model are no text", cause="the file is damaged", path=path) from error
+    return session
+
+
+def metadata(session: Any) -> dict[str, str]:
+    """What the file says of itself; nothing where that is no text."""
+    try:
+        return dict(session.get_modelmeta().custom_metadata_map)
+    except UnicodeDecodeError:
+        return {}
+
+
+def _no_model(path: Path) -> str | None:
+    """What stands where a download failed, where the file is that."""
+    with path.open("rb") as file:
+        begin = file.read(64).lstrip().lower()
+    if begin.startswith(b"version https://git-lfs"):
+        return "it is a pointer of Git LFS, not the file itself: `git lfs pull` fetches it"
+    if begin.startswith((b"<!doctype", b"<html", b"<?xml")):
+        return "it is a web page, not the file itself: download it again"
+    return None
 
 
 def _likely_cause(message: str) -> str | None:
@@ -84,10 +115,9 @@ def run_session(session: Any, outputs: Sequence[str], feed: Mapping[str, np.ndar
     Raises
     ------
     InputError
-        Where ONNX Runtime cannot run the model on them, or an output holds NaN.
+        Where an input cannot be cast, ONNX Runtime cannot run the model on them, or an output holds NaN.
     """
-    declared = {i.name: NUMPY_TYPES.get(i.type) for i in session.get_inputs()}
-    cast = {n: np.ascontiguousarray(v, dtype=declared.get(n) or v.dtype) for n, v in feed.items()}
+    cast = as_declared(session, feed, path)
     try:
         values = [np.asarray(v) for v in session.run(list(outputs), cast)]
     except Exception as error:  # As above.
@@ -108,12 +138,41 @@ def run_session(session: Any, outputs: Sequence[str], feed: Mapping[str, np.ndar
     return values
 
 
+def as_declared(session: Any, feed: Mapping[str, np.ndarray], path: Path) -> dict[str, np.ndarray]:
+    """Inputs as the types that the file declares.
+
+    Raises
+    ------
+    InputError
+        Where the file wants what is no number, or whole numbers of what are none.
+    """
+    types = {i.name: i.type for i in session.get_inputs()}
+    cast = {}
+    for name, value in feed.items():
+        wanted = NUMPY_TYPES.get(types.get(name, ""))
+        if wanted is None:
+            got = types.get(name, "no such input")
+            raise InputError(f"the model's input {name!r} cannot be given", got=got, expected="numbers", path=path)
+        with np.errstate(invalid="ignore", over="ignore"):
+            cast[name] = np.ascontiguousarray(value, dtype=wanted)
+        if value.dtype.kind == "f" and cast[name].dtype.kind != "f" and not np.array_equal(cast[name], value):
+            raise InputError(
+                f"the model's input {name!r} takes whole numbers, and what belongs there are none",
+                got=types[name],
+                expected="tensor(float)",
+                cause="was the file quantised together with its inputs?",
+                path=path,
+            )
+    return cast
+
+
 NUMPY_TYPES: dict[str, type[np.generic]] = {
     "tensor(float)": np.float32,
     "tensor(float16)": np.float16,
     "tensor(double)": np.float64,
     "tensor(int64)": np.int64,
     "tensor(int32)": np.int32,
+    "tensor(uint8)": np.uint8,
     "tensor(bool)": np.bool_,
 }
 """ONNX Runtime's names of the types that inputs may have."""
@@ -138,6 +197,24 @@ def file_hash(path: Path) -> str:
 
 
 def model_hash(path: Path) -> str:
-    """Hash of a model file and of the weights that stand beside it, as exporters name them."""
-    beside = [path.with_name(path.name + ending) for ending in ("_data", ".data")]
+    """Hash of a model file and of the files that its weights are in, where they are in files of their own."""
+    beside = {path.with_name(path.name + ending): None for ending in ("_data", ".data")}
+    beside |= {path.parent / name: None for name in sorted(set(_weight_files(path)))}
     return "+".join(file_hash(p) for p in (path, *beside) if p.is_file())
+
+
+_LOCATION = re.compile(rb"\n\x08location\x12([\x80-\xff]?[\x01-\x7f])")
+"""How protobuf writes the key of an entry of `external_data`, and the length of its value."""
+
+
+def _weight_files(path: Path) -> Iterator[str]:
+    """The files that a model's tensors name; by chance also what only looks like a name."""
+    with path.open("rb") as file:
+        if not path.stat().st_size:
+            return
+        with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+            for found in _LOCATION.finditer(content):
+                size = sum((byte & 127) << 7 * place for place, byte in enumerate(found[1]))
+                name = content[found.end() : found.end() + size]
+                if b"\0" not in name:
+                    yield name.decode("utf-8", "replace")

@@ -224,14 +224,15 @@ class OwlDetector:
 
     def _tensor(self, frame: Frame) -> np.ndarray:
         """The picture is resized once, however many names are asked for in turn."""
-        if self._pixels is None or self._pixels[0] != frame.content_hash:
+        kept = self._pixels  # Once: another thread may put another picture there.
+        if kept is None or kept[0] != frame.content_hash:
             sides = [s if isinstance(s, int) else SIDES[self.name] for s in self._inputs["pixel_values"][2:]]
             if self.name == "owlv2":
                 image = padded_square(frame.rgb, sides[0], self.fill)
             else:
                 image = pillow_resized(frame.rgb, sides[0], sides[1], cubic=True)
-            self._pixels = frame.content_hash, normalised(image, CLIP_MEAN, CLIP_STD)
-        return self._pixels[1]
+            self._pixels = kept = frame.content_hash, normalised(image, CLIP_MEAN, CLIP_STD)
+        return kept[1]
 
 
 def _marks(tokenizer: Any, path: Path) -> tuple[int, int]:
@@ -263,6 +264,17 @@ def tensors_of(session: Any) -> list[str] | None:
 
 def _check_contract(session: Any, kind: Kind, path: Path) -> list[str]:
     found = tensors_of(session)
+    sides = {side for i in session.get_inputs() if i.name == "pixel_values" for side in i.shape[2:]}
+    other = next((k for k, side in SIDES.items() if k != kind and side in sides), None)
+    if found is not None and other is not None:
+        # It would run, and its boxes would lie wrong in every picture that is no square.
+        raise InputError(
+            f"the ONNX file is not an {kind} model",
+            got=f"a picture of {SIDES[other]} x {SIDES[other]}",
+            expected=f"{SIDES[kind]} x {SIDES[kind]}, or another size",
+            cause=f"this is {other}'s: use --detector {other}",
+            path=path,
+        )
     if found is None:
         from pipeline.proposals.mismatch import not_fitting
 

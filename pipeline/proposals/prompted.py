@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Sequence
+from threading import Lock
 from typing import Protocol
 
 import cv2
@@ -60,6 +61,7 @@ class PromptedSegmenter:
         self.encoder_runs = 0
         self._features: OrderedDict[str, dict[str, np.ndarray]] = OrderedDict()
         self._batches: bool | None = None
+        self._lock = Lock()
 
     @property
     def name(self) -> str:
@@ -136,13 +138,16 @@ class PromptedSegmenter:
     def _encoded(self, frame: Frame) -> dict[str, np.ndarray]:
         """The features of the picture; the encoder, the slow part, is run once for each."""
         key = frame.content_hash
-        if key not in self._features:
-            self._features[key] = self.model.encode(frame.rgb)
+        found = self._features.get(key)
+        if found is None:
+            found = self.model.encode(frame.rgb)
             self.encoder_runs += 1
-        self._features.move_to_end(key)
-        while len(self._features) > _KEPT:
-            self._features.popitem(last=False)
-        return self._features[key]
+        with self._lock:
+            self._features[key] = found
+            self._features.move_to_end(key)
+            while len(self._features) > _KEPT:
+                self._features.popitem(last=False)
+        return found
 
 
 def resampled(rgb: np.ndarray, height: int, width: int) -> np.ndarray:

@@ -24,7 +24,8 @@ def pillow_resized(rgb: np.ndarray, height: int, width: int, *, cubic: bool = Fa
 def shortest_edge(height: int, width: int, shortest: int = 800, longest: int = 1333) -> tuple[int, int]:
     """Height and width with the shorter side `shortest`, or less so that the longer one is at most `longest`.
 
-    The roundings are those of `get_size_with_aspect_ratio` in transformers and in IDEA-Research/GroundingDINO.
+    The roundings are those of `get_size_with_aspect_ratio` in transformers and in IDEA-Research/GroundingDINO; a side
+    that they round to nothing is 1.
     """
     low, high = min(height, width), max(height, width)
     exact = float(shortest)
@@ -33,7 +34,7 @@ def shortest_edge(height: int, width: int, shortest: int = 800, longest: int = 1
     short = round(exact)
     if low == short:
         return height, width
-    long = max(int(exact * high / low), 1)
+    short, long = max(short, 1), max(int(exact * high / low), 1)
     return (long, short) if width < height else (short, long)
 
 

@@ -81,7 +81,7 @@ CONTRACTS = ENCODERS + DECODERS
 def resized_shape(height: int, width: int, side: int = SIDE) -> tuple[int, int]:
     """Height and width of a picture whose long side is `side`."""
     scale = side / max(height, width)
-    return int(height * scale + 0.5), int(width * scale + 0.5)
+    return max(int(height * scale + 0.5), 1), max(int(width * scale + 0.5), 1)
 
 
 class SamModel:

@@ -65,6 +65,8 @@ class _Raw:
     prototypes: np.ndarray
     placement: Letterbox
     rows: np.ndarray
+    cell: tuple[float, float]
+    """Prototype cells per input pixel, down and across."""
 
 
 class YoloSegDetector:
@@ -129,10 +131,15 @@ class YoloSegDetector:
         names = self.vocabulary or ()
         wanted = wanted_names(labels, names, self.synonyms, f"the model {self.path.name}")
         raw = self._forward(frame)
-        columns = np.array([names.index(n) for n in wanted], np.int64)
+        place = {name: k for k, name in enumerate(wanted)}
+        # Vocabularies such as that of LVIS hold names twice.
+        columns = np.array([c for c, name in enumerate(names) if name in place], np.int64)
+        which = np.array([place[name] for name in names if name in place], np.int64)
+        if not len(columns):
+            return no_proposals(frame.height, frame.width)
         scores = raw.classes[:, columns]
         best = scores.argmax(axis=1)
-        score = scores[np.arange(len(scores)), best] if len(scores) else np.zeros(0, np.float32)
+        score = scores[np.arange(len(scores)), best]
         order = np.argsort(-score, kind="stable")
         order = order[score[order] >= self.min_score][:MAX_CANDIDATES]
         order = order[suppress(raw.boxes[order])]
@@ -144,7 +151,7 @@ class YoloSegDetector:
         return Proposals(
             boxes[solid],
             np.clip(score[order][solid], 0, 1).astype(np.float32),
-            best[order][solid].astype(np.int64),
+            which[best[order][solid]],
             tuple(wanted),
             masks[solid],
             raw.rows[order[solid]],
@@ -152,8 +159,9 @@ class YoloSegDetector:
 
     def _forward(self, frame: Frame) -> _Raw:
         """The network is run once for a picture, however many names are asked for in turn."""
-        if self._last is not None and self._last[0] == frame.content_hash:
-            return self._last[1]
+        last = self._last  # Once: another thread may put another picture there.
+        if last is not None and last[0] == frame.content_hash:
+            return last[1]
         _, _, height, width = self._input.shape
         height = height if isinstance(height, int) else _multiple_of_32(frame.height)
         width = width if isinstance(width, int) else _multiple_of_32(frame.width)
@@ -164,7 +172,14 @@ class YoloSegDetector:
             raise self._odd_outputs(rows, prototypes)
         boxes, classes, coefficients = self._parts(rows, prototypes)
         index = np.flatnonzero(classes.max(axis=1, initial=0) >= min(self.min_score, SCORE_FLOOR))
-        raw = _Raw(boxes[index], classes[index], coefficients[index], prototypes[0], placement, index)
+        cell = prototypes.shape[2] / height, prototypes.shape[3] / width
+        raw = _Raw(boxes[index], classes[index], coefficients[index], prototypes[0], placement, index, cell)
+        if not all(np.isfinite(v).all() for v in (raw.boxes, raw.classes, raw.coefficients, prototypes)):
+            raise InputError(
+                "the model's outputs are not finite",
+                cause="half-precision files overflow on some processors: try the full-precision one",
+                path=self.path,
+            )
         self._last = (frame.content_hash, raw)
         return raw
 
@@ -206,16 +221,16 @@ def _masks(raw: _Raw, order: np.ndarray, boxes: np.ndarray, height: int, width: 
     channels, proto_h, proto_w = raw.prototypes.shape
     logits = (raw.coefficients[order] @ raw.prototypes.reshape(channels, -1)).reshape(-1, proto_h, proto_w)
     place = raw.placement
-    # Prototypes cover the whole input, padding included, at a quarter of its size.
-    step = place.scale / 4
+    # Prototypes cover the whole input, padding included, mostly at a quarter of its size.
+    down, across = raw.cell
     masks = np.zeros((len(order), height, width), np.bool_)
     for k, (x0, y0, x1, y1) in enumerate(boxes):
         left, top = int(np.floor(x0)), int(np.floor(y0))
         right, bottom = min(int(np.ceil(x1)), width), min(int(np.ceil(y1)), height)
         if right <= left or bottom <= top:
             continue
-        xs = ((np.arange(left, right) + 0.5) * step + place.left / 4 - 0.5).astype(np.float32)
-        ys = ((np.arange(top, bottom) + 0.5) * step + place.top / 4 - 0.5).astype(np.float32)
+        xs = (((np.arange(left, right) + 0.5) * place.scale + place.left) * across - 0.5).astype(np.float32)
+        ys = (((np.arange(top, bottom) + 0.5) * place.scale + place.top) * down - 0.5).astype(np.float32)
         grid_x, grid_y = np.meshgrid(xs, ys)
         smooth = cv2.remap(
             np.ascontiguousarray(logits[k]), grid_x, grid_y, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
