@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import threading
 from datetime import datetime, timezone
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from journal_world import FRAME, an_expression
 
+from pipeline.correcting import journal_place
 from pipeline.correcting.cards import pair_card
 from pipeline.correcting.desk import Desk
 from pipeline.correcting.journal_place import JournalPlace
@@ -88,6 +91,33 @@ def test_what_cannot_be_saved_is_kept_shown_and_saved_later(demo_labels: Labels,
     assert not desk.waiting
     assert Desk(demo_labels, place, "ben").frame(FRAME).objects[3]["label"] == "jar"
     assert [e.after for e in place.to_write().events()] == ["beaker", "jar"]
+
+
+def test_while_the_journal_is_being_opened_an_edit_waits_and_nobody_with_it(
+    demo_labels: Labels, place: JournalPlace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    desk, slow = Desk(demo_labels, place, "ann"), threading.Event()
+    real, asked = journal_place.journal_of, threading.Event()
+
+    def opened(*given: Any, **named: Any) -> Any:
+        asked.set()
+        slow.wait(5)
+        return real(*given, **named)
+
+    monkeypatch.setattr(journal_place, "journal_of", opened)
+    monkeypatch.setattr(journal_place, "SLOW_S", 0.02)
+    frame = desk.frame(FRAME)
+    other = threading.Thread(target=place.to_write)
+    other.start()
+    asked.wait(5)
+    outcome = desk.save(set_class(frame, 3, "jar"))
+    assert isinstance(outcome, Waiting)
+    assert "does not answer" in outcome.problem
+    slow.set()
+    other.join()
+    assert not place.to_write().events()
+    assert [type(x) for x in desk.retry()] == [Saved]
+    assert [e.after for e in place.to_write().events()] == ["jar"]
 
 
 def test_what_waits_can_be_dropped_and_is_a_conflict_where_somebody_was_faster(

@@ -9,8 +9,10 @@ import sqlalchemy as sa
 from sqlalchemy.exc import ArgumentError
 
 from pipeline.correcting.unsaved import Unsaved
+from pipeline.errors import InputError
 from pipeline.journal.connection import is_url
 from pipeline.journal.journal import JOURNAL_FILE, Journal, journal_of
+from pipeline.journal.server import SLOW_S
 from pipeline.labels.reading import Labels
 
 
@@ -82,10 +84,16 @@ class JournalPlace:
         InputError
             It cannot be opened or made.
         """
-        with self._lock:
+        if self._journal is not None:
+            return self._journal
+        if not self._lock.acquire(timeout=SLOW_S):
+            raise InputError("the journal cannot be opened", got="it does not answer yet", path=str(self))
+        try:
             if self._journal is None:
                 self._journal = journal_of(self.labels, self.where, project=self.project)
             return self._journal
+        finally:
+            self._lock.release()
 
     def close(self) -> None:
         """Let go of the database."""
@@ -93,5 +101,3 @@ class JournalPlace:
             if self._journal is not None:
                 self._journal.close()
             self._journal = None
-
-
