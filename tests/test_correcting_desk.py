@@ -62,6 +62,33 @@ def test_what_is_saved_is_seen_by_everyone_taken_back_and_brought_back(
     assert ben.frame(FRAME).pairs.state(a, b, "left") == -was
 
 
+@pytest.mark.parametrize("moved", [True, False])
+def test_a_journal_that_was_put_back_is_read_afresh(demo_labels: Labels, place: JournalPlace, moved: bool) -> None:
+    ann, copy = Desk(demo_labels, place, "ann"), Path(f"{place.where}.copy")
+    ann.save(set_class(ann.frame(FRAME), 3, "jar"))
+    place.close()
+    copy.write_bytes(Path(str(place.where)).read_bytes())
+    ann.save(set_class(ann.frame(FRAME), 3, "mug"))
+    assert ann.frame(FRAME).objects[3]["label"] == "mug"
+    assert not ann.replaced(FRAME)
+    place.close()
+    copy.replace(str(place.where))
+    for left in ("-wal", "-shm"):
+        Path(f"{place.where}{left}").unlink(missing_ok=True)
+    if moved:
+        # What is saved now has the number of an event that was seen, or a smaller one.
+        ben = Desk(demo_labels, JournalPlace(demo_labels, place.where), "ben")
+        assert isinstance(ben.save(set_class(ben.frame(FRAME), 5, "cup")), Saved)
+        ben.place.close()
+    assert ann.replaced(FRAME)
+    assert [e.author for e in ann.news(FRAME)] == ["ben"] * moved
+    frame = ann.frame(FRAME)
+    assert (frame.objects[3]["label"], frame.objects[5]["label"] == "cup") == ("jar", moved)
+    assert not ann.replaced(FRAME)
+    assert isinstance(ann.save(set_class(frame, 3, "mug")), Saved)
+    assert ann.frame(FRAME).objects[3]["label"] == "mug"
+
+
 def test_who_comes_second_is_told_and_overwrites_nothing(demo_labels: Labels, place: JournalPlace) -> None:
     ann, ben = (Desk(demo_labels, place, name) for name in ("ann", "ben"))
     seen = ann.frame(FRAME), ben.frame(FRAME)

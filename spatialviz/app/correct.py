@@ -358,12 +358,14 @@ class Correct:
         self._draw()
 
     def took(self, frame: str, events: tuple[Event, ...]) -> None:
-        """Others have saved something in a frame: look at it, and say who did what."""
+        """Others have saved something in a frame, or put another journal in its place: look at it, and say so."""
         state, desk = self._state(), self.desk
         if desk is None or state.labels is None or state.frame_id != frame:
             return
-        events = tuple(e for e in events if e.id > desk.seen(frame))
-        if events:
+        events = tuple(e for e in events if not desk.has_seen(e))
+        if desk.replaced(frame):
+            self.tell("the journal was replaced by another, such as an older copy: this is what it has", True)
+        elif events:
             self.tell(f"{events[-1].author}: {said_events(events[::-1], state.labels.frame)}")
 
     def frame_of(self, conflict: Conflict) -> EffectiveFrame | None:
