@@ -11,6 +11,7 @@ from typing import Any
 from pipeline.datasets import Dataset
 from pipeline.errors import InputError
 from pipeline.journal.journal import journal_of
+from pipeline.journal.setting import setting_of
 from pipeline.labels.pictures import labelled_dataset
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.review.agreement import pair_agreements
@@ -86,7 +87,7 @@ def make_queue(job: QueueJob, report: Callable[[tuple[int, int]], None]) -> dict
     metadata = queue.schema.metadata
     write_queue(with_states(by_frame(queue), states).replace_schema_metadata(metadata), job.out)
     wrong = (metadata or {}).get(b"estimated_wrong")
-    pairs = [pair.record() for pair in pair_agreements(reviewed.judgements)]
+    pairs = [pair.record() for pair in pair_agreements(reviewed.judgements, setting_of(labels).inverse)]
     return {
         "items": queue.num_rows,
         "last": last,
