@@ -239,6 +239,8 @@ def test_actions_in_words_name_the_objects_and_do_not_count_the_mirror(
     done = desk.save(set_text(frame, row["id"], "the one over there"))
     assert isinstance(done, Saved)
     assert "the one over there" in said_events(done.events, desk.frame(FRAME))
+    # Without its frame an expression has its id.
+    assert said_events(done.events, None).startswith(f"text of expression {done.events[0].cell.key}: ")
 
 
 def test_what_was_made_on_an_edit_that_is_disputed_is_disputed_with_it(demo_labels: Labels, tmp_path: Path) -> None:
