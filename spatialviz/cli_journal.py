@@ -66,7 +66,7 @@ class DatasetOptions:
 
 @dataclass(frozen=True)
 class ShowJournal:
-    """List what people corrected in labels; exit status 1 where nothing of it is asked for, 2 without a journal."""
+    """List what people corrected in labels; exit status 1 where there are none, 2 without a journal."""
 
     labels: Positional[Path]
     """Labels folder."""
