@@ -47,20 +47,12 @@ class JournalPlace:
     @property
     def address(self) -> str:
         """What `--journal` takes to open it again; of a URL without the password."""
-        if self.where is None or not is_url(self.where):
-            return "" if self.where is None else str(self.where)
-        try:
-            # `set` takes no password away.
-            url = sa.make_url(str(self.where))
-            return url._replace(password=None).render_as_string(hide_password=True)
-        except (ArgumentError, ValueError):
-            return str(self.where).rpartition("@")[2]
+        return "" if self.where is None else address_without_password(self.where)
 
     @property
     def words(self) -> tuple[str, ...]:
         """The options by which a command finds this journal."""
-        words = () if self.where is None else ("--journal", self.address)
-        return words if self.project is None else (*words, "--project", self.project)
+        return journal_words(self.where, self.project)
 
     def to_read(self) -> Journal | None:
         """The journal; None where nothing was ever corrected.
@@ -101,3 +93,23 @@ class JournalPlace:
             if self._journal is not None:
                 self._journal.close()
             self._journal = None
+
+
+def address_without_password(where: str | Path) -> str:
+    """What `--journal` takes to open a journal again."""
+    if not is_url(where):
+        return str(where)
+    try:
+        url = sa.make_url(str(where))
+    except (ArgumentError, ValueError):
+        return str(where).rpartition("@")[2].partition("?")[0]
+    # `set` takes no password away.
+    url = url._replace(password=None)
+    secret = [name for name in url.query if "password" in name.lower()]
+    return url.difference_update_query(secret).render_as_string(hide_password=True)
+
+
+def journal_words(where: str | Path | None, project: str | None = None) -> tuple[str, ...]:
+    """The options by which a command finds a journal, without a password."""
+    words = () if where is None else ("--journal", address_without_password(where))
+    return words if project is None else (*words, "--project", project)
