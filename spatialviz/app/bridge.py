@@ -28,7 +28,7 @@ from spatialviz.app.sentences_style import SENTENCES_CSS, SENTENCES_SCRIPT
 from spatialviz.app.style import CSS, SCRIPT
 
 HELLO = "hello"
-CALLED = ("svOverlay", "svOffer", "svFocusClass")
+CALLED = ("svOverlay", "svOffer", "svFocusClass", "svNumbers")
 """Functions of the page that change a part of it where sending all of it again would be slow, or lose the focus."""
 HELLO_SECONDS = 12.0
 
