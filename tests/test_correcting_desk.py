@@ -22,6 +22,7 @@ from pipeline.datasets import Dataset
 from pipeline.errors import InputError
 from pipeline.journal.edits import judge_relation, set_class, set_relation, set_text
 from pipeline.journal.events import Conflict, Saved
+from pipeline.journal.journal import Journal
 from pipeline.labels.reading import Labels
 from pipeline.relations import F, T
 from pipeline.run_length import decode_run_length
@@ -87,6 +88,24 @@ def test_a_journal_that_was_put_back_is_read_afresh(demo_labels: Labels, place: 
     assert not ann.replaced(FRAME)
     assert isinstance(ann.save(set_class(frame, 3, "mug")), Saved)
     assert ann.frame(FRAME).objects[3]["label"] == "mug"
+
+
+def test_what_was_saved_last_is_seen_while_the_journal_is_away(
+    demo_labels: Labels, place: JournalPlace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ann = Desk(demo_labels, place, "ann")
+    assert isinstance(ann.save(set_class(ann.frame(FRAME), 3, "jar")), Saved)
+
+    def away(*_: Any, **__: Any) -> Any:
+        raise InputError("the journal cannot be read")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Journal, "events", away)
+        frame = ann.frame(FRAME)
+        assert frame.objects[3]["label"] == "jar"
+    # What is made on it is made on what is there.
+    assert isinstance(ann.save(set_class(frame, 3, "mug")), Saved)
+    assert [e.after for e in ann.events(FRAME)] == ["jar", "mug"]
 
 
 def test_who_comes_second_is_told_and_overwrites_nothing(demo_labels: Labels, place: JournalPlace) -> None:

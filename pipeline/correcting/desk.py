@@ -43,6 +43,7 @@ class Desk:
     def __init__(self, labels: Labels, place: JournalPlace, author: str, dataset: Dataset | None = None) -> None:
         self.labels, self.place, self.author, self._dataset = labels, place, author, dataset
         self._events: dict[str, tuple[Event, ...]] = {}
+        self._saved: tuple[Event, ...] = ()
         self._again: tuple[str, str] | None = None
         self._seen: tuple[str, tuple[str, ...], EffectiveFrame] | None = None
 
@@ -166,8 +167,9 @@ class Desk:
             if known is None:
                 raise
             # Who works on while the database is away sees what they saw, and their own edits.
-            return known
+            return (*known, *(e for e in self._saved if e.cell.frame == frame))
         found = self._events[frame] = (*standing, *newer)
+        self._saved = tuple(e for e in self._saved if e.cell.frame != frame)
         if self._again is not None and any(e.group == self._again[1] for e in found):
             # It was done after all, and is seen: whoever asks once more means the next.
             self._again = None
@@ -216,7 +218,10 @@ class Desk:
         return action
 
     def _kept(self, outcome: Saved | Conflict) -> Saved | Conflict:
-        if isinstance(outcome, Conflict):
+        if isinstance(outcome, Saved):
+            # Until it is read, this is all that is known of it.
+            self._saved = (*self._saved, *outcome.events)
+        else:
             self.place.unsaved.dispute(self.author, outcome)
         return outcome
 
