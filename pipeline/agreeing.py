@@ -145,4 +145,4 @@ def beside(source: Source, context: FrameContext, objects: Sequence[SceneObject]
         layer_of_objects(others, known_names(source.beside)),
         synonyms=source.synonyms,
     )
-    return Beside((detector.name, source.beside.name), others, found, figures([found], source.synonyms))
+    return Beside(source.sides, others, found, figures([found], source.synonyms))

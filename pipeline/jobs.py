@@ -45,6 +45,8 @@ class Source:
         Opens the same detector without a minimum score.
     beside : Detector or None
         Another detector, to compare with; it answers nothing.
+    models : tuple of (Path or None)
+        The files of the detector and of the one beside it.
     """
 
     dataset: Dataset
@@ -54,6 +56,16 @@ class Source:
     synonyms: Synonyms | None = None
     open_unfiltered: Callable[[], Detector | None] | None = None
     beside: Detector | None = None
+    models: tuple[Path | None, Path | None] = (None, None)
+
+    @property
+    def sides(self) -> tuple[str, str]:
+        """The names of the detector and of the one beside it; those of their model files where they are of one kind."""
+        a, b = (None if one is None else one.name for one in (self.detector, self.beside))
+        models = [None if path is None else path.stem for path in self.models]
+        if a == b and models[0] != models[1]:
+            a, b = (model or name for name, model in zip((a, b), models, strict=True))
+        return a or "", b or ""
 
     def unfiltered_detector(self) -> Detector:
         """The detector without a minimum score, for what it sees and does not say; itself where it has none."""
@@ -162,6 +174,7 @@ def open_source(
         others = [make_one(*named_model(text), min_score) for text in fuse]
         return fused_detector(make_one(detector, model, min_score, model_config), others, fusion, table)
 
+    models = (model, None if also is None else named_model(also)[1])
     found = make(min_score)
     beside = None if also is None else make_one(*named_model(also), min_score)
     if segmenter is None and segmenter_model is not None:
@@ -173,7 +186,7 @@ def open_source(
     config = config or AskConfig()
     if config.score_calibration is not None and found is not None:
         config.score_calibration.check(found)
-    return Source(dataset, found, make_scorer(srm, vectors), config, table, lambda: make(0.0), beside)
+    return Source(dataset, found, make_scorer(srm, vectors), config, table, lambda: make(0.0), beside, models)
 
 
 def open_sources(path: str | Path, **options: Any) -> tuple[dict[str, Source], dict[str, str]]:

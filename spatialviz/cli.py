@@ -58,9 +58,10 @@ class Ask:
         from pipeline.diagnosis.asking import ask_and_judge, judged_record
         from pipeline.jobs import ALL_FRAMES
         from pipeline.labels.reading import open_labels
+        from pipeline.overlooked import overlooked
         from pipeline.picture import save_picture
         from pipeline.records import why_no_answer
-        from spatialviz.printing import print_trace, print_verdict
+        from spatialviz.printing import print_overlooked, print_trace, print_verdict
 
         if not self.expressions:
             raise InputError("an expression is missing", expected='for example "mug left of the laptop"')
@@ -76,6 +77,8 @@ class Ask:
             else:
                 print_trace(answer.trace)
                 print_verdict(answer)
+                if answer.trace.missing and self.frame != ALL_FRAMES:
+                    print_overlooked(overlooked(source, answer.trace))
             if self.save is not None:
                 save_picture(answer.trace, self.save)
         return FINE if answered else NO
@@ -319,7 +322,11 @@ def main(argv: Sequence[str] | None = None) -> int:
             prog="spatialviz",
             args=arguments,
             description="See why an RGB-D spatial-reasoning pipeline answered what it answered.",
-            config=(tyro.conf.FlagCreatePairsOff,),
+            config=(
+                tyro.conf.FlagCreatePairsOff,
+                tyro.conf.PositionalMetavarFromFieldName,
+                tyro.conf.DisallowNone,
+            ),
         )
         return command.run()
     except (InputError, MissingExtra) as error:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 from tyro.conf import OmitArgPrefixes, Positional
 
+from pipeline.errors import InputError
 from spatialviz.cli_detect import DetectorOptions
 from spatialviz.exits import FINE, NO
 from spatialviz.options import print_json, warn_skipped
@@ -40,9 +41,11 @@ class Agree:
         from spatialviz.printing import rate_bar
         from spatialviz.printing_agreement import print_agreement, print_frame_agreement
 
+        if self.frame != ALL_FRAMES and self.source.frames != ALL_FRAMES:
+            raise InputError("frames are named twice", got=f"{self.frame} and --frames {self.source.frames}")
         source, _ = self.source.open(self.dataset, self.also)
         frames = self.source.frames if self.frame == ALL_FRAMES else self.frame
-        names = [detector.name for detector in (source.detector, source.beside) if detector is not None]
+        names = source.sides
         found = []
         with rate_bar("comparing", "frames") as advance:
             for frame_id, one in agree_frames(

@@ -27,9 +27,11 @@ class DetectorOptions:
     model: Path | None = None
     """Model file, its id on the model hub (OWNER/REPO:FILE@REVISION), a recording, or options of the simulated one."""
     model_config: Path | None = None
-    """What the model file does not say: the TOML file of boxes (default: beside the model), class names of detic."""
+    """What the file of --model does not say: the TOML file of boxes (default: beside the model), the class names of
+    detic and yolo-seg."""
     fuse: tuple[str, ...] = ()
-    """Further detectors, NAME or NAME=MODEL, whose detections are fused with the detector's."""
+    """Further detectors, NAME or NAME=MODEL, whose detections are fused with the detector's. What a MODEL does not say
+    stands beside it."""
     fusion: Literal["wbf", "nms"] = "wbf"
     """With --fuse: weighted boxes fusion, or all with non-maximum suppression."""
     min_score: float | None = None
@@ -43,7 +45,7 @@ class DetectorOptions:
     frames: str = "all"
     """all, FROM:TO by index (FROM is in, TO is not), or a frame's id or index."""
     synonyms: Path | None = None
-    """A JSON file with more synonyms."""
+    """A JSON file with more synonyms: {"groups": [["mug", "cup"], …]}."""
     intrinsics: str | None = None
     """fx,fy,cx,cy in pixels, for recordings without a camera file."""
     depth_scale: float | None = None
@@ -111,12 +113,17 @@ class Detect:
                     "skipped": report.skipped,
                     "unknown": list(report.unknown),
                     "seconds": round(report.seconds, 3),
+                    "classes": report.classes,
                 }
             )
         else:
             print(f"{report.detections} detections in {report.frames} frames, {report.seconds:.1f} s -> {self.out}")
+            if report.classes:
+                print(", ".join(f"{name} {count}" for name, count in report.classes.items()))
             if report.unknown:
                 print("not known to the detector: " + ", ".join(report.unknown))
+            if not report.detections and not self.classes:
+                print(f"asked for the dataset's classes: {', '.join(names or ())}; others: --classes NAME ...")
         return FINE
 
 

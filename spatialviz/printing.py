@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
@@ -18,6 +19,7 @@ from pipeline.diagnosis.asking import JudgedAnswer
 from pipeline.jobs import FrameRelations
 from pipeline.lexicon import wording
 from pipeline.objects import SceneObject
+from pipeline.overlooked import Overlooked
 from pipeline.records import why_no_answer
 from pipeline.relations import PHRASE, letter
 
@@ -108,6 +110,17 @@ def print_verdict(answer: JudgedAnswer) -> None:
         make_console().print(Text.assemble(("verdict ", "dim"), (name, style), f"  {answer.judgement.said}"))
     elif answer.unjudged is not None:
         make_console().print(Text(f"no verdict: {answer.unjudged}", "dim"))
+
+
+def print_overlooked(found: Overlooked) -> None:
+    """What the detector sees of names that were not found, and what else: a line each."""
+    console = make_console()
+    for name, score in found.below.items():
+        least = math.floor(score * 100) / 100
+        if least:
+            console.print(Text(f"the best {name!r} has {score:.3f}: --min-score {least:.2f} keeps it", "yellow"))
+    if found.seen:
+        console.print(Text("the detector finds " + ", ".join(f"{name} {n}" for name, n in found.seen.items()), "dim"))
 
 
 def _at(trace: Trace, place: int) -> str:

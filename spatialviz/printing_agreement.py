@@ -11,6 +11,8 @@ from pipeline.proposals.agreement import FrameAgreement
 from pipeline.proposals.agreement_figures import AgreementFigures
 from spatialviz.printing import make_console
 
+SHOWN_NAMES = 8
+
 
 def print_frame_agreement(frame_id: str, found: FrameAgreement) -> None:
     """What the two detectors disagree on in one frame, row by row."""
@@ -61,6 +63,11 @@ def print_agreement(sums: AgreementFigures, detectors: Sequence[str]) -> None:
         counts = (row.a, row.b, row.both, row.otherwise, row.only_a, row.only_b)
         table.add_row(Text(row.name), *map(str, counts), shown(row.share), shown(row.mean_iou))
     console.print(table)
+    if sums.renamed:
+        said = ", ".join(f"{a}/{b} {n}" for a, b, n in sums.renamed[:SHOWN_NAMES])
+        more = len(sums.renamed) - SHOWN_NAMES
+        console.print(Text(f"named otherwise, A/B: {said}" + (f" and {more} more" if more > 0 else "")))
+        console.print(Text("names that mean the same can be declared in a file: --synonyms", "dim"))
 
 
 def shown(figure: float | None) -> str:

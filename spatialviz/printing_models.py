@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
 
 from rich.text import Text
 
+from pipeline.execution import ACCELERATORS
 from pipeline.proposals.contracts import Contract
 from pipeline.proposals.endurance import Endurance
 from pipeline.proposals.known_models import KnownModel
-from pipeline.proposals.mismatch import shapes
+from pipeline.proposals.mismatch import BOXES, shapes
 from pipeline.proposals.model_catalogue import Adapter, FileReport, Here, is_fetched
 from spatialviz.printing import make_console
 
@@ -49,7 +51,7 @@ def print_catalogue(known: Sequence[Adapter], here: Here) -> None:
             for line in _model_lines(model):
                 console.print(Text(f"  {line}", "cyan"))
     console.print(Text("here", "bold"))
-    console.print(Text(f"  ONNX Runtime {here.version}: {', '.join(_short(p) for p in here.providers)}"))
+    console.print(Text(f"  ONNX Runtime {here.version}, --provider {' or '.join(_choices(here.providers))}"))
     for name, path in here.fetched:
         console.print(Text(f"  fetched {name} -> {path}"))
     for name, path in here.networks:
@@ -73,10 +75,6 @@ def _model_lines(model: KnownModel) -> list[str]:
     return lines
 
 
-def _short(provider: str) -> str:
-    return provider.removesuffix("ExecutionProvider")
-
-
 def file_record(report: FileReport) -> dict[str, Any]:
     """As JSON."""
     return {
@@ -88,7 +86,8 @@ def file_record(report: FileReport) -> dict[str, Any]:
         "options": [] if report.kind is None else list(report.kind.options),
         "advice": None if report.kind is None else report.kind.advice or None,
         "missing": list(report.missing),
-        "class_names": report.class_names,
+        "class_names": len(report.class_names),
+        "names": list(report.class_names),
         "problem": report.problem,
     }
 
@@ -96,7 +95,7 @@ def file_record(report: FileReport) -> dict[str, Any]:
 def print_file(report: FileReport) -> None:
     """What a file is, in a few lines."""
     console = make_console()
-    size = "" if report.megabytes is None else f", {report.megabytes:.1f} MB"
+    size = "" if report.megabytes is None else f", {_size(report.megabytes)}"
     console.print(Text(f"{report.path}{size}", "bold"))
     if report.problem is not None:
         console.print(Text(f"  {report.problem}", "red"))
@@ -107,9 +106,37 @@ def print_file(report: FileReport) -> None:
         return
     console.print(Text(f"  {report.kind.sentence}", "" if report.kind.options else "yellow"))
     if report.class_names:
-        console.print(Text(f"  {report.class_names} class names inside"))
+        console.print(Text(f"  {len(report.class_names)} class names inside: {', '.join(report.class_names)}"))
     for what in report.missing:
         console.print(Text(f"  missing: {what}", "yellow"))
+    for line in _commands(report):
+        console.print(Text(f"    {line}", "cyan"))
+
+
+def _choices(providers: Sequence[str]) -> list[str]:
+    """Those of ONNX Runtime's providers that can be asked for."""
+    return [*(name for name, own in ACCELERATORS.items() if own in providers), "cpu"]
+
+
+def _commands(report: FileReport) -> list[str]:
+    """The options that use a file, to be copied."""
+    assert report.kind is not None
+    path, lines = shlex.quote(str(report.path)), []
+    for option in report.kind.options:
+        face, _, name = option.partition(" ")
+        if face == "--detector":
+            more = " --model-config FILE.toml" if option == BOXES and report.missing else ""
+            lines.append(f"{option} --model {path}{more}")
+        elif face == "--segmenter":
+            pair = f"{path} DECODER.onnx" if "encoder" in report.kind.what else f"ENCODER.onnx {path}"
+            lines.append(f"{option} --segmenter-model {path if name == 'yolo-seg' else pair}")
+        else:
+            lines.append(f"{face} {path}")
+    return lines
+
+
+def _size(megabytes: float) -> str:
+    return f"{megabytes:.1f} MB" if megabytes >= 0.1 else f"{megabytes * 1000:.1f} kB"
 
 
 def print_endurance(report: Endurance) -> None:

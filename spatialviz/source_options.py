@@ -42,9 +42,11 @@ class SourceOptions:
     model: Path | None = None
     """Model file, its id on the model hub (OWNER/REPO:FILE@REVISION), a recording, or options of the simulated one."""
     model_config: Path | None = None
-    """What the model file does not say: the TOML file of boxes (default: beside the model), class names of detic."""
+    """What the file of --model does not say: the TOML file of boxes (default: beside the model), the class names of
+    detic and yolo-seg."""
     fuse: tuple[str, ...] = ()
-    """Further detectors, NAME or NAME=MODEL, whose detections are fused with the detector's."""
+    """Further detectors, NAME or NAME=MODEL, whose detections are fused with the detector's. What a MODEL does not say
+    stands beside it."""
     fusion: Literal["wbf", "nms"] = "wbf"
     """With --fuse: weighted boxes fusion, or all with non-maximum suppression."""
     min_score: float | None = None
@@ -67,7 +69,7 @@ class SourceOptions:
     force_calibration: bool = False
     """Use it although it was fitted for another detector or setting."""
     synonyms: Path | None = None
-    """A JSON file with more synonyms."""
+    """A JSON file with more synonyms: {"groups": [["mug", "cup"], …]}."""
     intrinsics: str | None = None
     """fx,fy,cx,cy in pixels, for recordings without a camera file."""
     depth_scale: float | None = None

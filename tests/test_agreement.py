@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import permutations
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -182,6 +184,7 @@ def test_every_kind_of_disagreement_is_told_apart() -> None:
     assert "bin" not in rows
     assert "zebra" not in rows
     assert rows["mug"].otherwise == rows["cup"].otherwise == 1
+    assert sums.renamed == (("mug", "cup", 1),)
     record = agreement_record("f", found)
     assert [p["same_name"] for p in record["pairs"]].count(True) == 1
     assert record["alone_a"] == [{"index": 2, "label": "lamp", "score": 0.4, "nearest_iou": 0.0}]
@@ -314,3 +317,13 @@ def test_dashes_lie_on_their_lines_and_reach_both_ends(segments: np.ndarray, per
     assert drawn.sum() <= length.sum() + 1e-4
     assert (drawn <= period + 1e-5).all()
     assert dashed(np.zeros((0, 2, 3)), 1).shape == (0, 2, 3)
+
+
+def test_two_models_of_one_kind_go_by_their_files() -> None:
+    source = open_source("demo", detector="simulated", also="simulated", srm="rule")
+    assert source.sides == ("simulated", "simulated")
+    files = (Path("a/small.onnx"), Path("b/large.onnx"))
+    assert replace(source, models=files).sides == ("small", "large")
+    assert replace(source, models=(None, files[1])).sides == ("simulated", "large")
+    other = replace(source, detector=open_source("demo", srm="rule").detector, models=files)
+    assert other.sides == ("annotations", "simulated")

@@ -17,11 +17,13 @@ from pipeline.correcting.cards import pair_card
 from pipeline.correcting.moving import MovingBox
 from pipeline.correcting.object_card import FIELDS, back_to_automatic, bring_back, object_card
 from pipeline.correcting.scene import labelled_box
+from pipeline.correcting.unsaved import Waiting
 from pipeline.errors import InputError
 from pipeline.journal import edits
 from pipeline.journal.cells import object_cell, relation_cell, same_value
 from pipeline.journal.effective import Corrector
 from pipeline.journal.effective_frame import EffectiveFrame
+from pipeline.journal.events import new_ulid
 from pipeline.journal.journal import Journal, journal_of
 from pipeline.relations import PAIRWISE, F, T
 from pipeline.whatif.box_numbers import box_numbers
@@ -234,9 +236,7 @@ def test_relations_while_a_box_moves_are_those_that_saving_it_makes(
     assert moved.card is not None
     events = settled.events()
     (edit,) = edits.set_box(frame, number, box)
-    from pipeline.correcting.desk import Waiting
-
-    waiting = Waiting((edit,), "ann", "g", events[-1].time, "").events(events[-1].id + 1, "")
+    waiting = Waiting((edit,), "ann", new_ulid(), events[-1].time, "").events(events[-1].id + 1, "")
     after = pair_card(full_corrector.frame(FRAME, [*events, *waiting]), *pair)
     assert [(x.relation, x.state) for x in moved.card.lines] == [(x.relation, x.state) for x in after.lines]
     for live, kept in zip(moved.card.lines, after.lines, strict=True):

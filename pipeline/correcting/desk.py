@@ -27,7 +27,7 @@ Outcome = Saved | Conflict | Waiting
 
 
 class Desk:
-    """What one person corrects. Not shared by threads, but for `news`; the journal behind it is.
+    """What one person corrects. Not shared by threads, but for `news` and `saved`; the journal behind it is.
 
     Parameters
     ----------
@@ -45,7 +45,6 @@ class Desk:
         self._events: dict[str, tuple[Event, ...]] = {}
         self._saved: tuple[Event, ...] = ()
         self._again: tuple[str, str] | None = None
-        self._seen: tuple[str, tuple[str, ...], EffectiveFrame] | None = None
 
     @cached_property
     def corrector(self) -> Corrector:
@@ -98,12 +97,13 @@ class Desk:
         InputError
             The labels have no such frame, or the journal or the dataset cannot be read.
         """
-        events = self.events(frame)
         # An event that waits is named by its group, so that one that was saved is another.
-        state = tuple(e.ulid for e in events)
-        if self._seen is None or self._seen[0] != frame or self._seen[1] != state:
-            self._seen = frame, state, self.corrector.frame(frame, events)
-        return self._seen[2]
+        return self.corrector.frame(frame, self.events(frame))
+
+    def saved(self, frame: str) -> EffectiveFrame:
+        """A frame with what everybody saved, made before it is looked at. Any thread may ask; raises as `frame`."""
+        journal = self.place.to_read()
+        return self.corrector.frame(frame, () if journal is None else journal.events(frame=frame))
 
     def corrected(self, frame: str) -> EffectiveFrame | None:
         """As `frame`; None where nobody has corrected anything in it."""

@@ -12,6 +12,7 @@ from pipeline.correcting.unsaved import Unsaved
 from pipeline.errors import InputError
 from pipeline.journal.connection import is_url
 from pipeline.journal.journal import JOURNAL_FILE, Journal, journal_of
+from pipeline.journal.migrations import known_revisions
 from pipeline.journal.server import SLOW_S
 from pipeline.labels.reading import Labels
 
@@ -86,6 +87,10 @@ class JournalPlace:
             return self._journal
         finally:
             self._lock.release()
+
+    def prepare(self) -> None:
+        """Load what making a journal takes, and make none: the first edit then takes no longer than the others."""
+        known_revisions()
 
     def close(self) -> None:
         """Let go of the database."""

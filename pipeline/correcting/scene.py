@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from pipeline.proposals.annotations import box_mask
 from pipeline.run_length import decode_run_length
 
 
+@lru_cache(maxsize=3)
 def labelled_objects(frame: EffectiveFrame) -> tuple[SceneObject, ...]:
     """Everything that stands in a frame, in the order of the numbers; `id` is the object's number in the labels.
 

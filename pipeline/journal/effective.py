@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections import Counter
+import threading
+from collections import Counter, OrderedDict
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -27,12 +28,16 @@ if TYPE_CHECKING:
 
 
 _NAMED = ("table", "frame", "key", "column")
+FRAMES_KEPT = 8
+"""Effective frames that a corrector keeps: the one that is looked at, and those next in a queue."""
 GEOMETRY = ("bbox", "mask", "center")
 """Columns of which a correction makes another object of what the dataset annotates."""
 
 
 class Corrector:
     """Automatic labels, opened once, and their effective frames: what a face or a job keeps while it works.
+
+    The latest frames are kept, by the ULIDs of their events; several threads may ask for them.
 
     Parameters
     ----------
@@ -46,6 +51,8 @@ class Corrector:
         self.setting: Setting = setting_of(labels)
         self.index = FrameIndex({name: getattr(labels, name) for name in TABLES})
         self.relifter = None if dataset is None else Relifter(dataset, self.setting)
+        self._kept: OrderedDict[tuple[str, tuple[str, ...]], EffectiveFrame] = OrderedDict()
+        self._lock = threading.RLock()
 
     def frame(self, frame: str, journal: Journal | Sequence[Event]) -> EffectiveFrame:
         """A frame as it is now.
@@ -59,8 +66,15 @@ class Corrector:
 
         if frame not in self.index.of_frame:
             raise InputError("the labels have no such frame", got=repr(frame), path=self.labels.root)
-        events = journal.events(frame=frame) if isinstance(journal, Journal) else journal
-        return effective_frame(self.index.rows(frame), events, self.setting, self.relifter)
+        events = journal.events(frame=frame) if isinstance(journal, Journal) else tuple(journal)
+        key = frame, tuple(e.ulid for e in events)
+        with self._lock:
+            if key not in self._kept:
+                self._kept[key] = effective_frame(self.index.rows(frame), events, self.setting, self.relifter)
+                while len(self._kept) > FRAMES_KEPT:
+                    self._kept.popitem(last=False)
+            self._kept.move_to_end(key)
+            return self._kept[key]
 
 
 @dataclass(frozen=True)

@@ -56,7 +56,7 @@ class Relift(Protocol):
         ...
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class EffectiveFrame:
     """What is known of a frame now, and of each value where it comes from.
 

@@ -76,6 +76,8 @@ class AgreementFigures:
         Spearman's rank correlation of the scores of what both found; None for fewer than three, or equal scores.
     classes : tuple of ClassAgreement
         The most frequent first.
+    renamed : tuple of (str, str, int)
+        What the first and the second call a thing where they differ, and how often; the commonest first.
     """
 
     frames: int
@@ -93,6 +95,7 @@ class AgreementFigures:
     mean_iou: float | None
     score_correlation: float | None
     classes: tuple[ClassAgreement, ...]
+    renamed: tuple[tuple[str, str, int], ...]
 
     def record(self) -> dict[str, Any]:
         """As JSON knows it, figures rounded to 1e-6."""
@@ -124,7 +127,13 @@ def figures(found: Iterable[FrameAgreement], synonyms: Synonyms | None = None) -
         mean_iou=float(iou.mean()) if len(iou) else None,
         score_correlation=rank_correlation(scores[:, 0], scores[:, 1]),
         classes=_classes(frames, synonyms),
+        renamed=_renamed(frames),
     )
+
+
+def _renamed(frames: Iterable[FrameAgreement]) -> tuple[tuple[str, str, int], ...]:
+    counts = Counter((f.labels_a[i], f.labels_b[j]) for f in frames for i, j in f.pairs[~f.same].tolist())
+    return tuple((a, b, n) for (a, b), n in sorted(counts.items(), key=lambda item: (-item[1], item[0])))
 
 
 def rank_correlation(a: np.ndarray, b: np.ndarray) -> float | None:

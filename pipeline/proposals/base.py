@@ -155,12 +155,13 @@ def reads_annotations(detector: Detector) -> bool:
     return bool(getattr(detector, "reads_annotations", True))
 
 
-def unknown_class(label: str, names: Sequence[str], where: str) -> UnknownClass:
-    """The error for a class name that a detector of limited vocabulary does not know."""
+def unknown_class(label: str, names: Sequence[str], where: str, advice: str | None = None) -> UnknownClass:
+    """The error for a class name that a detector of limited vocabulary does not know; `advice` says what else helps."""
     from pipeline.naming import suggest
 
     close = suggest(label, names)
     hint = f"did you mean {' or '.join(repr(c) for c in close)}?" if close else "known: " + listed(names)
+    hint += f"; {advice}" if advice else ""
     return UnknownClass(f"{where} does not know the class {label!r}", cause=hint)
 
 

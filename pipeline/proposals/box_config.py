@@ -16,6 +16,9 @@ if sys.version_info >= (3, 11):
 else:
     import tomli as tomllib  # pyright: ignore[reportMissingImports]
 
+EXAMPLES = Path(__file__).parents[1] / "data" / "detectors"
+"""A TOML file for each form of output."""
+
 Triple = tuple[FiniteFloat, FiniteFloat, FiniteFloat]
 Side = Annotated[int, Field(ge=8, le=8192)]
 Number = Literal["height", "width", "input_height", "input_width", "scale_y", "scale_x"]
@@ -132,7 +135,7 @@ def read_box_model(path: Path) -> BoxModel:
         unknown = "extra" in first["type"] and keys is not None
         raise InputError(
             f"the detector's TOML file is wrong at {place}",
-            got=first["msg"],
+            got="a key that there is not" if unknown else first["msg"],
             expected="one of " + ", ".join(keys.model_fields) if unknown and keys else None,
             path=path,
         ) from error
@@ -159,7 +162,7 @@ def find_box_model(model: Path) -> Path:
         return others[0]
     raise InputError(
         "nothing says what the detector's tensors are",
-        expected=f"{own.name} beside it, or --model-config FILE.toml",
-        cause="see the README for what it holds",
+        expected=f"{own.name} beside it, or --model-config FILE.toml for that of --detector",
+        cause=f"examples are in {EXAMPLES}",
         path=model,
     )

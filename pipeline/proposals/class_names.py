@@ -14,6 +14,8 @@ from pipeline.errors import InputError
 from pipeline.naming import Synonyms, default_synonyms, match
 from pipeline.proposals.base import unknown_class
 
+ADVICE = "all: `spatialviz models FILE`; another name for one: --synonyms FILE with {{\"groups\": [[{}, NAME]]}}"
+
 
 def wanted_names(
     labels: Sequence[str] | None, vocabulary: Sequence[str], synonyms: Synonyms | None, where: str
@@ -31,7 +33,7 @@ def wanted_names(
     for label in labels:
         matched = match(label, vocabulary, synonyms)
         if not matched:
-            raise unknown_class(label, vocabulary, where)
+            raise unknown_class(label, vocabulary, where, ADVICE.format(json.dumps(label)))
         wanted |= dict.fromkeys(matched)
     return list(wanted)
 

@@ -60,8 +60,8 @@ class FileReport:
         None where nothing here knows it.
     missing : tuple of str
         What must stand beside it and does not.
-    class_names : int
-        How many names are in its metadata.
+    class_names : tuple of str
+        Those in its metadata, in the order of its outputs.
     problem : str or None
         Why it cannot be opened.
     """
@@ -72,7 +72,7 @@ class FileReport:
     outputs: tuple[TensorSpec, ...] = ()
     kind: FileKind | None = None
     missing: tuple[str, ...] = ()
-    class_names: int = 0
+    class_names: tuple[str, ...] = ()
     problem: str | None = None
 
 
@@ -154,7 +154,7 @@ def describe_file(path: Path) -> FileReport:
         declared(session.get_outputs()),
         kind,
         () if kind is None else _missing(path, kind, names),
-        len(names),
+        names,
     )
 
 
@@ -164,7 +164,7 @@ def _missing(path: Path, kind: FileKind, names: tuple[str, ...]) -> tuple[str, .
         try:
             _needed_beside(path, option, names)
         except InputError as error:
-            wanted.append(str(error.what))
+            wanted.append(str(error).removesuffix(f" [{path}]"))
     return tuple(dict.fromkeys(wanted))
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -72,8 +73,9 @@ def _likely_cause(message: str) -> str | None:
 
 
 def first_line(error: object) -> str:
-    """The first line of an error, or its class where it says nothing."""
-    return str(error).splitlines()[0][:200] if str(error) else type(error).__name__
+    """The first line of an error without ONNX Runtime's own numbering, or its class where it says nothing."""
+    lines = re.sub(r"\[ONNXRuntimeError\] : \d+ : \w+ : |Load model from .*? failed:", "", str(error)).splitlines()
+    return (lines[0][:200] if lines else "") or type(error).__name__
 
 
 def run_session(session: Any, outputs: Sequence[str], feed: Mapping[str, np.ndarray], path: Path) -> list[np.ndarray]:

@@ -6,9 +6,10 @@ import json
 import os
 import shutil
 import tempfile
+from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
@@ -38,6 +39,8 @@ class RecordingReport:
     unknown : tuple of str
         Names that the detector does not know.
     seconds : float
+    classes : dict of str to int
+        Detections by label, the commonest first.
     """
 
     frames: int
@@ -45,6 +48,7 @@ class RecordingReport:
     skipped: dict[str, str]
     unknown: tuple[str, ...]
     seconds: float
+    classes: dict[str, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True)
@@ -93,6 +97,7 @@ def record_detections(
     chosen = source.dataset.frame_ids if frame_ids is None else tuple(frame_ids)
     skipped: dict[str, str] = {}
     unknown: dict[str, int] = {}
+    classes: Counter[str] = Counter()
     frames = detections = 0
     writer = _json_file if out.suffix.lower() == ".json" else _npz_folder
     with writer(out) as write:
@@ -105,6 +110,7 @@ def record_detections(
             else:
                 write(frame, found)
                 frames, detections = frames + 1, detections + len(found)
+                classes.update(one.label for one in found)
             if progress is not None:
                 progress(done, len(chosen))
         if not frames:
@@ -113,7 +119,7 @@ def record_detections(
         never = tuple(name for name, times in unknown.items() if times == frames)
         if class_names and len(never) == len(set(class_names)):
             raise InputError(f"the detector {detector.name} knows none of the names", got=", ".join(never[:8]))
-    return RecordingReport(frames, detections, skipped, never, perf_counter() - start)
+    return RecordingReport(frames, detections, skipped, never, perf_counter() - start, dict(classes.most_common()))
 
 
 def findings(

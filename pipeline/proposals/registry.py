@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Literal
 
 from pipeline.errors import InputError
-from pipeline.naming import Synonyms
+from pipeline.naming import Synonyms, suggest
 from pipeline.plugins import load_plugins
 from pipeline.proposals.annotations import AnnotationDetector
 from pipeline.proposals.base import Detector
@@ -157,9 +157,18 @@ def make_detector(
     if name not in known:
         known = {**dict(load_plugins(ENTRY_POINT_GROUP, "detector", Callable)), **known}
     if name not in known:
-        raise InputError(f"there is no detector {name!r}", expected=" or ".join(known))
+        near = [n for n in known if n.startswith(name)] or suggest(name, known)
+        cause = f"did you mean {' or '.join(near)}?" if near else None
+        raise InputError(f"there is no detector {name!r}", expected=" or ".join(known), cause=cause)
     if config is not None and name in DETECTORS and name not in CONFIGURABLE:
         raise InputError(f"--detector {name} takes no --model-config", expected=" or ".join(CONFIGURABLE), path=config)
+    if config is not None and name in ("yolo-seg", "detic") and config.suffix == ".toml":
+        raise InputError(
+            f"--model-config of --detector {name} is a list of class names",
+            got="a TOML file",
+            expected="for --fuse and --also boxes=MODEL.onnx: that file beside the model, as MODEL.toml",
+            path=config,
+        )
     return known[name](DetectorRequest(model, class_names, synonyms, min_score, config))
 
 

@@ -35,7 +35,7 @@ def second_overlay(state: State, unit: float) -> list[str]:
     beside = state.beside
     if beside is None or not state.second_layer or not (state.flags.boxes or state.second_selected is not None):
         return []
-    color = hex_color(second_color(True))
+    color, tag = hex_color(second_color(True)), hex_color(second_color(False))
     alike = set(beside.found.pairs[beside.found.same, 1].tolist())
     parts = []
     for j, entry in enumerate(beside.objects):
@@ -43,21 +43,29 @@ def second_overlay(state: State, unit: float) -> list[str]:
         if not chosen and not state.flags.boxes:
             continue
         x0, y0, x1, y1 = (float(v) for v in entry.bbox)
-        width = 1.8 if chosen else 0.8 if j in alike else 1.2
-        opacity = 1.0 if chosen else 0.5 if j in alike and state.layers == "both" else 0.95
+        faint = j in alike and state.layers == "both"
+        width = 1.8 if chosen else 0.8 if faint else 1.2
+        opacity = 1.0 if chosen else 0.5 if faint else 0.95
         parts.append(
             f'<rect x="{x0:.1f}" y="{y0:.1f}" width="{x1 - x0:.1f}" height="{y1 - y0:.1f}" fill="none" '
             f'stroke="{color}" stroke-width="{width * unit:.2f}" opacity="{opacity}" '
             f'stroke-dasharray="{3.2 * unit:.1f} {2.2 * unit:.1f}"/>'
         )
         if chosen:
-            at = (x0 + 2 * unit, min(y1 + 10 * unit, entry.mask.shape[0] - 3 * unit))
-            parts.append(
-                f'<text x="{at[0]:.1f}" y="{at[1]:.1f}" font-size="{10 * unit:.1f}" font-weight="600" fill="{color}" '
-                f'stroke="#14161a" stroke-width="{2.4 * unit:.1f}" paint-order="stroke" '
-                f'font-family="system-ui,sans-serif">{safe(second_name(beside, j))}</text>'
-            )
+            parts.append(name_tag(f"B {second_name(beside, j)}", x0, y1, entry.mask.shape, unit, tag))
     return parts
+
+
+def name_tag(text: str, x: float, y: float, shape: tuple[int, ...], unit: float, color: str) -> str:
+    """A name on its colour in the picture, its upper left corner at (x, y) or as near as the picture's `shape` lets."""
+    width, height = (len(text) * 6.2 + 8) * unit, 14 * unit
+    x, y = min(x, max(shape[1] - width, 0)), min(max(y, 0), shape[0] - height)
+    return (
+        f'<rect x="{max(x, 0):.1f}" y="{y:.1f}" width="{width:.1f}" height="{height:.1f}" '
+        f'rx="{2 * unit:.1f}" fill="{color}"/>'
+        f'<text x="{max(x, 0) + 4 * unit:.1f}" y="{y + 10.4 * unit:.1f}" font-size="{10.5 * unit:.1f}" '
+        f'font-weight="600" fill="#fff" font-family="system-ui,sans-serif">{safe(text)}</text>'
+    )
 
 
 def agreement_html(state: State) -> str:
@@ -69,7 +77,9 @@ def agreement_html(state: State) -> str:
     sums, a, b = beside.sums, *beside.names
     second = hex_color(second_color(state.dark))
     other = hex_color(palette(state.dark)["other"])
-    title = heading("Agreement", f"{dot(palette(state.dark)['other'])}A {safe(a)} &nbsp;{_hollow(second)}B {safe(b)}")
+    whose = f"{dot(palette(state.dark)['other'])}A {safe(a)} &emsp;{hollow(second)}B {safe(b)}"
+    whose = f'<span title="{safe(f"A: {a}, B: {b}")}">{whose}</span>'
+    title = heading("Agreement", whose)
     if not sums.a + sums.b:
         return panel(title, '<div class="dim">Neither finds anything that the other knows.</div>', _beyond(beside))
     shares = (
@@ -94,7 +104,7 @@ def agreement_html(state: State) -> str:
         ("scores ρ", sums.score_correlation, "rank correlation of the scores of what both found"),
     )
     cells = "".join(
-        f'<span class="dim" title="{safe(hint)}"><b>{"–" if value is None else f"{value:.2f}"}</b>{name}</span>'
+        f'<span class="dim" title="{safe(hint)}"><b>{_figure(value)}</b>{name}</span>'
         for name, value, hint in figures
     )
     return panel(
@@ -103,6 +113,10 @@ def agreement_html(state: State) -> str:
         _rows(state, beside),
         _beyond(beside),
     )
+
+
+def _figure(value: float | None) -> str:
+    return "–" if value is None else f"{value:.2f}".replace("-", "−")
 
 
 def _rows(state: State, beside: Beside) -> str:
@@ -118,7 +132,7 @@ def _rows(state: State, beside: Beside) -> str:
             number = state.shown.names[i].rpartition("·")[2]
             own = _cell(mark, f"{beside.found.labels_a[i]}·{number}", float(beside.found.scores_a[i]))
         if j is not None:
-            other = _cell(_hollow(hex_color(color)), second_name(beside, j), float(beside.found.scores_b[j]))
+            other = _cell(hollow(hex_color(color)), second_name(beside, j), float(beside.found.scores_b[j]))
         chosen = (i, j) == chosen_row(state)
         if i is not None and j is not None:
             overlap, hint = iou[i, j], "overlap of the two"
@@ -134,7 +148,8 @@ def _rows(state: State, beside: Beside) -> str:
         )
     if not rows:
         return '<div class="dim">They disagree on nothing.</div>'
-    head = "<tr><th>A</th><th></th><th>B</th><th></th><th class=\"n\">IoU</th></tr>"
+    score = '<th class="n" title="the detector\'s own">score</th>'
+    head = f'<tr><th>A</th>{score}<th>B</th>{score}<th class="n">IoU</th></tr>'
     widths = '<colgroup><col><col class="s"><col><col class="s"><col class="s"></colgroup>'
     height = 192 if not beside.sums.beyond_a + beside.sums.beyond_b else 218
     return (
@@ -161,7 +176,8 @@ def _cell(mark: str, name: str, score: float) -> str:
     return f'<td title="{hint}"><span class="name">{mark}<b>{hint}</b></span></td><td class="n dim">{said}</td>'
 
 
-def _hollow(color: str) -> str:
+def hollow(color: str) -> str:
+    """The dashed square that marks the second detector's objects."""
     return f'<span class="hollow" style="--c:{color}"></span>'
 
 

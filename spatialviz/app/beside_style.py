@@ -10,8 +10,10 @@ BESIDE_CSS = """<style>
 .sv .kappas b{display:block;color:var(--mantine-color-text);font-size:13px;font-variant-numeric:tabular-nums}
 .sv table.apart{table-layout:fixed}
 .sv table.apart td{padding:2px 3px;overflow:hidden;text-overflow:ellipsis}
-.sv table.apart col.s{width:36px}
+.sv table.apart col.s{width:38px}
 .sv table.apart td:nth-child(3),.sv table.apart th:nth-child(3){padding-left:12px}
-.sv table.apart .name{vertical-align:bottom}
+.sv table.apart td:first-child,.sv table.apart th:first-child{padding-left:9px}
+.sv table.apart .name{display:flex;align-items:center}
+.sv table.apart .name b{overflow:hidden;text-overflow:ellipsis}
 .sv table.apart td.none{color:color-mix(in srgb,var(--mantine-color-dimmed) 60%,transparent)}
 </style>"""

@@ -9,7 +9,7 @@ import numpy as np
 from pipeline.objects import SceneObject
 from pipeline.palette import hex_color, palette
 from pipeline.picture import box_edges_2d, tinted
-from spatialviz.app.beside_html import second_overlay
+from spatialviz.app.beside_html import name_tag, second_overlay
 from spatialviz.app.frames import FrameStore, jpeg_url
 from spatialviz.app.paint import frame_colors
 from spatialviz.app.pixels_html import pixel_row_html
@@ -89,15 +89,7 @@ def overlay_marks(state: State) -> str:
         color = hex_color(colors[roles.get(i, "other")])
         text = state.shown.names[i]
         x0, y0 = _name_place(state, i)
-        width, height = (len(text) * 6.2 + 8) * unit, 14 * unit
-        x = float(np.clip(x0, 0, max(frame.width - width, 0)))
-        y = float(np.clip(y0 - height, 0, frame.height - height))
-        parts.append(
-            f'<rect x="{x:.1f}" y="{y:.1f}" width="{width:.1f}" height="{height:.1f}" '
-            f'rx="{2 * unit:.1f}" fill="{color}"/>'
-            f'<text x="{x + 4 * unit:.1f}" y="{y + 10.4 * unit:.1f}" font-size="{10.5 * unit:.1f}" font-weight="600" '
-            f'fill="#fff" font-family="system-ui,sans-serif">{safe(text)}</text>'
-        )
+        parts.append(name_tag(text, x0, y0 - 14 * unit, (frame.height, frame.width), unit, color))
     return "".join(parts)
 
 

@@ -18,7 +18,6 @@ def fill_page(
     dataset: Dataset,
     can_ask: bool,
     suggestions: Sequence[str],
-    thumbs: dict[bytes, str],
     log: Sequence[tuple[str, str]],
     atomic: Callable[[], AbstractContextManager[None]],
 ) -> None:
@@ -30,7 +29,7 @@ def fill_page(
         page.steps.content = left.frame_html(place, count, leads)
         page.parse.content = left.parse_html(state, suggestions)
         page.controls.content = left.controls_html(state)
-        page.objects.content = left.objects_html(state, thumbs, moving=leads is not None)
+        page.objects.content = left.objects_html(state, moving=leads is not None)
         fill_answer(page, state, can_ask)
         page.object.content = right.object_html(state)
         if page.agreement is not None:

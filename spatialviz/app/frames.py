@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import threading
 from collections import OrderedDict
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import cv2
@@ -40,6 +40,14 @@ class LoadedFrame:
     objects: tuple[SceneObject, ...]
     problem: str = ""
     beside: Beside | None = None
+    _thumbs: dict[bytes, str] = field(default_factory=dict, repr=False, compare=False)
+
+    def thumb(self, bbox: np.ndarray) -> str:
+        """A small picture of an object as a data URL, made when it is first needed."""
+        where = bbox.tobytes()
+        if where not in self._thumbs:
+            self._thumbs[where] = object_thumb(self.context.frame.rgb, bbox)
+        return self._thumbs[where]
 
     @cached_property
     def cloud(self) -> Cloud:

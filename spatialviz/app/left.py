@@ -11,7 +11,6 @@ from pipeline.diagnosis.verdict import MODULE_OF
 from pipeline.palette import DROPPED, VERDICTS, hex_color, palette
 from pipeline.records import why_no_answer
 from spatialviz.app.beside_html import layers_html
-from spatialviz.app.frames import object_thumb
 from spatialviz.app.keys import MOVE_KEYS
 from spatialviz.app.state import State
 from spatialviz.app.text import BAD, DOUBT, GOOD, IDLE, dot, heading, note, panel, safe, segments, words
@@ -231,25 +230,18 @@ def keep_html() -> str:
     return panel(f'<div class="keep">{cells}</div>')
 
 
-def objects_html(state: State, thumbs: dict[bytes, str], moving: bool = False) -> str:
-    """The list of objects with their pictures, sizes and scores; `thumbs` is filled on the way.
-
-    With `moving` it leaves room for the buttons of the moves.
-    """
+def objects_html(state: State, moving: bool = False) -> str:
+    """The list of objects with their pictures, sizes and scores; `moving` leaves room for the buttons of the moves."""
     if state.loaded is None:
         return ""
     if not state.shown.objects:
         reason = state.loaded.problem or "Nothing is annotated or detected in this frame."
         return panel(heading("Objects"), note(reason))
     colors, roles = palette(state.dark), state.roles
-    rgb = state.loaded.context.frame.rgb
     rows = []
     order = sorted(range(len(state.shown.objects)), key=lambda i: ROLE_ORDER[roles.get(i, "other")])
     for i in order:
         entry = state.shown.objects[i]
-        where = entry.bbox.tobytes()
-        if where not in thumbs:
-            thumbs[where] = object_thumb(rgb, entry.bbox)
         box, quality = entry.lifted.box, entry.lifted.quality
         size = "no depth" if box is None else " × ".join(f"{s * 100:.0f}" for s in box.size) + " cm"
         away = "" if box is None else f"{quality.distance:.1f} m"
@@ -259,7 +251,7 @@ def objects_html(state: State, thumbs: dict[bytes, str], moving: bool = False) -
         name = f'<span class="name">{dot(colors[roles.get(i, "other")])}<b>{safe(state.shown.names[i])}</b></span>'
         rows.append(
             f'<tr class="r{" sel" if i == state.selected else ""}" onclick="sv(\'object:{i}\')">'
-            f'<td style="width:42px"><img class="thumb" src="{thumbs[where]}"></td>'
+            f'<td style="width:42px"><img class="thumb" src="{state.loaded.thumb(entry.bbox)}"></td>'
             f'<td class="w">{name}<div class="dim" style="font-size:11px">{size}</div></td>'
             f'<td class="n dim">{away}</td><td class="n">{score} {mark}</td></tr>'
         )
@@ -268,7 +260,7 @@ def objects_html(state: State, thumbs: dict[bytes, str], moving: bool = False) -
     height += 44 if state.colors == "evidence" else 0
     height += 0 if state.beside is None else 26
     return panel(
-        heading(f"Objects ({len(rows)})"),
+        heading(f"Objects{' of A' if state.beside else ''} ({len(rows)})"),
         f'<div class="scroll" style="--mh:max(150px, calc(100vh - {height}px))"><table>{"".join(rows)}</table></div>',
         f'<img src="" style="display:none" onerror="{safe(SHOW_SELECTED)}">',
         '<div class="dim" style="font-size:11px;padding-top:5px"><kbd>/</kbd> ask &nbsp;<kbd>J</kbd> <kbd>K</kbd> pair'

@@ -12,6 +12,7 @@ from typing import Any
 
 from pipeline.background import Background, start_background
 from pipeline.correcting.journal_place import JournalPlace
+from pipeline.correcting.scene import labelled_objects
 from pipeline.errors import InputError
 from pipeline.journal.cells import Cell, object_cell
 from pipeline.journal.edits import Edits, judge_both_ways, judge_missing, set_status
@@ -19,6 +20,7 @@ from pipeline.journal.effective_frame import EffectiveFrame
 from pipeline.journal.events import Event
 from pipeline.review.following import states_since
 from pipeline.review.items import ItemKey
+from pipeline.review.ordering import BLOCK
 from pipeline.review.queue_job import QueueJob, make_queue
 from pipeline.review.worklist import Worklist, read_queue, worklist
 from spatialviz.app.correct import Correct, Wanted
@@ -65,6 +67,7 @@ class ReviewQueue:
         self._jobs: dict[str, Background] = {}
         self._names: dict[str, dict[tuple[str, int], str]] = {}
         self._kind = "all"
+        self._ahead: tuple[str, str] | None = None
         self._closed = False
         correct.on_saved(self._saved)
 
@@ -144,6 +147,8 @@ class ReviewQueue:
 
     def _made(self, name: str, making: Making) -> None:
         self._making[name] = making
+        if not making.running and name == self._state().source:
+            self._prefetch(self._item)
         self.follow()
 
     def _caught_up(self) -> Worklist | None:
@@ -202,25 +207,36 @@ class ReviewQueue:
         self._correct.look_at(Wanted(key.frame, numbers, relation, key))
         self._prefetch(key)
 
-    def _prefetch(self, key: ItemKey) -> None:
-        """Load the frame of the item after this one, while this one is looked at."""
-        work = self._work
-        after = None if work is None else self._next(work, key)
-        if after is None or after.frame == key.frame:
+    def _prefetch(self, key: ItemKey | None) -> None:
+        """Make the next frame of the queue ready, while this item is looked at."""
+        name, work, desk = self._state().source, self._work, self._correct.desk
+        if work is None or desk is None:
             return
-        name, frame = self._state().source, after.frame
+        after = self._next(work, key)
+        for _ in range(BLOCK):
+            if after is None or key is None or after.frame != key.frame:
+                break
+            after = self._next(work, after)
+        if after is None or (name, after.frame) == self._ahead:
+            return
+        frame = after.frame
+        self._ahead = name, frame
 
         def load() -> None:
             # Whoever opens it is told what is wrong with it.
             with suppress(InputError):
-                _ = self._store.load(name, frame).cloud
+                loaded = self._store.load(name, frame)
+                _ = loaded.cloud
+                for entry in labelled_objects(desk.saved(frame)):
+                    loaded.thumb(entry.bbox)
 
-        threading.Thread(target=load, daemon=True).start()
+        threading.Thread(target=load, daemon=True, name="queue-ahead").start()
 
     def choose_kind(self, kind: str) -> None:
         """Walk through items of one kind only."""
         if kind in KINDS:
             self._kind = kind
+            self._prefetch(self._item)
             self.follow()
 
     # ---- settling ---------------------------------------------------------------------

@@ -6,12 +6,14 @@ from pipeline.diagnosis.live import Judgement
 from pipeline.evaluation.answering import alone
 from pipeline.lexicon import wording
 from pipeline.lifting import Pixel
-from pipeline.palette import DROPPED, RGB, hex_color, palette
+from pipeline.objects import SceneObject
+from pipeline.palette import DROPPED, RGB, hex_color, palette, second_color
 from pipeline.ranking import RankedPair
 from pipeline.records import why_no_answer
 from pipeline.relations import PHRASE, letter
 from pipeline.srm.scorer import RelationScores
 from spatialviz.app.before import before_html, changed
+from spatialviz.app.beside_html import hollow, second_name
 from spatialviz.app.state import State
 from spatialviz.app.text import BAD, DOUBT, dot, heading, note, panel, safe, words
 from spatialviz.app.why import mend_button, verdict_line
@@ -198,13 +200,31 @@ def _bar(phrase: str, p: float, mark: str, asked: RGB | None, click: str, was: f
 
 
 def object_html(state: State) -> str:
-    """The selected object: its size, its place, and what became of every pixel of its mask."""
-    i = state.selected
-    if i is None or i >= len(state.shown.objects):
-        return ""
-    entry = state.shown.objects[i]
+    """What is selected, of the detector that answers and of one beside it, as far as they are shown."""
+    i, j = state.selected, state.second_selected
+    second, title = None, ""
+    if j is not None and state.beside is not None and state.second_layer:
+        second = state.second_layer[j]
+        title = f"{hollow(hex_color(second_color(state.dark)))}B {safe(second_name(state.beside, j))}"
+    if i is None or i >= len(state.shown.objects) or not state.own_layer:
+        return "" if second is None else panel(_facts_html(second, title))
+    own = f"{dot(palette(state.dark)[state.roles.get(i, 'other')])}{safe(state.shown.names[i])}"
+    # In front of it: below the facts it would not be seen.
+    return panel("" if second is None else _brief_html(second, title), _facts_html(state.shown.objects[i], own))
+
+
+def _brief_html(entry: SceneObject, title: str) -> str:
+    """An object in one line, beside one that is told in full."""
+    said = [] if entry.score >= 0.9995 else [f"score {entry.score:.2f}"]
+    if entry.lifted.box is not None:
+        sides = " × ".join(f"{side:.2f}" for side in entry.lifted.box.size)
+        said = [f"{sides} m", f"{entry.lifted.quality.distance:.2f} m away", *said]
+    return heading(f"<b>{title}</b>", " · ".join(said))
+
+
+def _facts_html(entry: SceneObject, title: str) -> str:
+    """An object's size, its place, and what became of every pixel of its mask; the title is HTML already."""
     lifted, quality = entry.lifted, entry.lifted.quality
-    color = palette(state.dark)[state.roles.get(i, "other")]
     facts = []
     if lifted.box is not None:
         width, height, depth = lifted.box.size
@@ -216,7 +236,7 @@ def object_html(state: State) -> str:
     facts.append(("points", f"{quality.points:,} of {quality.mask_pixels:,} mask pixels{made} ({quality.kept:.0%})"))
     rows = "".join(f"<span>{k}</span><span>{v}</span>" for k, v in facts)
     score = "" if entry.score >= 0.9995 else f"score {entry.score:.2f}"
-    parts = [heading(f"<b>{dot(color)}{safe(state.shown.names[i])}</b>", score)]
+    parts = [heading(f"<b>{title}</b>", score)]
     if lifted.evidence is not None and quality.mask_pixels:
         counts = lifted.evidence.counts()
         pieces = [
@@ -233,5 +253,5 @@ def object_html(state: State) -> str:
     parts.append(f'<div class="facts">{rows}</div>')
     if quality.concerns:
         parts.append('<div style="height:.4em"></div>' + note("; ".join(quality.concerns), DOUBT))
-    return panel(*parts)
+    return "".join(parts)
 

@@ -6,7 +6,6 @@ import threading
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from datetime import datetime
-from typing import Any
 
 import viser
 
@@ -30,6 +29,7 @@ from spatialviz.app.bridge import HELLO_SECONDS, Bridge
 from spatialviz.app.dialog import Dialog
 from spatialviz.app.fallback import Fallback
 from spatialviz.app.filling import fill_answer, fill_page
+from spatialviz.app.frame_cloud import FrameCloud
 from spatialviz.app.frame_steps import FrameSteps
 from spatialviz.app.frames import FrameStore, LoadedFrame
 from spatialviz.app.inputs import forward_inputs
@@ -38,7 +38,6 @@ from spatialviz.app.keeping import Keeping
 from spatialviz.app.keys import HelpDialog, add_keys, meant
 from spatialviz.app.labelling import Labelling
 from spatialviz.app.layout import build, listed
-from spatialviz.app.paint import frame_colors
 from spatialviz.app.place import Place
 from spatialviz.app.run_browser import Listing
 from spatialviz.app.run_panel import RunPanel
@@ -79,9 +78,7 @@ class Session:
         self._client = client
         self._store = store
         self._log: list[tuple[str, str]] = []
-        self._thumbs: dict[bytes, str] = {}
         self._suggestions: tuple[str, ...] = ()
-        self._painted: tuple[Any, ...] = ()
         self._closed = threading.Event()
         self._begun = False
         self._judge = Judge(runs or {}, others or {}, labels, lambda *at: self._labels.correct.corrected(*at))
@@ -103,6 +100,7 @@ class Session:
         reach = (self._source, self._now, self._take)
         self._beside = BesideLayer(client, self.scene, self._now, self._take, self._draw)
         self._view = ViewSettings(client, self.page, self.scene, *reach, self._draw, self._note)
+        self._cloud = FrameCloud(client, self.scene, self._view.show_context)
         self.fallback = Fallback(client, self.post)
         self._runs = RunPanel(runs or {}, store, self.page, self._now, self._set_listing, self._go, self.bridge.post)
         self._what_if = WhatIf(
@@ -230,8 +228,6 @@ class Session:
         self._begun = True
         self._sync_frame_box(frame_id)
         self._show_working("finding the objects")
-        self._thumbs = {}
-        self._painted = ()
         stays = self._labels.correct.stays and asking is None
         # A frame that the labels lack is shown with its answer, and why is said.
         correcting = stays and (desk := self._labels.correct.desk) is not None and frame_id in desk
@@ -243,18 +239,14 @@ class Session:
             self.state = replace(cleared, loaded=None, problem=str(error), shown=NOTHING)
             self._note(str(error))
             self._suggestions = ()
-            self.scene.clear()
+            self._cloud.clear()
             self._beside.clear()
             self.bridge.show_tags([])
             self._draw()
             self._steps.browse()
             return
         self.state = replace(cleared, loaded=loaded, shown=shown_objects(loaded, None, self._exact()))
-        self._painted = self.state.paint_key
-        self.scene.set_frame(loaded, frame_colors(self.state.colors, loaded, {}, self.state.dark))
-        self._view.show_context()
-        if first or self.scene.viewpoint.untouched:
-            self.scene.viewpoint.place(self.state.camera)
+        self._cloud.place_anew = first
         self._suggestions = () if scores is None else suggest_expressions(loaded.objects, scores)
         self._note(f"frame {frame_id}: {len(loaded.objects)} objects, up {loaded.context.viewer.up_source}")
         if loaded.problem:
@@ -322,7 +314,6 @@ class Session:
 
     def _answered(self, loaded: LoadedFrame, trace: Trace) -> None:
         """Take an answer into the state, with its verdict and what the other run says."""
-        self._thumbs = {}
         name, text = self.state.source, trace.query.text
         expression = self._runs.expression(self.state.frame_id, text)
         self.state = replace(
@@ -397,17 +388,14 @@ class Session:
             dataset=self._source().dataset,
             can_ask=self._source().detector is not None,
             suggestions=self._suggestions,
-            thumbs=self._thumbs,
             log=self._log,
             atomic=self._client.atomic,
         )
-        if state.loaded is not None and self._painted != state.paint_key:
-            self._painted = state.paint_key
-            self.scene.recolor(frame_colors(state.colors, state.loaded, state.roles, state.dark))
-        self._draw_scene()
         self.fallback.update(state)
         self._runs.follow()
         self._labels.follow()
+        self._cloud.follow(state)
+        self._draw_scene()
         self.bridge.remember(state.at_place.said())
 
     def _draw_scene(self, live: bool = False) -> None:
@@ -434,7 +422,6 @@ class Session:
     def _draw_edited(self, live: bool) -> None:
         """Draw an answer under edits: all of the page, or while a hand is at it only what follows the hand."""
         if not live:
-            self._thumbs = {}
             self._draw()
             return
         with self._client.atomic():

@@ -11,6 +11,9 @@ from pipeline.boxes import Box3D
 from pipeline.camera import Camera
 from pipeline.whatif.state import CameraView
 
+SAMPLE = 20_000
+"""Points of a cloud that say where it lies."""
+
 
 class Viewpoint:
     """Moves one client's camera in the level frame of the shown cloud."""
@@ -40,7 +43,7 @@ class Viewpoint:
 
     def set_frame(self, points: np.ndarray, R_show_camera: np.ndarray, camera: Camera) -> None:
         """Take over another cloud ((N, 3), shown frame, metres) and its camera."""
-        self._points, self._to_show, self._camera = points, R_show_camera, camera
+        self._points, self._to_show, self._camera = points[:: len(points) // SAMPLE + 1], R_show_camera, camera
 
     def fly(self, kind: str) -> None:
         """Move the camera to "sensor", "orbit" or "top", smoothly."""
