@@ -32,7 +32,8 @@ class LabelSource:
     model_config: Path | None = None
     """What the model file does not say: the TOML file of boxes (default: beside the model), class names of detic."""
     fuse: tuple[str, ...] = ()
-    """Further detectors, NAME or NAME=MODEL, whose detections are fused with the detector's."""
+    """Further detectors, NAME or NAME=MODEL, whose detections are fused with the detector's. What a MODEL does not say
+    stands beside it."""
     fusion: Literal["wbf", "nms"] = "wbf"
     """With --fuse: weighted boxes fusion, or all with non-maximum suppression."""
     segmenter: str | None = "depth"
