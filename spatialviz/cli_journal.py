@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -66,7 +66,7 @@ class DatasetOptions:
 
 @dataclass(frozen=True)
 class ShowJournal:
-    """List what people corrected in labels; exit status 1 where there is nothing."""
+    """List what people corrected in labels; exit status 1 where there are none, 2 without a journal."""
 
     labels: Positional[Path]
     """Labels folder."""
@@ -140,51 +140,46 @@ class Correct:
 
 
 @dataclass(frozen=True)
-class Undo:
-    """Take back a person's newest action; exit status 1 where there is none, or somebody built upon it."""
+class _OfPerson:
+    """What undo and redo are of."""
 
     labels: Positional[Path]
     """Labels folder."""
     author: str
     """Whose."""
     group: str | None = None
-    """Take back this action, and not the newest."""
+    """This action, and not the newest; of redo, the undo that took it back."""
     again: str | None = None
     """The group that a try named which could not be saved: what was done after all is not followed by the next."""
     journal: OmitArgPrefixes[JournalOptions] = JournalOptions()
     json: bool = False
     """Print one JSON object."""
 
-    def run(self) -> int:
-        from pipeline.journal.undo import undo
+    def _take(self, way: Callable[..., Saved | Conflict | None], verb: str) -> int:
         from pipeline.labels.reading import open_labels
 
         with self.journal.open(open_labels(self.labels), must_exist=True) as journal, _told_how_to_try_again():
-            return _told(undo(journal, self.author, group=self.group, again=self.again), "taken back", self.json)
+            return _told(way(journal, self.author, group=self.group, again=self.again), verb, self.json)
 
 
 @dataclass(frozen=True)
-class Redo:
-    """Bring back what a person took back last; exit status as of undo."""
+class Undo(_OfPerson):
+    """Take back a person's newest action; exit status 1 where there is none, or somebody built upon it."""
 
-    labels: Positional[Path]
-    """Labels folder."""
-    author: str
-    """Whose."""
-    group: str | None = None
-    """Bring back what this undo took back."""
-    again: str | None = None
-    """The group that a try named which could not be saved: what was done after all is not followed by the next."""
-    journal: OmitArgPrefixes[JournalOptions] = JournalOptions()
-    json: bool = False
-    """Print one JSON object."""
+    def run(self) -> int:
+        from pipeline.journal.undo import undo
+
+        return self._take(undo, "taken back")
+
+
+@dataclass(frozen=True)
+class Redo(_OfPerson):
+    """Bring back what a person took back last; exit status as of undo."""
 
     def run(self) -> int:
         from pipeline.journal.undo import redo
-        from pipeline.labels.reading import open_labels
 
-        with self.journal.open(open_labels(self.labels), must_exist=True) as journal, _told_how_to_try_again():
-            return _told(redo(journal, self.author, group=self.group, again=self.again), "brought back", self.json)
+        return self._take(redo, "brought back")
 
 
 @dataclass(frozen=True)

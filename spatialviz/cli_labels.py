@@ -13,6 +13,7 @@ from tyro.conf import OmitArgPrefixes, Positional
 from pipeline.execution import Provider
 from spatialviz.exits import FINE, NO
 from spatialviz.options import four_numbers, print_json, task_of
+from spatialviz.source_options import fusing
 
 if TYPE_CHECKING:
     from pipeline.labels.config import SelectConfig
@@ -30,12 +31,17 @@ class LabelSource:
     """Model file, its id on the model hub (OWNER/REPO:FILE@REVISION), a recording, or options of the simulated one."""
     model_config: Path | None = None
     """What the model file does not say: the TOML file of boxes (default: beside the model), class names of detic."""
+    fuse: tuple[str, ...] = ()
+    """Further detectors, NAME or NAME=MODEL, whose detections are fused with the detector's. What a MODEL does not say
+    stands beside it."""
+    fusion: Literal["wbf", "nms"] = "wbf"
+    """With --fuse: weighted boxes fusion, or all with non-maximum suppression."""
     segmenter: str | None = "depth"
     """depth | recorded | yolo-seg | sam | sam2 | efficientsam: masks for the boxes that have none."""
     segmenter_model: Path | tuple[Path, Path] | None = None
     """Model file, hub id or recording for the segmenter, ENCODER DECODER for the SAM kinds."""
     min_score: float | None = None
-    """Drop detections below this score. Default: the detector's own."""
+    """Drop detections below this score, of each detector before they are fused. Default: the detector's own."""
     synonyms: Path | None = None
     """A JSON file with more synonyms."""
     intrinsics: str | None = None
@@ -63,10 +69,13 @@ class LabelSource:
             "synonyms": self.synonyms,
             "intrinsics": four_numbers(self.intrinsics),
             "depth_scale": self.depth_scale,
+            **fusing(self.fuse, self.fusion),
         }
         plain = {k: str(v) if isinstance(v, Path) else v for k, v in options.items()}
         if isinstance(self.segmenter_model, tuple):
             plain["segmenter_model"] = [str(path) for path in self.segmenter_model]
+        if self.fuse:
+            plain["fuse"] = list(self.fuse)
         return SourceSpec(dataset, plain)
 
 

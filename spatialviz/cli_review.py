@@ -76,6 +76,7 @@ class Review:
     """Print one JSON object an item."""
 
     def run(self) -> int:
+        from pipeline.journal.setting import setting_of
         from pipeline.labels.reading import open_labels
         from pipeline.review.agreement import pair_agreements
         from pipeline.review.cells import read_cells
@@ -89,7 +90,7 @@ class Review:
         with tempfile.TemporaryDirectory(prefix="spatialviz-") as folder:
             reviewed = self._reviewed(labels, Path(folder) / "labels")
             if self.agreement:
-                pairs = pair_agreements(reviewed.judgements)
+                pairs = pair_agreements(reviewed.judgements, setting_of(labels).inverse)
                 if self.json:
                     for pair in pairs:
                         print_json(pair.record())

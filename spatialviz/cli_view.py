@@ -159,13 +159,17 @@ class View:
         return view.dataset, None
 
     def _words(self, dataset: str, folder: Path | None) -> list[str]:
-        """The command line that opens this page again."""
+        """The command line that opens this page again; without a password."""
+        from pipeline.correcting.journal_place import journal_words
+
         words = ["view"]
         if folder is None or self.dataset != "demo":
             words.append(dataset)
         opened = (("--run", folder), ("--compare", self.compare), ("--labels", self.labels), ("--also", self.also))
         for option, value in opened:
             words += [] if value is None else [option, str(value)]
+        words += journal_words(self.journal, self.project)
+        words += [] if self.author is None else ["--author", self.author]
         return words if folder is not None else [*words, *self.source.words()]
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 from rich.table import Table
 from rich.text import Text
 
+from pipeline.correcting.wording import said_event
 from pipeline.journal.cells import shown_value
 from pipeline.journal.effective import EffectiveLabels
 from pipeline.journal.events import Conflict, Event, Saved
@@ -39,7 +40,7 @@ def print_outcome(done: Saved | Conflict | None, verb: str) -> None:
         console.print("there is nothing of this person's left to take back or bring back")
     elif isinstance(done, Saved):
         for event in done.events:
-            console.print(Text(str(event)))
+            console.print(Text(_said(event)))
         console.print(Text(f"{verb}: {len(done.events)} changes, group {done.group}"))
     else:
         console.print(Text("nothing was saved: somebody else has been there", "yellow"))
@@ -58,7 +59,8 @@ def print_effective(found: EffectiveLabels, out: Path, show: int) -> None:
     if counts["stale"]:
         console.print(Text("stale values follow from masks or boxes: they need the dataset (--dataset)", "yellow"))
     for entry in found.unapplied[:show]:
-        console.print(Text(f"does not apply: {entry.event} by {entry.event.author}: {entry.reason}", "yellow"))
+        line = f"does not apply: {_said(entry.event)} by {entry.event.author}: {entry.reason}"
+        console.print(Text(line, "yellow"))
     if len(found.unapplied) > show:
         console.print(Text(f"and {len(found.unapplied) - show} more, in unapplied.json", "yellow"))
     console.print(Text(f"-> {out}", "dim"))
@@ -83,3 +85,8 @@ def print_import(report: ImportReport, show: int) -> None:
         console.print(Text(f"saved: {len(report.saved.events)} changes, group {report.saved.group}"))
     else:
         console.print("nothing was saved")
+
+
+def _said(event: Event) -> str:
+    """An event in words, with its frame; the classes of the objects are not at hand."""
+    return f"{event.cell.frame}: {said_event(event, None)}"

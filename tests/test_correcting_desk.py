@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import threading
 from datetime import datetime, timezone
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from journal_world import FRAME, an_expression
 
+from pipeline.correcting import journal_place
 from pipeline.correcting.cards import pair_card
 from pipeline.correcting.desk import Desk
 from pipeline.correcting.journal_place import JournalPlace
@@ -19,6 +22,7 @@ from pipeline.datasets import Dataset
 from pipeline.errors import InputError
 from pipeline.journal.edits import judge_relation, set_class, set_relation, set_text
 from pipeline.journal.events import Conflict, Saved
+from pipeline.journal.journal import Journal
 from pipeline.labels.reading import Labels
 from pipeline.relations import F, T
 from pipeline.run_length import decode_run_length
@@ -59,6 +63,51 @@ def test_what_is_saved_is_seen_by_everyone_taken_back_and_brought_back(
     assert ben.frame(FRAME).pairs.state(a, b, "left") == -was
 
 
+@pytest.mark.parametrize("moved", [True, False])
+def test_a_journal_that_was_put_back_is_read_afresh(demo_labels: Labels, place: JournalPlace, moved: bool) -> None:
+    ann, copy = Desk(demo_labels, place, "ann"), Path(f"{place.where}.copy")
+    ann.save(set_class(ann.frame(FRAME), 3, "jar"))
+    place.close()
+    copy.write_bytes(Path(str(place.where)).read_bytes())
+    ann.save(set_class(ann.frame(FRAME), 3, "mug"))
+    assert ann.frame(FRAME).objects[3]["label"] == "mug"
+    assert not ann.replaced(FRAME)
+    place.close()
+    copy.replace(str(place.where))
+    for left in ("-wal", "-shm"):
+        Path(f"{place.where}{left}").unlink(missing_ok=True)
+    if moved:
+        # What is saved now has the number of an event that was seen, or a smaller one.
+        ben = Desk(demo_labels, JournalPlace(demo_labels, place.where), "ben")
+        assert isinstance(ben.save(set_class(ben.frame(FRAME), 5, "cup")), Saved)
+        ben.place.close()
+    assert ann.replaced(FRAME)
+    assert [e.author for e in ann.news(FRAME)] == ["ben"] * moved
+    frame = ann.frame(FRAME)
+    assert (frame.objects[3]["label"], frame.objects[5]["label"] == "cup") == ("jar", moved)
+    assert not ann.replaced(FRAME)
+    assert isinstance(ann.save(set_class(frame, 3, "mug")), Saved)
+    assert ann.frame(FRAME).objects[3]["label"] == "mug"
+
+
+def test_what_was_saved_last_is_seen_while_the_journal_is_away(
+    demo_labels: Labels, place: JournalPlace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    ann = Desk(demo_labels, place, "ann")
+    assert isinstance(ann.save(set_class(ann.frame(FRAME), 3, "jar")), Saved)
+
+    def away(*_: Any, **__: Any) -> Any:
+        raise InputError("the journal cannot be read")
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Journal, "events", away)
+        frame = ann.frame(FRAME)
+        assert frame.objects[3]["label"] == "jar"
+    # What is made on it is made on what is there.
+    assert isinstance(ann.save(set_class(frame, 3, "mug")), Saved)
+    assert [e.after for e in ann.events(FRAME)] == ["jar", "mug"]
+
+
 def test_who_comes_second_is_told_and_overwrites_nothing(demo_labels: Labels, place: JournalPlace) -> None:
     ann, ben = (Desk(demo_labels, place, name) for name in ("ann", "ben"))
     seen = ann.frame(FRAME), ben.frame(FRAME)
@@ -88,6 +137,33 @@ def test_what_cannot_be_saved_is_kept_shown_and_saved_later(demo_labels: Labels,
     assert not desk.waiting
     assert Desk(demo_labels, place, "ben").frame(FRAME).objects[3]["label"] == "jar"
     assert [e.after for e in place.to_write().events()] == ["beaker", "jar"]
+
+
+def test_while_the_journal_is_being_opened_an_edit_waits_and_nobody_with_it(
+    demo_labels: Labels, place: JournalPlace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    desk, slow = Desk(demo_labels, place, "ann"), threading.Event()
+    real, asked = journal_place.journal_of, threading.Event()
+
+    def opened(*given: Any, **named: Any) -> Any:
+        asked.set()
+        slow.wait(5)
+        return real(*given, **named)
+
+    monkeypatch.setattr(journal_place, "journal_of", opened)
+    monkeypatch.setattr(journal_place, "SLOW_S", 0.02)
+    frame = desk.frame(FRAME)
+    other = threading.Thread(target=place.to_write)
+    other.start()
+    asked.wait(5)
+    outcome = desk.save(set_class(frame, 3, "jar"))
+    assert isinstance(outcome, Waiting)
+    assert "does not answer" in outcome.problem
+    slow.set()
+    other.join()
+    assert not place.to_write().events()
+    assert [type(x) for x in desk.retry()] == [Saved]
+    assert [e.after for e in place.to_write().events()] == ["jar"]
 
 
 def test_what_waits_can_be_dropped_and_is_a_conflict_where_somebody_was_faster(
@@ -182,6 +258,8 @@ def test_actions_in_words_name_the_objects_and_do_not_count_the_mirror(
     done = desk.save(set_text(frame, row["id"], "the one over there"))
     assert isinstance(done, Saved)
     assert "the one over there" in said_events(done.events, desk.frame(FRAME))
+    # Without its frame an expression has its id.
+    assert said_events(done.events, None).startswith(f"text of expression {done.events[0].cell.key}: ")
 
 
 def test_what_was_made_on_an_edit_that_is_disputed_is_disputed_with_it(demo_labels: Labels, tmp_path: Path) -> None:

@@ -3,7 +3,11 @@
 from __future__ import annotations
 
 import os
+import signal
+import socket
 import ssl
+import threading
+import time
 from collections.abc import Callable, Iterator
 from itertools import pairwise
 from pathlib import Path
@@ -15,6 +19,7 @@ from postgres_cluster import Cluster, missing, started_cluster
 from sqlalchemy import event
 
 from pipeline.errors import InputError
+from pipeline.journal import postgres, server
 from pipeline.journal.cells import object_cell
 from pipeline.journal.connection import likely_cause, reason_of
 from pipeline.journal.events import Edit, NotSaved, Saved
@@ -179,3 +184,90 @@ def test_a_server_that_restarts_takes_the_next_edit(locked: Cluster, monkeypatch
 def test_a_broken_socket_is_an_error_of_the_database() -> None:
     assert likely_cause(reason_of(ConnectionResetError(104, "Connection reset by peer"))) is not None
     assert likely_cause(reason_of(TimeoutError("timed out"))) is not None
+
+
+@pytest.fixture
+def impatient(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Nobody waits long, and nothing is known of any server."""
+    pytest.importorskip("pg8000")
+    for module, name, seconds in (
+        (server, "SLOW_S", 0.05), (server, "AGAIN_S", 0.0), (postgres, "CONNECT_S", 0.1), (postgres, "PING_S", 0.1),
+    ):  # fmt: skip
+        monkeypatch.setattr(module, name, seconds)
+    server.server_at.cache_clear()
+    yield
+    server.server_at.cache_clear()
+
+
+def test_a_server_that_never_answers_is_waited_for_once(impatient: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    tried, real = [], postgres._socket
+
+    def counted(address: postgres.Address) -> socket.socket:
+        tried.append(threading.current_thread())
+        return real(address)
+
+    monkeypatch.setattr(postgres, "_socket", counted)
+    monkeypatch.setattr(server, "AGAIN_S", 60.0)
+    with socket.create_server(("127.0.0.1", 0)) as silent:
+        where = f"postgresql://ann@127.0.0.1:{silent.getsockname()[1]}/labels"
+        for _ in range(3):
+            with pytest.raises(InputError, match=r"cannot be opened; got cannot connect to .*timed out"):
+                open_journal(where)
+        assert tried == [threading.current_thread()]
+
+
+def test_who_comes_while_another_waits_does_not(impatient: None) -> None:
+    known, waiting, over = server.Server(), threading.Event(), threading.Event()
+
+    def slow() -> None:
+        waiting.set()
+        over.wait(5)
+
+    def refused() -> Any:
+        raise ConnectionRefusedError
+
+    first = threading.Thread(target=known.ask, args=(slow, refused))
+    first.start()
+    waiting.wait(5)
+    time.sleep(0.06)
+    with pytest.raises(TimeoutError, match="does not answer"):
+        known.ask(lambda: 1, refused)
+    over.set()
+    first.join()
+    # It was slow, but it answered. What fails at once is asked each time.
+    for _ in range(2):
+        with pytest.raises(ConnectionRefusedError):
+            known.ask(refused, refused)
+    assert known.ask(lambda: 1, refused) == 1
+
+
+def test_a_server_that_falls_silent_is_left_alone_until_it_answers(
+    locked: Cluster, impatient: None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("PGPASSWORD", SECRET)
+    with open_journal(locked.url, project="silence") as journal:
+        assert isinstance(journal.append([Edit(NAME, None, "cup")], "ann"), Saved)
+        master = int((locked.folder / "data/postmaster.pid").read_text().split()[0])
+        children = Path(f"/proc/{master}/task/{master}/children")
+        if not children.exists():
+            pytest.skip("the server's processes are not listed here")
+        of_it = [master, *map(int, children.read_text().split())]
+        for process in of_it:
+            os.kill(process, signal.SIGSTOP)
+        try:
+            with pytest.raises(InputError, match="cannot be read"):
+                journal.events()
+            with pytest.raises(NotSaved, match="cannot be reached") as error:
+                journal.append([Edit(NAME, "cup", "mug", 1)], "ann")
+        finally:
+            for process in of_it:
+                os.kill(process, signal.SIGCONT)
+        done, until = None, time.monotonic() + 10
+        while time.monotonic() < until:
+            try:
+                done = journal.append(error.value.edits, "ann", group=error.value.group)
+                break
+            except NotSaved:
+                time.sleep(0.02)
+        assert isinstance(done, Saved)
+        assert [e.after for e in journal.events()] == ["cup", "mug"]

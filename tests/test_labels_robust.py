@@ -192,6 +192,8 @@ def test_the_plan_holds_absolute_paths(tmp_path: Path, monkeypatch: pytest.Monke
     label_dataset(SourceSpec("data"), "out", QUICK, limit=1)
     assert load_plan(Store(tmp_path / "out")).spec.path == str(tmp_path / "data")
     assert SourceSpec("demo", {"model": "m.onnx"}).absolute() == SourceSpec("demo", {"model": str(tmp_path / "m.onnx")})
+    fused = SourceSpec("demo", {"fuse": ["annotations", "yolo-seg=m.onnx"]}).absolute()
+    assert fused.options == {"fuse": ["annotations", f"yolo-seg={tmp_path / 'm.onnx'}"]}
 
 
 def test_a_dataset_that_changes_under_the_run_is_noticed(tmp_path: Path) -> None:

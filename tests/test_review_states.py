@@ -144,6 +144,12 @@ def test_who_accepts_a_correction_agrees_with_it(frame: Any, journal: Journal) -
     assert number in frame().left_out
 
 
+def folded(key: ItemKey) -> ItemKey:
+    """The first of "a left of b" and "b right of a"."""
+    assert key.b is not None
+    return min(key, ItemKey(key.frame, key.kind, key.b, key.a, "right"))
+
+
 def test_a_second_opinion_neither_conflicts_nor_changes_the_label(frame: Any, journal: Journal) -> None:
     ((a, b),) = some_pairs(frame(), 1)
     as_both_see_it = frame()
@@ -153,15 +159,15 @@ def test_a_second_opinion_neither_conflicts_nor_changes_the_label(frame: Any, jo
     found = judgements_of(journal)
     assert found.state(left(a, b)) == "unsure"
     assert found.state(ItemKey(FRAME, "relation", b, a, "right")) == "unsure"
-    (pair,) = pair_agreements(found)
-    assert [(k, one, other) for k, one, other in pair.differ if k.what == "left"] == [(left(a, b), "F", "T")]
+    (pair,) = pair_agreements(found, frame().setting.inverse)
+    assert pair.differ == ((folded(left(a, b)), "F", "T"),), "said once, also of the inverse"
     saved(journal, actions.settle(frame(), status_cell(a, b), "corrected", state=T), "cay")
     assert frame().pairs.state(a, b, "left") == T
     found = judgements_of(journal)
     assert found.state(left(a, b)) == "corrected"
     assert found.said(left(a, b)) == "T"
-    (pair,) = pair_agreements(found)
-    assert left(a, b) in {k for k, _, _ in pair.differ}, "a settlement is no judgement"
+    (pair,) = pair_agreements(found, frame().setting.inverse)
+    assert [k for k, _, _ in pair.differ] == [folded(left(a, b))], "a settlement is no judgement"
     assert "cay" not in found.authors
     undo(journal, "cay")
     assert judgements_of(journal).state(left(a, b)) == "unsure"
@@ -218,15 +224,18 @@ def test_kappa_is_of_what_each_said(frame: Any, journal: Journal) -> None:
     for a, b in pairs:
         for author, states in said.items():
             states.append(int(rng.choice([T, T, F])))
-            cell = actions.judge_relation(seen, a, b, "left", states[-1], author)[0]
-            saved(journal, (cell,), author)
+            # Each says it their own way round.
+            way = (a, b, "left") if author == "ann" else (b, a, "right")
+            saved(journal, actions.judge_relation(seen, *way, states[-1], author), author)
     saved(journal, actions.set_status(frame(), status_cell(*pairs[0]), "unsure", author="ann"))
-    (pair,) = pair_agreements(judgements_of(journal))
+    (pair,) = pair_agreements(judgements_of(journal), seen.setting.inverse)
     assert pair.all.items == 11
     assert pair.all.kappa == pytest.approx(cohen_kappa_score(said["ann"][1:], said["bob"][1:]))
     assert len(pair.differ) == sum(x != y for x, y in zip(said["ann"][1:], said["bob"][1:], strict=True))
     assert set(pair.kinds) == {"relation"}
-    assert pair_agreements(judgements_of(journal.events(author="ann"))) == ()
+    assert pair_agreements(judgements_of(journal.events(author="ann")), seen.setting.inverse) == ()
+    (apart,) = pair_agreements(judgements_of(journal), lambda _: None)
+    assert apart.all.items == 23, "where nothing is mirrored, each of the two is an item of its own"
 
 
 def test_judgements_change_no_label(demo_labels: Labels, journal: Journal, frame: Any, tmp_path: Path) -> None:

@@ -43,6 +43,7 @@ class Desk:
     def __init__(self, labels: Labels, place: JournalPlace, author: str, dataset: Dataset | None = None) -> None:
         self.labels, self.place, self.author, self._dataset = labels, place, author, dataset
         self._events: dict[str, tuple[Event, ...]] = {}
+        self._saved: tuple[Event, ...] = ()
         self._again: tuple[str, str] | None = None
 
     @cached_property
@@ -122,31 +123,53 @@ class Desk:
         return [e for w in self.waiting for e in w.events(_NOT_IN_THE_JOURNAL, "") if e.cell.frame == frame]
 
     def news(self, frame: str) -> tuple[Event, ...]:
-        """What others have saved in a frame since it was last looked at. Any thread may ask.
+        """What is saved in a frame that was not there when it was last looked at. Any thread may ask.
 
         Raises
         ------
         InputError
             The journal cannot be read.
         """
-        journal = self.place.to_read()
-        return () if journal is None else journal.events(frame=frame, after=self.seen(frame))
+        return tuple(e for e in self._now(frame)[1] if not self.has_seen(e))
 
-    def seen(self, frame: str) -> int:
-        """`id` of the newest saved event of a frame when it was last looked at; 0 where it has none."""
-        known = self._events.get(frame, ())
-        return known[-1].id if known else 0
+    def has_seen(self, event: Event) -> bool:
+        """Whether an event was there when its frame was last looked at."""
+        return any(e.ulid == event.ulid for e in self._events.get(event.cell.frame, ()))
+
+    def replaced(self, frame: str) -> bool:
+        """Whether the journal lacks what it had in a frame: it is another one now, such as a copy that was put back.
+
+        Any thread may ask. A journal that cannot be read is not another one.
+        """
+        try:
+            return bool(self._events.get(frame)) and not self._now(frame)[0]
+        except InputError:
+            return False
+
+    def _now(self, frame: str) -> tuple[tuple[Event, ...], tuple[Event, ...]]:
+        """What is known of a frame and still stands in the journal, and what came after it."""
+        journal, known = self.place.to_read(), self._events.get(frame, ())
+        if journal is None:
+            return known, ()
+        if known:
+            # Nothing is ever taken out of a journal: with its newest event it has all that came before.
+            last = known[-1]
+            found = journal.events(frame=frame, after=last.id - 1)
+            if found and found[0].ulid == last.ulid:
+                return known, found[1:]
+        return (), journal.events(frame=frame)
 
     def _read(self, frame: str) -> tuple[Event, ...]:
         known = self._events.get(frame)
         try:
-            found = (*(known or ()), *self.news(frame))
+            standing, newer = self._now(frame)
         except InputError:
             if known is None:
                 raise
             # Who works on while the database is away sees what they saw, and their own edits.
-            return known
-        self._events[frame] = found
+            return (*known, *(e for e in self._saved if e.cell.frame == frame))
+        found = self._events[frame] = (*standing, *newer)
+        self._saved = tuple(e for e in self._saved if e.cell.frame != frame)
         if self._again is not None and any(e.group == self._again[1] for e in found):
             # It was done after all, and is seen: whoever asks once more means the next.
             self._again = None
@@ -195,7 +218,10 @@ class Desk:
         return action
 
     def _kept(self, outcome: Saved | Conflict) -> Saved | Conflict:
-        if isinstance(outcome, Conflict):
+        if isinstance(outcome, Saved):
+            # Until it is read, this is all that is known of it.
+            self._saved = (*self._saved, *outcome.events)
+        else:
             self.place.unsaved.dispute(self.author, outcome)
         return outcome
 

@@ -10,9 +10,11 @@ from sqlalchemy.exc import ArgumentError
 
 from pipeline.correcting.label_jobs import LabelJobs
 from pipeline.correcting.unsaved import Unsaved
+from pipeline.errors import InputError
 from pipeline.journal.connection import is_url
 from pipeline.journal.journal import JOURNAL_FILE, Journal, journal_of
 from pipeline.journal.migrations import known_revisions
+from pipeline.journal.server import SLOW_S
 from pipeline.labels.reading import Labels
 
 
@@ -50,20 +52,12 @@ class JournalPlace:
     @property
     def address(self) -> str:
         """What `--journal` takes to open it again; of a URL without the password."""
-        if self.where is None or not is_url(self.where):
-            return "" if self.where is None else str(self.where)
-        try:
-            # `set` takes no password away.
-            url = sa.make_url(str(self.where))
-            return url._replace(password=None).render_as_string(hide_password=True)
-        except (ArgumentError, ValueError):
-            return str(self.where).rpartition("@")[2]
+        return "" if self.where is None else address_without_password(self.where)
 
     @property
     def words(self) -> tuple[str, ...]:
         """The options by which a command finds this journal."""
-        words = () if self.where is None else ("--journal", self.address)
-        return words if self.project is None else (*words, "--project", self.project)
+        return journal_words(self.where, self.project)
 
     def to_read(self) -> Journal | None:
         """The journal; None where nothing was ever corrected.
@@ -87,10 +81,16 @@ class JournalPlace:
         InputError
             It cannot be opened or made.
         """
-        with self._lock:
+        if self._journal is not None:
+            return self._journal
+        if not self._lock.acquire(timeout=SLOW_S):
+            raise InputError("the journal cannot be opened", got="it does not answer yet", path=str(self))
+        try:
             if self._journal is None:
                 self._journal = journal_of(self.labels, self.where, project=self.project)
             return self._journal
+        finally:
+            self._lock.release()
 
     def prepare(self) -> None:
         """Load what making a journal takes, and make none: the first edit then takes no longer than the others."""
@@ -104,3 +104,21 @@ class JournalPlace:
             self._journal = None
 
 
+def address_without_password(where: str | Path) -> str:
+    """What `--journal` takes to open a journal again."""
+    if not is_url(where):
+        return str(where)
+    try:
+        url = sa.make_url(str(where))
+    except (ArgumentError, ValueError):
+        return str(where).rpartition("@")[2].partition("?")[0]
+    # `set` takes no password away.
+    url = url._replace(password=None)
+    secret = [name for name in url.query if "password" in name.lower()]
+    return url.difference_update_query(secret).render_as_string(hide_password=True)
+
+
+def journal_words(where: str | Path | None, project: str | None = None) -> tuple[str, ...]:
+    """The options by which a command finds a journal, without a password."""
+    words = () if where is None else ("--journal", address_without_password(where))
+    return words if project is None else (*words, "--project", project)

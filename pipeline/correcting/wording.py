@@ -34,10 +34,10 @@ def said_object(number: int, frame: EffectiveFrame | None) -> str:
 
 
 def said_sentence(name: str, frame: EffectiveFrame | None) -> str:
-    """The words of an expression, in quotes; "the expression" where nothing is known of it."""
+    """The words of an expression, in quotes; its id where nothing is known of it."""
     row = None if frame is None else frame.expression(name)
     if row is None:
-        return "the expression"
+        return f"expression {name}"
     text = row["text"]
     return f"“{text if len(text) <= LONGEST else f'{text[: LONGEST - 1]}…'}”"
 

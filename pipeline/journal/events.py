@@ -99,9 +99,6 @@ class Event:
     undo_of: str | None
     anchor: dict[str, list[float]]
 
-    def __str__(self) -> str:
-        return f"{self.cell}: {shown_value(self.cell, self.before)} -> {shown_value(self.cell, self.after)}"
-
 
 @dataclass(frozen=True)
 class Saved:

@@ -20,11 +20,14 @@ from typing import Any
 
 import sqlalchemy as sa
 from sqlalchemy import event
-from sqlalchemy.exc import ArgumentError
+from sqlalchemy.exc import ArgumentError, InvalidatePoolError
 
 from pipeline.errors import InputError, MissingExtra
+from pipeline.journal.server import server_at
 
 CONNECT_S = 10.0
+PING_S = 3.0
+"""A connection that says nothing for so long when it is taken up again is broken."""
 SILENCE_S = 70.0
 """A server that has not answered for so long is taken to be away: longer than any writer waits for its turn."""
 OPTIONS = ("host", "port", "sslmode", "sslrootcert", "sslcert", "sslkey", "connect_timeout", "application_name")
@@ -32,6 +35,7 @@ SSL_MODES = ("disable", "allow", "prefer", "require", "verify-ca", "verify-full"
 _SOCKETS = "/var/run/postgresql"
 _GONE = ("57P", "08")
 """SQLSTATE classes of a server that shuts down or starts, and of a connection that broke."""
+_ANSWERED = "spatialviz_answered"
 _FIELD = re.compile(r"((?:\\.|[^:\\])*)(?::|$)")
 
 
@@ -85,7 +89,20 @@ def postgres_engine(where: str) -> sa.Engine:
         raise MissingExtra("a journal in PostgreSQL", "postgres") from error
     address = address_of(url)
     plain = url.set(drivername="postgresql+pg8000", port=port)
-    engine = sa.create_engine(plain, creator=lambda: _connect(address), pool_pre_ping=True)
+    engine = sa.create_engine(plain, creator=lambda: _connect(address))
+
+    def check(link: Any, record: Any, _: Any) -> None:
+        # One that was just made answers.
+        if record.info.setdefault(_ANSWERED, None) is None:
+            record.info[_ANSWERED] = True
+            return
+        try:
+            server_at(address.host, address.port).ask(link.ping, lambda: _opened(address))
+        except Exception as error:
+            # The pool lets go of all that it holds, and connects, or fails, anew.
+            raise InvalidatePoolError(str(error)) from error
+
+    event.listen(engine, "checkout", check)
     event.listen(engine, "handle_error", _drop_what_broke)
     return engine
 
@@ -113,7 +130,7 @@ def address_of(url: sa.URL) -> Address:
     if password is None:
         local = "localhost" if host.startswith("/") else host
         password = password_in_file((local, str(port), database, user))
-    limit = _number("connect_timeout", query.get("connect_timeout") or str(int(CONNECT_S)))
+    limit = _number("connect_timeout", query["connect_timeout"]) if query.get("connect_timeout") else CONNECT_S
     mode = query.get("sslmode") or os.environ.get("PGSSLMODE") or "prefer"
     context = False if host.startswith("/") else _ssl(mode, query)
     return Address(
@@ -174,27 +191,49 @@ def _connect(address: Address) -> Any:
     """A new connection; whatever goes wrong on the way is an error of the driver."""
     import pg8000
 
+    def opened() -> Any:
+        return _opened(address)
+
+    try:
+        return server_at(address.host, address.port).ask(opened, opened)
+    except pg8000.Error:
+        raise
+    except Exception as error:
+        said = (error.strerror if isinstance(error, OSError) else None) or str(error)
+        raise pg8000.InterfaceError(f"cannot connect to {address.host}:{address.port}: {said}") from None
+
+
+def _opened(address: Address) -> Any:
+    import pg8000
+
     class Connection(pg8000.Connection):
         def close(self) -> None:
             # One that broke says so a second time when it is let go of, and the pool would print it.
             with suppress(pg8000.Error, OSError):
                 super().close()
 
-    link = None
+        def limit(self, seconds: float) -> None:
+            # With SSL this is another socket than the one that was given.
+            if self._usock is not None:
+                self._usock.settimeout(seconds)
+
+        def ping(self) -> None:
+            self.limit(PING_S)
+            self.execute_simple("SELECT 1")
+            self.limit(SILENCE_S)
+
+    link = _socket(address)
     try:
-        link = _socket(address)
         # Where a password is asked for and there is none, the driver fails in its own code: "" is refused instead.
-        return Connection(
+        opened = Connection(
             address.user, host=address.host, database=address.database, port=address.port,
             password=address.password or "", ssl_context=address.ssl, application_name=address.application, sock=link,
         )  # fmt: skip
-    except Exception as error:
-        if link is not None:
-            link.close()
-        if isinstance(error, pg8000.Error):
-            raise
-        said = (error.strerror if isinstance(error, OSError) else None) or str(error)
-        raise pg8000.InterfaceError(f"cannot connect to {address.host}:{address.port}: {said}") from None
+        opened.limit(SILENCE_S)
+        return opened
+    except BaseException:
+        link.close()
+        raise
 
 
 def _socket(address: Address) -> socket.socket:
@@ -210,7 +249,6 @@ def _socket(address: Address) -> socket.socket:
         link = socket.create_connection((address.host, address.port), address.connect_s)
         link.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
         link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-    link.settimeout(SILENCE_S)
     return link
 
 

@@ -18,6 +18,7 @@ from pipeline.labels.profiles import canonical_hash
 from pipeline.labels.second_opinion import fingerprint
 from pipeline.labels.store import PLAN_FILE, Store
 from pipeline.proposals.model_files import parse_hub_id
+from pipeline.proposals.registry import with_model
 
 MOST_FRAMES_A_SHARD = 64
 FEWEST_FRAMES_A_SHARD = 4
@@ -43,6 +44,8 @@ class SourceSpec:
     def absolute(self) -> SourceSpec:
         """The same with absolute paths: workers, and later readers of the plan, may stand in another folder."""
         named = {n: _absolute(self.options[n]) for n in _PATHS if self.options.get(n) is not None}
+        if self.options.get("fuse"):
+            named["fuse"] = [with_model(text, lambda path: str(_absolute(path))) for text in self.options["fuse"]]
         path = Path(self.path)
         return SourceSpec(str(path.absolute()) if path.exists() else self.path, {**self.options, **named})
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping, Sequence
+from collections.abc import Callable, Hashable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any, TypeVar
@@ -11,7 +11,7 @@ import numpy as np
 
 from pipeline.errors import InputError
 from pipeline.review.items import KINDS, SETTLED, ItemKey
-from pipeline.review.states import Judgements
+from pipeline.review.states import Judgements, Word
 
 Key = TypeVar("Key", bound=Hashable)
 
@@ -117,14 +117,23 @@ class PairAgreement:
         }
 
 
-def pair_agreements(judgements: Judgements) -> tuple[PairAgreement, ...]:
+def pair_agreements(
+    judgements: Judgements, inverse: Callable[[str], str | None]
+) -> tuple[PairAgreement, ...]:
     """Each two people who have judged an item in common.
 
     Compared is each one's newest word, as of `Word.said`; who is unsure, or has withdrawn a word, has not judged.
-    A settlement is nobody's own word, and does not bear on it.
+    A settlement is nobody's own word, and does not bear on it. "a left of b" and "b right of a" are one item, so that
+    what one key press says counts once.
+
+    Parameters
+    ----------
+    judgements : Judgements
+    inverse : callable
+        What "b ... a" is called where "a RELATION b" is said, as of `Setting.inverse`; None where nothing is.
     """
     said = {
-        author: {k: w.said for k, w in judgements.of(author).items() if w.status in SETTLED}
+        author: {k: w.said for k, w in _folded(judgements.of(author), inverse).items() if w.status in SETTLED}
         for author in judgements.authors
     }
     found = []
@@ -144,6 +153,18 @@ def pair_agreements(judgements: Judgements) -> tuple[PairAgreement, ...]:
             )
         )
     return tuple(found)
+
+
+def _folded(words: Mapping[ItemKey, Word], inverse: Callable[[str], str | None]) -> dict[ItemKey, Word]:
+    """Words by one key for a relation and its mirror image: of the two the newer."""
+    found: dict[ItemKey, Word] = {}
+    for key, word in words.items():
+        mirrored = inverse(key.what) if key.kind == "relation" else None
+        if mirrored is not None and key.b is not None:
+            key = min(key, key._replace(a=key.b, b=key.a, what=mirrored))
+        if key not in found or word.at > found[key].at:
+            found[key] = word
+    return found
 
 
 def _of_pairs(pairs: Sequence[tuple[ItemKey, str, str]]) -> Agreement:

@@ -12,6 +12,7 @@ from pipeline.datasets import Dataset
 from pipeline.errors import InputError
 from pipeline.jobs import Source
 from pipeline.journal.journal import journal_of
+from pipeline.journal.setting import setting_of
 from pipeline.labels.pictures import labelled_dataset
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.proposals.detector_setup import DetectorSetup, made_by
@@ -120,7 +121,7 @@ def make_queue(job: QueueJob, report: Callable[[Step], None]) -> dict[str, Any]:
     metadata = queue.schema.metadata
     write_queue(with_states(by_frame(queue), states).replace_schema_metadata(metadata), job.out)
     wrong = (metadata or {}).get(b"estimated_wrong")
-    pairs = [pair.record() for pair in pair_agreements(reviewed.judgements)]
+    pairs = [pair.record() for pair in pair_agreements(reviewed.judgements, setting_of(labels).inverse)]
     return {
         "items": queue.num_rows,
         "last": last,

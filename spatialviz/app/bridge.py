@@ -28,7 +28,7 @@ from spatialviz.app.sentences_style import SENTENCES_CSS, SENTENCES_SCRIPT
 from spatialviz.app.style import CSS, SCRIPT
 
 HELLO = "hello"
-CALLED = ("svOverlay", "svOffer", "svFocusClass")
+CALLED = ("svOverlay", "svOffer", "svFocusClass", "svNumbers")
 """Functions of the page that change a part of it where sending all of it again would be slow, or lose the focus."""
 HELLO_SECONDS = 12.0
 
@@ -38,9 +38,14 @@ def script_html(script: str, number: int = 0) -> str:
     return f'<img src="" style="display:none" data-n="{number}" onerror="{html.escape(script, quote=True)}">'
 
 
-def call_html(function: str, data: object, number: int = 0) -> str:
-    """HTML that calls a function of the page, where it is there, with what can be JSON."""
-    return script_html(f"window.{function}&&{function}({json.dumps(data)},{number})", number)
+def call_script(function: str, data: object) -> str:
+    """JavaScript that calls a function of the page, where it is there, with what can be JSON."""
+    return f"window.{function}&&{function}({json.dumps(data)})"
+
+
+def call_html(function: str, data: object) -> str:
+    """HTML that calls a function of the page when it is mounted."""
+    return script_html(call_script(function, data))
 
 
 @dataclass(frozen=True)
@@ -75,10 +80,8 @@ class Bridge:
         self._tags: viser.GuiHtmlHandle | None = None
         self._shown_tags = ""
         self._memory: viser.GuiHtmlHandle | None = None
-        self._called: dict[str, viser.GuiHtmlHandle] = {}
-        self._calls = 0
-        self._errand: viser.GuiHtmlHandle | None = None
-        self._errands = 0
+        self._errands: dict[str, viser.GuiHtmlHandle] = {}
+        self._run = 0
 
     def install(self) -> None:
         """Put the bus, the style and the script into the page. Call inside the main panel."""
@@ -91,8 +94,7 @@ class Bridge:
         gui.add_html(styles + script, order=-1000)
         self._tags = gui.add_html("", order=1000)
         self._memory = gui.add_html("", order=1001)
-        self._errand = gui.add_html("", order=1002)
-        self._called = {name: gui.add_html("", order=1002) for name in CALLED}
+        self._errands = {name: gui.add_html("", order=1002) for name in ("", *CALLED)}
 
         @bus.on_update
         async def _(event: viser.GuiEvent) -> None:
@@ -125,20 +127,18 @@ class Bridge:
 
     def call(self, name: str, data: object) -> None:
         """Call a function of the page, one of `CALLED`, with what can be JSON."""
-        if name in self._called:
-            self._calls += 1
-            self._called[name].content = call_html(name, data, self._calls)
+        self.run_in_page(call_script(name, data), name)
+
+    def run_in_page(self, script: str, errand: str = "") -> None:
+        """Run JavaScript in the page, once; of those of one errand that wait to be run, only the last."""
+        if errand in self._errands and self.alive.is_set():
+            self._run += 1
+            self._errands[errand].content = script_html(script, self._run)
 
     def remember(self, place: str) -> None:
         """Have the browser's tab keep a place; its next hello says it again. Waits until the page has said hello."""
         if self._memory is not None and self.alive.is_set():
             self._memory.content = script_html(f"sessionStorage.setItem('sv',{json.dumps(place)})")
-
-    def run_in_page(self, script: str) -> None:
-        """Run JavaScript in the page, once."""
-        if self._errand is not None and self.alive.is_set():
-            self._errands += 1
-            self._errand.content = script_html(script, self._errands)
 
     def _work(self) -> None:
         while (job := self._queue.get()) is not None:

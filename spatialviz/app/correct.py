@@ -20,6 +20,7 @@ from pipeline.journal.effective_frame import EffectiveFrame
 from pipeline.journal.events import Conflict, Event, Saved
 from pipeline.relations import F, T, U
 from pipeline.review.items import ItemKey
+from spatialviz.app.keys import KEYS_OF_ONE
 from spatialviz.app.label_view import LabelView
 from spatialviz.app.layout import Page
 from spatialviz.app.place import Place
@@ -288,12 +289,16 @@ class Correct:
         """
         view, desk = self._state().labels, self.desk
         *named, letter = said.split(":")
-        if view is None or view.card is None or desk is None or letter not in LETTERS:
+        if view is None or desk is None or letter not in LETTERS:
+            return None
+        if view.card is None:
+            self.refuse(f"T, U and F are for the relation of two objects. {KEYS_OF_ONE}.")
             return None
         relation = named[0] if named else view.relation
         card, state = view.card, LETTERS[letter]
         line = next((x for x in card.lines if x.relation == relation), None)
         if line is None or relation is None:
+            self.refuse(card.why_none or "the pair has no such relation")
             return None
         self._take(replace(self._state(), labels=replace(view, relation=relation)))
         others = line.origin.source == "human" and line.origin.author != desk.author
@@ -358,12 +363,14 @@ class Correct:
         self._draw()
 
     def took(self, frame: str, events: tuple[Event, ...]) -> None:
-        """Others have saved something in a frame: look at it, and say who did what."""
+        """Others have saved something in a frame, or put another journal in its place: look at it, and say so."""
         state, desk = self._state(), self.desk
         if desk is None or state.labels is None or state.frame_id != frame:
             return
-        events = tuple(e for e in events if e.id > desk.seen(frame))
-        if events:
+        events = tuple(e for e in events if not desk.has_seen(e))
+        if desk.replaced(frame):
+            self.tell("the journal was replaced by another, such as an older copy: this is what it has", True)
+        elif events:
             self.tell(f"{events[-1].author}: {said_events(events[::-1], state.labels.frame)}")
 
     def frame_of(self, conflict: Conflict) -> EffectiveFrame | None:

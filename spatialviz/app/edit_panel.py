@@ -235,7 +235,7 @@ def field(kind: str, value: float, *, hint: str, step: str, name: str, digits: i
     back = "const v=this.value;setTimeout(()=>{if(this.value===v)this.value=this.defaultValue},900)"
     return (
         f'<label class="field" title="{safe(hint)}"><i>{safe(name)}</i><input type="number" step="{step}" '
-        f'value="{said}" onchange="sv(\'{kind}:\'+this.value);{safe(back)}"></label>'
+        f'data-of="{kind}" value="{said}" onchange="sv(\'{kind}:\'+this.value);{safe(back)}"></label>'
     )
 
 

@@ -82,6 +82,8 @@ LABEL_KEYS: tuple[tuple[str, str, str], ...] = (
 )
 """What keys mean while labels are shown; all others mean the same as ever."""
 
+KEYS_OF_ONE = "Of one object, or a sentence: Y accepts, Shift+Y rejects, Shift+U is unsure"
+
 LAYER_KEYS: tuple[tuple[str, str, str], ...] = (
     ("Shift+B", "Boxes of both detectors, of the own, of the second", "layer:next"),
     ("Shift+J", "Next disagreement of the two detectors", "next-disagreement:1"),

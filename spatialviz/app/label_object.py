@@ -26,7 +26,7 @@ from pipeline.whatif.box_numbers import SMALLEST_SIDE, box_numbers, with_numbers
 from spatialviz.app.bridge import Bridge
 from spatialviz.app.correct import Correct
 from spatialviz.app.gizmo import BoxGizmo
-from spatialviz.app.label_object_html import STATUS_WORDS, object_html, rejected_html, saved_html
+from spatialviz.app.label_object_html import STATUS_WORDS, numbers_said, object_html, rejected_html, saved_html
 from spatialviz.app.label_view import LabelView
 from spatialviz.app.layout import Page
 from spatialviz.app.review_html import pair_html
@@ -80,6 +80,7 @@ class LabelObject:
         self._moving: MovingBox | None = None
         self._held: int | None = None
         self._drag: tuple[Box3D, bool] | None = None
+        self._follows = False
         self._lock = Lock()
         self._gizmo = BoxGizmo(client, self._dragged, "/label")
 
@@ -278,6 +279,11 @@ class LabelObject:
             self._held = None if chosen is None else chosen[1]
         self._gizmo.show(None if box is None else self._scene.shown_box(box), state.mode)
         self._page.cost.content = saved_html(desk.author, view.said, view.bad, view.moved)
+        if live or self._follows:
+            # A drag that comes to nothing leaves the tab as it was: the fields go back.
+            self._follows = live
+            if box is not None and state.loaded is not None:
+                self._bridge.call("svNumbers", numbers_said(box_numbers(box, state.loaded.context.viewer)))
         if live:
             if self._page.review_pair is not None and view.moved is not None and view.moved.card is not None:
                 now = replace(state, labels=replace(view, card=view.moved.card))

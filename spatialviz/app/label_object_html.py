@@ -9,6 +9,7 @@ from pipeline.correcting.moving import Moved
 from pipeline.correcting.object_card import FieldLine, ObjectCard
 from pipeline.palette import RGB
 from pipeline.relations import PHRASE, letter
+from pipeline.whatif.box_numbers import BoxNumbers
 from spatialviz.app.edit_panel import AXES, MODES, button, field
 from spatialviz.app.text import BAD, DOUBT, GOOD, dot, heading, note, panel, safe, segments
 
@@ -16,6 +17,7 @@ STATUS_WORDS = {
     "accepted": ("accept", GOOD, "Y"), "unsure": ("unsure", DOUBT, "Shift+U"),
     "rejected": ("reject", BAD, "Shift+Y"),
 }  # fmt: skip
+LENGTH_DIGITS, TURN_DIGITS = 3, 1
 FIELD_NAMES = {"label": "class", "status": "status", "mask": "mask", "bbox": "2D box", "box": "3D box"}
 SOURCES = {"auto": ("auto", "#8a919c", False), "human": ("", GOOD, True),
            "recomputed": ("recomputed", "#4c8dd6", True), "stale": ("stale", DOUBT, True)}  # fmt: skip
@@ -99,12 +101,12 @@ def _box_rows(card: ObjectCard) -> str:
     for kind, label in (("center", "Centre"), ("size", "Size")):
         cells = "".join(
             field(f"box-set:{kind}:{axis}", getattr(card.numbers, kind)[axis], hint=f"{word}, {unit}", step="0.01",
-                  name=word[0], digits=3)
+                  name=word[0], digits=LENGTH_DIGITS)
             for axis, (word, unit) in enumerate(AXES[kind])
         )  # fmt: skip
         rows.append(f'<div class="row"><label>{label}</label><div class="fields">{cells}</div></div>')
     turn = field("box-set:yaw", card.numbers.yaw, hint="degrees, from right towards forward", step="1", name="°",
-                 digits=1)  # fmt: skip
+                 digits=TURN_DIGITS)  # fmt: skip
     buttons = (
         button("fit to points", "sv('box-fit')", "the box that its cleaned points make (Shift+J)"),
         button("extend", "sv('box-snap:extend')", "its bottom to what the object stands on, its top stays (Shift+B)"),
@@ -113,6 +115,13 @@ def _box_rows(card: ObjectCard) -> str:
     beside = f'<div class="chips beside">{"".join(buttons)}</div>'
     rows.append(f'<div class="row"><label>Turn</label><div class="fields">{turn}{beside}</div></div>')
     return "".join(rows)
+
+
+def numbers_said(numbers: BoxNumbers) -> dict[str, str]:
+    """What the number fields say of a box, by what they send."""
+    sides = {f"box-set:{kind}:{axis}": f"{getattr(numbers, kind)[axis]:.{LENGTH_DIGITS}f}"
+             for kind in ("center", "size") for axis in range(3)}  # fmt: skip
+    return {**sides, "box-set:yaw": f"{numbers.yaw:.{TURN_DIGITS}f}"}
 
 
 def _from(line: FieldLine, card: ObjectCard) -> str:

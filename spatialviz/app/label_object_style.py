@@ -40,6 +40,12 @@ let timer = 0, wanted = '';
 const hide = () => { clearTimeout(timer); const l = list(); if (l) l.replaceChildren(); };
 const el = (tag, text, cls) => { const e = document.createElement(tag); e.textContent = text; if (cls) e.className = cls; return e; };
 window.svOverlay = marks => { for (const s of document.querySelectorAll('.sv .pic > svg')) s.innerHTML = marks; };
+window.svNumbers = said => {
+  for (const [kind, number] of Object.entries(said)) {
+    const f = document.querySelector('.field input[data-of="' + kind + '"]');
+    if (f && f !== document.activeElement) f.value = number;
+  }
+};
 window.svOffer = data => {
   const l = list(), f = field();
   if (!l || !f || document.activeElement !== f || (data.typed !== undefined && data.typed !== f.value)) return;

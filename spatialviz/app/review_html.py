@@ -6,6 +6,7 @@ from pipeline.correcting.cards import PairCard, RelationLine
 from pipeline.correcting.desk import Desk
 from pipeline.palette import palette
 from pipeline.relations import PHRASE, F, T, U, letter
+from spatialviz.app.keys import KEYS_OF_ONE
 from spatialviz.app.state import State
 from spatialviz.app.text import BAD, DOUBT, GOOD, dot, heading, note, panel, safe
 
@@ -54,7 +55,9 @@ def pair_html(state: State) -> str:
         return ""
     card = view.card
     if card is None:
-        return panel('<div class="dim">Select two objects, one after the other, or open an item of the queue.</div>')
+        keys = "" if state.selected is None else f"<br>{KEYS_OF_ONE}."
+        pair = "Select two objects, one after the other, or open an item of the queue."
+        return panel(f'<div class="dim">{pair}{keys}</div>')
     colors = palette(state.dark)
     swap = '<span class="try" role="button" onclick="sv(\'swap\')" title="the other way round (X)">swap</span>'
     first = f'{dot(colors["target"])}{safe(card.names[0])}·{card.a}'

@@ -67,5 +67,5 @@ class Watch:
             return
         frame = state.frame_id
         found = desk.news(frame)
-        if found:
+        if found or desk.replaced(frame):
             self._post(lambda: self._correct.took(frame, found))
