@@ -5,6 +5,7 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable
@@ -94,6 +95,20 @@ def _work(function: Callable[..., Any], args: tuple[Any, ...], sender: Connectio
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     signal.signal(signal.SIGTERM, _leave)
     threading.Thread(target=_leave_with_parent, daemon=True).start()
+    code = 0
+    try:
+        _tell(function, args, sender)
+    except SystemExit as left:
+        code = left.code if isinstance(left.code, int) else 1
+    finally:
+        # Taking an interpreter with torch in it apart takes seconds, for which somebody waits.
+        for stream in (sys.stdout, sys.stderr):
+            with suppress(Exception):
+                stream.flush()
+        os._exit(code)
+
+
+def _tell(function: Callable[..., Any], args: tuple[Any, ...], sender: Connection) -> None:
     try:
         sender.send(("result", function(*args, lambda value: sender.send(("progress", value)))))
         return

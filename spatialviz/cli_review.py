@@ -15,6 +15,7 @@ from pipeline.errors import InputError
 from spatialviz.cli_journal import DatasetOptions, JournalOptions
 from spatialviz.exits import FINE, NO
 from spatialviz.options import four_numbers, print_json, warn_skipped
+from spatialviz.source_options import SecondDetectorOptions
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -55,10 +56,7 @@ class Review:
     journal: OmitArgPrefixes[JournalOptions] = JournalOptions()
     other: Path | None = None
     """Labels of the same dataset by another detector or run: what they say otherwise counts too."""
-    detector: str | None = None
-    """Let this detector look at the labelled frames too: recorded | yolo-seg | simulated | annotations."""
-    model: Path | None = None
-    """Its model file or recording."""
+    second: OmitArgPrefixes[SecondDetectorOptions] = SecondDetectorOptions()
     source: OmitArgPrefixes[DatasetOptions] = DatasetOptions()
     networks: bool = True
     """Ask networks that have not learnt from a label (confident learning)."""
@@ -118,13 +116,12 @@ class Review:
     def _check(self) -> None:
         if self.limit < 0:
             raise InputError("--limit must not be negative", got=self.limit)
-        if self.model is not None and self.detector is None:
-            raise InputError("--model needs --detector", cause="which kind of model is it?", path=self.model)
+        self.second.check()
         if self.author is None and (self.overlap or self.second_opinion_of is not None):
             raise InputError("--overlap and --second-opinion-of need --author", cause="whose second opinion?")
         if self.author is not None and self.all:
             raise InputError("--all and --author exclude each other")
-        if self.queue is not None and (self.other is not None or self.detector is not None):
+        if self.queue is not None and (self.other is not None or self.second.detector is not None):
             raise InputError("--queue is a queue that was made before", cause="leave out --queue, or the other options")
 
     def _reviewed(self, labels: Labels, folder: Path) -> Reviewed:
@@ -165,16 +162,20 @@ class Review:
     def _seen(
         self, labels: Labels, automatic: Labels, advance: Callable[[str, int, int], None]
     ) -> tuple[ItemEvidence, ...]:
-        from pipeline.proposals import make_detector
+        from pipeline.naming import Synonyms
         from pipeline.review.detector_evidence import detector_evidence
 
-        if self.detector is None:
+        setup = self.second.setup()
+        if setup is None:
             return ()
         dataset = self.source.open(automatic)
         if dataset is None:
             raise InputError("--detector needs the pictures", expected="--dataset DATASET")
-        detector = make_detector(self.detector, model=self.model, class_names=dataset.class_names)
-        found = detector_evidence(labels, dataset, detector, progress=lambda n, of: advance("frames", n, of))
+        table = Synonyms.load(setup.synonyms)
+        detector = setup.open(dataset.class_names, table)
+        found = detector_evidence(
+            labels, dataset, detector, synonyms=table, progress=lambda n, of: advance("frames", n, of)
+        )
         for frame, reason in found.skipped.items():
             warn_skipped(frame, reason)
         return found.items

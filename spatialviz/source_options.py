@@ -12,6 +12,7 @@ from spatialviz.options import four_numbers
 
 if TYPE_CHECKING:
     from pipeline.jobs import Source
+    from pipeline.proposals.detector_setup import DetectorSetup
     from pipeline.proposals.score_calibration import ScoreCalibration
 
 
@@ -30,6 +31,50 @@ def read_calibration(path: Path | None, forced: bool = False) -> ScoreCalibratio
 def fusing(fuse: tuple[str, ...], fusion: str) -> dict[str, Any]:
     """Detectors to be fused as arguments of `pipeline.jobs.open_source`; none where there is nothing to fuse."""
     return {"fuse": fuse, "fusion": fusion} if fuse else {}
+
+
+@dataclass(frozen=True)
+class SecondDetectorOptions:
+    """A detector that says what it sees in labelled frames."""
+
+    detector: str | None = None
+    """Let this detector look at the labelled frames too: annotations | recorded | yolo-seg | grounding-dino | owlv2 |
+    owlvit | detic | boxes | simulated."""
+    model: Path | None = None
+    """Its model file, its id on the model hub (OWNER/REPO:FILE@REVISION), a recording, or options of the simulated
+    one."""
+    model_config: Path | None = None
+    """What the file of --model does not say: the TOML file of boxes (default: beside the model), the class names of
+    detic and yolo-seg."""
+    fuse: tuple[str, ...] = ()
+    """Further detectors, NAME or NAME=MODEL, whose detections are fused with the detector's."""
+    fusion: Literal["wbf", "nms"] = "wbf"
+    """With --fuse: weighted boxes fusion, or all with non-maximum suppression."""
+    min_score: float | None = None
+    """Drop detections below this score, of each detector before they are fused. Default: the detector's own."""
+    synonyms: Path | None = None
+    """A JSON file with more synonyms: {"groups": [["mug", "cup"], …]}."""
+    provider: Provider | None = None
+    """What networks compute on. Default: cuda, directml or coreml where ONNX Runtime has it, else the CPU."""
+
+    def check(self) -> None:
+        """Raise InputError where an option is of no detector."""
+        own = ("model", "model_config", "fuse", "min_score")
+        given = [name for name in own if getattr(self, name) not in (None, ())]
+        if self.detector is None and given:
+            raise InputError(f"--{given[0].replace('_', '-')} needs --detector", cause="of which detector?")
+
+    def setup(self) -> DetectorSetup | None:
+        """What it is made from; None where none is asked."""
+        from pipeline.execution import use_execution
+        from pipeline.proposals.detector_setup import DetectorSetup
+
+        if self.detector is None:
+            return None
+        use_execution(self.provider, False)
+        return DetectorSetup(
+            self.detector, self.model, self.model_config, self.min_score, self.synonyms, self.fuse, self.fusion
+        )
 
 
 @dataclass(frozen=True)

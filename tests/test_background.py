@@ -38,6 +38,20 @@ def writing(folder: str, report: Callable[[Any], None]) -> None:
         endless(report)
 
 
+class Lasting:
+    """What takes long to be taken apart."""
+
+    def __del__(self) -> None:
+        time.sleep(60)
+
+
+def lasting(report: Callable[[Any], None]) -> str:
+    import builtins
+
+    builtins.kept = Lasting()  # type: ignore[attr-defined]
+    return "done"
+
+
 def gone(report: Callable[[Any], None]) -> None:
     import os
 

@@ -151,9 +151,14 @@ def test_while_the_journal_is_being_opened_an_edit_waits_and_nobody_with_it(
         return real(*given, **named)
 
     monkeypatch.setattr(journal_place, "journal_of", opened)
-    monkeypatch.setattr(journal_place, "SLOW_S", 0.02)
+    monkeypatch.setattr(journal_place, "PATIENCE_S", 0.02)
     frame = desk.frame(FRAME)
-    other = threading.Thread(target=place.to_write)
+
+    def first() -> None:
+        with pytest.raises(InputError, match="does not answer"):
+            place.to_write()
+
+    other = threading.Thread(target=first)
     other.start()
     asked.wait(5)
     outcome = desk.save(set_class(frame, 3, "jar"))
@@ -161,6 +166,7 @@ def test_while_the_journal_is_being_opened_an_edit_waits_and_nobody_with_it(
     assert "does not answer" in outcome.problem
     slow.set()
     other.join()
+    monkeypatch.undo()
     assert not place.to_write().events()
     assert [type(x) for x in desk.retry()] == [Saved]
     assert [e.after for e in place.to_write().events()] == ["jar"]

@@ -19,6 +19,7 @@ from pipeline.journal.journal import Journal
 from pipeline.labels.reading import Labels
 from pipeline.relations import F, T
 from pipeline.review.detector_evidence import detector_evidence
+from pipeline.review.following import mark_of
 from pipeline.review.items import ItemKey, item_keys
 from pipeline.review.queue_job import QueueJob, Step, make_queue, second_setup
 from pipeline.review.worklist import read_queue, worklist
@@ -53,7 +54,7 @@ def test_a_queue_without_corrections_with_a_second_detector(
     queue = read_queue(job.out)
     rows = dict(zip(item_keys(queue), queue.to_pylist(), strict=True))
     (named,) = (k for k, r in rows.items() if any("'zebra'" in reason for reason in r["reasons"]))
-    assert made == {"items": len(rows), "last": 0, "estimated_wrong": None, "agreement": []}
+    assert made == {"items": len(rows), "last": (0, ""), "estimated_wrong": None, "agreement": []}
     numbers = [r["object"] for r in demo_labels.objects.to_pylist() if r["frame"] == first]
     assert named == ItemKey(first, "object", numbers[2], None, "")
     assert source.beside is not None
@@ -92,7 +93,7 @@ def test_what_people_said_is_in_the_queue_and_its_figures(
     # Two relations, each with its mirror one item, of which one is judged alike.
     assert pair["items"] == 2
     work = worklist(read_queue(job.out))
-    assert made["last"] == journal.events()[-1].id
+    assert made["last"] == mark_of(journal.events())
     top = work.next_item()
     assert top is not None
     assert work.is_disputed(top)

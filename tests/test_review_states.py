@@ -19,14 +19,14 @@ from pipeline.journal.cells import Cell
 from pipeline.journal.effective import Corrector
 from pipeline.journal.effective_frame import EffectiveFrame
 from pipeline.journal.events import Conflict, Saved
-from pipeline.journal.journal import Journal
+from pipeline.journal.journal import Journal, open_journal
 from pipeline.journal.materialise import materialise
 from pipeline.journal.undo import redo, undo
 from pipeline.labels.reading import Labels
 from pipeline.relations import F, T
 from pipeline.review.agreement import pair_agreements
 from pipeline.review.cells import read_cells
-from pipeline.review.following import followed, gone_items, states_since
+from pipeline.review.following import NOTHING, followed, frame_states, gone_items, mark_of
 from pipeline.review.items import NOBODY, SETTLED, ItemKey, State, item_keys, left_to_review
 from pipeline.review.out_of_fold import DoubtConfig, doubt_labels
 from pipeline.review.progress import review_progress, wrong_left
@@ -369,7 +369,6 @@ def test_states_are_followed_as_a_new_queue_has_them(
     number, name = max(frame().objects), an_expression(frame())["id"]
     saved(journal, actions.set_status(frame(), status_cell(a, b), "accepted"))
     saved(journal, actions.judge_relation(frame(), a, b, "left", T, "ben"), "ben")
-    known = journal.events(last=1)[0].id
     saved(journal, actions.judge_relation(frame(), c, d, "left", F, "ben"), "ben")
     saved(journal, actions.set_relation(frame(), e, f, "left", F))
     saved(journal, actions.set_relation(frame(), g, h, "left", F))
@@ -378,16 +377,15 @@ def test_states_are_followed_as_a_new_queue_has_them(
     # The labels were made again: what this was made on is no longer there.
     other = replace(actions.set_class(frame(), number, "kettle")[0], before="something else")
     saved(journal, (other,))
-    found, newest = states_since(bare_corrector, journal, known)
-    assert newest == journal.events(last=1)[0].id
-    assert states_since(bare_corrector, journal, newest) == ({}, newest)
+    newest = mark_of(journal.events())
+    found = frame_states(frame(), journal.events(frame=FRAME))
     reviewed = reviewed_labels(demo_labels, journal, tmp_path / "labels")
     expected = states_on_labels(reviewed.judgements, read_cells(reviewed.labels))
     assert {k: s for k, s in found.items() if s != "unreviewed"} == expected
-    assert [found[left(*pair)] for pair in ((a, b), (c, d), (e, f), (g, h))] == [
+    assert [found.get(left(*pair), "unreviewed") for pair in ((a, b), (c, d), (e, f), (g, h))] == [
         "accepted", "unsure", "corrected", "unreviewed",
     ]  # fmt: skip
-    assert found[ItemKey(FRAME, "object", number, None, "")] == "unreviewed"
+    assert found.get(ItemKey(FRAME, "object", number, None, ""), "unreviewed") == "unreviewed"
     # Whoever works through a queue made now is shown the same.
     job = QueueJob(demo_labels.root, tmp_path / "queue.parquet", str(journal.place), networks=False)
     assert make_queue(job, lambda _: None)["last"] == newest
@@ -410,7 +408,7 @@ def test_what_a_rejected_object_takes_along_is_gone_until_it_is_back(
     assert gone_items(before, [*of_frame, *more], {}) == frozenset()
     work = worklist(whole)
     saved(journal, actions.set_status(before, Cell("object", FRAME, str(number), "status"), "rejected", author="ann"))
-    away, newest = followed(work, bare_corrector, journal, 0)
+    away, newest = followed(work, bare_corrector, journal, NOTHING)
     gone = {k for k in work.keys if away.is_gone(k)}
     assert gone == {k for k in of_frame if k.kind == "relation" and number in (k.a, k.b)}
     assert gone
@@ -428,3 +426,23 @@ def test_what_a_rejected_object_takes_along_is_gone_until_it_is_back(
     back, _ = followed(away, bare_corrector, journal, newest)
     assert not back.gone.any()
     assert back.counts == work.counts
+
+
+def test_of_a_journal_that_was_replaced_nothing_is_kept(
+    demo_labels: Labels, bare_corrector: Corrector, journal: Journal, frame: Any, tmp_path: Path
+) -> None:
+    work = worklist(review_queue(demo_labels, QueueConfig(doubts=None, linter=False)))
+    (a, b), (c, d) = [(k.a, k.b) for k in work.keys if (k.frame, k.kind, k.what) == (FRAME, "relation", "left")][:2]
+    saved(journal, actions.set_status(frame(), status_cell(a, b), "accepted", author="ann"))
+    known, newest = followed(work, bare_corrector, journal, NOTHING)
+    assert known.state(left(a, b)) == "accepted"
+    assert followed(known, bare_corrector, journal, newest) == (known, newest)
+    with open_journal(tmp_path / "another.sqlite") as another:
+        empty, none = followed(known, bare_corrector, another, newest)
+        assert (empty.counts, none) == (work.counts, NOTHING)
+        # Its events have the numbers of those that were known.
+        saved(another, actions.set_status(frame(), status_cell(c, d), "accepted", author="ben"))
+        found, last = followed(known, bare_corrector, another, newest)
+        assert [found.state(left(*pair)) for pair in ((a, b), (c, d))] == ["unreviewed", "accepted"]
+        assert last == mark_of(another.events())
+        assert last[0] == newest[0]

@@ -131,4 +131,4 @@ def quick(job: QueueJob, labels: Labels, report: Callable[[Any], None]) -> dict[
     """An empty queue, made without looking at the labels."""
     config = QueueConfig(doubts=None, linter=False, margins=False, doubtful=False)
     write_queue(review_queue(labels, config), job.out)
-    return {"items": 0, "last": 0}
+    return {"items": 0, "last": (0, "")}

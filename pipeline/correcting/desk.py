@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Collection, Sequence
 from datetime import datetime, timezone
 from functools import cached_property
+from threading import Lock
 
 from pipeline.correcting.disputes import decided
 from pipeline.correcting.event_lines import EventLine, event_lines
@@ -27,7 +28,7 @@ Outcome = Saved | Conflict | Waiting
 
 
 class Desk:
-    """What one person corrects. Not shared by threads, but for `news` and `saved`; the journal behind it is.
+    """What one person corrects. Not shared by threads, but for `news`, `saved` and `retry`; the journal behind it is.
 
     Parameters
     ----------
@@ -45,6 +46,7 @@ class Desk:
         self._events: dict[str, tuple[Event, ...]] = {}
         self._saved: tuple[Event, ...] = ()
         self._again: tuple[str, str] | None = None
+        self._lock = Lock()
 
     @cached_property
     def corrector(self) -> Corrector:
@@ -117,7 +119,10 @@ class Desk:
         InputError
             The journal cannot be read, and never was.
         """
-        return [*self._read(frame), *self._unsaved(frame)]
+        found = self._read(frame)
+        # Another thread may have saved what waits, and not have said so yet.
+        groups = {e.group for e in found}
+        return [*found, *(e for e in self._unsaved(frame) if e.group not in groups)]
 
     def _unsaved(self, frame: str) -> list[Event]:
         return [e for w in self.waiting for e in w.events(_NOT_IN_THE_JOURNAL, "") if e.cell.frame == frame]
@@ -167,9 +172,14 @@ class Desk:
             if known is None:
                 raise
             # Who works on while the database is away sees what they saw, and their own edits.
-            return (*known, *(e for e in self._saved if e.cell.frame == frame))
+            seen = {e.ulid for e in known}
+            return (*known, *(e for e in self._saved if e.cell.frame == frame and e.ulid not in seen))
         found = self._events[frame] = (*standing, *newer)
-        self._saved = tuple(e for e in self._saved if e.cell.frame != frame)
+        with self._lock:
+            # What another thread saves after the reading is not in it; of a journal that was replaced, nothing is.
+            last = found[-1].id if found else 0
+            another = bool(known) and not standing
+            self._saved = tuple(e for e in self._saved if e.cell.frame != frame or (e.id > last and not another))
         if self._again is not None and any(e.group == self._again[1] for e in found):
             # It was done after all, and is seen: whoever asks once more means the next.
             self._again = None
@@ -219,11 +229,15 @@ class Desk:
 
     def _kept(self, outcome: Saved | Conflict) -> Saved | Conflict:
         if isinstance(outcome, Saved):
-            # Until it is read, this is all that is known of it.
-            self._saved = (*self._saved, *outcome.events)
+            self._remember(outcome)
         else:
             self.place.unsaved.dispute(self.author, outcome)
         return outcome
+
+    def _remember(self, outcome: Saved) -> None:
+        """Until it is read, this is all that is known of it."""
+        with self._lock:
+            self._saved = (*self._saved, *outcome.events)
 
     def decide(self, conflict: Conflict, mine: Collection[int]) -> Outcome | None:
         """Settle a conflict: save one's own in the disputes that `mine` numbers, leave the others as they are.
@@ -241,8 +255,8 @@ class Desk:
         return outcome
 
     def retry(self) -> tuple[Outcome, ...]:
-        """Try again to save what waits: see `Unsaved.retry`."""
-        return self.place.unsaved.retry(self.author, self.place.to_write)
+        """Try again to save what waits: see `Unsaved.retry`. Any thread may ask."""
+        return self.place.unsaved.retry(self.author, self.place.to_write, self._remember)
 
     def undo(self, group: str | None = None) -> Outcome | None:
         """Take back this person's newest action, or the one of a group; one that waits is dropped.

@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import time
+from concurrent.futures import Future
+from concurrent.futures import TimeoutError as NotYet
 from pathlib import Path
-from threading import Lock
+from threading import Lock, Thread
 
 import sqlalchemy as sa
 from sqlalchemy.exc import ArgumentError
@@ -14,8 +17,10 @@ from pipeline.errors import InputError
 from pipeline.journal.connection import is_url
 from pipeline.journal.journal import JOURNAL_FILE, Journal, journal_of
 from pipeline.journal.migrations import known_revisions
-from pipeline.journal.server import SLOW_S
 from pipeline.labels.reading import Labels
+
+PATIENCE_S = 3.0
+"""How long anybody waits for a journal that is being opened; it goes on being opened after that."""
 
 
 class JournalPlace:
@@ -42,6 +47,7 @@ class JournalPlace:
         self.unsaved = Unsaved()
         self.jobs = LabelJobs()
         self._journal: Journal | None = None
+        self._opening: tuple[float, Future[Journal]] | None = None
         self._lock = Lock()
 
     def __str__(self) -> str:
@@ -79,18 +85,42 @@ class JournalPlace:
         Raises
         ------
         InputError
-            It cannot be opened or made.
+            It cannot be opened or made, or not yet.
         """
         if self._journal is not None:
             return self._journal
-        if not self._lock.acquire(timeout=SLOW_S):
-            raise InputError("the journal cannot be opened", got="it does not answer yet", path=str(self))
+        with self._lock:
+            if self._opening is None:
+                self._opening = time.monotonic(), self._open()
+            began, opening = self._opening
         try:
-            if self._journal is None:
-                self._journal = journal_of(self.labels, self.where, project=self.project)
-            return self._journal
-        finally:
-            self._lock.release()
+            return opening.result(max(0.0, began + PATIENCE_S - time.monotonic()))
+        except NotYet:
+            raise InputError("the journal cannot be opened", got="it does not answer yet", path=str(self)) from None
+
+    def _open(self) -> Future[Journal]:
+        """Open it on a thread of its own, so that a database that says nothing holds nobody up for long."""
+        opening: Future[Journal] = Future()
+
+        def work() -> None:
+            journal = problem = None
+            try:
+                journal = journal_of(self.labels, self.where, project=self.project)
+            except BaseException as error:  # Whatever it is, those who wait must hear of it.
+                problem = error
+            with self._lock:
+                wanted = self._opening is not None and self._opening[1] is opening
+                if wanted:
+                    self._journal, self._opening = journal, None
+            if journal is None:
+                opening.set_exception(problem)
+            else:
+                opening.set_result(journal)
+            if journal is not None and not wanted:
+                journal.close()
+
+        Thread(target=work, daemon=True, name="journal-open").start()
+        return opening
 
     def prepare(self) -> None:
         """Load what making a journal takes, and make none: the first edit then takes no longer than the others."""
@@ -101,7 +131,7 @@ class JournalPlace:
         with self._lock:
             if self._journal is not None:
                 self._journal.close()
-            self._journal = None
+            self._journal = self._opening = None
 
 
 def address_without_password(where: str | Path) -> str:

@@ -103,13 +103,16 @@ class Unsaved:
         finally:
             self._saving.release()
 
-    def retry(self, author: str, journal: Callable[[], Journal]) -> tuple[Saved | Conflict | Waiting, ...]:
+    def retry(
+        self, author: str, journal: Callable[[], Journal], saved: Callable[[Saved], None] = lambda _: None
+    ) -> tuple[Saved | Conflict | Waiting, ...]:
         """Try again to save what waits of an author, oldest first, until one fails.
 
         What others have changed in the meantime is a conflict: it no longer
         waits, and its author has to decide. Later actions on the same fields
         were made on what is not saved now, and so are a part of it. Nothing is
-        tried while another thread does.
+        tried while another thread does. `saved` is told what was saved before
+        it waits no longer.
         """
         if not self._saving.acquire(blocking=False):
             return ()
@@ -125,6 +128,7 @@ class Unsaved:
                 if isinstance(outcome, Conflict):
                     outcome = self._disputed_with_later(author, outcome)
                 else:
+                    saved(outcome)
                     self._replace(author, None)
                 done.append(outcome)
         finally:

@@ -121,7 +121,7 @@ def said_outcome(
     if isinstance(outcome, Waiting) and verb == "taken back":
         return "taken back before it was saved", False
     if isinstance(outcome, Waiting):
-        return f"not saved yet: {outcome.problem}", True
+        return "not saved yet: it is kept here, and saved as soon as the journal can be written", True
     return "", False
 
 

@@ -14,7 +14,7 @@ from sqlalchemy.exc import DBAPIError, SQLAlchemyError
 
 from pipeline.errors import InputError
 from pipeline.journal.migrations import HEAD, known_revisions, revision_of, upgrade
-from pipeline.journal.postgres import postgres_engine, state_of
+from pipeline.journal.postgres import ask_for_turn, postgres_engine, state_of
 from pipeline.journal.sqlite_file import BUSY_S, READING, check_in_place, sqlite_engine
 
 NETWORK_FILE_SYSTEMS = frozenset(
@@ -86,12 +86,22 @@ def reading(engine: sa.Engine) -> Iterator[sa.Connection]:
 @contextmanager
 def writing(engine: sa.Engine) -> Iterator[sa.Connection]:
     """A connection whose turn it is to write; when the block ends, what it wrote is on the disk."""
-    with engine.begin() as connection:
-        if engine.dialect.name == "postgresql":
-            connection.execute(sa.select(sa.func.pg_advisory_xact_lock(_ADVISORY)))
+    with engine.connect() as connection, _turn(connection):
         yield connection
         if engine.dialect.name == "sqlite":
             check_in_place(connection)
+
+
+def _turn(connection: sa.Connection) -> sa.RootTransaction:
+    """A transaction whose turn it is."""
+    until = time.monotonic() + BUSY_S
+    while True:
+        turn = connection.begin()
+        if connection.dialect.name != "postgresql" or ask_for_turn(connection, _ADVISORY):
+            return turn
+        turn.rollback()
+        if time.monotonic() > until:
+            raise TimeoutError("locked by another program, which goes on writing")
 
 
 def prepare(engine: sa.Engine) -> None:

@@ -20,7 +20,7 @@ from typing import Any
 
 import sqlalchemy as sa
 from sqlalchemy import event
-from sqlalchemy.exc import ArgumentError, InvalidatePoolError
+from sqlalchemy.exc import ArgumentError, DBAPIError, InvalidatePoolError
 
 from pipeline.errors import InputError, MissingExtra
 from pipeline.journal.server import server_at
@@ -28,13 +28,19 @@ from pipeline.journal.server import server_at
 CONNECT_S = 10.0
 PING_S = 3.0
 """A connection that says nothing for so long when it is taken up again is broken."""
-SILENCE_S = 70.0
-"""A server that has not answered for so long is taken to be away: longer than any writer waits for its turn."""
+SILENCE_S = 10.0
+"""A server that has not answered a query for so long is taken to be away."""
+TURN_S = 2.0
+"""A writer's wait for its turn is answered by so late, and then asked for again: less than SILENCE_S."""
+IDLE_S = 20.0
+"""A writer that says nothing for so long loses its turn: nobody waits for one that the network has lost."""
 OPTIONS = ("host", "port", "sslmode", "sslrootcert", "sslcert", "sslkey", "connect_timeout", "application_name")
 SSL_MODES = ("disable", "allow", "prefer", "require", "verify-ca", "verify-full")
 _SOCKETS = "/var/run/postgresql"
 _GONE = ("57P", "08")
 """SQLSTATE classes of a server that shuts down or starts, and of a connection that broke."""
+_LOCKED = "55P03"
+"""SQLSTATE of a lock that was not given in time."""
 _ANSWERED = "spatialviz_answered"
 _FIELD = re.compile(r"((?:\\.|[^:\\])*)(?::|$)")
 
@@ -256,6 +262,26 @@ def state_of(error: BaseException | None) -> dict[str, str]:
     """The fields of a server's message (postgresql.org/docs/current/protocol-error-fields.html); empty for another."""
     said = error.args[0] if error is not None and error.args else None
     return said if isinstance(said, dict) else {}
+
+
+def ask_for_turn(connection: sa.Connection, key: int) -> bool:
+    """Wait for a writer's turn in the transaction that has begun; False where it did not come within TURN_S.
+
+    The settings are those of the transaction alone (postgresql.org/docs/current/runtime-config-client.html). They are
+    made in the same query, whose columns are computed from left to right.
+    """
+    columns = (
+        sa.func.set_config("lock_timeout", str(int(1000 * TURN_S)), True),
+        sa.func.set_config("idle_in_transaction_session_timeout", str(int(1000 * IDLE_S)), True),
+        sa.func.pg_advisory_xact_lock(key),
+    )
+    try:
+        connection.execute(sa.select(*columns))
+    except DBAPIError as error:
+        if state_of(error.orig).get("C") != _LOCKED:
+            raise
+        return False
+    return True
 
 
 def _drop_what_broke(context: sa.engine.ExceptionContext) -> None:

@@ -54,6 +54,7 @@ def detector_evidence(
     *,
     synonyms: Synonyms | None = None,
     progress: Callable[[int, int], None] | None = None,
+    name: str | None = None,
 ) -> SecondDetector:
     """Let a detector look at the frames of labels.
 
@@ -67,6 +68,8 @@ def detector_evidence(
         Names that mean the same are no dispute.
     progress : callable, optional
         Called with (frames done, of how many).
+    name : str, optional
+        What the detector is called. Default: its own name.
 
     Raises
     ------
@@ -84,14 +87,17 @@ def detector_evidence(
             found = detector.detect(dataset.load(row["frame"]), None)
         except InputError as error:
             skipped[row["frame"]] = str(error)
+        except Exception as error:  # A network's own failure: its words, in one line.
+            said = str(error).strip().split("\n")[0]
+            skipped[row["frame"]] = f"{type(error).__name__}: {said}" if said else type(error).__name__
         else:
             numbers, names, boxes = (objects[name][mine] for name in ("object", "label", "bbox"))
-            items += compared(row["frame"], numbers, names, boxes, found, detector, synonyms)
+            items += compared(row["frame"], numbers, names, boxes, found, detector, synonyms, name)
         if progress is not None:
             progress(done, len(frames))
     if frames and len(skipped) == len(frames):
         first = next(iter(skipped.values()))
-        raise InputError(f"the detector {detector.name} could look at none of the labelled frames", got=first)
+        raise InputError(f"the detector {name or detector.name} could look at none of the labelled frames", got=first)
     return SecondDetector(tuple(items), len(frames) - len(skipped), skipped)
 
 
@@ -103,6 +109,7 @@ def compared(
     found: Proposals,
     detector: Detector,
     synonyms: Synonyms | None = None,
+    name: str | None = None,
 ) -> Iterator[ItemEvidence]:
     """What detections say against the objects of one frame.
 
@@ -115,30 +122,33 @@ def compared(
     detector : Detector
         Whose they are.
     synonyms : Synonyms, optional
+    name : str, optional
+        What the detector is called.
     """
+    called = name or detector.name
     same, knows = lru_cache(_same(synonyms)), lru_cache(_knows(detector, synonyms))
     iou = iou_2d(boxes.reshape(-1, 4), found.boxes.astype(np.float64)) if len(numbers) else np.zeros((0, len(found)))
     here = iou >= SAME_BOX_IOU
     said = [found.label(k) for k in range(len(found))]
-    for row, (number, name) in enumerate(zip(numbers.tolist(), names.tolist(), strict=True)):
+    for row, (number, label) in enumerate(zip(numbers.tolist(), names.tolist(), strict=True)):
         key = ItemKey(frame, "object", number, None, "")
         at = np.flatnonzero(here[row])
         if not len(at):
-            if knows(name):
-                yield ItemEvidence(key, UNMATCHED, f"the detector {detector.name} sees no object here")
+            if knows(label):
+                yield ItemEvidence(key, UNMATCHED, f"the detector {called} sees no object here")
             continue
-        if any(same(name, said[k]) for k in at.tolist()):
+        if any(same(label, said[k]) for k in at.tolist()):
             continue
         best = int(at[np.lexsort((-iou[row, at], -found.scores[at]))[0]])
         score = float(found.scores[best])
         if score < LEAST_SCORE:
             continue
-        reason = f"the detector {detector.name} calls it {said[best]!r} (score {score:.2f})"
-        if knows(name):
+        reason = f"the detector {called} calls it {said[best]!r} (score {score:.2f})"
+        if knows(label):
             yield ItemEvidence(key, DISPUTED, reason)
         else:
-            yield ItemEvidence(key, WARNED, f"{reason}, and knows no {name!r}")
-    yield from _missing(frame, found, np.asarray(here.any(axis=0)), said, detector.name)
+            yield ItemEvidence(key, WARNED, f"{reason}, and knows no {label!r}")
+    yield from _missing(frame, found, np.asarray(here.any(axis=0)), said, called)
 
 
 def _missing(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 
 from pipeline.journal.effective import Corrector
 from pipeline.journal.effective_frame import EffectiveFrame
@@ -12,6 +12,11 @@ from pipeline.relations import PAIRWISE, letter
 from pipeline.review.items import SETTLED, ItemKey, State
 from pipeline.review.states import item_of, judgements_of
 from pipeline.review.worklist import Worklist
+
+Mark = tuple[int, str]
+"""An event of a journal: `id` and `ulid`. The second tells a journal from one that was put in its place."""
+NOTHING: Mark = (0, "")
+"""Stands before the first event."""
 
 
 def frame_states(frame: EffectiveFrame, events: Sequence[Event]) -> dict[ItemKey, State]:
@@ -39,43 +44,51 @@ def frame_states(frame: EffectiveFrame, events: Sequence[Event]) -> dict[ItemKey
     return states
 
 
-def states_since(corrector: Corrector, journal: Journal, after: int) -> tuple[dict[ItemKey, State], int]:
-    """What became of items since an event, whoever saved it.
+def followed(work: Worklist, corrector: Corrector, journal: Journal, after: Mark) -> tuple[Worklist, Mark]:
+    """A list with what became of its items since an event, whoever saved it: their states, and which of them have gone.
 
     Parameters
     ----------
-    after : int
-        `id` of the newest event that is known already.
+    after : Mark
+        The newest event that is known already. Where the journal lacks it, that is another one now, such as a copy that
+        was put back: then nothing of what was known holds.
 
     Returns
     -------
-    states : dict of ItemKey to str
-        Of every item that people ever did something to, in the frames with newer events.
-    newest : int
-        `id` of the newest event.
+    work : Worklist
+    newest : Mark
+        The newest event.
 
     Raises
     ------
     InputError
         The journal or a frame cannot be read.
     """
-    found: dict[ItemKey, State] = {}
-    fresh = journal.events(after=after)
-    for _, states in _changed(corrector, journal, fresh):
-        found |= states
-    return found, fresh[-1].id if fresh else after
-
-
-def followed(work: Worklist, corrector: Corrector, journal: Journal, after: int) -> tuple[Worklist, int]:
-    """A list with what became of its items since an event: their states, and which of them have gone.
-
-    Parameters, errors and the second result are those of `states_since`.
-    """
-    fresh = journal.events(after=after)
-    for frame, states in _changed(corrector, journal, fresh):
+    fresh, standing = _since(journal, after)
+    names = [e.cell.frame for e in fresh]
+    if not standing:
+        names += work.touched
+        work = work.untouched()
+    for frame, states in _changed(corrector, journal, names):
         keys = [work.keys[place] for place in work.frames.get(frame.frame, ())]
         work = work.with_states(states).with_gone(frame.frame, gone_items(frame, keys, states))
-    return work, fresh[-1].id if fresh else after
+    return work, mark_of(fresh) if fresh or not standing else after
+
+
+def mark_of(events: Sequence[Event]) -> Mark:
+    """The newest of events in the order of their saving."""
+    return (events[-1].id, events[-1].ulid) if events else NOTHING
+
+
+def _since(journal: Journal, after: Mark) -> tuple[Sequence[Event], bool]:
+    """The events after one, and whether that one is still there; all events where it is not."""
+    if after == NOTHING:
+        return journal.events(), True
+    # Nothing is ever taken out of a journal: with that event it has all that came before.
+    found = journal.events(after=after[0] - 1)
+    if found and found[0].ulid == after[1]:
+        return found[1:], True
+    return journal.events(), False
 
 
 def gone_items(
@@ -102,10 +115,10 @@ def gone_items(
 
 
 def _changed(
-    corrector: Corrector, journal: Journal, fresh: Sequence[Event]
+    corrector: Corrector, journal: Journal, names: Iterable[str]
 ) -> Iterator[tuple[EffectiveFrame, dict[ItemKey, State]]]:
-    """The frames of new events, each with the states of its items."""
-    for name in dict.fromkeys(e.cell.frame for e in fresh):
+    """Frames, each with the states of the items that its events are about."""
+    for name in dict.fromkeys(names):
         if name not in corrector.index.of_frame:
             continue
         events = journal.events(frame=name)

@@ -15,10 +15,12 @@ from pipeline.journal.journal import journal_of
 from pipeline.journal.setting import setting_of
 from pipeline.labels.pictures import labelled_dataset
 from pipeline.labels.reading import Labels, open_labels
+from pipeline.naming import Synonyms
 from pipeline.proposals.detector_setup import DetectorSetup, made_by
 from pipeline.review.agreement import pair_agreements
 from pipeline.review.cells import read_cells
 from pipeline.review.detector_evidence import SecondDetector, detector_evidence
+from pipeline.review.following import NOTHING, Mark, mark_of
 from pipeline.review.items import with_states
 from pipeline.review.ordering import by_frame
 from pipeline.review.out_of_fold import DoubtConfig
@@ -50,6 +52,8 @@ class QueueJob:
         Of the dataset, for `labelled_dataset`: intrinsics, depth_scale.
     detector : DetectorSetup or None
         Asked about the labelled frames too; see `second_setup`.
+    called : str or None
+        What the detector is called. Default: its own name.
     """
 
     labels: Path
@@ -60,6 +64,7 @@ class QueueJob:
     networks: bool = True
     options: dict[str, Any] = field(default_factory=dict)
     detector: DetectorSetup | None = None
+    called: str | None = None
 
 
 def second_setup(source: Source, labels: Labels) -> tuple[str, DetectorSetup] | None:
@@ -94,8 +99,8 @@ def make_queue(job: QueueJob, report: Callable[[Step], None]) -> dict[str, Any]:
         items (how many), detector (the one that was asked: its name, frames it looked at, skipped ones with the reason;
         None without one), estimated_wrong (relation labels that networks hold for wrong; None without networks),
         agreement (each two reviewers, how many items both have judged, and Cohen's kappa; None where it means nothing),
-        and last (`id` of the newest event that surely counts in it; 0 where there is none). The states of the items
-        then are the queue's column `state`.
+        and last (the newest event that surely counts in it, a `following.Mark`). The states of the items then are the
+        queue's column `state`.
 
     Raises
     ------
@@ -137,19 +142,23 @@ def _seen(
     if job.detector is None:
         return "", None
     dataset = labelled_dataset(automatic.manifest, job.dataset, **job.options)
-    detector = job.detector.open(dataset.class_names)
-    found = detector_evidence(labels, dataset, detector, progress=lambda done, of: report(("frames", done, of)))
-    return detector.name, found
+    table = Synonyms.load(job.detector.synonyms)
+    detector = job.detector.open(dataset.class_names, table)
+    name = job.called or detector.name
+    found = detector_evidence(
+        labels, dataset, detector, synonyms=table, progress=lambda n, of: report(("frames", n, of)), name=name
+    )
+    return name, found
 
 
-def _reviewed(job: QueueJob, labels: Labels, folder: Path) -> tuple[Reviewed, int]:
+def _reviewed(job: QueueJob, labels: Labels, folder: Path) -> tuple[Reviewed, Mark]:
     try:
         journal = journal_of(labels, job.journal, project=job.project, must_exist=True)
     except InputError:
-        return Reviewed(labels), 0
+        return Reviewed(labels), NOTHING
     with journal:
         newest = journal.events(last=1)
-        return reviewed_labels(labels, journal, folder, _dataset(job, labels)), newest[0].id if newest else 0
+        return reviewed_labels(labels, journal, folder, _dataset(job, labels)), mark_of(newest)
 
 
 def _dataset(job: QueueJob, labels: Labels) -> Dataset | None:

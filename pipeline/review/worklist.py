@@ -111,6 +111,18 @@ class Worklist:
             found = found.with_state(key, state)
         return found
 
+    @property
+    def touched(self) -> tuple[str, ...]:
+        """The frames with an item that is not unreviewed, or has gone."""
+        marked = (self.codes != _UNREVIEWED) | self.gone
+        return tuple(frame for frame, places in self.frames.items() if marked[places].any())
+
+    def untouched(self) -> Worklist:
+        """The list as nobody has reviewed it."""
+        codes, gone = np.full_like(self.codes, _UNREVIEWED), np.zeros_like(self.gone)
+        codes.flags.writeable = gone.flags.writeable = False
+        return replace(self, codes=codes, gone=gone, tally=_tally(codes))
+
     def with_gone(self, frame: str, gone: Collection[ItemKey]) -> Worklist:
         """The list after these items of a frame have gone, and all others of it have not."""
         if frame not in self.frames:

@@ -249,9 +249,8 @@ class Correct:
         lines = () if desk is None else desk.history(
             view.frame.frame, objects=objects, pair=pair, expression=view.expression
         )  # fmt: skip
-        author = "" if desk is None else desk.author
         cards = expression_cards(view.frame, about)
-        return replace(view, about=about, expressions=cards, history=lines, author=author)
+        return replace(view, about=about, expressions=cards, history=lines, author="" if desk is None else desk.author)
 
     def follow(self) -> None:
         """Bring the Review tab up to the state."""
@@ -353,6 +352,8 @@ class Correct:
         self._said = said, bad
         if view is not None:
             self._take(replace(self._state(), labels=replace(view, said=said, bad=bad)))
+        elif said:
+            self._client.add_notification("Labels", said, auto_close_seconds=8)
         self._note(said)
         if draw:
             self._draw()
@@ -398,8 +399,7 @@ class Correct:
 
     def save_again(self) -> None:
         """Try to save what waits."""
-        desk = self.desk
-        for outcome in () if desk is None else desk.retry():
+        for outcome in () if self.desk is None else self.desk.retry():
             self.came_to(outcome, "saved")
 
     # ---- pairs ------------------------------------------------------------------------

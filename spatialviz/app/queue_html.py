@@ -104,7 +104,8 @@ def _busy(making: Making) -> str:
     """How far a queue that is made is, or why there is none."""
     if not making.running:
         failed = making.problem and making.problem != CANCELLED
-        return note(f"The queue was not made: {making.problem}", BAD) if failed else ""
+        stays = "was not made" if making.work is None else "stays as it is"
+        return note(f"The queue {stays}: {making.problem}", BAD) if failed else ""
     share, what = 0.0, "ranking the labels"
     if making.step is not None:
         kind, done, of = making.step

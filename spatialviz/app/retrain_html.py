@@ -18,8 +18,8 @@ STEPS = {
 LISTED = 6
 
 
-def retrain_html(training: Training, corrections: int, with_run: bool) -> str:
-    """The section of the Review tab."""
+def retrain_html(training: Training, corrections: int | None, with_run: bool) -> str:
+    """The section of the Review tab; `corrections` is None where the journal cannot be read."""
     head = heading("Retrain", _action(training, corrections))
     if training.running:
         what, done, of = training.step
@@ -31,13 +31,15 @@ def retrain_html(training: Training, corrections: int, with_run: bool) -> str:
     if training.record is None:
         run = ", and makes the run again with it" if with_run else ""
         said = "Nothing corrected yet."
-        if corrections:
+        if corrections is None:
+            said = "The journal cannot be read now: what was corrected is not known."
+        elif corrections:
             said = f"Learns the relations from the labels as they are now{run}."
         return head + f'<div class="dim">{said}</div>'
     return head + _figures(training) + _replayed(training.record) + _install(training)
 
 
-def _action(training: Training, corrections: int) -> str:
+def _action(training: Training, corrections: int | None) -> str:
     if training.running:
         return '<span class="try" role="button" onclick="sv(\'stop-training\')">stop</span>'
     if not corrections:

@@ -156,5 +156,5 @@ class RetrainPanel:
             journal = place.to_read()
             corrections = 0 if journal is None else journal.count()
         except InputError:
-            corrections = 0
+            corrections = None
         handle.content = panel(retrain_html(self._training, corrections, name in self._runs))

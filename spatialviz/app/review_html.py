@@ -29,8 +29,8 @@ def review_head_html(state: State, opened: bool, desk: Desk | None) -> str:
         parts.append(note(state.labels.said, BAD if state.labels.bad else GOOD))
     if desk is not None and (waiting := desk.waiting):
         count = len(waiting)
-        what = f"{count} action{'s' if count > 1 else ''} not saved yet, kept here: {waiting[-1].problem}"
-        parts.append(note(what, BAD))
+        what = f"{count} action{'s wait' if count > 1 else ' waits'} here, to be saved as soon as that can be done"
+        parts.append(note(f"{what}: {waiting[-1].problem}", BAD))
         parts.append('<span class="try go" role="button" onclick="sv(\'save-again\')">try again</span>')
     if desk is not None and desk.disputed:
         parts.append(note("Somebody was faster than you: nothing of yours is saved until you decide.", BAD))

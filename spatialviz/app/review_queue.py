@@ -15,7 +15,7 @@ from pipeline.journal.cells import Cell, object_cell
 from pipeline.journal.edits import Edits, judge_both_ways, judge_missing, set_status
 from pipeline.journal.effective_frame import EffectiveFrame
 from pipeline.journal.events import Event
-from pipeline.review.following import followed
+from pipeline.review.following import NOTHING, Mark, followed
 from pipeline.review.items import ItemKey
 from pipeline.review.ordering import BLOCK
 from pipeline.review.queue_job import QueueJob, second_setup
@@ -59,7 +59,7 @@ class ReviewQueue:
         self._page, self._store, self._journals, self._correct = page, store, journals, correct
         self._state, self._note, self._post = state, note, post
         self._works: dict[str, Worklist] = {}
-        self._newest: dict[str, int] = {}
+        self._newest: dict[str, Mark] = {}
         self._makings: dict[str, Making] = {}
         self._behind: set[str] = set()
         self._asked: dict[str, Asked] = {}
@@ -120,6 +120,7 @@ class ReviewQueue:
                 str(source.dataset.root),
                 asked.networks,
                 detector=None if second is None else second[1],
+                called=None if second is None else second[0],
             )
         )
 
@@ -152,7 +153,7 @@ class ReviewQueue:
         was, now = self._makings.get(name, Making()), self._journals[name].jobs.queue.seen
         self._makings[name] = now
         if now.work is not None and now.work is not was.work:
-            self._works[name], self._newest[name] = now.work, (now.made or {}).get("last", 0)
+            self._works[name], self._newest[name] = now.work, (now.made or {}).get("last", NOTHING)
             self._behind.add(name)
             self._note(f"review queue: {len(now.work)} items")
             self._note_skipped(now)
@@ -177,7 +178,7 @@ class ReviewQueue:
         with suppress(InputError):
             journal = desk.place.to_read()
             if journal is not None:
-                work, self._newest[name] = followed(work, desk.corrector, journal, self._newest.get(name, 0))
+                work, self._newest[name] = followed(work, desk.corrector, journal, self._newest.get(name, NOTHING))
                 self._works[name] = work
         return work
 
@@ -214,7 +215,14 @@ class ReviewQueue:
 
     def look_at(self, key: ItemKey) -> None:
         """Show an item: its pair, its object, or the ends of its sentence."""
-        work = self._work
+        work, desk = self._work, self._correct.open_desk
+        try:
+            if desk is not None and self._state().labels is not None:
+                desk.events(key.frame)
+        except InputError as error:
+            # Better stay where labels are seen than go where they are not.
+            self._correct.refuse(str(error))
+            return
         ends = (key.a, key.b)
         if work is not None and key.kind == "expression" and key.plain in work.places:
             row = work.row(key)
