@@ -25,7 +25,7 @@ from sqlalchemy.exc import ArgumentError, DBAPIError, InvalidatePoolError
 from pipeline.errors import InputError, MissingExtra
 from pipeline.journal.server import server_at
 
-CONNECT_S = 10.0
+CONNECT_S = 5.0
 PING_S = 3.0
 """A connection that says nothing for so long when it is taken up again is broken."""
 SILENCE_S = 10.0
@@ -109,7 +109,15 @@ def postgres_engine(where: str) -> sa.Engine:
             raise InvalidatePoolError(str(error)) from error
 
     event.listen(engine, "checkout", check)
-    event.listen(engine, "handle_error", _drop_what_broke)
+    def drop_what_broke(context: sa.engine.ExceptionContext) -> None:
+        # A server that shut down, and a socket that failed, leave connections that cannot be used again.
+        error = context.original_exception
+        if isinstance(error, OSError) or state_of(error).get("C", "").startswith(_GONE):
+            context.is_disconnect = True
+        if isinstance(error, TimeoutError):
+            server_at(address.host, address.port).is_silent(error)
+
+    event.listen(engine, "handle_error", drop_what_broke)
     return engine
 
 
@@ -282,10 +290,3 @@ def ask_for_turn(connection: sa.Connection, key: int) -> bool:
             raise
         return False
     return True
-
-
-def _drop_what_broke(context: sa.engine.ExceptionContext) -> None:
-    """A server that shut down, and a socket that failed, leave connections that cannot be used again."""
-    error = context.original_exception
-    if isinstance(error, OSError) or state_of(error).get("C", "").startswith(_GONE):
-        context.is_disconnect = True

@@ -74,6 +74,10 @@ class Server:
             with self._lock:
                 self._asked.remove(began)
 
+    def is_silent(self, error: Exception) -> None:
+        """It did not answer on a connection that it had: whoever asks next need not find out by waiting."""
+        self._know(error)
+
     def _look(self, connect: Callable[[], Link]) -> None:
         try:
             link = connect()
