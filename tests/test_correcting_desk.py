@@ -28,6 +28,10 @@ from pipeline.relations import F, T
 from pipeline.run_length import decode_run_length
 
 
+def _away(*_: Any, **__: Any) -> Any:
+    raise InputError("the journal cannot be read")
+
+
 @pytest.fixture
 def place(demo_labels: Labels, tmp_path: Path) -> JournalPlace:
     return JournalPlace(demo_labels, tmp_path / "j.sqlite")
@@ -95,12 +99,8 @@ def test_what_was_saved_last_is_seen_while_the_journal_is_away(
 ) -> None:
     ann = Desk(demo_labels, place, "ann")
     assert isinstance(ann.save(set_class(ann.frame(FRAME), 3, "jar")), Saved)
-
-    def away(*_: Any, **__: Any) -> Any:
-        raise InputError("the journal cannot be read")
-
     with monkeypatch.context() as patch:
-        patch.setattr(Journal, "events", away)
+        patch.setattr(Journal, "events", _away)
         frame = ann.frame(FRAME)
         assert frame.objects[3]["label"] == "jar"
     # What is made on it is made on what is there.
@@ -120,7 +120,9 @@ def test_who_comes_second_is_told_and_overwrites_nothing(demo_labels: Labels, pl
     assert ben.frame(FRAME).objects[3]["label"] == "beaker"
 
 
-def test_what_cannot_be_saved_is_kept_shown_and_saved_later(demo_labels: Labels, tmp_path: Path) -> None:
+def test_what_cannot_be_saved_is_kept_shown_and_saved_later(
+    demo_labels: Labels, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     folder = tmp_path / "away"
     place = JournalPlace(demo_labels, folder / "j.sqlite")
     desk = Desk(demo_labels, place, "ann")
@@ -135,6 +137,11 @@ def test_what_cannot_be_saved_is_kept_shown_and_saved_later(demo_labels: Labels,
     folder.mkdir()
     assert [type(x) for x in desk.retry()] == [Saved, Saved]
     assert not desk.waiting
+    with monkeypatch.context() as patch:
+        # It goes away again before anybody has looked.
+        patch.setattr(Journal, "events", _away)
+        assert desk.frame(FRAME).objects[3]["label"] == "jar"
+        assert len(desk.events(FRAME)) == 2
     assert Desk(demo_labels, place, "ben").frame(FRAME).objects[3]["label"] == "jar"
     assert [e.after for e in place.to_write().events()] == ["beaker", "jar"]
 

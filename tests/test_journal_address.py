@@ -239,6 +239,10 @@ def test_who_comes_while_another_waits_does_not(impatient: None) -> None:
         with pytest.raises(ConnectionRefusedError):
             known.ask(refused, refused)
     assert known.ask(lambda: 1, refused) == 1
+    # One that left a query without an answer is asked nothing until it is found again.
+    known.is_silent(TimeoutError("timed out"))
+    with pytest.raises(TimeoutError, match="timed out"):
+        known.ask(lambda: 1, refused)
 
 
 def test_a_server_that_falls_silent_is_left_alone_until_it_answers(

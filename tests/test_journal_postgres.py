@@ -7,6 +7,8 @@ import os
 import signal
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import TimeoutError as NotYet
 from pathlib import Path
 
 import pytest
@@ -14,6 +16,7 @@ from postgres_cluster import missing, running_cluster
 from sqlalchemy.exc import DBAPIError
 
 from pipeline.errors import InputError
+from pipeline.journal import connection, postgres
 from pipeline.journal.bench import prove, read_report, write_many
 from pipeline.journal.cells import object_cell, relation_cell
 from pipeline.journal.connection import writing
@@ -65,6 +68,33 @@ def test_writers_at_once_lose_nothing_and_overwrite_nothing(database: str, tmp_p
     with open_journal(database) as journal:
         ids = [e.id for e in journal.events()]
     assert ids == sorted(ids)
+
+
+def test_a_writer_whose_turn_does_not_come_asks_again(database: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(postgres, "TURN_S", 0.02)
+    with open_journal(database, project="turns") as ann, open_journal(database, project="turns") as bob:
+        with ThreadPoolExecutor() as pool:
+            with writing(ann.engine):
+                done = pool.submit(bob.append, [Edit(LEFT, -1, 1)], "bob")
+                with pytest.raises(NotYet):
+                    done.result(0.1)
+            assert isinstance(done.result(5), Saved)
+        monkeypatch.setattr(connection, "BUSY_S", 0.0)
+        with writing(ann.engine), pytest.raises(NotSaved, match="locked by another program"):
+            bob.append([Edit(LEFT, 1, 0, 1)], "bob")
+
+
+def test_a_writer_that_says_nothing_loses_its_turn(database: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(postgres, "IDLE_S", 0.05)
+    with open_journal(database, project="idle") as ann, open_journal(database, project="idle") as bob:
+
+        def lost() -> None:
+            with writing(ann.engine):
+                assert isinstance(bob.append([Edit(LEFT, -1, 1)], "bob"), Saved)
+
+        with pytest.raises(DBAPIError):
+            lost()
+        assert isinstance(ann.append([Edit(LEFT, 1, 0, 1)], "ann"), Saved)
 
 
 def test_what_was_acknowledged_survives_a_killed_writer(database: str, tmp_path: Path) -> None:

@@ -148,9 +148,16 @@ def test_a_detector_that_saw_none_of_the_frames_is_told(
 ) -> None:
     detector = make_detector("annotations", class_names=demo_dataset.class_names)
 
-    def broken(frame: str) -> None:
-        raise InputError("the picture is damaged", path=frame)
+    problems = [
+        (InputError("the picture is damaged"), r"none of the labelled frames.*damaged"),
+        # A network's own words.
+        (RuntimeError("[ONNXRuntimeError] : 1\nat line 7"), r"detector mine could .*; got RuntimeError: \[ONNX.* : 1$"),
+    ]
+    for problem, said in problems:
 
-    monkeypatch.setattr(type(demo_dataset), "load", lambda self, frame: broken(frame))
-    with pytest.raises(InputError, match=r"none of the labelled frames.*damaged"):
-        detector_evidence(demo_labels, demo_dataset, detector)
+        def broken(self: Dataset, frame: str, problem: Exception = problem) -> None:
+            raise problem
+
+        monkeypatch.setattr(type(demo_dataset), "load", broken)
+        with pytest.raises(InputError, match=said):
+            detector_evidence(demo_labels, demo_dataset, detector, name="mine")

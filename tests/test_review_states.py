@@ -432,7 +432,8 @@ def test_of_a_journal_that_was_replaced_nothing_is_kept(
     demo_labels: Labels, bare_corrector: Corrector, journal: Journal, frame: Any, tmp_path: Path
 ) -> None:
     work = worklist(review_queue(demo_labels, QueueConfig(doubts=None, linter=False)))
-    (a, b), (c, d) = [(k.a, k.b) for k in work.keys if (k.frame, k.kind, k.what) == (FRAME, "relation", "left")][:2]
+    of_frame = [k for k in work.keys if (k.frame, k.kind, k.what) == (FRAME, "relation", "left")]
+    (a, b), (c, d) = [(k.a, k.b or 0) for k in of_frame[:2]]
     saved(journal, actions.set_status(frame(), status_cell(a, b), "accepted", author="ann"))
     known, newest = followed(work, bare_corrector, journal, NOTHING)
     assert known.state(left(a, b)) == "accepted"
