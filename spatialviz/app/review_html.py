@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pipeline.correcting.cards import PairCard, RelationLine
 from pipeline.correcting.desk import Desk
+from pipeline.correcting.unsaved import Waiting
 from pipeline.palette import palette
 from pipeline.relations import PHRASE, F, T, U, letter
 from spatialviz.app.keys import KEYS_OF_ONE
@@ -25,12 +26,13 @@ def review_head_html(state: State, opened: bool, desk: Desk | None) -> str:
     button = f'<span class="try{" on" if on else ""}" role="button" onclick="sv(\'labels\')" title="Shift+L">'
     button += f'{"labels are shown" if on else "show the labels"}</span>'
     parts = [f'<div class="nav" style="padding-top:.6em">{button}{_reviewer(desk)}</div>']
-    if state.labels is not None and state.labels.said:
+    waiting: tuple[Waiting, ...] = () if desk is None else desk.waiting
+    # What waits says why itself.
+    if state.labels is not None and state.labels.said and not (waiting and state.labels.bad):
         parts.append(note(state.labels.said, BAD if state.labels.bad else GOOD))
-    if desk is not None and (waiting := desk.waiting):
-        count = len(waiting)
-        what = f"{count} action{'s' if count > 1 else ''} not saved yet, kept here: {waiting[-1].problem}"
-        parts.append(note(what, BAD))
+    if waiting:
+        count = f"{len(waiting)} action{'s' if len(waiting) > 1 else ''} not saved yet"
+        parts.append(note(f"{count}, kept here and tried again every few seconds: {waiting[-1].problem}", BAD))
         parts.append('<span class="try go" role="button" onclick="sv(\'save-again\')">try again</span>')
     if desk is not None and desk.disputed:
         parts.append(note("Somebody was faster than you: nothing of yours is saved until you decide.", BAD))
