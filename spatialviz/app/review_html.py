@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from pipeline.correcting.cards import PairCard, RelationLine
 from pipeline.correcting.desk import Desk
-from pipeline.correcting.unsaved import Waiting
 from pipeline.palette import palette
 from pipeline.relations import PHRASE, F, T, U, letter
 from spatialviz.app.keys import KEYS_OF_ONE
@@ -26,7 +25,7 @@ def review_head_html(state: State, opened: bool, desk: Desk | None) -> str:
     button = f'<span class="try{" on" if on else ""}" role="button" onclick="sv(\'labels\')" title="Shift+L">'
     button += f'{"labels are shown" if on else "show the labels"}</span>'
     parts = [f'<div class="nav" style="padding-top:.6em">{button}{_reviewer(desk)}</div>']
-    waiting: tuple[Waiting, ...] = () if desk is None else desk.waiting
+    waiting = [] if desk is None else [*desk.waiting]
     # What waits says why itself.
     if state.labels is not None and state.labels.said and not (waiting and state.labels.bad):
         parts.append(note(state.labels.said, BAD if state.labels.bad else GOOD))
