@@ -55,6 +55,8 @@ def pair_html(state: State) -> str:
     if view is None:
         return ""
     card = view.card
+    if card is None and view.item is not None:
+        return ""  # The item itself says which keys are meant.
     if card is None:
         keys = "" if state.selected is None else f"<br>{KEYS_OF_ONE}."
         pair = "Select two objects, one after the other, or open an item of the queue."
