@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -163,6 +164,11 @@ def test_killed_in_the_middle_nothing_is_half_written_and_the_rest_is_kept(demo:
         time.sleep(0.01)
     os.killpg(run.pid, signal.SIGKILL)
     run.wait()
+    # Its workers are of the same group, and die a little later.
+    with suppress(ProcessLookupError):
+        while time.monotonic() < deadline:
+            os.killpg(run.pid, 0)
+            time.sleep(0.01)
     finished = parts(out)
     assert finished, "the run was killed before anything was finished"
     store = Store(out)

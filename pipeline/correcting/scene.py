@@ -13,7 +13,7 @@ from pipeline.journal.effective_frame import EffectiveFrame
 from pipeline.lifting import LiftedObject, Quality
 from pipeline.objects import SceneObject
 from pipeline.proposals.annotations import box_mask
-from pipeline.run_length import decode_run_length
+from pipeline.run_length import decode_crop
 
 
 @lru_cache(maxsize=3)
@@ -41,14 +41,17 @@ def _labelled(row: dict[str, Any], size: tuple[int, int]) -> SceneObject:
     bbox = np.array(row["bbox"], np.float32)
     if row["mask"] is None:
         mask = box_mask(bbox, *size)
+        pixels = int(mask.sum())
     else:
-        mask = decode_run_length(size, row["mask"], f"object {row['object']}")
+        crop = _crop(size, row["mask"], f"object {row['object']}")
+        mask, pixels = np.zeros(size, np.bool_), int(crop.mask.sum())
+        crop.paint(mask)
 
     def number(name: str, nothing: float) -> float:
         return nothing if row[name] is None else float(row[name])
 
     quality = Quality(
-        int(mask.sum()), int(number("points", 0)), number("kept", 0.0), number("depth_missing", 0.0),
+        pixels, int(number("points", 0)), number("kept", 0.0), number("depth_missing", 0.0),
         bool(row["touches_border"]), number("distance", float("nan")), bool(row["fallback"]),
         row["mask_source"] or "box",
     )  # fmt: skip
@@ -57,3 +60,7 @@ def _labelled(row: dict[str, Any], size: tuple[int, int]) -> SceneObject:
         np.empty((0, 3), np.float32), labelled_box(row), number("yaw_confidence", 0.0), lo, hi, "box", None, quality
     )
     return SceneObject(row["object"], row["label"], number("score", 1.0), bbox, mask, lifted)
+
+
+# An edit changes one object of a frame; the pixels of the others are known already.
+_crop = lru_cache(maxsize=256)(decode_crop)

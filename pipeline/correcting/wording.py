@@ -80,6 +80,8 @@ def said_event(event: Event, frame: EffectiveFrame | None) -> str:
         return f"{_judged(cell, frame)}{state}: {event.after['status']}"
     if cell.kind == "object" and cell.field == "box" and event.before is not None and event.after is not None:
         return f"{said_cell(cell, frame)}: {_box_change(box_of(event.before), box_of(event.after))}"
+    if cell.field == "exists" and event.before is None and event.after is not None:
+        return shown_value(cell, event.after)
     before, after = (said_value(cell, value, frame) for value in (event.before, event.after))
     return f"{said_cell(cell, frame)}: {before} → {after}"
 

@@ -183,7 +183,7 @@ def _system(name: str, which: str, scorer: RelationScorer, labels: Labels) -> Re
 
 def uses_language(which: str) -> bool:
     """Whether a relation scorer is given class names; InputError where it cannot be opened."""
-    from pipeline.proposals.onnx_session import open_session
+    from pipeline.proposals.onnx_session import metadata, open_session
     from pipeline.srm.contract import Contract
 
     if which == RULE:
@@ -191,8 +191,7 @@ def uses_language(which: str) -> bool:
     path = shipped_network() if which == TRAINED else Path(which)
     if not path.is_file():
         return False  # `make_scorer` says what is wrong.
-    metadata = open_session(path, threads=1).get_modelmeta().custom_metadata_map
-    return Contract.read(metadata, path).language is not None
+    return Contract.read(metadata(open_session(path, threads=1)), path).language is not None
 
 
 def _of_rooms(path: Path) -> bool:

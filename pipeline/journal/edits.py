@@ -101,7 +101,8 @@ def add_object(
         something at the same time do not get in each other's way.
     """
     if number is None:
-        number = random.SystemRandom().randrange(FIRST_NEW_OBJECT, 2**31)
+        # Seven digits: people read them.
+        number = random.SystemRandom().randrange(FIRST_NEW_OBJECT, 10 * FIRST_NEW_OBJECT)
     if number < FIRST_NEW_OBJECT:
         raise InputError("the number of a new object is too small", got=number, expected=f"from {FIRST_NEW_OBJECT} on")
     seed: dict[str, Any] = {"label": label}

@@ -72,7 +72,9 @@ class CachedDetector:
         if labels is None:
             # What a detector of any names looks for where it is asked for none is no part of its fingerprint.
             labels = getattr(self.detector, "default_labels", None)
-        parts = [_VERSION, frame.content_hash, self.fingerprint(), *(("*",) if labels is None else sorted(labels))]
+        # The order counts: names that do not fit into one caption together are asked for in several.
+        asked = ("everything",) if labels is None else ("names", *labels)
+        parts = [_VERSION, frame.content_hash, self.fingerprint(), *asked]
         return xxhash.xxh3_128_hexdigest("\x1f".join(parts).encode())
 
     def _kept(self, key: str, run: Callable[[], Proposals]) -> Proposals:

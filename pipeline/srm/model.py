@@ -16,7 +16,7 @@ import numpy as np
 
 from pipeline.errors import InputError
 from pipeline.lifting import LiftedObject
-from pipeline.proposals.onnx_session import open_session, signature
+from pipeline.proposals.onnx_session import metadata, open_session, signature
 from pipeline.relations import PAIRWISE
 from pipeline.srm.appearance import Appearance
 from pipeline.srm.calibration import antisymmetric, antisymmetric_log_softmax, sigmoid, softmax
@@ -56,7 +56,7 @@ class OnnxScorer:
         if not path.is_file():
             raise InputError("there is no relation network", path=path, cause="--srm takes trained, rule or a file")
         session = open_session(path, threads=1)
-        self.contract = Contract.read(session.get_modelmeta().custom_metadata_map, path)
+        self.contract = Contract.read(metadata(session), path)
         self.name = self.contract.features
         self.path = path
         self.features = self.contract.feature_set

@@ -272,9 +272,7 @@ class Correct:
         """Whether something could not be saved yet."""
         return self.desk is not None and bool(self.desk.waiting)
 
-    def settle(
-        self, said: str, draw: bool = True, last_word: bool = False
-    ) -> tuple[str, tuple[int, int]] | None:
+    def settle(self, said: str, draw: bool = True, last_word: bool = False) -> tuple[str, tuple[int, int]] | None:
         """Settle a relation of the chosen pair: "left:T", or "T" for the one that is looked at.
 
         A label that is right already is accepted, under this person's name. One
@@ -334,7 +332,8 @@ class Correct:
         """Show what came of an action, and what followed from it."""
         before = self._state().labels
         said, bad = said_outcome(outcome, verb, None if before is None else before.frame)
-        self.tell(said, bad, draw=False, before=None if before is None else before.frame)
+        own = None if before is None or isinstance(outcome, Conflict) else before.frame
+        self.tell(said, bad, draw=False, before=own)
         if isinstance(outcome, Saved):
             for listener in self._listeners:
                 listener(outcome.events)

@@ -26,7 +26,7 @@ SOURCES = {"auto": ("auto", "#8a919c", False), "human": ("", GOOD, True),
 
 def saved_html(author: str, said: str, bad: bool, moved: Moved | None) -> str:
     """That this is no what-if: under whose name edits are saved, and what came of the last one."""
-    color = BAD if bad else GOOD
+    color, done = (BAD, "the last action was not saved; you are") if bad else (GOOD, "saved to the journal as")
     undo = button("undo", "sv('take-back')", "take the last action back (Ctrl+Z)")
     redo = button("redo", "sv('bring-back')", "bring it back (Ctrl+Y)")
     last = f'<div class="dim said2" title="{safe(said)}">{safe(said)}</div>' if said else ""
@@ -34,7 +34,7 @@ def saved_html(author: str, said: str, bad: bool, moved: Moved | None) -> str:
         last = f'<div class="dim">{_moved(moved)}</div>'
     return panel(
         f'<div class="mode" style="--c:{color}">'
-        f'<span class="said2">saved to the journal as <b>{safe(author)}</b></span>'
+        f'<span class="said2">{done} <b>{safe(author)}</b></span>'
         f'<span class="chips" style="flex:none">{undo}{redo}</span></div>{last}'
     )
 

@@ -25,12 +25,13 @@ def review_head_html(state: State, opened: bool, desk: Desk | None) -> str:
     button = f'<span class="try{" on" if on else ""}" role="button" onclick="sv(\'labels\')" title="Shift+L">'
     button += f'{"labels are shown" if on else "show the labels"}</span>'
     parts = [f'<div class="nav" style="padding-top:.6em">{button}{_reviewer(desk)}</div>']
-    if state.labels is not None and state.labels.said:
+    waiting = [] if desk is None else [*desk.waiting]
+    # What waits says why itself.
+    if state.labels is not None and state.labels.said and not (waiting and state.labels.bad):
         parts.append(note(state.labels.said, BAD if state.labels.bad else GOOD))
-    if desk is not None and (waiting := desk.waiting):
-        count = len(waiting)
-        what = f"{count} action{'s wait' if count > 1 else ' waits'} here, to be saved as soon as that can be done"
-        parts.append(note(f"{what}: {waiting[-1].problem}", BAD))
+    if waiting:
+        count = f"{len(waiting)} action{'s' if len(waiting) > 1 else ''} not saved yet"
+        parts.append(note(f"{count}, kept here and tried again every few seconds: {waiting[-1].problem}", BAD))
         parts.append('<span class="try go" role="button" onclick="sv(\'save-again\')">try again</span>')
     if desk is not None and desk.disputed:
         parts.append(note("Somebody was faster than you: nothing of yours is saved until you decide.", BAD))
@@ -54,6 +55,8 @@ def pair_html(state: State) -> str:
     if view is None:
         return ""
     card = view.card
+    if card is None and view.item is not None:
+        return ""  # The item itself says which keys are meant.
     if card is None:
         keys = "" if state.selected is None else f"<br>{KEYS_OF_ONE}."
         pair = "Select two objects, one after the other, or open an item of the queue."
