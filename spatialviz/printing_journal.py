@@ -23,7 +23,7 @@ def print_events(events: Sequence[Event]) -> None:
     for column in ("time (UTC)", "who", "what", "of", "before", "after", "why"):
         table.add_column(column, overflow="fold")
     for e in events:
-        name = f"{e.cell.kind} {e.cell.key}".rstrip()
+        name = e.cell.entity
         did = e.cell.field if e.action == "edit" else f"{e.action}: {e.cell.field}"
         values = (shown_value(e.cell, e.before), shown_value(e.cell, e.after))
         when = e.time.strftime("%Y-%m-%d %H:%M:%S")

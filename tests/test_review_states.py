@@ -15,11 +15,12 @@ from sklearn.metrics import cohen_kappa_score
 from pipeline.errors import InputError
 from pipeline.journal import edits as actions
 from pipeline.journal.batch import actions_of, apply_actions
-from pipeline.journal.cells import Cell
+from pipeline.journal.cells import Cell, relation_cell
 from pipeline.journal.effective import Corrector
 from pipeline.journal.effective_frame import EffectiveFrame
 from pipeline.journal.events import Conflict, Saved
 from pipeline.journal.journal import Journal, open_journal
+from pipeline.journal.judgements import judgement_cell
 from pipeline.journal.materialise import materialise
 from pipeline.journal.undo import redo, undo
 from pipeline.labels.reading import Labels
@@ -447,3 +448,13 @@ def test_of_a_journal_that_was_replaced_nothing_is_kept(
         assert [found.state(left(*pair)) for pair in ((a, b), (c, d))] == ["unreviewed", "accepted"]
         assert last == mark_of(another.events())
         assert last[0] == newest[0]
+
+
+def test_a_cell_names_the_item_that_it_is_about() -> None:
+    said = {
+        "said of relation 21,22 on in f": judgement_cell("f", "relation", 21, 22, "on", "ann"),
+        "said of object 3 in f": judgement_cell("f", "object", 3, None, "", "ann"),
+        "said of expression e1 in f": judgement_cell("f", "expression", -1, None, "e1", "ann"),
+        "left of relation 2,5 in f": relation_cell("f", 2, 5, "left"),
+    }
+    assert {str(cell) for cell in said.values()} == set(said)

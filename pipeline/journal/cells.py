@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -73,9 +74,18 @@ class Cell:
             return tuple(n for n in (a, b) if n is not None and n >= 0 and kind != "expression")
         return tuple(int(n) for n in self.key.split(",")) if self.kind in ("object", "relation") else ()
 
+    @property
+    def entity(self) -> str:
+        """What it is a field of, in words: "object 3", "relation 2,5 left" where a judgement is of that."""
+        if self.kind == "review":
+            with suppress(InputError):
+                _, kind, a, b, what = judged_item(self.key)
+                ends = "" if kind == "expression" else f"{a}" if b is None else f"{a},{b}"
+                return " ".join(filter(None, (kind, ends, what)))
+        return f"{self.kind} {self.key}".rstrip()
+
     def __str__(self) -> str:
-        name = f"{self.kind} {self.key}".rstrip()
-        return f"{self.field} of {name} in {self.frame}"
+        return f"{self.field} of {self.entity} in {self.frame}"
 
 
 def object_cell(frame: str, number: int, field: str) -> Cell:
