@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import viser
@@ -123,16 +123,21 @@ def _pressed(key: str) -> str:
     return " ".join(f"<kbd>{safe(part)}</kbd>" for part in key.split("+"))
 
 
-def help_html(moving: bool, correcting: bool, beside: bool = False) -> str:
-    """The keys as a list; with `correcting` those of labels, too."""
-    rows = "".join(f"<span>{_pressed(k)}</span><span>{safe(label)}</span>" for k, label, _ in keys_of(moving, beside))
+def help_html(moving: bool, correcting: bool, beside: bool = False, labelling: bool = False) -> str:
+    """The keys as a list; with `correcting` those of labels beside, which come first while labels are shown."""
+    taken = {key for key, _, _ in LABEL_KEYS} if labelling else set[str]()
+    general = [("/", "Type a question"), *((k, label) for k, label, _ in keys_of(moving, beside) if k not in taken)]
+    lists = [_keys_html("", [*general, ("Ctrl+K", "Find any command")])]
     if correcting:
-        rows += '<b class="sec">While labels are shown</b>'
-        rows += "".join(f"<span>{_pressed(k)}</span><span>{safe(label)}</span>" for k, label, _ in LABEL_KEYS)
-    return (
-        f'<div class="sv"><div class="keys"><span><kbd>/</kbd></span><span>Type a question</span>{rows}'
-        "<span><kbd>Ctrl</kbd> <kbd>K</kbd></span><span>Find any command</span></div></div>"
-    )
+        lists.append(_keys_html("While labels are shown", [(k, label) for k, label, _ in LABEL_KEYS]))
+    beside_each_other = " two" if correcting else ""
+    return f'<div class="sv keylists{beside_each_other}">{"".join(lists[::-1] if labelling else lists)}</div>'
+
+
+def _keys_html(title: str, rows: Sequence[tuple[str, str]]) -> str:
+    head = f'<b class="sec">{title}</b>' if title else ""
+    cells = "".join(f"<span>{_pressed(key)}</span><span>{safe(label)}</span>" for key, label in rows)
+    return f'<div class="keys">{head}{cells}</div>'
 
 
 def add_keys(
@@ -164,9 +169,10 @@ class HelpDialog:
         moving: bool,
         correcting: bool,
         beside: bool = False,
+        labelling: Callable[[], bool] = lambda: False,
     ) -> None:
         self._client = client
-        self._html = help_html(moving, correcting, beside)
+        self._html = lambda: help_html(moving, correcting, beside, labelling())
         self._post = post
         self._modal: Any = None
 
@@ -177,7 +183,7 @@ class HelpDialog:
             return
         self._modal = self._client.gui.add_modal("Keys")
         with self._modal:
-            self._client.gui.add_html(self._html)
+            self._client.gui.add_html(self._html())
             button = self._client.gui.add_button("Close")
 
         @button.on_click

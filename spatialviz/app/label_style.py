@@ -23,7 +23,7 @@ LABEL_CSS = """<style>
 .sv .item .big b{min-width:0;overflow:hidden;text-overflow:ellipsis;white-space:nowrap}
 .sv .item .big .p{font-size:15px}
 .sv .item .why{font-size:11.5px;line-height:1.35;padding:1px 0 2px}
-.sv .keys .sec{grid-column:1/-1;padding:.7em 0 .2em}
+.sv .keys .sec{grid-column:1/-1;padding:0 0 .3em}
 .sv .who{display:flex;align-items:center;gap:6px}
 .sv .who .find{width:110px;padding:0 7px}
 .sv .inst{display:flex;gap:6px;align-items:center;padding:5px 0 2px}

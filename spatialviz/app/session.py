@@ -86,7 +86,9 @@ class Session:
         self.bridge = Bridge(client, self.handle)
         moving = any(has_moves(opened.dataset) for opened in store.sources.values())
         second = any(opened.beside is not None for opened in store.sources.values())
-        self._help = HelpDialog(client, self.post, moving, bool(journals), second)
+        self._help = HelpDialog(
+            client, self.post, moving, bool(journals), second, lambda: self.state.labels is not None
+        )
         ids = store.sources[source].dataset.frame_ids
         self.state = State(source, ids[0], dark=dark, text=first_expression, correctable=bool(journals))
         self.page = build(client, self.bridge, tuple(store.sources), source, ids, bool(runs), bool(journals), second)

@@ -88,6 +88,8 @@ CSS = """<style>
 .sv .cell:hover{border-color:var(--mantine-color-dimmed)}
 .sv .cell.sel{border-color:var(--mantine-primary-color-filled)}
 .sv kbd{font:inherit;font-size:10.5px;border:1px solid var(--mantine-color-default-border);border-radius:3px;padding:0 4px;background:var(--mantine-color-default-hover)}
+.sv.keylists.two{display:grid;grid-template-columns:1fr 1fr;gap:28px;align-items:start}
+.mantine-Modal-content:has(.keylists.two){flex:0 0 min(900px,94vw) !important}
 .sv .keys{display:grid;grid-template-columns:auto 1fr;gap:1px 14px;align-items:baseline;font-size:13px}
 .sv .log div{padding:2px 0;border-bottom:1px solid color-mix(in srgb,var(--mantine-color-default-border) 50%,transparent);overflow-wrap:anywhere}
 .sv .lab{display:grid;grid-template-columns:84px 84px 1fr auto;align-items:center;gap:8px;padding:2px 6px;margin:0 -6px;border-radius:4px;cursor:pointer}
