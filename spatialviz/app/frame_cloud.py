@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Callable
 from typing import Any
 
@@ -11,6 +12,9 @@ from spatialviz.app.frames import LoadedFrame
 from spatialviz.app.paint import frame_colors
 from spatialviz.app.scene import SceneView
 from spatialviz.app.state import State
+
+WORDS_SECONDS = 0.05
+"""Head start of the words of another frame: with it they are on the screen before the points arrive."""
 
 
 class FrameCloud:
@@ -49,6 +53,7 @@ class FrameCloud:
             return
         # Words come first: a browser takes longer over the points of a frame than over all the panels.
         self._client.flush()
+        time.sleep(WORDS_SECONDS)
         self._loaded = loaded
         self._scene.set_frame(loaded, colors)
         self._show_context()
