@@ -18,6 +18,7 @@ from pipeline.proposals import known_models as table
 from pipeline.proposals import model_files
 from pipeline.proposals.known_models import KnownFile, KnownModel, known_models
 from pipeline.proposals.mismatch import DETECTORS
+from pipeline.proposals.model_catalogue import describe_file
 from pipeline.proposals.model_files import (
     HubId,
     all_fetched,
@@ -211,3 +212,22 @@ def test_the_table_of_public_files_is_sound() -> None:
 def test_the_hash_is_that_of_the_standard_library(tmp_path: Path) -> None:
     (tmp_path / "x").write_bytes(b"abc")
     assert sha256_of(tmp_path / "x") == "ba7816bf8f01cfea414140de5dae2223b00361a396177a9cb410ff61f20015ad"
+
+
+@pytest.mark.parametrize(("address", "said"), [
+    ("https://huggingface.co/o/r/resolve/main/onnx/model.onnx?download=true", "o/r:onnx/model.onnx@main"),
+    ("https://example.org/a.onnx", "download it first"),
+])  # fmt: skip
+def test_an_address_is_answered_by_what_is_meant(address: str, said: str) -> None:
+    for given in (address, Path(address)):
+        with pytest.raises(InputError, match="not given by its address") as error:
+            resolve_model(given)
+        assert said in str(error.value)
+    assert said in str(describe_file(Path(address)).problem)
+
+
+def test_an_id_is_described_where_it_was_fetched(hub: Hub) -> None:
+    named = Path(f"{REPO}:onnx/model.onnx")
+    assert "fetched" in str(describe_file(named).problem)
+    path = resolve_model(named)
+    assert describe_file(named).path == path

@@ -13,7 +13,7 @@ from pipeline.proposals.contracts import Contract, TensorSpec
 from pipeline.proposals.known_models import KnownModel, known_models
 from pipeline.proposals.mismatch import BOXES, DETECTORS, FileKind, recognise
 from pipeline.proposals.mismatch import SEGMENTERS as SEGMENTER_CONTRACTS
-from pipeline.proposals.model_files import HubId, all_fetched, fetched
+from pipeline.proposals.model_files import HubId, all_fetched, fetched, parse_hub_id, refuse_address
 from pipeline.proposals.model_pair import declared
 from pipeline.proposals.onnx_session import open_session
 
@@ -139,7 +139,23 @@ def look_around() -> Here:
 
 
 def describe_file(path: Path) -> FileReport:
-    """What an ONNX file is; a file that cannot be opened is described by its problem."""
+    """What an ONNX file is; a file that cannot be opened is described by its problem.
+
+    A file of the hub may be named by its id, where it was fetched before: nothing is fetched here.
+    """
+    hub_id = parse_hub_id(path)
+    try:
+        if hub_id is None:
+            refuse_address(path)
+        elif (found := fetched(hub_id)) is not None:
+            path = found
+        else:
+            raise InputError(
+                "there is no such file, nor one of this id that was fetched",
+                expected="a path; a file of the hub is fetched by the first --model or --segmenter-model that names it",
+            )
+    except InputError as error:
+        return FileReport(path, None, problem=str(error))
     megabytes = path.stat().st_size / 1e6 if path.is_file() else None
     try:
         session = open_session(path)

@@ -22,6 +22,10 @@ from pipeline.proposals.known_models import KnownFile, known_models
 _ID = re.compile(
     r"(?P<repo>[A-Za-z0-9][\w.-]{0,95}/[\w.-]{1,96})(?::(?P<file>[^@:\\]+))?(?:@(?P<revision>[\w.][\w./-]*))?"
 )
+_ON_HUB = re.compile(
+    r"(?:www\.)?(?:huggingface\.co|hf\.co)/(?P<repo>[\w.-]+/[\w.-]+)/(?:resolve|blob|raw)/(?P<revision>[^/]+)/(?P<file>[^?#]+).*"
+)
+"""The address of a file on the hub, without its scheme."""
 _FILE_ENDINGS = (".onnx", ".ort", ".json", ".toml", ".npz", ".txt")
 _COMMIT = re.compile(r"[0-9a-f]{40}")
 COMPANIONS = ("tokenizer.json", "vocab.txt")
@@ -73,14 +77,32 @@ def resolve_model(given: str | Path) -> Path:
     Raises
     ------
     InputError
-        The hub has no such file, cannot be reached, or gives another file than the one that is known.
+        The hub has no such file, cannot be reached, or gives another file than the one that is known; or it is given by
+        its address.
     MissingExtra
         Where the library `huggingface_hub` is not installed.
     """
     hub_id = parse_hub_id(given)
     if hub_id is None:
+        refuse_address(given)
         return Path(given)
     return fetched(hub_id) or fetch(hub_id)
+
+
+def refuse_address(given: str | Path) -> None:
+    """Raise InputError for the address of a web page or file; where it is of the hub, with the id that it has there."""
+    # A path has lost the second slash.
+    address = re.fullmatch(r"(?P<scheme>https?):/+(?P<rest>.+)", given.as_posix() if isinstance(given, Path) else given)
+    if address is None:
+        return
+    on_hub = _ON_HUB.fullmatch(address["rest"])
+    known = "" if on_hub is None else f", here {on_hub['repo']}:{on_hub['file']}@{on_hub['revision']}"
+    raise InputError(
+        "a model is not given by its address",
+        got=f"{address['scheme']}://{address['rest']}",
+        expected=f"a path, or an id of the hub{known}",
+        cause=None if known else "download it first",
+    )
 
 
 def model_folder() -> Path:
