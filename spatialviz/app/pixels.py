@@ -13,8 +13,9 @@ from pipeline.correcting.draft import Draft, begun, come_apart, continued, edits
 from pipeline.drawing.depth_region import TOLERANCE
 from pipeline.drawing.gestures import Canvas, Gesture, gesture_of, read_gesture
 from pipeline.errors import InputError
+from pipeline.journal.cells import same_value
 from pipeline.journal.edits import merge_objects
-from pipeline.journal.events import Conflict
+from pipeline.journal.events import Conflict, Event
 from pipeline.palette import depth_colors, hex_color
 from pipeline.picture import box_edges_2d
 from spatialviz.app.bridge import call_html
@@ -72,6 +73,8 @@ class Pixels:
         self._seen = 0
         self._said, self._bad, self._label = "", False, ""
         self._saving = False
+        self._disputed: tuple[tuple[str, str], Conflict] | None = None
+        correct.on_saved(self._decided)
 
     def commands(self) -> dict[str, Callable[[str], None]]:
         """What the page may ask for, by the first word of its message."""
@@ -275,11 +278,13 @@ class Pixels:
         finally:
             self._saving = False
         after = self._state().labels
+        if isinstance(outcome, Conflict):
+            self._disputed = self._key, outcome
         if outcome is None or isinstance(outcome, Conflict) or after is None:
             self._tell("not saved" if after is None else after.said, True)
             self.follow()
             return
-        number, self._label = made[0].cell.numbers[0], ""
+        number, self._label, self._disputed = made[0].cell.numbers[0], "", None
         self._drafts.pop(self._key, None)
         state = self._state()
         self._take(replace(state, selected=after.place(number)))
@@ -289,6 +294,15 @@ class Pixels:
         else:
             self._open = None
         self._draw()
+
+    def _decided(self, events: tuple[Event, ...]) -> None:
+        """Drop the draft that was in dispute, once it was saved after all."""
+        if self._saving or self._disputed is None or self._disputed[0] != self._key:
+            return
+        wanted = self._disputed[1].edits
+        if any(e.cell == edit.cell and same_value(e.after, edit.after) for e in events for edit in wanted):
+            self._disputed = None
+            self.close()
 
     def merge(self) -> None:
         """Make the selected object a part of the one that was selected before it."""
