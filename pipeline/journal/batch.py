@@ -70,34 +70,33 @@ class Solid(OfObject):
     to: dict[str, list[float]] | None
 
 
-class Status(Action):
-    """Of an object, of a relation of a pair, of an expression; of the frame where none of them is named."""
+class OfItem(Action):
+    """On an object, a relation of a pair, or an expression."""
+
+    object: int | None = None
+    a: int | None = None
+    b: int | None = None
+    relation: str | None = None
+    expression: str | None = None
+    to: str | None
+
+
+class Status(OfItem):
+    """Of the frame where none of them is named."""
 
     edit: Literal["status"]
-    object: int | None = None
-    a: int | None = None
-    b: int | None = None
-    relation: str | None = None
-    expression: str | None = None
-    to: str | None
 
 
-class Judge(Action):
-    """A reviewer's own word on an object, a relation or an expression: a status, or of a relation T, U or F."""
+class Judge(OfItem):
+    """A reviewer's own word: a status, or of a relation T, U or F."""
 
     edit: Literal["judge"]
-    object: int | None = None
-    a: int | None = None
-    b: int | None = None
-    relation: str | None = None
-    expression: str | None = None
-    to: str | None
 
 
-class Settle(Judge):
+class Settle(OfItem):
     """The last word where reviewers differ."""
 
-    edit: Literal["settle"]  # pyright: ignore[reportIncompatibleVariableOverride]
+    edit: Literal["settle"]
     to: str  # pyright: ignore[reportIncompatibleVariableOverride]
 
 
@@ -234,7 +233,7 @@ def edits_of(action: AnyAction, frame: EffectiveFrame, author: str, canvas: Canv
         return actions.set_box(frame, a.object, None if a.to is None else box_of(a.to), why)
     if isinstance(a, Status):
         return actions.set_status(frame, _status_cell(a), a.to, why)
-    if isinstance(a, Judge):
+    if isinstance(a, Judge | Settle):
         return _judged(a, frame, author)
     if isinstance(a, NewObject):
         box = None if a.box is None else box_of(a.box)
@@ -262,7 +261,7 @@ def edits_of(action: AnyAction, frame: EffectiveFrame, author: str, canvas: Canv
     return actions.set_note(frame, a.to, why)
 
 
-def _judged(action: Judge, frame: EffectiveFrame, author: str) -> tuple[Edit, ...]:
+def _judged(action: Judge | Settle, frame: EffectiveFrame, author: str) -> tuple[Edit, ...]:
     cell, to, why = _status_cell(action), action.to, action.reason
     if isinstance(action, Settle):
         state = _STATES.get(action.to) if cell.kind == "relation" else None
@@ -276,7 +275,7 @@ def _judged(action: Judge, frame: EffectiveFrame, author: str) -> tuple[Edit, ..
     return actions.judge(frame, cell, to, author, why)
 
 
-def _status_cell(action: Status | Judge) -> Cell:
+def _status_cell(action: OfItem) -> Cell:
     if action.object is not None:
         return Cell("object", action.frame, str(action.object), "status")
     if action.expression is not None:

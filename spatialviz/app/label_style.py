@@ -23,6 +23,8 @@ LABEL_CSS = """<style>
 .sv .item .big b{min-width:0;overflow:hidden;text-overflow:ellipsis;white-space:nowrap}
 .sv .item .big .p{font-size:15px}
 .sv .item .why{font-size:11.5px;line-height:1.35;padding:1px 0 2px}
+.sv .item .ways{display:flex;justify-content:space-between;gap:10px}
+.sv .item .ways span:last-child{flex:none}
 .sv .keys .sec{grid-column:1/-1;padding:0 0 .3em}
 .sv .who{display:flex;align-items:center;gap:6px}
 .sv .who .find{width:110px;padding:0 7px}

@@ -43,17 +43,17 @@ class Asked:
     named: str = ""
 
 
-def item_html(row: Mapping[str, Any] | None, names: Names, item: ItemKey | None) -> str:
-    """The item that is looked at: what the label says, how probably it is wrong, and every reason."""
-    if row is None or item is None:
-        return ""
+def item_html(work: Worklist, names: Names, item: ItemKey) -> str:
+    """The item that is looked at: what the label says, how probably it is wrong, and every reason; and the progress."""
+    row, counts = work.row(item), work.counts
     wrong = f'<span class="p" title="how probably the label is wrong">{row["score"]:.0%}</span>'
     network = "" if row["probability"] is None else f" · networks: {row['probability']:.2f} that it holds"
     reasons = "".join(f"<div>{safe(reason)}</div>" for reason in row["reasons"])
     ways = "T U F settle it, Y accepts" if item.kind == "relation" else "Y accepts, Shift+Y rejects"
     return (
         f'<div class="item"><div class="big"><b>{said(row, names)}</b>{wrong}</div>'
-        f'<div class="why">{reasons}</div><div class="dim">{ways}, Shift+U unsure{network}</div></div>'
+        f'<div class="why">{reasons}</div><div class="ways dim"><span>{ways}, Shift+U unsure{network}</span>'
+        f'<span title="{_settled(counts)}">{counts["settled"]:,} of {counts["items"]:,}</span></div></div>'
     )
 
 
@@ -77,7 +77,7 @@ def queue_html(
     return panel(
         *parts,
         _known(making.made),
-        f'<div class="dim">{counts["settled"]:,} of {counts["items"]:,} settled{" · " + tally if tally else ""}</div>',
+        f'<div class="dim">{_settled(counts)}{" · " + tally if tally else ""}</div>',
         f'<div class="seg" style="margin:3px 0">{chosen}</div>',
         f'<div class="queue">{rows or "nothing of this kind"}</div>',
     )
@@ -172,6 +172,10 @@ def said(row: Mapping[str, Any], names: Names) -> str:
     if kind == "object":
         return safe(f"no {row['label']} labelled here") if row["a"] < 0 else named(row["a"])
     return safe(f"“{row['label']}”")
+
+
+def _settled(counts: Mapping[str, int]) -> str:
+    return f"{counts['settled']:,} of {counts['items']:,} settled"
 
 
 def _button(message: str, label: str, hint: str) -> str:

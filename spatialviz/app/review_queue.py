@@ -329,9 +329,10 @@ class ReviewQueue:
                 self.make()
                 making = self._taken(name)
         work, names, item = self._work, self._known_names(name), self._item
-        known = work is not None and item is not None and item.plain in work.places and not work.is_gone(item)
-        row = work.row(item) if known and work is not None and item is not None else None
-        page.review_item.content = "" if row is None else f'<div class="sv">{item_html(row, names, item)}</div>'
+        shown = ""
+        if work is not None and item is not None and item.plain in work.places and not work.is_gone(item):
+            shown = f'<div class="sv">{item_html(work, names, item)}</div>'
+        page.review_item.content = shown
         page.review_list.content = queue_html(work, making, self._asks(name), self._kind, item, names)
 
     def _known_names(self, name: str) -> dict[tuple[str, int], str]:
