@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 
@@ -66,6 +67,15 @@ class MissingExtra(ImportError):
         super().__init__(f"{feature} needs an optional dependency: pip install 'spatialviz[{extra}]'")
         self.feature = feature
         self.extra = extra
+
+    @classmethod
+    def missing(cls, need: Callable[[], None]) -> str:
+        """Why what `need` checks has to be left out; empty where it is there."""
+        try:
+            need()
+        except cls as error:
+            return str(error)
+        return ""
 
     def __reduce__(self) -> tuple[type[MissingExtra], tuple[str, str]]:
         # Worker processes send it to their parent.

@@ -224,10 +224,10 @@ class Check:
     """Print one JSON object for each finding, and one with the statistics."""
 
     def run(self) -> int:
-        from pipeline.errors import InputError
+        from pipeline.errors import InputError, MissingExtra
         from pipeline.labels.check import check_labels, finding_record
         from pipeline.labels.reading import open_labels
-        from pipeline.labels.report import check_report_folder, write_report
+        from pipeline.labels.report import check_report_folder, need_matplotlib, write_report
         from pipeline.labels.statistics import label_statistics
         from spatialviz.printing_findings import print_findings
         from spatialviz.printing_statistics import print_statistics
@@ -258,6 +258,8 @@ class Check:
             raise problem
         if self.report is not None and statistics is not None:
             page = write_report(labels, statistics, self.report)[0]
+            if why := MissingExtra.missing(need_matplotlib):
+                print(f"spatialviz: the pictures are left out: {why}", file=sys.stderr)
             if not self.json:
                 print(f"-> {page}")
         return NO if errors else FINE

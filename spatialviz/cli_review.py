@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 import tempfile
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
-from pipeline.errors import InputError
+from pipeline.errors import InputError, MissingExtra
 from spatialviz.cli_journal import DatasetOptions, JournalOptions
 from spatialviz.exits import FINE, NO
 from spatialviz.options import four_numbers, print_json, warn_skipped
@@ -141,13 +142,17 @@ class Review:
         from pipeline.review.reviewed import automatic_version
         from pipeline.review.worklist import read_queue
         from pipeline.srm.features import CLI_FEATURES
-        from pipeline.srm.train import TrainConfig
+        from pipeline.srm.train import TrainConfig, need_torch
         from spatialviz.printing import progress_bars
 
         if self.queue is not None:
             return read_queue(self.queue, automatic_version(labels.manifest))
         train = TrainConfig(CLI_FEATURES[self.features], REVIEWED, epochs=EPOCHS, seed=self.seed)
-        doubts = DoubtConfig(self.folds, self.passes, train) if self.networks else None
+        networks = self.networks
+        if networks and (why := MissingExtra.missing(need_torch)):
+            networks = False
+            print(f"spatialviz: the networks are left out, as with --no-networks: {why}", file=sys.stderr)
+        doubts = DoubtConfig(self.folds, self.passes, train) if networks else None
         other = None if self.other is None else open_labels(self.other)
         with progress_bars() as advance:
             return review_queue(

@@ -12,7 +12,7 @@ import pytest
 from journal_world import FRAME, an_expression
 
 from pipeline.correcting import journal_place
-from pipeline.correcting.cards import pair_card
+from pipeline.correcting.cards import ASKED_BEYOND_M, pair_card
 from pipeline.correcting.desk import Desk
 from pipeline.correcting.journal_place import JournalPlace
 from pipeline.correcting.scene import labelled_objects
@@ -24,7 +24,7 @@ from pipeline.journal.edits import judge_relation, set_class, set_relation, set_
 from pipeline.journal.events import Conflict, Saved
 from pipeline.journal.journal import Journal
 from pipeline.labels.reading import Labels
-from pipeline.relations import F, T
+from pipeline.relations import F, T, U
 from pipeline.run_length import decode_run_length
 
 
@@ -65,6 +65,26 @@ def test_what_is_saved_is_seen_by_everyone_taken_back_and_brought_back(
     assert ben.frame(FRAME).pairs.state(a, b, "left") == was
     assert isinstance(ann.redo(), Saved)
     assert ben.frame(FRAME).pairs.state(a, b, "left") == -was
+
+
+def test_geometry_contradicts_what_its_margin_does_not_allow(demo_labels: Labels, place: JournalPlace) -> None:
+    desk = Desk(demo_labels, place, "ann")
+    frame = desk.frame(FRAME)
+    a, b = frame.pairs.numbers[:2].tolist()
+    lines = [x for n in frame.pairs.numbers[2:].tolist() for x in pair_card(frame, a, n).lines]
+    for line in lines:
+        assert line.state is not None
+        assert line.margin is not None
+        # The rule never contradicts itself, and doubts contradict nothing.
+        assert line.against(line.state) == line.against(U) == 0
+        assert line.against(-line.state) == (abs(line.margin) if line.state != U else 0)
+    assert any(line.against(-line.state) > ASKED_BEYOND_M for line in lines if line.state)
+    line = pair_card(frame, a, b).lines[0]
+    assert line.state in (T, F)
+    desk.save(set_relation(frame, a, b, line.relation, -line.state))
+    # What a person has decided already is not held against the next one.
+    mended = pair_card(desk.frame(FRAME), a, b).lines[0]
+    assert mended.against(T) == mended.against(F) == 0
 
 
 @pytest.mark.parametrize("moved", [True, False])

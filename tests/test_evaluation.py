@@ -6,6 +6,7 @@ import csv
 import io
 import json
 import shutil
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -177,6 +178,16 @@ def test_a_sentence_that_cannot_be_read_is_a_wrong_answer(labels: Path) -> None:
     assert first["opm_iou"] > 0 or first["opm_set_iou"] > 0
     gold = (truth.cases[1].target, truth.cases[1].relation, truth.cases[1].reference)
     assert second["parse_ok"] == (gold == ("mug", "left", "laptop"))
+
+
+def test_without_its_extra_a_run_has_no_plots_and_says_so(
+    labels: Path, recording: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "plotly", None)
+    report = evaluate_dataset(spec_of(labels, recording), tmp_path / "run", bootstrap=QUICK, plots=True)
+    assert (tmp_path / "run" / "tables.md").exists()
+    assert not (tmp_path / "run" / "plots").exists()
+    assert any("spatialviz[report]" in warning for warning in report.warnings)
 
 
 def test_a_run_folder_and_its_comparison(labels: Path, recording: Path, tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import sys
 from collections import Counter
 from html.parser import HTMLParser
 from pathlib import Path
@@ -13,12 +14,12 @@ import numpy as np
 import pytest
 
 from pipeline.datasets import FrameReport, SurveyCounts, summarise
-from pipeline.errors import InputError
+from pipeline.errors import InputError, MissingExtra
 from pipeline.labels import database
 from pipeline.labels.database import open_database, quantiles
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.labels.report import distributions as shown
-from pipeline.labels.report import write_report
+from pipeline.labels.report import need_matplotlib, write_report
 from pipeline.labels.report.folder import FILES
 from pipeline.labels.schema import SCHEMA_VERSION, TABLES
 from pipeline.labels.statistics import DISTANCE_BINS, label_statistics
@@ -357,6 +358,22 @@ def test_a_report_is_whole_and_escaped_and_replaces_only_a_report(tmp_path: Path
     with pytest.raises(InputError, match="other files"):
         write_report(labels, found, out)
     assert {p.name for p in out.iterdir()} == {*FILES, "notes.txt"}
+
+
+def test_without_matplotlib_a_report_has_its_figures_and_no_pictures(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    labels = make_labels(tmp_path / "labels", frames=3)
+    found = label_statistics(labels)
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    files = write_report(labels, found, tmp_path / "report")
+    assert [p.name for p in files] == ["index.html", "statistics.json"]
+    assert sorted(p.name for p in (tmp_path / "report").iterdir()) == ["index.html", "statistics.json"]
+    page = Page()
+    page.feed(files[0].read_text(encoding="utf-8"))
+    assert page.open == []
+    assert page.sources == []
+    assert "spatialviz[report]" in MissingExtra.missing(need_matplotlib)
 
 
 def test_a_report_leaves_other_pages_alone(tmp_path: Path) -> None:

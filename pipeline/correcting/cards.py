@@ -9,7 +9,10 @@ from pipeline.errors import InputError
 from pipeline.journal.cells import relation_cell
 from pipeline.journal.effective_frame import EffectiveFrame
 from pipeline.journal.origins import Origin
-from pipeline.relations import PAIRWISE, letter
+from pipeline.relations import PAIRWISE, U, letter
+
+ASKED_BEYOND_M = 0.1
+"""A judgement that geometry contradicts by more metres than this is asked about before it is saved."""
 
 
 @dataclass(frozen=True)
@@ -36,6 +39,10 @@ class RelationLine:
     origin: Origin
     status: str | None
     version: int
+
+    def against(self, state: int) -> float:
+        """By how many metres the rule's margin contradicts T or F; 0 where it does not, and for U."""
+        return 0.0 if self.margin is None or state == U else max(0.0, -state * self.margin)
 
     def record(self) -> dict[str, Any]:
         """As JSON."""

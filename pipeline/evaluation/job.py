@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 from pipeline import __version__
 from pipeline.diagnosis.confidence import median_confidence
 from pipeline.diagnosis.report import diagnose_run
-from pipeline.errors import InputError
+from pipeline.errors import InputError, MissingExtra
 from pipeline.evaluation.calibration_tables import calibration_table, calibration_warnings, recorded_config
 from pipeline.evaluation.compare import Comparison, compare, read_records
 from pipeline.evaluation.gain_tables import gain_table
@@ -100,7 +100,7 @@ def evaluate_dataset(
     against : Path, optional
         The run to compare with: `comparison.json`.
     plots : bool
-        Draw (extra: report).
+        Draw; without the extra `report` they are left out with a warning.
 
     Raises
     ------
@@ -113,10 +113,12 @@ def evaluate_dataset(
         if count_of is not None and count_of < 1:
             raise InputError(f"{name_of} is a count", got=count_of, expected="at least 1")
     before = None if against is None else read_records(against)
+    left_out: tuple[str, ...] = ()
     if plots:
         from pipeline.evaluation.plots import need_plots
 
-        need_plots()
+        if why := MissingExtra.missing(need_plots):
+            plots, left_out = False, (f"the plots are left out, as with --no-plots: {why}",)
     if not spec.grounding and (against is not None or others or spec.relations is None):
         raise InputError("runs are compared by their expressions, and this one answers none")
     source, labels = spec.open()
@@ -167,7 +169,7 @@ def evaluate_dataset(
         if diagnosis is not None:
             diagnosis.write(folder, plots)
         warnings = calibration_warnings(source, labels, records) if spec.grounding else ()
-        warnings = (*warnings, *problem_warnings(records))
+        warnings = (*left_out, *warnings, *problem_warnings(records))
         warnings = (*warnings, *(() if relations is None else relations.warnings))
         options = {k: str(v) for k, v in spec.options.items() if k != "config"}
         config = {**recorded_config(source.config), "options": options}

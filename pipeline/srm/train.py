@@ -223,7 +223,7 @@ def train_pairs(
     """
     config = config or TrainConfig()
     config.check()
-    torch = _torch()
+    torch = need_torch()
     contract = feature_set(config.features, pairs.language)
     pairs = pairs.take(pairs.learnable(config.output))
     vocabulary, prior = VOCABULARIES[config.vocabulary], ()
@@ -357,7 +357,8 @@ def _forward(torch: Any, x: Any, weights: Sequence[Any], biases: Sequence[Any]) 
     return x
 
 
-def _torch() -> Any:
+def need_torch() -> Any:
+    """The package torch; MissingExtra where it is not installed."""
     try:
         import torch
     except ImportError as error:
@@ -367,7 +368,7 @@ def _torch() -> Any:
 
 def require_training() -> None:
     """Raise MissingExtra now, and not after the rooms are made, where torch or onnx is missing."""
-    _torch()
+    need_torch()
     require_onnx()
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import viser
 
-from pipeline.correcting.cards import pair_card
+from pipeline.correcting.cards import ASKED_BEYOND_M, PairCard, RelationLine, pair_card
 from pipeline.correcting.consequences import consequences
 from pipeline.correcting.desk import Desk, Outcome
 from pipeline.correcting.expression_cards import expression_cards
@@ -18,16 +18,12 @@ from pipeline.journal.cells import LONGEST_NAME, plain_text, relation_cell
 from pipeline.journal.edits import Edits, judge_relation, set_relation, settle
 from pipeline.journal.effective_frame import EffectiveFrame
 from pipeline.journal.events import Conflict, Event, Saved
-from pipeline.relations import F, T, U
 from pipeline.review.items import ItemKey
-from spatialviz.app.keys import KEYS_OF_ONE
 from spatialviz.app.label_view import LabelView
 from spatialviz.app.layout import Page
 from spatialviz.app.place import Place
 from spatialviz.app.review_html import pair_html, review_head_html
 from spatialviz.app.state import Shown, State
-
-LETTERS = {"T": T, "U": U, "F": F}
 
 
 @dataclass(frozen=True)
@@ -92,6 +88,7 @@ class Correct:
         self._author = ""
         self.keeps_name = False
         self.on_conflict: Callable[[], None] = lambda: None
+        self.on_doubt: Callable[[PairCard, RelationLine, int], None] = lambda card, line, state: None
         self._wanted: Wanted | None = None
         self._listeners: list[Callable[[tuple[Event, ...]], None]] = []
         self._said: tuple[str, bool] = "", False
@@ -157,6 +154,10 @@ class Correct:
         """Whether a frame that is opened shows its labels."""
         return self._state().labels is not None or self._wanted is not None
 
+    def stay(self) -> None:
+        """Have the frame that is opened next show its labels."""
+        self._wanted = Wanted("")
+
     def look_at_said(self, said: str) -> None:
         """Show a pair: "a,b,relation,frame"."""
         parts = said.split(",", 3)
@@ -209,6 +210,13 @@ class Correct:
         chosen = tuple(standing) if len(standing) > 1 else None
         selected = standing[0] if standing else None
         self._take(_looking_at(replace(state.unasked, labels=None), view, chosen, selected))
+
+    def leave_item(self) -> None:
+        """Close the item of the review queue; its pair stays chosen."""
+        state = self._state()
+        if state.labels is not None:
+            self._take(replace(state, labels=replace(state.labels, item=None)))
+            self._draw()
 
     def renew(self) -> None:
         """Look at the labels again after they changed; what is selected and chosen stays by its number."""
@@ -272,32 +280,32 @@ class Correct:
         """Whether something could not be saved yet."""
         return self.desk is not None and bool(self.desk.waiting)
 
-    def settle(self, said: str, draw: bool = True, last_word: bool = False) -> tuple[str, tuple[int, int]] | None:
-        """Settle a relation of the chosen pair: "left:T", or "T" for the one that is looked at.
+    def settle(
+        self, ends: tuple[int, int], relation: str | None, state: int, *, last_word: bool = False, sure: bool = False
+    ) -> bool:
+        """Settle a relation of two objects, given by their numbers; True where it was saved. Draws nothing.
 
         A label that is right already is accepted, under this person's name. One
         that somebody else has settled by hand stays as it is, too: this person's
         word on it is noted, and reviewers who differ are told; where they do,
-        `last_word` settles it for all of them.
-
-        Returns
-        -------
-        (relation, (a, b)), or None where nothing was saved.
+        `last_word` settles it for all of them. What geometry contradicts by
+        decimetres is handed to `on_doubt`, and saved only where they are `sure`.
         """
         view, desk = self._state().labels, self.desk
-        *named, letter = said.split(":")
-        if view is None or desk is None or letter not in LETTERS:
-            return None
-        if view.card is None:
-            self.refuse(f"T, U and F are for the relation of two objects. {KEYS_OF_ONE}.")
-            return None
-        relation = named[0] if named else view.relation
-        card, state = view.card, LETTERS[letter]
+        if view is None or desk is None:
+            return False
+        try:
+            card = pair_card(view.frame, *ends)
+        except InputError as error:
+            self.refuse(str(error))
+            return False
         line = next((x for x in card.lines if x.relation == relation), None)
         if line is None or relation is None:
             self.refuse(card.why_none or "the pair has no such relation")
-            return None
-        self._take(replace(self._state(), labels=replace(view, relation=relation)))
+            return False
+        if not sure and line.against(state) > ASKED_BEYOND_M:
+            self.on_doubt(card, line, state)
+            return False
         others = line.origin.source == "human" and line.origin.author != desk.author
 
         def made(frame: EffectiveFrame) -> Edits:
@@ -309,7 +317,7 @@ class Correct:
                 return judge_relation(frame, card.a, card.b, line.relation, state, desk.author)
             return set_relation(frame, card.a, card.b, line.relation, state)
 
-        return (relation, (card.a, card.b)) if self.save(made, draw=draw) is not None else None
+        return self.save(made, draw=False) is not None
 
     def save(self, made: Callable[[EffectiveFrame], Edits], draw: bool = True) -> Outcome | None:
         """Save what an action comes down to, made on the labels as this client sees them; None where it is none."""

@@ -16,11 +16,17 @@ class Dialog:
     Parameters
     ----------
     client : viser.ClientHandle
+
+    Attributes
+    ----------
+    title : str
+        Of the dialog that is open; empty where none is.
     """
 
     def __init__(self, client: viser.ClientHandle) -> None:
         self._client = client
         self._modal: Any = None
+        self.title = ""
         self._said: viser.GuiHtmlHandle | None = None
 
     def commands(self) -> dict[str, Callable[[str], None]]:
@@ -33,7 +39,7 @@ class Dialog:
         The last one does what the dialog is for.
         """
         self.close()
-        self._modal = self._client.gui.add_modal(title)
+        self._modal, self.title = self._client.gui.add_modal(title), title
         row = "".join(
             f'<span class="try{" go" if k == len(buttons) else ""}" role="button" onclick="{script}">{label}</span>'
             for k, (label, script) in enumerate(buttons, start=1)
@@ -56,3 +62,4 @@ class Dialog:
         if self._modal is not None:
             self._modal.close()
         self._modal = self._said = None
+        self.title = ""

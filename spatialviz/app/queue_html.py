@@ -50,8 +50,9 @@ def item_html(work: Worklist, names: Names, item: ItemKey) -> str:
     network = "" if row["probability"] is None else f" · networks: {row['probability']:.2f} that it holds"
     reasons = "".join(f"<div>{safe(reason)}</div>" for reason in row["reasons"])
     ways = "T U F settle it, Y accepts" if item.kind == "relation" else "Y accepts, Shift+Y rejects"
+    leave = _button("leave-item", "×", "leave the item: the keys act on what is selected again")
     return (
-        f'<div class="item"><div class="big"><b>{said(row, names)}</b>{wrong}</div>'
+        f'<div class="item"><div class="big"><b>{said(row, names)}</b>{wrong}{leave}</div>'
         f'<div class="why">{reasons}</div><div class="ways dim"><span>{ways}, Shift+U unsure{network}</span>'
         f'<span title="{_settled(counts)}">{counts["settled"]:,} of {counts["items"]:,}</span></div></div>'
     )

@@ -68,6 +68,10 @@ def pair_html(state: State) -> str:
     head = heading(f"<b>{first}</b> … <b>{second}</b>", swap)
     if card.why_none:
         return panel(head, note(f"Takes part in no relation: {card.why_none}"))
+    item = view.item
+    if item is not None and (item.a, item.b) != (card.a, card.b):
+        # What is looked at beside the open item is settled by a click on its row.
+        head += '<div class="dim">Only looked at: the keys act on the open item.</div>'
     return panel(head, "".join(_line(card, line, line.relation == view.relation) for line in card.lines))
 
 
@@ -87,4 +91,16 @@ def _line(card: PairCard, line: RelationLine, focused: bool) -> str:
         f'title="{safe(f"{now}: {line.origin}")}"><span>{PHRASE[line.relation]}</span>'
         f'<span class="tuf" onclick="event.stopPropagation()">{cells}</span>'
         f'<span class="n dim">{margin}</span><span class="dim">{safe(mark)}</span></div>'
+    )
+
+
+def doubt_html(card: PairCard, line: RelationLine, state: int) -> str:
+    """What geometry says against a judgement, as the question before it is saved."""
+    a, b = f"{card.names[0]}·{card.a}", f"{card.names[1]}·{card.b}"
+    says = letter(F if state == T else T)
+    return (
+        f'<div class="dispute"><div class="what"><b>{safe(a)}</b> {PHRASE[line.relation]} <b>{safe(b)}</b>: '
+        f"{letter(state)}?</div><div>Geometry says {says}, by {line.against(state) * 100:.1f} cm.</div>"
+        f'<div class="dim">{letter(state)} once more saves it all the same, Escape leaves the label as it is.</div>'
+        "</div>"
     )

@@ -7,6 +7,7 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 
+from pipeline.correcting.cards import PairCard, RelationLine
 from pipeline.correcting.journal_place import JournalPlace
 from pipeline.correcting.label_jobs import CANCELLED, Making
 from pipeline.correcting.scene import labelled_objects
@@ -15,16 +16,23 @@ from pipeline.journal.cells import Cell, object_cell
 from pipeline.journal.edits import Edits, judge_both_ways, judge_missing, set_status
 from pipeline.journal.effective_frame import EffectiveFrame
 from pipeline.journal.events import Event
+from pipeline.relations import F, T, U, letter
 from pipeline.review.following import NOTHING, Mark, followed
 from pipeline.review.items import ItemKey
 from pipeline.review.ordering import BLOCK
 from pipeline.review.queue_job import QueueJob, second_setup
 from pipeline.review.worklist import Worklist
 from spatialviz.app.correct import Correct, Wanted
+from spatialviz.app.dialog import Dialog
 from spatialviz.app.frames import FrameStore
+from spatialviz.app.keys import KEYS_OF_ONE
 from spatialviz.app.layout import Page
 from spatialviz.app.queue_html import KINDS, Asked, item_html, queue_html
+from spatialviz.app.review_html import doubt_html
 from spatialviz.app.state import State
+
+LETTERS = {"T": T, "U": U, "F": F}
+DOUBT_TITLE = "Against geometry"
 
 
 class ReviewQueue:
@@ -37,6 +45,7 @@ class ReviewQueue:
     journals : mapping of str to JournalPlace
         By name of the source.
     correct : Correct
+    dialog : Dialog
     state : callable
         Gives the client's state.
     note : callable
@@ -51,12 +60,14 @@ class ReviewQueue:
         store: FrameStore,
         journals: Mapping[str, JournalPlace],
         correct: Correct,
+        dialog: Dialog,
         *,
         state: Callable[[], State],
         note: Callable[[str], None],
         post: Callable[[Callable[[], None]], None],
     ) -> None:
         self._page, self._store, self._journals, self._correct = page, store, journals, correct
+        self._dialog = dialog
         self._state, self._note, self._post = state, note, post
         self._works: dict[str, Worklist] = {}
         self._newest: dict[str, Mark] = {}
@@ -66,7 +77,9 @@ class ReviewQueue:
         self._names: dict[str, dict[tuple[str, int], str]] = {}
         self._kind = "all"
         self._ahead: tuple[str, str] | None = None
+        self._doubted: tuple[str, str] | None = None
         correct.on_saved(self._saved)
+        correct.on_doubt = self._doubt
         self._leave = [
             place.jobs.queue.listen(lambda name=name: post(lambda: self._made(name)))
             for name, place in journals.items()
@@ -76,6 +89,8 @@ class ReviewQueue:
         """What the page may ask for, by the first word of its message."""
         return {
             "settle": self.settle,
+            "settle-sure": lambda _: self._sure(),
+            "leave-item": lambda _: self.leave(),
             "next-item": lambda step: self.step(int(step)),
             "item": lambda place: self.open(int(place)),
             "queue-kind": self.choose_kind,
@@ -266,21 +281,56 @@ class ReviewQueue:
 
     # ---- settling ---------------------------------------------------------------------
 
-    def settle(self, said: str) -> None:
-        """Settle a relation; where it is the item that is looked at, go on to the next."""
-        view = self._state().labels
-        if view is None:
+    def settle(self, said: str, sure: bool = False) -> None:
+        """Settle a relation: "left:T" of the pair that is shown, "T" of the open item, or without one of that pair.
+
+        A key belongs to the open item, whatever is looked at beside it. From
+        there it goes on to the next one.
+        """
+        view, item = self._state().labels, self._item
+        *named, letter = said.split(":")
+        if view is None or letter not in LETTERS:
             return
-        item = view.item
+        if item is not None and item.b is not None and not named and item.kind == "relation":
+            relation, ends = item.what, (item.a, item.b)
+        elif view.card is not None and (item is None or named):
+            relation, ends = named[0] if named else view.relation, (view.card.a, view.card.b)
+        else:
+            self._correct.refuse(f"T, U and F are for the relation of two objects. {KEYS_OF_ONE}.")
+            return
+        if named:
+            self._correct.focus_relation(named[0])
         work = self._work
         last_word = work is not None and item is not None and work.is_disputed(item)
-        done = self._correct.settle(said, draw=False, last_word=last_word)
-        if done is None:
+        # The key that was answered by a question answers it when it is pressed again.
+        sure = sure or (self._doubted == (view.frame.frame, said) and self._dialog.title == DOUBT_TITLE)
+        self._doubted = view.frame.frame, said
+        if not self._correct.settle(ends, relation, LETTERS[letter], last_word=last_word, sure=sure):
             return
-        relation, ends = done
-        if item is not None and (item.what, item.a, item.b) == (relation, *ends) and self._go_on(item):
-            return
-        self._correct.redraw()
+        if sure:
+            self._dialog.close()
+        own = item is not None and (item.what, item.a, item.b) == (relation, *ends)
+        if not (own and item is not None and self._go_on(item)):
+            self._correct.redraw()
+
+    def _doubt(self, card: PairCard, line: RelationLine, state: int) -> None:
+        """Ask before a judgement is saved that geometry contradicts."""
+        self._dialog.show(
+            DOUBT_TITLE, doubt_html(card, line, state), (f"Save {letter(state)} all the same", "sv('settle-sure')")
+        )
+
+    def _sure(self) -> None:
+        """Save what was asked about."""
+        view, doubted = self._state().labels, self._doubted
+        self._dialog.close()
+        if view is not None and doubted is not None and doubted[0] == view.frame.frame:
+            self.settle(doubted[1], sure=True)
+
+    def leave(self) -> None:
+        """Look at the item no longer; the keys act on what is selected again."""
+        view = self._state().labels
+        if view is not None and view.item is not None:
+            self._correct.leave_item()
 
     def say(self, status: str) -> None:
         """Say of the item that is looked at, else of the selected object, that it is right, wrong, or unclear."""

@@ -69,8 +69,8 @@ window.svTake = w => { const f = field(), open = w.endsWith(':') || w.endsWith('
 window.svTyped = f => { if (f.value && !/\s$/.test(f.value)) ask(f.value); else hide(); };
 window.svKey = (e, f) => {
   const all = offers(), at = all.findIndex(o => o.classList.contains('on'));
-  if (e.key === 'Enter') { hide(); window.sv('find:' + f.value); }
-  else if (e.key === 'Escape' && all.length) { e.stopPropagation(); hide(); }
+  if (e.key === 'Enter') { hide(); window.sv('find:' + f.value); f.blur(); }
+  else if (e.key === 'Escape') { e.stopPropagation(); hide(); f.blur(); }
   else if (e.key === 'Tab' && all.length && !e.shiftKey) { e.preventDefault(); window.svTake(all[Math.max(at, 0)].dataset.w); }
   else if ((e.key === 'ArrowDown' || e.key === 'ArrowUp') && all.length) {
     e.preventDefault();

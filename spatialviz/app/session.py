@@ -81,8 +81,9 @@ class Session:
         self._suggestions: tuple[str, ...] = ()
         self._closed = threading.Event()
         self._begun = False
+        self._correcting = False
         self._judge = Judge(runs or {}, others or {}, labels, lambda *at: self._labels.correct.corrected(*at))
-        self._first_view = first_view
+        self._first_view, self._named_labels = first_view, frozenset(labels or ())
         self.bridge = Bridge(client, self.handle)
         moving = any(has_moves(opened.dataset) for opened in store.sources.values())
         second = any(opened.beside is not None for opened in store.sources.values())
@@ -190,16 +191,24 @@ class Session:
     def _begin(self, kept: str = "") -> None:
         """Open the first frame: the one the browser's tab has kept, else the first of the dataset."""
         if kept:
-            self._go(Place.read(kept, self._store.sources))
+            place = Place.read(kept, self._store.sources)
+            if place.frame is not None and place.text is None and self.state.correctable:
+                self._labels.correct.stay()
+            self._go(place)
         elif not self._begun:
             if self._first_view is not None:
                 self._strings.open(self._first_view)
+            elif self.state.source in self._named_labels:
+                # Labels were named to be looked at; the queue begins to be built.
+                self._labels.correct.stay()
             if not self._begun:
                 # With a run, its first failure; the frames follow.
                 self._runs.follow()
                 self._runs.open(0)
             if not self._begun:
                 self._open_frame(self.state.frame_id, first=True)
+        if self.state.labels is not None:
+            self.bridge.run_in_page("window.svTab&&svTab('Review')")
         self.bridge.remember(self.state.at_place.said())
 
     def _go(self, place: Place) -> None:
@@ -383,6 +392,10 @@ class Session:
         """Bring the whole page up to the state. Handles that would not change send nothing."""
         self._what_if.check()
         self._labels.correct.chosen()
+        correcting = self.state.labels is not None
+        if correcting != self._correcting:
+            # A drag that only tries something must not become one that is saved.
+            self._correcting, self.state = correcting, replace(self.state, mode="off")
         state = self.state
         fill_page(
             self.page,

@@ -253,8 +253,8 @@ class State:
 
     @property
     def at_place(self) -> Place:
-        """What a reload brings back."""
-        return Place(self.source, self.frame_id, self.text)
+        """What a reload brings back; while labels are shown no question is."""
+        return Place(self.source, self.frame_id, self.text if self.labels is None else None)
 
 
 def _same(trace: Trace | None, place: int, other: SceneObject) -> bool:

@@ -232,7 +232,9 @@ if (!window.svTags) {
   place();
   window.addEventListener('keydown', e => {
     const a = document.activeElement;
-    if (e.key === 'Enter' && a && a.tagName === 'INPUT' && a.closest('form')) window.sv('ask:' + a.value);
+    if (e.key === 'Enter' && a && a.tagName === 'INPUT' && a.closest('form')) { window.sv('ask:' + a.value); setTimeout(() => a.blur()); }
+    /* Keys act on the page again once a field is left; a field in a dialog goes with the dialog. */
+    if (e.key === 'Escape' && a && (a.tagName === 'INPUT' || a.tagName === 'TEXTAREA') && !a.closest('[role=dialog]')) a.blur();
     if (a && (a.tagName === 'INPUT' || a.tagName === 'TEXTAREA')) return;
     if (e.key === 'Escape') window.sv('close-help');
     if (e.key === '?') { e.preventDefault(); window.sv('help'); }

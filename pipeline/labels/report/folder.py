@@ -9,7 +9,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from pipeline.errors import InputError
+from pipeline.errors import InputError, MissingExtra
 from pipeline.labels.database import open_database
 from pipeline.labels.reading import Labels
 from pipeline.labels.report.counts import (
@@ -20,7 +20,7 @@ from pipeline.labels.report.counts import (
     draw_heat_map,
     draw_states,
 )
-from pipeline.labels.report.distributions import distributions
+from pipeline.labels.report.distributions import Distributions, distributions
 from pipeline.labels.report.geometry import draw_margins, draw_sizes, draw_targets
 from pipeline.labels.report.page import GENERATOR, Picture, report_page
 from pipeline.labels.report.style import DPI, house_style, need_matplotlib, save_figure
@@ -34,7 +34,7 @@ FILES = (PAGE, NUMBERS, *(f"{name}.png" for name in PICTURES))
 def write_report(labels: Labels, statistics: dict[str, Any], out: Path) -> list[Path]:
     """Write the statistics of labels as pictures and a page.
 
-    The folder holds `index.html`, its pictures as PNG, and `statistics.json`.
+    The folder holds `index.html`, its pictures as PNG (without matplotlib there are none), and `statistics.json`.
     An earlier report there is replaced as a whole.
 
     Parameters
@@ -53,34 +53,18 @@ def write_report(labels: Labels, statistics: dict[str, Any], out: Path) -> list[
     ------
     InputError
         `out` holds something else, or the labels cannot be read.
-    MissingExtra
-        matplotlib is not installed.
     """
     out = Path(out).expanduser()
     check_report_folder(out)
     shown = list(statistics["classes"])[:CLASSES_SHOWN]
-    with open_database(labels) as database:
-        found = distributions(database, labels.relation_names, statistics["counts"]["frames"], shown)
     out.parent.mkdir(parents=True, exist_ok=True)
     partial = Path(tempfile.mkdtemp(prefix=f".{out.name}.", suffix=".partial", dir=out.parent))
     try:
-        pictures = []
-        with house_style():
-            drawn = (
-                draw_states(statistics),
-                draw_ambiguity(statistics),
-                draw_targets(found),
-                draw_margins(found),
-                draw_distance(statistics, found),
-                draw_classes(statistics),
-                draw_sizes(found, statistics),
-                draw_heat_map(statistics, found),
-            )
-            for name, figure in zip(PICTURES, drawn, strict=True):
-                save_figure(figure, partial / f"{name}.png")
-                width, height = (round(float(inches) * DPI) for inches in figure.get_size_inches())
-                words = " ".join(" ".join(text.get_text() for text in figure.texts).split())
-                pictures.append(Picture(f"{name}.png", words, width, height))
+        pictures: list[Picture] = []
+        if not MissingExtra.missing(need_matplotlib):
+            with open_database(labels) as database:
+                found = distributions(database, labels.relation_names, statistics["counts"]["frames"], shown)
+            pictures = _draw(statistics, found, partial)
         numbers = json.dumps(statistics, indent=1, ensure_ascii=False, allow_nan=False)
         (partial / NUMBERS).write_text(numbers + "\n", encoding="utf-8")
         (partial / PAGE).write_text(report_page(labels.manifest, statistics, pictures), encoding="utf-8")
@@ -89,7 +73,29 @@ def write_report(labels: Labels, statistics: dict[str, Any], out: Path) -> list[
         _move_into_place(partial, out)
     finally:
         shutil.rmtree(partial, ignore_errors=True)
-    return [out / name for name in FILES]
+    return [out / name for name in (PAGE, NUMBERS, *(picture.file for picture in pictures))]
+
+
+def _draw(statistics: dict[str, Any], found: Distributions, folder: Path) -> list[Picture]:
+    """Draw all pictures into a folder."""
+    pictures = []
+    with house_style():
+        drawn = (
+            draw_states(statistics),
+            draw_ambiguity(statistics),
+            draw_targets(found),
+            draw_margins(found),
+            draw_distance(statistics, found),
+            draw_classes(statistics),
+            draw_sizes(found, statistics),
+            draw_heat_map(statistics, found),
+        )
+        for name, figure in zip(PICTURES, drawn, strict=True):
+            save_figure(figure, folder / f"{name}.png")
+            width, height = (round(float(inches) * DPI) for inches in figure.get_size_inches())
+            words = " ".join(" ".join(text.get_text() for text in figure.texts).split())
+            pictures.append(Picture(f"{name}.png", words, width, height))
+    return pictures
 
 
 def check_report_folder(out: Path) -> None:
@@ -99,10 +105,7 @@ def check_report_folder(out: Path) -> None:
     ------
     InputError
         It is a file, or a folder with anything that is not of a report.
-    MissingExtra
-        matplotlib is not installed.
     """
-    need_matplotlib()
     out = Path(out).expanduser()
     if out.is_symlink() or (out.exists() and not out.is_dir()):
         raise InputError("a report goes into a folder", got="a link" if out.is_symlink() else "a file", path=out)
