@@ -15,6 +15,7 @@ from typing import Any
 
 import cv2
 import numpy as np
+from waiting import LONG_S
 
 from pipeline.vlm import ChatClient
 
@@ -144,9 +145,9 @@ class ChatServer:
                     return self._send(Raw(404, b'{"detail":"Not Found"}'))
                 reply = server.reply(body, {k.lower(): v for k, v in self.headers.items()})
                 if server.gate is not None:
-                    server.gate.wait(10)
+                    server.gate.wait(LONG_S)
                 if isinstance(reply, Slow):
-                    server.ended.wait(10)
+                    server.ended.wait(LONG_S)
                     self.close_connection = True
                 elif isinstance(reply, Trickle):
                     self.wfile.write(b"HTTP/1.1 200 OK\r\nContent-Type: application/json\r\n\r\n")
@@ -233,4 +234,4 @@ def running(clock: Callable[[], float]) -> Iterator[ChatServer]:
             server.gate.set()
         server.http.shutdown()
         server.http.server_close()
-        thread.join(5)
+        thread.join(LONG_S)

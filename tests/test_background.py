@@ -9,6 +9,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from waiting import LONG_S
+
 from pipeline.background import start_background
 from pipeline.errors import InputError
 
@@ -71,9 +73,9 @@ class Heard:
     def run(self, function: Callable[..., Any], *args: Any, cancel: bool = False) -> tuple[Any, str]:
         job = start_background(function, *args, on_progress=self.step, on_end=self.ended)
         if cancel:
-            assert self._step.wait(60)
+            assert self._step.wait(LONG_S)
             job.cancel()
-        assert self._ended.wait(60)
+        assert self._ended.wait(LONG_S)
         assert job.done
         assert self.end is not None
         return self.end
@@ -109,9 +111,9 @@ def test_a_job_that_is_ended_leaves_nothing_behind(tmp_path: Path) -> None:
 
 def test_what_is_cancelled_has_no_result_also_where_it_was_ready() -> None:
     heard, held = Heard(), threading.Event()
-    job = start_background(counted, 1, on_progress=lambda _: print(held.wait(60)), on_end=heard.ended)
-    job._process.join(60)
+    job = start_background(counted, 1, on_progress=lambda _: print(held.wait(LONG_S)), on_end=heard.ended)
+    job._process.join(LONG_S)
     job.cancel()
     held.set()
-    assert heard._ended.wait(60)
+    assert heard._ended.wait(LONG_S)
     assert heard.end == (None, "cancelled")

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from journal_world import FRAME, an_expression
+from waiting import LONG_S
 
 from pipeline.correcting import journal_place
 from pipeline.correcting.cards import ASKED_BEYOND_M, pair_card
@@ -174,7 +175,7 @@ def test_while_the_journal_is_being_opened_an_edit_waits_and_nobody_with_it(
 
     def opened(*given: Any, **named: Any) -> Any:
         asked.set()
-        slow.wait(5)
+        slow.wait(LONG_S)
         return real(*given, **named)
 
     monkeypatch.setattr(journal_place, "journal_of", opened)
@@ -187,7 +188,7 @@ def test_while_the_journal_is_being_opened_an_edit_waits_and_nobody_with_it(
 
     other = threading.Thread(target=first)
     other.start()
-    asked.wait(5)
+    assert asked.wait(LONG_S)
     outcome = desk.save(set_class(frame, 3, "jar"))
     assert isinstance(outcome, Waiting)
     assert "does not answer" in outcome.problem

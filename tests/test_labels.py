@@ -8,7 +8,6 @@ import shutil
 import signal
 import subprocess
 import sys
-import time
 from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
@@ -18,6 +17,7 @@ import numpy as np
 import pytest
 from box_worlds import box_world
 from scenes import frame_of, upright
+from waiting import wait_until
 
 from pipeline.demo import demo_path
 from pipeline.errors import InputError
@@ -159,16 +159,12 @@ def test_killed_in_the_middle_nothing_is_half_written_and_the_rest_is_kept(demo:
     script.write_text(code)
     environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(__file__).resolve().parent.parent)])}
     run = subprocess.Popen([sys.executable, str(script)], env=environment, start_new_session=True)
-    deadline = time.monotonic() + 60
-    while len(parts(out)) < 2 and run.poll() is None and time.monotonic() < deadline:
-        time.sleep(0.01)
+    wait_until(lambda: len(parts(out)) >= 2 or run.poll() is not None)
     os.killpg(run.pid, signal.SIGKILL)
     run.wait()
     # Its workers are of the same group, and die a little later.
     with suppress(ProcessLookupError):
-        while time.monotonic() < deadline:
-            os.killpg(run.pid, 0)
-            time.sleep(0.01)
+        wait_until(lambda: os.killpg(run.pid, 0))
     finished = parts(out)
     assert finished, "the run was killed before anything was finished"
     store = Store(out)

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from model_stubs import STUBS, change, grown, halved, loosened, poisoned, write_model
 from scenes import frame_of, upright
+from waiting import LONG_S
 
 from pipeline.errors import InputError
 from pipeline.execution import (
@@ -253,7 +254,7 @@ def test_a_provider_that_fails_falls_back_with_one_line(
 def child(*arguments: str, **environment: str) -> subprocess.CompletedProcess[str]:
     return subprocess.run(
         [sys.executable, "-m", "spatialviz", *arguments],
-        cwd=ROOT, env={**os.environ, **environment}, capture_output=True, text=True, timeout=120, check=False,
+        cwd=ROOT, env={**os.environ, **environment}, capture_output=True, text=True, timeout=LONG_S, check=False,
     )  # fmt: skip
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import _thread
+import gc
 import json
 import socket
 import threading
@@ -13,6 +14,7 @@ from typing import Any
 import numpy as np
 import pytest
 from chat_server import MODELS, ChatServer, Clock, CutOff, Make, Raw, Script, Slow, Trickle, completion, error, flat
+from waiting import LONG_S
 
 from pipeline.errors import InputError
 from pipeline.vlm import (
@@ -109,10 +111,11 @@ def test_passing_troubles_are_waited_out(
 
 def test_a_slow_answer_is_given_up_and_asked_for_again(server: ChatServer, client_of: Make) -> None:
     server.script = [Slow(), Trickle(), "Yes"]
-    assert client_of(timeout_s=0.3).ask("q", flat()).text == "Yes"
+    # Long enough for a loaded machine to give the answer that comes.
+    assert client_of(timeout_s=1.0).ask("q", flat()).text == "Yes"
     server.script = [Slow()]
-    with pytest.raises(ServerError, match=r"no whole reply within 0\.3 s .*longer timeout") as caught:
-        client_of(timeout_s=0.3, retries=0).ask("another", flat())
+    with pytest.raises(ServerError, match=r"no whole reply within 0\.2 s .*longer timeout") as caught:
+        client_of(timeout_s=0.2, retries=0).ask("another", flat())
     assert caught.value.status is None
     assert not caught.value.everywhere
 
@@ -304,10 +307,10 @@ def test_workers_are_bounded_and_do_work_at_once(server: ChatServer, client_of: 
     questions = [Question(str(n), Picture(flat())) for n in range(9)]
     thread = threading.Thread(target=lambda: done.extend(client.ask_many(questions, workers=3)))
     thread.start()
-    assert together.wait(5)
+    assert together.wait(LONG_S)
     assert len(server.requests) == 3
     server.gate.set()
-    thread.join(5)
+    thread.join(LONG_S)
     assert len(done) == 9
 
 
@@ -338,7 +341,18 @@ def test_an_error_in_making_a_question_ends_the_run(client_of: Make) -> None:
         client_of().ask_many(questions(), workers=3)
 
 
-def test_an_interrupt_is_heeded_while_answers_are_awaited(server: ChatServer, client_of: Make) -> None:
+@pytest.fixture
+def uncollected() -> Iterator[None]:
+    """No garbage is collected: Python drops an interrupt that comes in a callback of the collector, as others have."""
+    gc.collect()
+    gc.disable()
+    yield
+    gc.enable()
+
+
+def test_an_interrupt_is_heeded_while_answers_are_awaited(
+    server: ChatServer, client_of: Make, uncollected: None
+) -> None:
     server.gate = threading.Event()
 
     def answer(_: Any) -> Script:

@@ -11,6 +11,7 @@ from importlib.metadata import packages_distributions
 from pathlib import Path
 
 import pytest
+from waiting import LONG_S
 
 ROOT = Path(__file__).resolve().parent.parent
 SOURCES = sorted((ROOT / "pipeline").rglob("*.py"))
@@ -30,7 +31,7 @@ print(json.dumps([found, sorted(sys.modules)]))
 def imported() -> tuple[list[str], set[str]]:
     """(modules of the core, everything that importing them all brought in), seen by a fresh interpreter."""
     done = subprocess.run(
-        [sys.executable, "-c", IMPORT_ALL], cwd=ROOT, capture_output=True, text=True, timeout=120, check=False
+        [sys.executable, "-c", IMPORT_ALL], cwd=ROOT, capture_output=True, text=True, timeout=LONG_S, check=False
     )
     assert done.returncode == 0, done.stderr
     ours, everything = json.loads(done.stdout.splitlines()[-1])
