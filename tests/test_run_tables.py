@@ -19,12 +19,14 @@ from pipeline.evaluation.run import EvalSpec
 from pipeline.evaluation.whole_expression import VlmOptions
 from pipeline.jobs import open_source
 from pipeline.labels.job import label_dataset
+from pipeline.labels.makers import Makers
 from pipeline.labels.plan import SourceSpec
 from pipeline.labels.reading import open_labels
 from pipeline.proposals.recording import record_detections
 
 FRAMES = 3
 QUICK = BootstrapConfig(resamples=200)
+MAKERS = Makers(None, "", None, None, None, None)
 VLM = f"VLM {MODELS[0]}"
 
 
@@ -95,24 +97,24 @@ def test_names_that_are_taken_are_told_apart(folder: Path) -> None:
     shutil.copytree(folder / "simulated", folder / "again", dirs_exist_ok=True)
     hashed = open_labels(folder / "labels").manifest.tables["expressions"].content_hash
     runs = [folder / "simulated", folder / "again", folder / "again", folder / "annotations"]
-    found = other_systems(runs, "simulated + rule", hashed)
+    found = other_systems(runs, "simulated + rule", hashed, MAKERS)
     assert list(found) == [
         "simulated + rule (simulated)", "simulated + rule (again)", "simulated + rule (again, 2)", "annotations + rule",
     ]  # fmt: skip
-    gain, test = relation_gain(found["simulated + rule (again)"], config=QUICK)
-    assert gain.n == test.n == found["annotations + rule"].num_rows
+    gain, test = relation_gain(found["simulated + rule (again)"].records, config=QUICK)
+    assert gain.n == test.n == found["annotations + rule"].records.num_rows
 
 
 def test_runs_that_cannot_stand_beside_are_refused(folder: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="other labels"):
-        other_systems([folder / "simulated"], "x", "0123")
+        other_systems([folder / "simulated"], "x", "0123", MAKERS)
     with pytest.raises(InputError, match="no evaluation run"):
-        other_systems([tmp_path], "x", "0123")
+        other_systems([tmp_path], "x", "0123", MAKERS)
     for text in ("", "[]", '{"name": 3}', '{"name": "x", "labels": 3}', "\udcff"):
         (tmp_path / "run.json").write_text(text, errors="surrogateescape")
         with pytest.raises(InputError, match="manifest cannot be read"):
-            other_systems([tmp_path], "x", "0123")
+            other_systems([tmp_path], "x", "0123", MAKERS)
     manifest = json.loads((folder / "simulated" / "run.json").read_text())
     (tmp_path / "run.json").write_text(json.dumps(manifest))
     with pytest.raises(InputError, match="no evaluation run"):
-        other_systems([tmp_path], "x", manifest["labels"]["content_hash"])
+        other_systems([tmp_path], "x", manifest["labels"]["content_hash"], MAKERS)

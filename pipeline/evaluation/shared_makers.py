@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Literal
 
 from pipeline.labels.makers import OF_ANNOTATIONS, RECORDED, Makers, MaskMakers, makers_of, mask_makers
@@ -16,10 +16,16 @@ from pipeline.srm.model import OnnxScorer
 
 if TYPE_CHECKING:
     from pipeline.evaluation.relation_systems import RelationSystem
+    from pipeline.evaluation.tables import Table
     from pipeline.jobs import Source
     from pipeline.labels.reading import Labels
 
 AGREEMENT = "shares rule and cloud with the labels: agreement, not accuracy"
+SIMULATED = "errors are simulated out of the truth's own masks"
+HAD_A_PART = "a detector measured had a part in the truth: agreement, not accuracy"
+PERFECT = "OPM is the truth itself here"
+REPEATED = "the detector made its own truth: repetition, not accuracy"
+_RANK = ("", SIMULATED, HAD_A_PART, PERFECT, REPEATED)
 Kind = Literal[
     "same detector", "shared detector", "annotations", "simulated", "same segmenter", "unknown maker", "same rule",
     "rule elsewhere", "second opinion", "same geometry",
@@ -47,9 +53,14 @@ class Share:
     title: str
     said: str
 
+    @property
+    def sentence(self) -> str:
+        """For people."""
+        return f"{self.about}: {self.said}"
+
     def record(self) -> dict[str, str]:
-        """As JSON."""
-        return {"about": self.about, "kind": self.kind, "title": self.title, "said": f"{self.about}: {self.said}"}
+        """As JSON: an entry of `shares` of a run."""
+        return {"about": self.about, "kind": self.kind, "title": self.title, "said": self.said}
 
 
 @dataclass(frozen=True)
@@ -148,7 +159,7 @@ def _masks(makers: Makers, measured: MaskMakers | None) -> list[Share]:
     if makers.annotated and measured.detectors == truth.detectors:
         return [
             Share(
-                "masks", "annotations", "OPM is the truth itself here",
+                "masks", "annotations", PERFECT,
                 "the dataset's annotations are the truth and the detector: OPM and LIFT cannot fail; the figures show "
                 "what relations and ranking make of perfect proposals, and nothing of a detector",
             )
@@ -159,12 +170,9 @@ def _masks(makers: Makers, measured: MaskMakers | None) -> list[Share]:
         if alone and _all_decided(makers):
             said = f"{names} proposed the truth's objects, and people decided each: what it missed is in neither"
             return [Share("masks", "same detector", "", said)]
-        title = "the detector made its own truth: repetition, not accuracy"
-        if not alone:
-            title = "a detector measured had a part in the truth: agreement, not accuracy"
         return [
             Share(
-                "masks", "same detector" if alone else "shared detector", title,
+                "masks", "same detector" if alone else "shared detector", REPEATED if alone else HAD_A_PART,
                 f"{names} made the truth and is measured by it: accuracy says only that the pipeline repeats itself; "
                 f"what it misses or misnames is true here, and so OPM and LIFT cost nothing{_but(makers, 'objects')}",
             )
@@ -172,7 +180,7 @@ def _masks(makers: Makers, measured: MaskMakers | None) -> list[Share]:
     if derived and any(m.name in OF_ANNOTATIONS for m in truth.detectors):
         return [
             Share(
-                "masks", "simulated", "errors are simulated out of the truth's own masks",
+                "masks", "simulated", SIMULATED,
                 f"{derived[0].name} and the truth are made of the same annotations: misses, wrong names and scores are "
                 "put in by options; the figures compare modules and systems under these errors, and say nothing of how "
                 "accurate a detector is here",
@@ -211,23 +219,59 @@ def relation_share(makers: Makers, system: RelationSystem) -> Share | None:
     The objects are those of the labels, lifted again or as stored: the cloud is shared by every row. With the rule
     shared too, the row says how alike two computations are.
     """
-    name, scorer = system.name, system.scorer
+    scorer = system.scorer
     if isinstance(scorer, RuleScorer) and makers.rule == PROFILE:
         other = "" if makers.rule_hash == profile_of(PROFILE).hash else ", as it was in an earlier release"
-        said = f"it is the rule that made the labels{other}, on the same cloud: 100 by construction but for doubt"
-        return Share("relations", "same rule", AGREEMENT, f"{name}: {said}{_but(makers, 'relations')}")
-    if _had_vote(makers, measured_scorer(name, scorer)):
+        said = f"the scorer is the rule that made the labels{other}, on the same cloud: near 100 by construction"
+        return Share("relations", "same rule", AGREEMENT, f"{said}{_but(makers, 'relations')}")
+    if _had_vote(makers, measured_scorer(system.name, scorer)):
         said = (
-            "it was the labels' second opinion, on the same cloud: cells on which it and the rule differ became U and "
-            "do not count, near 100 by construction; label with --second-opinion none to measure it"
+            "the scorer was the labels' second opinion, on the same cloud: cells on which it and the rule differ became "
+            "U and do not count, near 100 by construction; label with --second-opinion none to measure it"
         )
-        return Share("relations", "second opinion", AGREEMENT, f"{name}: {said}{_but(makers, 'relations')}")
+        return Share("relations", "second opinion", AGREEMENT, f"{said}{_but(makers, 'relations')}")
     return None
 
 
 def shares_rule_and_cloud(labels: Labels, system: RelationSystem) -> bool:
     """Whether a row of relations alone is agreement with the labels' makers, and belongs below those that are not."""
     return relation_share(makers_of(labels.manifest), system) is not None
+
+
+def title_of(shares: Sequence[Share]) -> str:
+    """What a system's figures are, in a few words; empty where accuracy stays accuracy."""
+    return next((share.title for share in shares if share.title), "")
+
+
+def rank(title: str) -> int:
+    """Where a block of rows stands: the more their truth is their own, the lower."""
+    return _RANK.index(title)
+
+
+def with_caveats(table: Table, shares: Mapping[str, Sequence[Share]]) -> Table:
+    """A table that says in its title what its figures are, and below it what they can show and cannot.
+
+    Parameters
+    ----------
+    table : Table
+    shares : mapping of str to sequence of Share
+        By the systems that it is of.
+    """
+    by_title: dict[str, list[str]] = {}
+    for name, found in shares.items():
+        by_title.setdefault(title_of(found), []).append(name)
+    titles = [
+        title if len(by_title) == 1 else f"{', '.join(names)}: {title}" for title, names in by_title.items() if title
+    ]
+    said: dict[str, list[str]] = {}
+    for name, found in shares.items():
+        for share in found:
+            said.setdefault(share.sentence, []).append(name)
+    caveats = tuple(
+        text if len(names) == len(shares) else f"{', '.join(names)}: {text}" for text, names in said.items()
+    )
+    title = f"{table.title} ({'; '.join(titles)})" if titles else table.title
+    return replace(table, title=title, caveats=(*table.caveats, *caveats))
 
 
 def measured_scorer(name: str, scorer: RelationScorer) -> Measured:
