@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from pipeline.errors import InputError
 from pipeline.labels.makers import OF_ANNOTATIONS, RECORDED, Makers, MaskMakers, makers_of, mask_makers
 from pipeline.labels.profiles import profile_of
+from pipeline.labels.reading import Labels, open_labels
 from pipeline.labels.second_opinion import NONE
 from pipeline.proposals.onnx_session import file_hash
 from pipeline.relations import PROFILE
@@ -18,7 +22,6 @@ if TYPE_CHECKING:
     from pipeline.evaluation.relation_systems import RelationSystem
     from pipeline.evaluation.tables import Table
     from pipeline.jobs import Source
-    from pipeline.labels.reading import Labels
 
 AGREEMENT = "shares rule and cloud with the labels: agreement, not accuracy"
 SIMULATED = "errors are simulated out of the truth's own masks"
@@ -144,6 +147,30 @@ def shared_makers(makers: Makers, measured: Measured) -> tuple[Share, ...]:
     return tuple(sorted(found, key=lambda share: not share.title))
 
 
+def shares_of_run(manifest: Mapping[str, Any], labels: str | Path | None) -> tuple[Share, ...]:
+    """What a run says that it shares with its labels; of an earlier release what follows from both manifests.
+
+    Parameters
+    ----------
+    manifest : mapping
+        Of `run.json`.
+    labels : str, Path or None
+        Where the run's labels are, as far as that is known.
+    """
+    said = manifest.get("shares")
+    if isinstance(said, list):
+        with suppress(KeyError, TypeError):
+            return tuple(Share(s["about"], s["kind"], str(s["title"]), str(s["said"])) for s in said)
+    try:
+        if labels is None:
+            raise InputError("the run does not say where its labels are")
+        makers = makers_of(open_labels(labels).manifest)
+    except InputError:
+        said = "the run was made by an earlier release and its labels are not at hand: who made its truth is not known"
+        return (Share("masks", "unknown maker", "", said),)
+    return shared_makers(makers, measured_of_run(manifest))
+
+
 def _masks(makers: Makers, measured: MaskMakers | None) -> list[Share]:
     if measured is None:
         return []
@@ -226,8 +253,8 @@ def relation_share(makers: Makers, system: RelationSystem) -> Share | None:
         return Share("relations", "same rule", AGREEMENT, f"{said}{_but(makers, 'relations')}")
     if _had_vote(makers, measured_scorer(system.name, scorer)):
         said = (
-            "the scorer was the labels' second opinion, on the same cloud: cells on which it and the rule differ became "
-            "U and do not count, near 100 by construction; label with --second-opinion none to measure it"
+            "the scorer was the labels' second opinion, on the same cloud: cells where it and the rule differ became U "
+            "and do not count, near 100 by construction; label with --second-opinion none to measure it"
         )
         return Share("relations", "second opinion", AGREEMENT, f"{said}{_but(makers, 'relations')}")
     return None

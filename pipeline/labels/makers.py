@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
+from pathlib import PurePath
 from typing import Any
 
 from pipeline.labels.profiles import canonical_hash
@@ -40,6 +41,9 @@ class Model:
     def __str__(self) -> str:
         if self.content is None:
             return self.name
+        if self.name == RECORDED:
+            # Where somebody keeps it, and when it was written, is nobody's business.
+            return f"{self.name} ({PurePath(self.content.rpartition(':')[0]).name})"
         return f"{self.name} ({'model ' if self.name in _HASHES else ''}{self.content[:SHOWN_HASH]})"
 
 
@@ -80,15 +84,25 @@ def mask_makers(said: str) -> MaskMakers | None:
     if not colon or not name:
         return None
     segmenters: tuple[Model, ...] = ()
-    # An ensemble's name has no "+"; what stands behind the last one is the segmenter.
-    name, plus, segmenter = name.rpartition("+") if "+" in name else (name, "", "")
-    if plus:
+    if "+" in name:
+        name, _, segmenter = name.rpartition("+")
         fingerprint, _, behind = fingerprint.rpartition("|")
         segmenters = (_model(segmenter, behind.removeprefix("masks:")),)
+    members = [fingerprint]
     if fingerprint.startswith("ensemble:"):
         members = fingerprint.split(":", 2)[-1].split("&")
-        return MaskMakers(tuple(_model(m.partition(":")[0], m) for m in members), segmenters)
-    return MaskMakers((_model(name, fingerprint),), segmenters)
+        name = ""
+    found = [_played_back(name or member.partition(":")[0], member) for member in members]
+    return MaskMakers(
+        tuple(dict.fromkeys(m for one in found for m in one.detectors)),
+        tuple(dict.fromkeys((*(m for one in found for m in one.segmenters), *segmenters))),
+    )
+
+
+def _played_back(name: str, fingerprint: str) -> MaskMakers:
+    """A detector; of a recording that names it, the one that was recorded."""
+    recorded = mask_makers(fingerprint.partition("<")[2]) if name == RECORDED else None
+    return recorded or MaskMakers((_model(name, fingerprint),))
 
 
 def _model(name: str, fingerprint: str) -> Model:
@@ -159,10 +173,11 @@ class Makers:
         masks = "unknown" if self.masks is None else str(self.masks)
         if self.annotated:
             masks = masks.replace(ANNOTATIONS, "the dataset's annotations", 1)
-        opinion = {NONE: "no second opinion", None: "a second opinion is not known of"}.get(
-            self.second_opinion, f"second opinion {self.second_opinion_name or ''} ({self.second_opinion})"
+        opinion = {NONE: "no second opinion", None: "whether a network had a vote is unknown"}.get(
+            self.second_opinion,
+            f"second opinion {self.second_opinion_name or ''} ({(self.second_opinion or '')[:SHOWN_HASH]})",
         )
-        people = "nothing" if not self.corrected else "not counted: corrected by an earlier release"
+        people = "how much was not counted" if self.corrected else "nothing"
         if self.decided is not None:
             people = ", ".join(f"{n} of {of} {what}" for what, (n, of) in asdict(self.decided).items())
         return {
