@@ -155,10 +155,8 @@ def evaluate_dataset(
         tables += [] if relations is None else relations.tables
         # After the relations' records, of which it makes confusion matrices.
         diagnosed = spec.grounding and spec.verdicts and spec.system == "pipeline"
-        diagnosis = diagnose_run(systems, labels, folder, bootstrap) if diagnosed else None
-        if diagnosis is not None:
-            of_diagnosed = {n: shares[n] for n in diagnosis.summaries}
-            tables += [with_caveats(table, of_diagnosed) for table in diagnosis.tables]
+        diagnosis = diagnose_run(systems, labels, folder, bootstrap, shares) if diagnosed else None
+        tables += [] if diagnosis is None else diagnosis.tables
         (folder / "tables.md").write_text(markdown(tables), encoding="utf-8")
         (folder / "tables.tex").write_text(latex(tables), encoding="utf-8")
         (folder / "tables").mkdir()
@@ -174,7 +172,7 @@ def evaluate_dataset(
             if spec.grounding:
                 draw(systems, tables, folder / "plots")
             if relations is not None:
-                draw_relations(relations.figures, folder / "plots")
+                draw_relations(relations.figures, relations.tables, folder / "plots")
         if diagnosis is not None:
             diagnosis.write(folder, plots)
         warnings = calibration_warnings(source, labels, records) if spec.grounding else ()

@@ -7,6 +7,7 @@ import io
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from html import escape
 from typing import Any
 
 from pipeline.evaluation.intervals import Estimate
@@ -77,6 +78,12 @@ def with_heads(rows: Sequence[Row]) -> Iterator[tuple[str, Row]]:
     for row in rows:
         yield ("" if row.shares == before else row.shares), row
         before = row.shares
+
+
+def caveats_html(tables: Iterable[Table]) -> str:
+    """The caveats of tables as paragraphs, for pages of plots of the same figures."""
+    said = dict.fromkeys(caveat for table in tables for caveat in table.caveats)
+    return "".join(f'<p style="color:#a85b00;font:13px Arial,sans-serif">{escape(text)}</p>' for text in said)
 
 
 def shown(cell: Cell) -> str:
