@@ -16,6 +16,7 @@ from pipeline.evaluation.job import RunReport, evaluate_dataset
 from pipeline.evaluation.other_runs import other_systems
 from pipeline.evaluation.plots import PALE_TONE, _tones
 from pipeline.evaluation.run import EvalSpec
+from pipeline.evaluation.shared_makers import PERFECT, SIMULATED
 from pipeline.evaluation.whole_expression import VlmOptions
 from pipeline.jobs import open_source
 from pipeline.labels.job import label_dataset
@@ -68,9 +69,13 @@ def test_every_detector_has_its_rows(folder: Path) -> None:
     )
     tables = {table.key: table for table in report.tables}
     names = [row.name for row in tables["grounding"].rows if row.source == "measured"]
-    detectors = ("recorded + rule", "annotations + rule", "simulated + rule")
+    # What is simulated out of the truth stands below what is not, and the truth itself below that.
+    detectors = ("recorded + rule", "simulated + rule", "annotations + rule")
     pairs = [name for d in detectors for name in (f"{d}: OPM only", d)]
-    assert names == [*pairs, "simulated, whole expression", VLM]
+    assert names == [VLM, *pairs[:4], "simulated, whole expression", *pairs[4:]]
+    assert [row.shares for row in tables["grounding"].rows if row.source == "measured"] == [
+        "", *[SIMULATED] * 5, *[PERFECT] * 2,
+    ]  # fmt: skip
     assert [row.name for row in tables["relations"].rows] == [*names, "expressions"]
     assert [row.name for row in tables["stages"].rows] == list(detectors)
     assert [row.name for row in tables["gain"].rows] == list(detectors)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -43,7 +43,7 @@ class RunDiagnosis:
     summaries: dict[str, RunSummary]
     slices: tuple[Slices, ...]
     confusions: tuple[Confusion, ...]
-    shares: Mapping[str, Sequence[Share]] = NOTHING_SHARED
+    shares: Mapping[str, Sequence[Share]] = field(default_factory=dict)
 
     @property
     def tables(self) -> list[Table]:

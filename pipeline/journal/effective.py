@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 _NAMED = ("table", "frame", "key", "column")
 _KEYS = {"objects": ("object",), "relations": ("a", "b"), "expressions": ("id",)}
 DECIDED = ("accepted", "corrected")
-"""Statuses by which a reviewer says that a label is right, as it was or as it is now."""
+"""Statuses that say of a label that it is right as it is; a judgement that would correct it leaves it as it was."""
 FRAMES_KEPT = 8
 """Effective frames that a corrector keeps: the one that is looked at, and those next in a queue."""
 GEOMETRY = ("bbox", "mask", "center")
@@ -170,7 +170,7 @@ class EffectiveLabels:
         for cell, value in self.statuses.items():
             if cell.kind in ("object", "relation", "expression") and value in DECIDED:
                 by_table[f"{cell.kind}s"].add((cell.frame, cell.key, cell.field.removesuffix("status").rstrip(".")))
-            elif cell.kind == "review" and cell.field == "said" and value["status"] in DECIDED:
+            elif cell.kind == "review" and cell.field == "said" and value["status"] == "accepted":
                 _, kind, a, b, what = judged_item(cell.key)
                 key = what if kind == "expression" else f"{a}" if b is None else f"{a},{b}"
                 by_table[f"{kind}s"].add((cell.frame, key, what if kind == "relation" else ""))

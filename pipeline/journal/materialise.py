@@ -111,7 +111,7 @@ def _write(found: EffectiveLabels, journal: Journal, folder: Path) -> Manifest:
                 "relifted": found.relifted,
                 "automatic": labels_version(was),
                 **found.counts,
-                "decided": found.decided,
+                "decided": {what: list(counts) for what, counts in found.decided.items()},
             },
         }
     )
