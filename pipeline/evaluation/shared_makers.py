@@ -25,10 +25,11 @@ if TYPE_CHECKING:
 
 AGREEMENT = "shares rule and cloud with the labels: agreement, not accuracy"
 SIMULATED = "errors are simulated out of the truth's own masks"
+CHECKED = "people checked the detector's own proposals: what it missed does not count"
 HAD_A_PART = "a detector measured had a part in the truth: agreement, not accuracy"
 PERFECT = "OPM is the truth itself here"
 REPEATED = "the detector made its own truth: repetition, not accuracy"
-_RANK = ("", SIMULATED, HAD_A_PART, PERFECT, REPEATED)
+_RANK = ("", SIMULATED, CHECKED, HAD_A_PART, PERFECT, REPEATED)
 Kind = Literal[
     "same detector", "shared detector", "annotations", "simulated", "same segmenter", "unknown maker", "same rule",
     "rule elsewhere", "second opinion", "same geometry",
@@ -195,8 +196,11 @@ def _masks(makers: Makers, measured: MaskMakers | None) -> list[Share]:
         names = " & ".join(map(str, common))
         alone = len(common) == len(measured.detectors) == len(truth.detectors)
         if alone and _all_decided(makers):
-            said = f"{names} proposed the truth's objects, and people decided each: what it missed is in neither"
-            return [Share("masks", "same detector", "", said)]
+            said = (
+                f"{names} proposed the truth's objects and is measured by it; people decided each, so that wrong names "
+                "count, and what it missed only where somebody added it"
+            )
+            return [Share("masks", "same detector", CHECKED, said)]
         return [
             Share(
                 "masks", "same detector" if alone else "shared detector", REPEATED if alone else HAD_A_PART,

@@ -165,7 +165,8 @@ class EffectiveLabels:
         by_table: dict[str, set[tuple[str, str, str]]] = {table: set() for table in _KEYS}
         entries = zip(*(self.provenance.column(n).to_pylist() for n in (*_NAMED, "origin")), strict=True)
         for table, frame, key, column, origin in entries:
-            if origin == "human" and table in by_table:
+            # What is said of a label is no value of it.
+            if origin == "human" and table in by_table and column.rpartition(".")[2] not in ("status", "mark", "note"):
                 by_table[table].add((frame, key, column if table == "relations" else ""))
         for cell, value in self.statuses.items():
             if cell.kind in ("object", "relation", "expression") and value in DECIDED:
