@@ -20,7 +20,7 @@ def print_run(report: RunReport, show: int) -> None:
     """The tables, the comparison, and where everything lies."""
     console = make_console()
     for table in report.tables:
-        print_table(table)
+        print_table(table, caveats=False)
         console.print()
     for caveat in dict.fromkeys(caveat for table in report.tables for caveat in table.caveats):
         console.print(Text(caveat, "yellow"))
@@ -32,13 +32,15 @@ def print_run(report: RunReport, show: int) -> None:
     console.print(Text(f"-> {report.folder}", "dim"))
 
 
-def print_table(table: Table) -> None:
+def print_table(table: Table, caveats: bool = True) -> None:
     """A table under its title, and what must be known of it."""
     console = make_console()
     console.print(Text(table.title, "bold"))
     console.print(rich_table(table))
     if table.note:
         console.print(Text(table.note, "dim"))
+    for caveat in table.caveats if caveats else ():
+        console.print(Text(caveat, "yellow"))
 
 
 def table_record(table: Table) -> dict[str, Any]:

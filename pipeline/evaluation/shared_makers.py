@@ -245,17 +245,21 @@ def _relations(makers: Makers, measured: Measured) -> list[Share]:
 
 
 def relation_share(makers: Makers, system: RelationSystem) -> Share | None:
+    """As `scorer_share`, of a row of relations alone."""
+    return scorer_share(makers, system.name, system.scorer)
+
+
+def scorer_share(makers: Makers, name: str, scorer: RelationScorer) -> Share | None:
     """What a scorer shares with the labels of pairs whose objects are the labels' own; None where only the cloud.
 
     The objects are those of the labels, lifted again or as stored: the cloud is shared by every row. With the rule
     shared too, the row says how alike two computations are.
     """
-    scorer = system.scorer
     if isinstance(scorer, RuleScorer) and makers.rule == PROFILE:
         other = "" if makers.rule_hash == profile_of(PROFILE).hash else ", as it was in an earlier release"
         said = f"the scorer is the rule that made the labels{other}, on the same cloud: near 100 by construction"
         return Share("relations", "same rule", AGREEMENT, f"{said}{_but(makers, 'relations')}")
-    if _had_vote(makers, measured_scorer(system.name, scorer)):
+    if _had_vote(makers, measured_scorer(name, scorer)):
         said = (
             "the scorer was the labels' second opinion, on the same cloud: cells where it and the rule differ became U "
             "and do not count, near 100 by construction; label with --second-opinion none to measure it"
