@@ -226,6 +226,7 @@ class Check:
     def run(self) -> int:
         from pipeline.errors import InputError, MissingExtra
         from pipeline.labels.check import check_labels, finding_record
+        from pipeline.labels.makers import makers_of
         from pipeline.labels.reading import open_labels
         from pipeline.labels.report import check_report_folder, need_matplotlib, write_report
         from pipeline.labels.statistics import label_statistics
@@ -249,7 +250,7 @@ class Check:
                 print_json(finding_record(finding))
         if statistics is not None:
             if self.json:
-                print_json({"statistics": statistics})
+                print_json({"statistics": statistics, "makers": makers_of(labels.manifest).record()})
             else:
                 print_statistics(statistics, labels)
         if not self.json:

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from tyro.conf import Positional
 
 from pipeline.errors import InputError
 from spatialviz.exits import FINE, NO
 from spatialviz.options import print_json
+
+if TYPE_CHECKING:
+    from pipeline.evaluation.shared_makers import Share
 
 MOST_SHOWN = 1000
 
@@ -76,15 +80,24 @@ class Failures:
         found = find_failures(records, self.search)
         summary = summarise_run(records)
         name = _name_of(self.run_folder)
+        shares = _shares_of(self.run_folder)
         slices = [slice_by({name: records}, d, most=None if self.json else MOST_ROWS) for d in dimensions]
         if self.json:
-            print_json(failures_record(name, summary, slices, found, self.limit, self.search))
+            print_json(failures_record(name, shares, summary, slices, found, self.limit, self.search))
         else:
-            print_failures(name, summary, slices, found, self.limit, self.search)
+            print_failures(name, shares, summary, slices, found, self.limit, self.search)
         return FINE if found.num_rows else NO
 
 
 MOST_ROWS = 15
+
+
+def _shares_of(run: Path) -> tuple[Share, ...]:
+    """What the run shares with what made its labels, of whatever release it is."""
+    from pipeline.diagnosis.run_database import labels_of, manifest_of
+    from pipeline.evaluation.shared_makers import shares_of_run
+
+    return shares_of_run(manifest_of(run), labels_of(run))
 
 
 def _name_of(run: Path) -> str:

@@ -12,7 +12,7 @@ from pipeline.diagnosis.verdict import VERDICTS
 from pipeline.evaluation.compare import Comparison
 from pipeline.evaluation.intervals import Estimate
 from pipeline.evaluation.job import RunReport
-from pipeline.evaluation.tables import Cell, Table, shown
+from pipeline.evaluation.tables import Cell, Table, shown, with_heads
 from spatialviz.printing import make_console
 
 
@@ -20,8 +20,10 @@ def print_run(report: RunReport, show: int) -> None:
     """The tables, the comparison, and where everything lies."""
     console = make_console()
     for table in report.tables:
-        print_table(table)
+        print_table(table, caveats=False)
         console.print()
+    for caveat in dict.fromkeys(caveat for table in report.tables for caveat in table.caveats):
+        console.print(Text(caveat, "yellow"))
     if report.comparison is not None:
         print_comparison(report.comparison, show)
     done = [f"{n} {what}" for n, what in ((report.expressions, "expressions"), (report.pairs, "pairs")) if n]
@@ -30,13 +32,15 @@ def print_run(report: RunReport, show: int) -> None:
     console.print(Text(f"-> {report.folder}", "dim"))
 
 
-def print_table(table: Table) -> None:
+def print_table(table: Table, caveats: bool = True) -> None:
     """A table under its title, and what must be known of it."""
     console = make_console()
     console.print(Text(table.title, "bold"))
     console.print(rich_table(table))
     if table.note:
         console.print(Text(table.note, "dim"))
+    for caveat in table.caveats if caveats else ():
+        console.print(Text(caveat, "yellow"))
 
 
 def table_record(table: Table) -> dict[str, Any]:
@@ -50,7 +54,9 @@ def rich_table(table: Table) -> RichTable:
     found.add_column("")
     for name in table.columns:
         found.add_column(name, justify="right")
-    for row in table.rows:
+    for head, row in with_heads(table.rows):
+        if head:
+            found.add_row(Text(head, "italic"), *[""] * len(table.columns))
         name = row.name if row.source == "measured" else f"{row.name} ({row.source})"
         found.add_row(name, *map(shown, row.cells))
     return found
@@ -99,7 +105,9 @@ def run_record(report: RunReport) -> dict[str, Any]:
         "expressions": report.expressions,
         "pairs": report.pairs,
         "warnings": list(report.warnings),
+        "shares": [share.record() for share in report.shares],
         "seconds": round(report.seconds, 2),
+        "caveats": {t.key: list(t.caveats) for t in report.tables},
         "tables": {t.key: table_record(t) for t in report.tables},
         "comparison": None if report.comparison is None else report.comparison.record(),
     }

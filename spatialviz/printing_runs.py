@@ -15,6 +15,7 @@ from rich.text import Text
 from pipeline.diagnosis.run_database import Answer
 from pipeline.diagnosis.slices import Slices, slice_table
 from pipeline.diagnosis.summary import RunSummary, oracle_table, verdict_table
+from pipeline.evaluation.shared_makers import Share, with_caveats
 from spatialviz.options import print_json
 from spatialviz.printing import make_console
 from spatialviz.printing_eval import rich_table
@@ -84,12 +85,19 @@ def _shown(value: Any) -> str:
 
 
 def failures_record(
-    name: str, summary: RunSummary, slices: Sequence[Slices], found: pa.Table, limit: int, search: str
+    name: str,
+    shares: Sequence[Share],
+    summary: RunSummary,
+    slices: Sequence[Slices],
+    found: pa.Table,
+    limit: int,
+    search: str,
 ) -> dict[str, Any]:
     """`failures --json`."""
     rows = found.slice(0, limit).select([c for c in SHOWN if c in found.column_names]).to_pylist()
     return {
         "system": name,
+        "shares": [share.record() for share in shares],
         "search": search,
         "found": found.num_rows,
         "failures": [{key: plain(value) for key, value in row.items()} for row in rows],
@@ -99,17 +107,26 @@ def failures_record(
 
 
 def print_failures(
-    name: str, summary: RunSummary, slices: Sequence[Slices], found: pa.Table, limit: int, search: str
+    name: str,
+    shares: Sequence[Share],
+    summary: RunSummary,
+    slices: Sequence[Slices],
+    found: pa.Table,
+    limit: int,
+    search: str,
 ) -> None:
     """Verdicts, deltas and slices of the run, then the expressions that were found."""
     console = make_console()
     cuts = [slice_table(s, intervals=False) for s in slices]
     for table in (verdict_table({name: summary}), oracle_table({name: summary}), *cuts):
+        table = with_caveats(table, {name: shares})
         console.print(Text(table.title, "bold"))
         console.print(rich_table(table))
         if table.note:
             console.print(Text(table.note, "dim"))
         console.print()
+    for share in shares:
+        console.print(Text(share.sentence, "yellow"))
     said = f"{found.num_rows} of {summary.expressions} expressions" + (f": {search}" if search else " failed")
     console.print(Text(said, "bold"))
     for row in found.slice(0, limit).to_pylist():

@@ -8,6 +8,7 @@ from typing import Any
 from rich.table import Table
 from rich.text import Text
 
+from pipeline.labels.makers import makers_of
 from pipeline.labels.reading import Labels
 from spatialviz.printing import make_console
 
@@ -53,6 +54,8 @@ def print_statistics(statistics: dict[str, Any], labels: Labels) -> None:
             f"questions; {_share(ambiguity['share'])} have several right answers"
         )
     )
+    for what, who in makers_of(labels.manifest).lines().items():
+        console.print(Text.assemble((f"{what}: ", "dim"), who))
     console.print()
     console.print(_relations(statistics))
     console.print()

@@ -19,6 +19,7 @@ from pipeline.evaluation.relation_records import read_relation_records
 from pipeline.evaluation.relation_report import BY_RELATION, MEASURES, all_systems, counted_pairs
 from pipeline.evaluation.relation_systems import RelationSpec
 from pipeline.evaluation.run import EvalSpec
+from pipeline.evaluation.shared_makers import AGREEMENT
 from pipeline.evaluation.tables import Row, markdown
 from pipeline.evaluation.whole_expression import VlmOptions
 from pipeline.labels.reading import MANIFEST_FILE, Labels, open_labels
@@ -357,7 +358,11 @@ def test_a_vision_language_model_is_asked_about_a_sample(
     assert numbers(line, MEASURES)["micro-F1"] == pytest.approx(expected)
     assert any(name.endswith("on the VLM's pairs") for name in rows_of(report, "srm"))
     assert report.tables[0].rows == again.tables[0].rows
-    assert any(w.startswith("trained: it was the labels' second opinion") for w in report.warnings)
+    # It had a vote in the labels: its rows, also on the sample, stand below the model that had none.
+    assert "the scorer was the labels' second opinion" in " ".join(report.tables[0].caveats)
+    measured_rows = [row for row in report.tables[0].rows if row.source == "measured"]
+    assert [row.shares for row in measured_rows] == ["", "", AGREEMENT, AGREEMENT]
+    assert measured_rows[0].name.startswith("VLM")
 
 
 def test_tables_and_plots_of_a_run_from_the_command_line(

@@ -16,15 +16,18 @@ from pipeline.evaluation.job import RunReport, evaluate_dataset
 from pipeline.evaluation.other_runs import other_systems
 from pipeline.evaluation.plots import PALE_TONE, _tones
 from pipeline.evaluation.run import EvalSpec
+from pipeline.evaluation.shared_makers import PERFECT, SIMULATED
 from pipeline.evaluation.whole_expression import VlmOptions
 from pipeline.jobs import open_source
 from pipeline.labels.job import label_dataset
+from pipeline.labels.makers import Makers
 from pipeline.labels.plan import SourceSpec
 from pipeline.labels.reading import open_labels
 from pipeline.proposals.recording import record_detections
 
 FRAMES = 3
 QUICK = BootstrapConfig(resamples=200)
+MAKERS = Makers(None, "", None, None, None, None)
 VLM = f"VLM {MODELS[0]}"
 
 
@@ -66,9 +69,13 @@ def test_every_detector_has_its_rows(folder: Path) -> None:
     )
     tables = {table.key: table for table in report.tables}
     names = [row.name for row in tables["grounding"].rows if row.source == "measured"]
-    detectors = ("recorded + rule", "annotations + rule", "simulated + rule")
+    # What is simulated out of the truth stands below what is not, and the truth itself below that.
+    detectors = ("recorded + rule", "simulated + rule", "annotations + rule")
     pairs = [name for d in detectors for name in (f"{d}: OPM only", d)]
-    assert names == [*pairs, "simulated, whole expression", VLM]
+    assert names == [VLM, *pairs[:4], "simulated, whole expression", *pairs[4:]]
+    assert [row.shares for row in tables["grounding"].rows if row.source == "measured"] == [
+        "", *[SIMULATED] * 5, *[PERFECT] * 2,
+    ]  # fmt: skip
     assert [row.name for row in tables["relations"].rows] == [*names, "expressions"]
     assert [row.name for row in tables["stages"].rows] == list(detectors)
     assert [row.name for row in tables["gain"].rows] == list(detectors)
@@ -95,24 +102,24 @@ def test_names_that_are_taken_are_told_apart(folder: Path) -> None:
     shutil.copytree(folder / "simulated", folder / "again", dirs_exist_ok=True)
     hashed = open_labels(folder / "labels").manifest.tables["expressions"].content_hash
     runs = [folder / "simulated", folder / "again", folder / "again", folder / "annotations"]
-    found = other_systems(runs, "simulated + rule", hashed)
+    found = other_systems(runs, "simulated + rule", hashed, MAKERS)
     assert list(found) == [
         "simulated + rule (simulated)", "simulated + rule (again)", "simulated + rule (again, 2)", "annotations + rule",
     ]  # fmt: skip
-    gain, test = relation_gain(found["simulated + rule (again)"], config=QUICK)
-    assert gain.n == test.n == found["annotations + rule"].num_rows
+    gain, test = relation_gain(found["simulated + rule (again)"].records, config=QUICK)
+    assert gain.n == test.n == found["annotations + rule"].records.num_rows
 
 
 def test_runs_that_cannot_stand_beside_are_refused(folder: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="other labels"):
-        other_systems([folder / "simulated"], "x", "0123")
+        other_systems([folder / "simulated"], "x", "0123", MAKERS)
     with pytest.raises(InputError, match="no evaluation run"):
-        other_systems([tmp_path], "x", "0123")
+        other_systems([tmp_path], "x", "0123", MAKERS)
     for text in ("", "[]", '{"name": 3}', '{"name": "x", "labels": 3}', "\udcff"):
         (tmp_path / "run.json").write_text(text, errors="surrogateescape")
         with pytest.raises(InputError, match="manifest cannot be read"):
-            other_systems([tmp_path], "x", "0123")
+            other_systems([tmp_path], "x", "0123", MAKERS)
     manifest = json.loads((folder / "simulated" / "run.json").read_text())
     (tmp_path / "run.json").write_text(json.dumps(manifest))
     with pytest.raises(InputError, match="no evaluation run"):
-        other_systems([tmp_path], "x", manifest["labels"]["content_hash"])
+        other_systems([tmp_path], "x", manifest["labels"]["content_hash"], MAKERS)

@@ -35,7 +35,11 @@ MOST_SHOWN = 12
 
 
 def draw_diagnosis(
-    summaries: Mapping[str, RunSummary], slices: Sequence[Slices], confusions: Sequence[Confusion], out: Path
+    summaries: Mapping[str, RunSummary],
+    slices: Sequence[Slices],
+    confusions: Sequence[Confusion],
+    out: Path,
+    caveats: str = "",
 ) -> list[Path]:
     """Write `verdicts.png`, `oracles.png`, `slices.png`, `confusion….png` and `diagnosis.html`.
 
@@ -48,6 +52,8 @@ def draw_diagnosis(
     confusions : sequence of Confusion
     out : Path
         A folder, made where it is missing.
+    caveats : str
+        HTML that stands above all.
     """
     from pipeline.diagnosis.plots_page import write_page
     from pipeline.labels.report.style import house_style
@@ -63,7 +69,7 @@ def draw_diagnosis(
                 _slices(first, slices, out / "slices.png"),
             ]
         written += [_confusion(c, out / f"{c.key}.png") for c in confusions]
-    written.append(write_page(summaries, slices, confusions, out / "diagnosis.html"))
+    written.append(write_page(summaries, slices, confusions, out / "diagnosis.html", caveats))
     return written
 
 

@@ -16,9 +16,13 @@ from pipeline.relations import PHRASE
 
 
 def write_page(
-    summaries: Mapping[str, RunSummary], slices: Sequence[Slices], confusions: Sequence[Confusion], path: Path
+    summaries: Mapping[str, RunSummary],
+    slices: Sequence[Slices],
+    confusions: Sequence[Confusion],
+    path: Path,
+    caveats: str = "",
 ) -> Path:
-    """Write `diagnosis.html`; every bar says the search that finds its expressions."""
+    """Write `diagnosis.html`, the `caveats` at its top; every bar says the search that finds its expressions."""
     from plotly.offline import get_plotlyjs
 
     parts = []
@@ -36,7 +40,7 @@ def write_page(
     path.write_text(
         "<!doctype html><html><head><meta charset='utf-8'><title>Diagnosis</title>"
         "<style>body{font-family:Arial,sans-serif;max-width:1100px;margin:auto}p{color:#5b6470;font-size:13px}</style>"
-        f"<script>{get_plotlyjs()}</script></head><body>{''.join(parts)}</body></html>",
+        f"<script>{get_plotlyjs()}</script></head><body>{caveats}{''.join(parts)}</body></html>",
         encoding="utf-8",
     )
     return path

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +11,8 @@ from pipeline.diagnosis.confusion import RELATION_RECORDS, Confusion, answer_con
 from pipeline.diagnosis.slices import DIMENSIONS, Slices, slice_by, slice_table
 from pipeline.diagnosis.summary import RunSummary, has_verdicts, oracle_table, summarise_run, verdict_table
 from pipeline.evaluation.intervals import BootstrapConfig
-from pipeline.evaluation.tables import Table, as_csv, markdown
+from pipeline.evaluation.shared_makers import Share, with_caveats
+from pipeline.evaluation.tables import NOTHING_SHARED, Table, as_csv, caveats_html, markdown
 from pipeline.labels.reading import Labels
 from pipeline.staging import write_json
 
@@ -35,16 +36,22 @@ class RunDiagnosis:
         By every dimension that the runs have.
     confusions : tuple of Confusion
         That of the answers first, then of each network.
+    shares : mapping of str to sequence of Share
+        What systems have in common with what made the labels.
     """
 
     summaries: dict[str, RunSummary]
     slices: tuple[Slices, ...]
     confusions: tuple[Confusion, ...]
+    shares: Mapping[str, Sequence[Share]] = field(default_factory=dict)
 
     @property
     def tables(self) -> list[Table]:
         """Verdicts and oracles, where there are verdicts."""
-        return [verdict_table(self.summaries), oracle_table(self.summaries)] if self.summaries else []
+        return self._said([verdict_table(self.summaries), oracle_table(self.summaries)] if self.summaries else [])
+
+    def _said(self, tables: Sequence[Table]) -> list[Table]:
+        return [with_caveats(table, {name: self.shares.get(name, ()) for name in self.summaries}) for table in tables]
 
     def record(self) -> dict[str, Any]:
         """As JSON: `diagnosis.json`."""
@@ -57,7 +64,7 @@ class RunDiagnosis:
     def write(self, folder: Path, plots: bool = True) -> None:
         """Write `diagnosis.json`, `slices.md` and tables into a run's folder; with `plots` also pictures and a page."""
         write_json(folder / DIAGNOSIS_FILE, self.record())
-        tables = [*map(slice_table, self.slices), *(c.table() for c in self.confusions)]
+        tables = self._said([*map(slice_table, self.slices), *(c.table() for c in self.confusions)])
         (folder / "slices.md").write_text(markdown(tables), encoding="utf-8")
         (folder / "tables").mkdir(exist_ok=True)
         for table in tables:
@@ -65,7 +72,7 @@ class RunDiagnosis:
         if plots:
             from pipeline.diagnosis.plots import draw_diagnosis
 
-            draw_diagnosis(self.summaries, self.slices, self.confusions, folder / "plots")
+            draw_diagnosis(self.summaries, self.slices, self.confusions, folder / "plots", caveats_html(self.tables))
 
 
 def diagnose_run(
@@ -73,6 +80,7 @@ def diagnose_run(
     labels: Labels | None = None,
     folder: Path | None = None,
     config: BootstrapConfig | None = None,
+    shares: Mapping[str, Sequence[Share]] = NOTHING_SHARED,
 ) -> RunDiagnosis:
     """Summaries, slices and confusions of runs; the first is the run itself.
 
@@ -85,6 +93,8 @@ def diagnose_run(
     folder : Path, optional
         Of the first run: `relation_records.parquet` there tells what the networks take for what.
     config : BootstrapConfig, optional
+    shares : mapping of str to sequence of Share
+        As `RunDiagnosis.shares`.
     """
     first = next(iter(systems.values()))
     confusions = [] if labels is None else [answer_confusion(first, labels)]
@@ -92,4 +102,5 @@ def diagnose_run(
         confusions += network_confusion(folder / RELATION_RECORDS)
     summaries = {name: summarise_run(r, config) for name, r in systems.items() if has_verdicts(r)}
     cuts = [d for d in DIMENSIONS.values() if all(not d.column or d.column in r.column_names for r in systems.values())]
-    return RunDiagnosis(summaries, tuple(slice_by(systems, d, config, most=MOST) for d in cuts), tuple(confusions))
+    slices = tuple(slice_by(systems, d, config, most=MOST) for d in cuts)
+    return RunDiagnosis(summaries, slices, tuple(confusions), shares)

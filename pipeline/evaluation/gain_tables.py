@@ -11,7 +11,7 @@ from pipeline.evaluation.grounding_tables import clusters_of, column, has_opm
 from pipeline.evaluation.intervals import BootstrapConfig, Estimate, mean_estimate
 from pipeline.evaluation.records import HIT
 from pipeline.evaluation.significance import McNemar, mcnemar
-from pipeline.evaluation.tables import Row, Table
+from pipeline.evaluation.tables import NOTHING_SHARED, Row, Table, in_blocks
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -33,21 +33,24 @@ def relation_gain(
     return difference, mcnemar(own, alone)
 
 
-def gain_table(systems: Mapping[str, pa.Table], config: BootstrapConfig | None = None) -> Table | None:
-    """The gain of every system that has both; None where none has."""
+def gain_table(
+    systems: Mapping[str, pa.Table], config: BootstrapConfig | None = None, shares: Mapping[str, str] = NOTHING_SHARED
+) -> Table | None:
+    """The gain of every system that has both; None where none has. `shares` as in `systems_table`."""
     rows = []
     for name, records in systems.items():
         if has_opm(records):
             found = [relation_gain(records, overlap, config) for overlap in ACCURACIES.values()]
             test = found[0][1]
-            rows.append(Row(name, (*(d for d, _ in found), test.b, test.c, f"{test.p_value:.2g}", test.n)))
+            cells = (*(d for d, _ in found), test.b, test.c, f"{test.p_value:.2g}", test.n)
+            rows.append(Row(name, cells, shares=shares.get(name, "")))
     if not rows:
         return None
     return Table(
         "gain",
         "What the relation adds to OPM only",
         COLUMNS,
-        tuple(rows),
+        in_blocks(rows, shares.values()),
         "Points of accuracy, paired, with 95 % bootstrap intervals as above; right only with the relation, right only "
         "by the detector's best target, and McNemar's exact test are of the single truth.",
     )

@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.evaluation.intervals import BootstrapConfig, Estimate, mean_estimate
 from pipeline.evaluation.records import HIT
-from pipeline.evaluation.tables import Row, Table
+from pipeline.evaluation.tables import NOTHING_SHARED, Row, Table, in_blocks
 from pipeline.relations import PAIRWISE, PHRASE
 
 if TYPE_CHECKING:
@@ -64,21 +64,23 @@ def opm_row(name: str, records: pa.Table, config: BootstrapConfig | None = None)
     return Row(name, (*found, *means, None, None, records.num_rows))
 
 
-def systems_table(systems: Sequence[Row], unit: str) -> Table:
-    """The systems of the paper as rows."""
+def systems_table(systems: Sequence[Row], unit: str, shares: Mapping[str, str] = NOTHING_SHARED) -> Table:
+    """The systems of the paper as rows; `shares` as `Row.shares`, by system, its values in the order of the blocks."""
     return Table(
         "grounding",
         "Grounding",
         MEASURES,
-        tuple(systems),
+        in_blocks(systems, shares.values()),
         "Percent. Single truth: IoU of at least 0.5 with the labelled target; set: with any target that the "
         "expression is true of (strict), or may be true of (set-valued). Reference and pair: the answer's reference, "
         f"and both, are acceptable ones. Brackets: 95 % bootstrap intervals over {unit}s.",
     )
 
 
-def relation_table(systems: Mapping[str, pa.Table], config: BootstrapConfig | None = None) -> Table:
-    """Set-valued accuracy of each system by relation."""
+def relation_table(
+    systems: Mapping[str, pa.Table], config: BootstrapConfig | None = None, shares: Mapping[str, str] = NOTHING_SHARED
+) -> Table:
+    """Set-valued accuracy of each system by relation; `shares` as in `systems_table`."""
     first = next(iter(systems.values()))
     present = set(first.column("relation").to_pylist())
     relations = [r for r in PAIRWISE if r in present]
@@ -96,19 +98,19 @@ def relation_table(systems: Mapping[str, pa.Table], config: BootstrapConfig | No
             for r in relations:
                 own = relation == r
                 cells.append(mean_estimate(right[own], clusters[own], config=config))
-            rows.append(Row(label, tuple(cells)))
+            rows.append(Row(label, tuple(cells), shares=shares.get(name, "")))
     counts = tuple(int((np.array(first.column("relation").to_pylist(), object) == r).sum()) for r in relations)
     return Table(
         "relations",
         "Grounding by relation",
         tuple(PHRASE[r] for r in relations),
-        (*rows, Row("expressions", counts)),
+        (*in_blocks(rows, shares.values()), Row("expressions", counts)),
         "Percent, set-valued accuracy with 95 % intervals.",
     )
 
 
-def stages_table(systems: Mapping[str, pa.Table]) -> Table:
-    """How many expressions get how far: what the next stage still could get right."""
+def stages_table(systems: Mapping[str, pa.Table], shares: Mapping[str, str] = NOTHING_SHARED) -> Table:
+    """How many expressions get how far: what the next stage still could get right; `shares` as in `systems_table`."""
     rows = []
     for name, records in systems.items():
         if not has_opm(records):
@@ -122,12 +124,12 @@ def stages_table(systems: Mapping[str, pa.Table]) -> Table:
             float(np.mean(column(records, "pair_covered"))),
             float(np.mean(column(records, "set_correct"))),
         )
-        rows.append(Row(name, cells))
+        rows.append(Row(name, cells, shares=shares.get(name, "")))
     return Table(
         "stages",
         "How far expressions get",
         ("read rightly", "target found", "and a reference", "as an acceptable pair", "answered rightly"),
-        tuple(rows),
+        in_blocks(rows, shares.values()),
         "Percent of all expressions; found: a candidate overlaps an acceptable object by at least 0.5.",
     )
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from pathlib import Path
@@ -36,7 +36,9 @@ from pipeline.evaluation.relation_job import measure_relations, relation_sink
 from pipeline.evaluation.reported import reported_rows
 from pipeline.evaluation.run import EvalSpec, Progress, evaluate_labels, write_records
 from pipeline.evaluation.run_folder import RUN_FILE, spec_record
-from pipeline.evaluation.tables import Table, as_csv, latex, markdown
+from pipeline.evaluation.shared_makers import Share, measured_of, rank, shared_makers, title_of, with_caveats
+from pipeline.evaluation.tables import NOTHING_SHARED, Table, as_csv, latex, markdown
+from pipeline.labels.makers import makers_of
 from pipeline.labels.merge import environment
 from pipeline.labels.profiles import canonical_hash
 from pipeline.staging import staged_folder, write_json
@@ -60,6 +62,8 @@ class RunReport:
         On which relations were measured alone.
     warnings : tuple of str
         Why figures say less than they seem to.
+    shares : tuple of Share
+        What answers have in common with what made the labels.
     """
 
     folder: Path
@@ -69,6 +73,7 @@ class RunReport:
     comparison: Comparison | None
     pairs: int = 0
     warnings: tuple[str, ...] = ()
+    shares: tuple[Share, ...] = ()
 
 
 def evaluate_dataset(
@@ -134,7 +139,11 @@ def evaluate_dataset(
             "vlm": f"VLM {spec.vlm.model}" if spec.vlm else "VLM",
         }[spec.system]
     asked = labels.manifest.tables["expressions"].content_hash
-    rows_of_others = other_systems(others, name, asked)
+    makers = makers_of(labels.manifest)
+    measured = measured_of(source, labels, spec.system) if spec.grounding else None
+    own = () if measured is None else shared_makers(makers, measured)
+    of_others = other_systems(others, name, asked, makers)
+    shares = {name: own, **{n: other.shares for n, other in of_others.items()}}
     with staged_folder(out, overwrite=overwrite, mark=RUN_FILE) as folder:
         with relation_sink(spec, labels, folder) as sink:
             count = write_records(
@@ -142,13 +151,13 @@ def evaluate_dataset(
             )
         evaluated = perf_counter() - start
         records = read_records(folder)
-        systems = {name: records, **rows_of_others}
-        tables = make_tables(systems, bootstrap) if spec.grounding else []
+        systems = {name: records, **{n: other.records for n, other in of_others.items()}}
+        tables = make_tables(systems, bootstrap, shares) if spec.grounding else []
         relations = None if sink is None else measure_relations(spec, source, labels, folder, bootstrap)
         tables += [] if relations is None else relations.tables
         # After the relations' records, of which it makes confusion matrices.
         diagnosed = spec.grounding and spec.verdicts and spec.system == "pipeline"
-        diagnosis = diagnose_run(systems, labels, folder, bootstrap) if diagnosed else None
+        diagnosis = diagnose_run(systems, labels, folder, bootstrap, shares) if diagnosed else None
         tables += [] if diagnosis is None else diagnosis.tables
         (folder / "tables.md").write_text(markdown(tables), encoding="utf-8")
         (folder / "tables.tex").write_text(latex(tables), encoding="utf-8")
@@ -165,7 +174,7 @@ def evaluate_dataset(
             if spec.grounding:
                 draw(systems, tables, folder / "plots")
             if relations is not None:
-                draw_relations(relations.figures, folder / "plots")
+                draw_relations(relations.figures, relations.tables, folder / "plots")
         if diagnosis is not None:
             diagnosis.write(folder, plots)
         warnings = calibration_warnings(source, labels, records) if spec.grounding else ()
@@ -193,6 +202,9 @@ def evaluate_dataset(
                 "config_hash": canonical_hash(plain),
                 "expressions": count,
                 "warnings": list(warnings),
+                "makers": makers.record(),
+                "measured": None if measured is None else measured.record(),
+                "shares": [share.record() for share in own],
                 "clusters": clusters_of(records)[1] if spec.grounding else None,
                 "relations": None if relations is None else relations.record,
                 "seconds": {"evaluating": round(evaluated, 2), "in_all": round(perf_counter() - start, 2)},
@@ -203,20 +215,36 @@ def evaluate_dataset(
         if not spec.grounding:
             (folder / "records.parquet").unlink()
     pairs = 0 if relations is None else relations.pairs
-    return RunReport(out, tuple(tables), count, perf_counter() - start, comparison, pairs, warnings)
+    return RunReport(out, tuple(tables), count, perf_counter() - start, comparison, pairs, warnings, own)
 
 
-def make_tables(systems: dict[str, pa.Table], bootstrap: BootstrapConfig | None = None) -> list[Table]:
-    """All tables of a run; the first system is the run itself."""
+def make_tables(
+    systems: dict[str, pa.Table],
+    bootstrap: BootstrapConfig | None = None,
+    shares: Mapping[str, Sequence[Share]] = NOTHING_SHARED,
+) -> list[Table]:
+    """All tables of a run; the first system is the run itself.
+
+    What systems share with what made the labels is said, and rows that are agreement stand below those that are not.
+    """
     first = next(iter(systems.values()))
+    shares = {name: shares.get(name, ()) for name in systems}
+    titles = dict(sorted(((name, title_of(found)) for name, found in shares.items()), key=lambda t: rank(t[1])))
     rows = []
     for name, records in systems.items():
+        found = []
         if has_opm(records):
-            rows.append(opm_row(f"{name}{OPM_ONLY}", records, bootstrap))
+            found.append(opm_row(f"{name}{OPM_ONLY}", records, bootstrap))
         if is_calibrated(records):
-            rows.append(full_row(f"{name}, raw scores", raw_records(records), bootstrap))
-        rows.append(full_row(name, records, bootstrap))
+            found.append(full_row(f"{name}, raw scores", raw_records(records), bootstrap))
+        found.append(full_row(name, records, bootstrap))
+        rows += [replace(row, shares=titles[name]) for row in found]
     unit = clusters_of(first)[1]
-    tables = [systems_table([*rows, *reported_rows()], unit), relation_table(systems, bootstrap), stages_table(systems)]
-    more = (gain_table(systems, bootstrap), calibration_table(systems, bootstrap))
-    return [*tables, *(table for table in more if table is not None)]
+    tables = [
+        systems_table([*rows, *reported_rows()], unit, titles),
+        relation_table(systems, bootstrap, titles),
+        stages_table(systems, titles),
+        gain_table(systems, bootstrap, titles),
+        calibration_table(systems, bootstrap),
+    ]
+    return [with_caveats(table, shares) for table in tables if table is not None]

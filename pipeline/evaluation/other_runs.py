@@ -4,19 +4,37 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pipeline.errors import InputError
 from pipeline.evaluation.compare import read_records
 from pipeline.evaluation.run_folder import RUN_FILE
+from pipeline.evaluation.shared_makers import Share, measured_of_run, shared_makers
+from pipeline.labels.makers import Makers
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
 
-def other_systems(runs: Sequence[Path], name: str, content_hash: str) -> dict[str, pa.Table]:
-    """The records of other runs by the names of their systems.
+@dataclass(frozen=True)
+class OtherSystem:
+    """The system of another run.
+
+    Attributes
+    ----------
+    records : pyarrow.Table
+    shares : tuple of Share
+        What it has in common with what made the labels.
+    """
+
+    records: pa.Table
+    shares: tuple[Share, ...]
+
+
+def other_systems(runs: Sequence[Path], name: str, content_hash: str, makers: Makers) -> dict[str, OtherSystem]:
+    """The systems of other runs by their names.
 
     A name that is taken is told apart by its run's folder, and by a number where that is not enough.
 
@@ -27,13 +45,15 @@ def other_systems(runs: Sequence[Path], name: str, content_hash: str) -> dict[st
         Of the run that they stand beside.
     content_hash : str
         Of the expressions that were asked.
+    makers : Makers
+        Of the labels.
 
     Raises
     ------
     InputError
         There is no run, or it is of other labels.
     """
-    found: dict[str, pa.Table] = {}
+    found: dict[str, OtherSystem] = {}
     taken = {name}
     for run in map(Path, runs):
         manifest = _manifest(run)
@@ -48,7 +68,7 @@ def other_systems(runs: Sequence[Path], name: str, content_hash: str) -> dict[st
         choices += [f"{own} ({run.resolve().name}, {k})" for k in range(2, len(runs) + 2)]
         own = next(n for n in choices if n not in taken)
         taken.add(own)
-        found[own] = read_records(run)
+        found[own] = OtherSystem(read_records(run), shared_makers(makers, measured_of_run(manifest)))
     return found
 
 

@@ -12,7 +12,7 @@ from pipeline.errors import MissingExtra
 from pipeline.evaluation.calibration_plots import draw_reliability, reliability_figures, score_diagrams
 from pipeline.evaluation.grounding_tables import OPM_ONLY, column, has_opm
 from pipeline.evaluation.intervals import Estimate
-from pipeline.evaluation.tables import Table
+from pipeline.evaluation.tables import Table, caveats_html
 from pipeline.labels.report.style import house_style, need_matplotlib
 
 if TYPE_CHECKING:
@@ -63,7 +63,7 @@ def draw(systems: Mapping[str, pa.Table], tables: Sequence[Table], out: Path) ->
     diagrams = score_diagrams(systems)
     if diagrams:
         written.append(draw_reliability(diagrams, out / "calibration.png"))
-    written.append(_page(bars, sweeps, rivals, reliability_figures(diagrams), out / "plots.html"))
+    written.append(_page(bars, sweeps, rivals, reliability_figures(diagrams), caveats_html(tables), out / "plots.html"))
     return written
 
 
@@ -157,7 +157,12 @@ def _draw_lines(curves: Mapping[str, Lines], title: str, x_label: str, y_label: 
 
 
 def _page(
-    bars: Bars, sweeps: Mapping[str, Lines], rivals: Mapping[str, Lines], more: Sequence[Any], path: Path
+    bars: Bars,
+    sweeps: Mapping[str, Lines],
+    rivals: Mapping[str, Lines],
+    more: Sequence[Any],
+    caveats: str,
+    path: Path,
 ) -> Path:
     """One page that needs no network: the library stands in it."""
     import plotly.graph_objects as go
@@ -195,7 +200,7 @@ def _page(
         parts.append(figure.to_html(full_html=False, include_plotlyjs=False))
     path.write_text(
         "<!doctype html><html><head><meta charset='utf-8'><title>Evaluation</title>"
-        f"<script>{get_plotlyjs()}</script></head><body>{''.join(parts)}</body></html>",
+        f"<script>{get_plotlyjs()}</script></head><body>{caveats}{''.join(parts)}</body></html>",
         encoding="utf-8",
     )
     return path

@@ -33,8 +33,10 @@ from pipeline.evaluation.relation_systems import RelationSystem, geometry_of_lab
 from pipeline.evaluation.relation_vlm import FILE as VLM_FILE
 from pipeline.evaluation.relation_vlm import ask_relations, sample_pairs
 from pipeline.evaluation.run import EvalSpec
+from pipeline.evaluation.shared_makers import Share, relation_share
 from pipeline.evaluation.tables import Table
 from pipeline.jobs import Source
+from pipeline.labels.makers import makers_of
 from pipeline.labels.reading import Labels
 
 
@@ -52,6 +54,8 @@ class RelationRun:
         For the manifest.
     pairs : int
         That were measured.
+    shares : dict of str to Share
+        What scorers have in common with what made the labels, by their titles.
     """
 
     figures: tuple[SystemFigures, ...]
@@ -59,6 +63,7 @@ class RelationRun:
     warnings: tuple[str, ...]
     record: dict[str, Any]
     pairs: int
+    shares: dict[str, Share]
 
 
 @contextmanager
@@ -97,6 +102,8 @@ def measure_relations(
             path=labels.root,
         )
     warnings = leak_warnings(records, systems, labels, held_out)
+    makers = makers_of(labels.manifest)
+    shares = {s.title: share for s in systems if (share := relation_share(makers, s)) is not None}
     figures = all_systems(records, held_out=held_out, config=bootstrap)
     clusters, unit = records.clusters(counted)
     geometry = geometry_of_labels(how, labels)
@@ -111,6 +118,8 @@ def measure_relations(
         same = replace(
             first, title=f"{first.title}, on the VLM's pairs", p=first.p[rows], part=first.part[rows]
         )
+        if first.title in shares:
+            shares[same.title] = shares[first.title]
         for system in (same, found.system):
             truth = records.truth(system.relations)[rows]
             figures.append(
@@ -124,7 +133,7 @@ def measure_relations(
         asked = {"pairs": len(rows), "answers": int(found.system.p.size), "unknown": found.unknown,
                  "requests": found.requests}  # fmt: skip
     notes += [f"Warning: {warning}." for warning in warnings]
-    tables = relation_tables(figures, always_no(records, held_out=held_out), unit, notes)
+    tables = relation_tables(figures, always_no(records, held_out=held_out), unit, notes, shares)
     record = {
         **asdict(how),
         "geometry": geometry,
@@ -134,8 +143,9 @@ def measure_relations(
         "systems": [_system_record(s) for s in systems],
         "vlm": asked,
         "warnings": warnings,
+        "shares": {title: share.record() for title, share in shares.items()},
     }
-    return RelationRun(tuple(figures), tuple(tables), tuple(warnings), record, int(counted.sum()))
+    return RelationRun(tuple(figures), tuple(tables), tuple(warnings), record, int(counted.sum()), shares)
 
 
 def _said(records: RelationRecords, counted: np.ndarray, geometry: str, held_out: bool) -> str:

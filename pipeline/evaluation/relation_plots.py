@@ -10,19 +10,23 @@ import numpy as np
 
 from pipeline.evaluation.plots import TONES
 from pipeline.evaluation.relation_report import SystemFigures
+from pipeline.evaluation.tables import Table, caveats_html
 from pipeline.labels.report.style import house_style
 from pipeline.relations import PAIRWISE, PHRASE
 
 DIAGONAL = "#b4bdca"
 
 
-def draw_relations(figures: Sequence[SystemFigures], out: Path) -> list[Path]:
-    """Write `srm_reliability.png`, `srm_relations.png` and `srm.html` into a folder, which is made if it is missing."""
+def draw_relations(figures: Sequence[SystemFigures], tables: Sequence[Table], out: Path) -> list[Path]:
+    """Write `srm_reliability.png`, `srm_relations.png` and `srm.html` into a folder, which is made if it is missing.
+
+    What the tables of the same figures warn of stands on the page too.
+    """
     out.mkdir(parents=True, exist_ok=True)
     return [
         _draw_reliability(figures, out / "srm_reliability.png"),
         _draw_bars(figures, out / "srm_relations.png"),
-        _page(figures, out / "srm.html"),
+        _page(figures, caveats_html(tables), out / "srm.html"),
     ]
 
 
@@ -99,7 +103,7 @@ def _draw_bars(figures: Sequence[SystemFigures], path: Path) -> Path:
     return path
 
 
-def _page(figures: Sequence[SystemFigures], path: Path) -> Path:
+def _page(figures: Sequence[SystemFigures], caveats: str, path: Path) -> Path:
     """One page that needs no network: the library stands in it."""
     import plotly.graph_objects as go
     from plotly.offline import get_plotlyjs
@@ -132,7 +136,7 @@ def _page(figures: Sequence[SystemFigures], path: Path) -> Path:
         parts.append(figure.to_html(full_html=False, include_plotlyjs=False))
     path.write_text(
         "<!doctype html><html><head><meta charset='utf-8'><title>Relations alone</title>"
-        f"<script>{get_plotlyjs()}</script></head><body>{''.join(parts)}</body></html>",
+        f"<script>{get_plotlyjs()}</script></head><body>{caveats}{''.join(parts)}</body></html>",
         encoding="utf-8",
     )
     return path

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -20,10 +20,10 @@ from pipeline.evaluation.relation_metrics import (
 from pipeline.evaluation.relation_records import RelationRecords, SystemRecords
 from pipeline.evaluation.relation_systems import RelationSystem
 from pipeline.evaluation.reported import reported_rows
+from pipeline.evaluation.shared_makers import Share, with_caveats
 from pipeline.evaluation.single_label_metrics import true_ranks
-from pipeline.evaluation.tables import Cell, Row, Table
+from pipeline.evaluation.tables import NOTHING_SHARED, Cell, Row, Table, in_blocks
 from pipeline.relations import PHRASE, T
-from pipeline.srm import TRAINED
 from pipeline.srm.splits import DROPPED, TRAIN, VALIDATION
 
 if TYPE_CHECKING:
@@ -166,26 +166,31 @@ def _rest(
     )  # fmt: skip
 
 
-def system_row(found: SystemFigures) -> Row:
-    """A scorer's line of the table of scorers."""
+def system_row(found: SystemFigures, shares: str = "") -> Row:
+    """A scorer's line of the table of scorers; `shares` as `Row.shares`."""
     e = found.estimates
     cells = (e.micro_f1, e.macro_f1, e.element_accuracy)
-    return Row(found.title, (*cells, *_rest(found.metrics, found.calibration, found.top1, found.top2)))
+    rest = _rest(found.metrics, found.calibration, found.top1, found.top2)
+    return Row(found.title, (*cells, *rest), shares=shares)
 
 
-def relation_rows(found: SystemFigures) -> list[Row]:
-    """A scorer's lines of the table by relation."""
+def relation_rows(found: SystemFigures, shares: str = "") -> list[Row]:
+    """A scorer's lines of the table by relation; `shares` as `Row.shares`."""
     m, e = found.metrics, found.estimates
     rows = []
     for k, relation in enumerate(m.relations):
-        shares = (e.precision[k], e.recall[k], e.f1[k], float(found.tuned[k]), float(m.average_precision[k]))
-        cells = (*shares, int(m.positives[k]), int(m.doubtful[k]))
-        rows.append(Row(f"{found.title}: {PHRASE[relation]}", cells))
+        figures = (e.precision[k], e.recall[k], e.f1[k], float(found.tuned[k]), float(m.average_precision[k]))
+        cells = (*figures, int(m.positives[k]), int(m.doubtful[k]))
+        rows.append(Row(f"{found.title}: {PHRASE[relation]}", cells, shares=shares))
     return rows
 
 
 def relation_tables(
-    figures: Sequence[SystemFigures], no_rows: Sequence[Row], unit: str, notes: Sequence[str] = ()
+    figures: Sequence[SystemFigures],
+    no_rows: Sequence[Row],
+    unit: str,
+    notes: Sequence[str] = (),
+    shares: Mapping[str, Share] = NOTHING_SHARED,
 ) -> list[Table]:
     """The table of relation scorers, and the one by relation.
 
@@ -198,15 +203,18 @@ def relation_tables(
         What the intervals are drawn over, "scene" or "frame".
     notes : sequence of str
         What else a reader must know: of what pairs, and what was learnt from them.
+    shares : mapping of str to Share
+        What scorers have in common with what made the labels, by their titles.
     """
     said = " ".join(notes)
-    rows = (*map(system_row, figures), *no_rows, *reported_rows("srm", MEASURES))
-    return [
+    titles = {f.title: shares[f.title].title if f.title in shares else "" for f in figures}
+    rows = (*(system_row(f, titles[f.title]) for f in figures), *no_rows, *reported_rows("srm", MEASURES))
+    tables = [
         Table(
             "srm",
             "Relations alone",
             MEASURES,
-            rows,
+            in_blocks(rows),
             "Percent; Brier score and ECE times 100. A relation is said to hold above 0.5. Each scorer is measured on "
             "the relations that it judges and that were labelled: only rows with the same relations can be compared, "
             "and beside each stands what always saying no gets. U cells count neither way. Top-1 and Top-2: of the "
@@ -217,11 +225,13 @@ def relation_tables(
             "srm_relations",
             "Relations alone, one by one",
             BY_RELATION,
-            tuple(row for found in figures for row in relation_rows(found)),
+            in_blocks(row for found in figures for row in relation_rows(found, titles[found.title])),
             "Percent. Tuned threshold: the best one on the network's own validation frames, F1 on the pairs of frames "
             "that it has never seen. Pairs and warnings as above.",
         ),
     ]
+    found = {f.title: (shares[f.title],) if f.title in shares else () for f in figures}
+    return [with_caveats(table, found) for table in tables]
 
 
 def leak_warnings(
@@ -245,12 +255,6 @@ def leak_warnings(
             found.setdefault(text + ("; hence no Top-1" if system.prior else ""), []).append(system.name)
         if not system.recorded:
             text = "the file does not say what it was trained on, so these pairs may be among it"
-            found.setdefault(text, []).append(system.name)
-        if system.name == TRAINED == labels.manifest.config.get("second_opinion"):
-            text = (
-                "it was the labels' second opinion, so that cells on which it and the rule differ became U and do not "
-                "count: near 100 by construction; label with --second-opinion none to measure it"
-            )
             found.setdefault(text, []).append(system.name)
         learnt = system.trained_on
         if learnt is None or not learnt.same_dataset(labels):

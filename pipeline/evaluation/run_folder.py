@@ -16,6 +16,7 @@ from pipeline.ask import AskConfig
 from pipeline.demo import DEMO_NAME
 from pipeline.errors import InputError
 from pipeline.evaluation.run import EvalSpec
+from pipeline.evaluation.shared_makers import Share, shares_of_run
 from pipeline.jobs import Source, open_source
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.proposals.model_files import parse_hub_id
@@ -70,6 +71,11 @@ class Run:
     def source(self) -> Source:
         """The dataset with the run's models; raises as `open_source`."""
         return open_source(self.spec.dataset, **self.spec.options)
+
+    @cached_property
+    def shares(self) -> tuple[Share, ...]:
+        """What its answers share with what made the labels: what its figures can show and cannot."""
+        return shares_of_run(self.manifest, self.spec.labels)
 
     @cached_property
     def labels(self) -> Labels:

@@ -10,7 +10,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from pipeline.datasets import Dataset
-from pipeline.journal.cells import Cell
+from pipeline.journal.cells import Cell, judged_item
 from pipeline.journal.effective_expressions import Withdrawn
 from pipeline.journal.effective_frame import EffectiveFrame, effective_frame
 from pipeline.journal.events import Event
@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 
 
 _NAMED = ("table", "frame", "key", "column")
+_KEYS = {"objects": ("object",), "relations": ("a", "b"), "expressions": ("id",)}
+DECIDED = ("accepted", "corrected")
+"""Statuses that say of a label that it is right as it is; a judgement that would correct it leaves it as it was."""
 FRAMES_KEPT = 8
 """Effective frames that a corrector keeps: the one that is looked at, and those next in a queue."""
 GEOMETRY = ("bbox", "mask", "center")
@@ -155,6 +158,30 @@ class EffectiveLabels:
             "withdrawn": len(self.withdrawn),
             "marks": len(self.marks),
         }
+
+    @cached_property
+    def decided(self) -> dict[str, tuple[int, int]]:
+        """How much people decided (set, accepted, judged), and of how much: objects, relations of pairs, sentences."""
+        by_table: dict[str, set[tuple[str, str, str]]] = {table: set() for table in _KEYS}
+        entries = zip(*(self.provenance.column(n).to_pylist() for n in (*_NAMED, "origin")), strict=True)
+        for table, frame, key, column, origin in entries:
+            # What is said of a label is no value of it.
+            if origin == "human" and table in by_table and column.rpartition(".")[2] not in ("status", "mark", "note"):
+                by_table[table].add((frame, key, column if table == "relations" else ""))
+        for cell, value in self.statuses.items():
+            if cell.kind in ("object", "relation", "expression") and value in DECIDED:
+                by_table[f"{cell.kind}s"].add((cell.frame, cell.key, cell.field.removesuffix("status").rstrip(".")))
+            elif cell.kind == "review" and cell.field == "said" and value["status"] == "accepted":
+                _, kind, a, b, what = judged_item(cell.key)
+                key = what if kind == "expression" else f"{a}" if b is None else f"{a},{b}"
+                by_table[f"{kind}s"].add((cell.frame, key, what if kind == "relation" else ""))
+        counted = {}
+        for table, found in by_table.items():
+            columns = (self.tables[table].column(n).to_pylist() for n in ("frame", *_KEYS[table]))
+            there = {(frame, ",".join(map(str, key))) for frame, *key in zip(*columns, strict=True)}
+            cells = len(self.relation_names) if table == "relations" else 1
+            counted[table] = (sum((frame, key) in there for frame, key, _ in found), len(there) * cells)
+        return counted
 
 
 def effective_tables(

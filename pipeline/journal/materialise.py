@@ -18,6 +18,7 @@ from pipeline.journal.records import who_and_what
 from pipeline.journal.replay import Unapplied
 from pipeline.labels.card import croissant, dataset_card
 from pipeline.labels.corrections import MARKS_FILE, PROVENANCE_FILE, STATUSES_FILE
+from pipeline.labels.makers import makers_of
 from pipeline.labels.merge import CARD_FILE, CROISSANT_FILE, environment, write_merged
 from pipeline.labels.reading import MANIFEST_FILE, Labels
 from pipeline.labels.schema import SCHEMA_VERSION, TABLES, Manifest
@@ -110,9 +111,11 @@ def _write(found: EffectiveLabels, journal: Journal, folder: Path) -> Manifest:
                 "relifted": found.relifted,
                 "automatic": labels_version(was),
                 **found.counts,
+                "decided": {what: list(counts) for what, counts in found.decided.items()},
             },
         }
     )
+    manifest.makers = makers_of(manifest).record()
     after = Labels(folder, manifest)
     write_synced(folder / CARD_FILE, dataset_card(after).encode())
     write_synced(folder / CROISSANT_FILE, json.dumps(croissant(after), indent=1, ensure_ascii=False).encode())

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import PurePosixPath
 from typing import TYPE_CHECKING, Any
 
+from pipeline.labels.makers import makers_of
 from pipeline.labels.reading import Labels
 from pipeline.labels.schema import SCHEMA_VERSION, TABLES, Manifest
 from pipeline.labels.tables import arrow_schema
@@ -180,15 +181,15 @@ def _page(labels: Labels, counts: Counts, name: str, licence: str) -> Iterator[s
         f"relations, and {total['expressions']} referring expressions. {_checked(manifest)}"
     )
     yield "\n## How they were made\n"
-    models = "; ".join(f"{role}: {_plain(what)}" for role, what in sorted(manifest.models.items())) or "none"
     yield f"* Tool: {manifest.tool} {manifest.version}, schema {manifest.schema_version}, {manifest.created}."
-    yield f"* Source: `{_plain(name)}`, format {_plain(str(manifest.dataset.get('format')))}. Models: {models}."
+    yield f"* Source: `{_plain(name)}`, format {_plain(str(manifest.dataset.get('format')))}."
     yield (
         "* Each object's mask and depth give its points; stray pixels are removed and an oriented box is fitted. "
         f"The rule profile `{manifest.profile.get('name')}` judges every ordered pair from extents along the viewer's "
         "level right, up and forward: T (1) it holds, F (-1) it does not, U (0) too close to call."
     )
     yield f"* Profile hash `{manifest.profile_hash}`."
+    yield from (f"* {what.capitalize()}: {_plain(who)}." for what, who in makers_of(manifest).lines().items())
     yield f"* Configuration hash `{manifest.config_hash}`, seed {manifest.seed}."
     yield "\n## What is in them\n"
     yield f"* Objects that are asked for: {counts.usable} of {total['objects']}; with a 3D box: {counts.boxed}."
@@ -211,7 +212,8 @@ def _page(labels: Labels, counts: Counts, name: str, licence: str) -> Iterator[s
     yield "* Boxes are fitted to what one camera sees: an occluded or cut-off object is larger than its box."
     yield "* Errors of masks, class names and depth go into the labels; `occluded`, `kept`, `depth_missing` and "
     yield "  `touches_border` say where to expect them. `up_source` says how gravity was known."
-    yield "* Numbers from these labels compare models against rules, not against people."
+    yield "* Numbers from these labels compare models against rules, not against people. Who shares a maker with them"
+    yield "  (the detector, the rule, the second opinion) is measured by its own work: that is agreement, not accuracy."
     yield "\n## Licence\n"
     yield f"Of the source dataset: {_plain(licence)}. The labels are derived from it."
 

@@ -19,6 +19,7 @@ from pipeline import __version__
 from pipeline.errors import InputError
 from pipeline.labels.card import croissant, dataset_card
 from pipeline.labels.config import SelectConfig, TextStyle
+from pipeline.labels.makers import makers_of
 from pipeline.labels.plan import PLAN_FILE, Plan, Shard, load_plan
 from pipeline.labels.reading import MANIFEST_FILE, Labels
 from pipeline.labels.schema import SCHEMA_VERSION, Manifest, TableFile
@@ -145,6 +146,7 @@ def _write_all(out: Path, plan: Plan, store: Store, selection: SelectConfig) -> 
         environment=environment(),
         created=datetime.now(timezone.utc).isoformat(timespec="seconds"),
     )
+    manifest.makers = makers_of(manifest).record()
     labels = Labels(out, manifest)
     write_synced(out / CARD_FILE, dataset_card(labels).encode())
     write_synced(out / CROISSANT_FILE, json.dumps(croissant(labels), indent=1, ensure_ascii=False).encode())

@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-SCHEMA_VERSION = "1.1.0"
+SCHEMA_VERSION = "1.2.0"
 """Semantic version of the tables below: a new major number means that old readers must refuse."""
 
 State = Annotated[Literal[-1, 0, 1] | None, Field(json_schema_extra={"arrow": "int8"})]
@@ -176,7 +176,9 @@ class Manifest(BaseModel):
     `content_hash` of a table depends on the rows in canonical order alone, not
     on engine, workers, shards or the libraries that wrote the file. Where
     people's corrections are in the tables, `corrections` says from which journal
-    and how many, and `config` and `profile` speak of all other values.
+    and how many, and `config` and `profile` speak of all other values. `makers`
+    says for other programs what made masks, boxes and relations; the same follows
+    from the rest by `pipeline.labels.makers.makers_of`, also where it is missing.
     """
 
     model_config = ConfigDict(extra="forbid")
@@ -198,6 +200,7 @@ class Manifest(BaseModel):
     environment: dict[str, str]
     created: str
     corrections: dict[str, Any] | None = None
+    makers: dict[str, Any] | None = None
 
 
 TABLES: dict[str, type[Row]] = {

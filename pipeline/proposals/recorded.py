@@ -8,6 +8,9 @@ replaced by "__", with arrays boxes (N, 4), scores (N,), labels (N,) str and,
 optionally, masks (N, H, W), or mask_counts (N,) of compressed run-length codes
 (empty for none) with mask_size (2,), and ids (N,) int, below 0 for none.
 
+Either may say which detector made it: `"made_by": "<name>: <fingerprint>"` beside
+"frames", or in a file `recording.json` in the folder.
+
 An id says which thing a detection is of: one and the same thing, found under
 several names, has one id. Where any detection of a frame has none, each is a
 thing of its own.
@@ -35,6 +38,8 @@ from pipeline.run_length import RunLength, decode_crop
 
 KEPT_ANSWERS = 32
 """Answers about the frame that was asked last, kept for when the same names are asked again."""
+
+MADE_BY, MADE_BY_FILE = "made_by", "recording.json"
 
 MaskCode = tuple[tuple[int, int], "str | list[int]"] | str
 """(size, run lengths), or the name of a file."""
@@ -134,6 +139,11 @@ class RecordedDetector:
     path : Path
         The JSON file, or the folder of NPZ files.
 
+    Attributes
+    ----------
+    made_by : str or None
+        "name: fingerprint" of the detector that was recorded, where the recording says so.
+
     Raises
     ------
     InputError
@@ -150,8 +160,16 @@ class RecordedDetector:
         self.min_score = min_score
         if not self.path.exists():
             raise InputError("there is no recording of detections", path=self.path)
-        self._fingerprint = f"recorded:{self.path.resolve()}:{self.path.stat().st_mtime_ns}:{min_score}"
-        self._recording = None if self.path.is_dir() else _read_json(self.path)
+        self._recording: dict[str, FrameDetections] | None = None
+        self.made_by: str | None = None
+        if self.path.is_dir():
+            if (self.path / MADE_BY_FILE).is_file():
+                self.made_by = _maker(_read_object(self.path / MADE_BY_FILE))
+        else:
+            content = _read_object(self.path)
+            self.made_by, self._recording = _maker(content), _read_frames(content, self.path)
+        said = "" if self.made_by is None else f"<{self.made_by}"
+        self._fingerprint = f"recorded:{self.path.resolve()}:{self.path.stat().st_mtime_ns}:{min_score}{said}"
         self._meanings: dict[str, tuple[str, ...]] = {}
         self._last: _Playback | None = None
 
@@ -264,12 +282,23 @@ def _each_thing_once(index: np.ndarray, found: FrameDetections) -> np.ndarray:
     return np.sort(index[order[first]])
 
 
-def _read_json(path: Path) -> dict[str, FrameDetections]:
+def _read_object(path: Path) -> dict[str, Any]:
+    """A JSON object; any other JSON is as good as an empty one."""
     try:
         content: Any = json.loads(path.read_bytes())
     except (OSError, json.JSONDecodeError, UnicodeDecodeError, RecursionError) as error:
         raise InputError("the recording is not JSON", got=str(error), path=path) from error
-    frames = content.get("frames") if isinstance(content, dict) else None
+    return content if isinstance(content, dict) else {}
+
+
+def _maker(content: dict[str, Any]) -> str | None:
+    """The detector that the recording names, where it names one."""
+    said = content.get(MADE_BY)
+    return said if isinstance(said, str) and said else None
+
+
+def _read_frames(content: dict[str, Any], path: Path) -> dict[str, FrameDetections]:
+    frames = content.get("frames")
     if not isinstance(frames, dict):
         raise InputError(
             "the recording does not follow the format at the top",

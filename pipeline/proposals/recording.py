@@ -19,6 +19,7 @@ import numpy as np
 from pipeline.errors import InputError, UnknownClass
 from pipeline.frame import Frame
 from pipeline.proposals.base import Detector, Proposals
+from pipeline.proposals.recorded import MADE_BY, MADE_BY_FILE
 from pipeline.proposals.selection import top_k
 from pipeline.run_length import encode_run_length
 
@@ -100,7 +101,7 @@ def record_detections(
     classes: Counter[str] = Counter()
     frames = detections = 0
     writer = _json_file if out.suffix.lower() == ".json" else _npz_folder
-    with writer(out) as write:
+    with writer(out, f"{detector.name}: {detector.fingerprint()}") as write:
         for done, frame_id in enumerate(chosen, start=1):
             try:
                 frame = source.dataset.load(frame_id)
@@ -172,7 +173,7 @@ def _record(frame: Frame, finding: Finding) -> dict[str, Any]:
 
 
 @contextmanager
-def _json_file(out: Path) -> Iterator[Callable[[Frame, list[Finding]], None]]:
+def _json_file(out: Path, made_by: str) -> Iterator[Callable[[Frame, list[Finding]], None]]:
     """A JSON file that is written frame by frame and appears when all are."""
     if out.is_dir():
         raise InputError("the recording would replace a folder", expected="the name of a file", path=out)
@@ -180,7 +181,7 @@ def _json_file(out: Path) -> Iterator[Callable[[Frame, list[Finding]], None]]:
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         with open(temporary, "w", encoding="utf-8") as file:
-            file.write('{"frames": {')
+            file.write(f'{{"{MADE_BY}": {json.dumps(made_by)}, "frames": {{')
             lines = 0
 
             def write(frame: Frame, found: list[Finding]) -> None:
@@ -199,7 +200,7 @@ def _json_file(out: Path) -> Iterator[Callable[[Frame, list[Finding]], None]]:
 
 
 @contextmanager
-def _npz_folder(out: Path) -> Iterator[Callable[[Frame, list[Finding]], None]]:
+def _npz_folder(out: Path, made_by: str) -> Iterator[Callable[[Frame, list[Finding]], None]]:
     """A folder of NPZ files that appears when all are written."""
     if out.exists() and not (out.is_dir() and not any(out.iterdir())):
         raise InputError("the folder for the recording is not empty", path=out)
@@ -207,6 +208,7 @@ def _npz_folder(out: Path) -> Iterator[Callable[[Frame, list[Finding]], None]]:
     partial = Path(tempfile.mkdtemp(prefix=f".{out.name}.", suffix=".partial", dir=out.parent))
     try:
         yield lambda frame, found: _write_arrays(partial, frame, found)
+        (partial / MADE_BY_FILE).write_text(json.dumps({MADE_BY: made_by}), encoding="utf-8")
         partial.chmod(0o755)
         if out.exists():
             out.rmdir()

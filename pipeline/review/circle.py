@@ -18,8 +18,10 @@ from pipeline.errors import InputError
 from pipeline.evaluation.compare import Comparison
 from pipeline.evaluation.job import evaluate_dataset
 from pipeline.evaluation.run_folder import Run, open_run
+from pipeline.evaluation.shared_makers import scorer_share
 from pipeline.journal.journal import journal_of
 from pipeline.journal.materialise import MARKS_FILE, materialise
+from pipeline.labels.makers import makers_of
 from pipeline.labels.pictures import labelled_dataset
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.review.retraining import RetrainConfig, Retraining, compare_networks, retrain, shared_split
@@ -182,7 +184,10 @@ def compare_with(
         return None
     was, now = (read_label_data(x, config.train.features, contract.vocabulary) for x in (before, after))
     plan = shared_split(was, now, config)
-    return compare_networks(current, new, was, now, plan, ({**card, "file": str(current.name)}, card), config.bootstrap)
+    cards = ({**card, "file": str(current.name)}, card)
+    found = compare_networks(current, new, was, now, plan, cards, config.bootstrap)
+    share = scorer_share(makers_of(after.manifest), current.path.stem, current)
+    return found if share is None else replace(found, caveats=(f"before: {share.sentence}",))
 
 
 def _replay(run: Run, folder: Path, workers: int, tell: Progress) -> tuple[Comparison | None, Comparison | None]:

@@ -89,6 +89,8 @@ class Retraining:
         What intervals are drawn over, "scene" or "frame".
     cards : tuple of dict
         Of both networks.
+    caveats : tuple of str
+        What the figures cannot show, since a network and the labels have a maker in common.
     """
 
     relations: tuple[str, ...]
@@ -105,6 +107,7 @@ class Retraining:
     split: dict[str, Any]
     cluster: str
     cards: tuple[dict[str, Any], dict[str, Any]]
+    caveats: tuple[str, ...] = ()
 
     def table(self) -> Table:
         """F1 before and after, relation by relation and together."""
@@ -124,6 +127,7 @@ class Retraining:
             f"Percent, on {self.pairs} pairs of {self.frames} frames that neither network has seen, against the labels "
             f"after. Brackets: 95 % bootstrap intervals over {self.cluster}s, paired for the gain. McNemar's exact "
             "test takes cells as independent, which those of one scene are not: trust the interval.",
+            self.caveats,
         )
 
     def record(self) -> dict[str, Any]:
@@ -144,6 +148,7 @@ class Retraining:
                 "became_right": {"cells": self.counts[0], "listed": list(self.better)},
                 "became_wrong": {"cells": self.counts[1], "listed": list(self.worse)},
                 "split": self.split,
+                "caveats": list(self.caveats),
                 "networks": [
                     {"weights_xxh3_128": card["weights_xxh3_128"], "labels": card["labels"], "file": card["file"]}
                     for card in self.cards

@@ -150,6 +150,7 @@ def _install(training: Training) -> str:
         now, new = (in_use[k]["micro_f1"]["value"] for k in ("before", "after"))
         if new < now:
             said = f"The network in use has {now * 100:.1f} on these pairs, more than the new one ({new * 100:.1f})."
+            said += "".join(f" {caveat.removeprefix('before: ')}." for caveat in in_use.get("caveats", ()))
             warning = note(said, DOUBT)
     field = (
         '<input class="find name" placeholder="name" maxlength="64" '

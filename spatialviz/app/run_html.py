@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -12,6 +13,7 @@ from pipeline.diagnosis.slices import Slice, Slices
 from pipeline.diagnosis.summary import RunSummary, residual_words
 from pipeline.diagnosis.verdict import VERDICTS
 from pipeline.evaluation.intervals import Estimate
+from pipeline.evaluation.shared_makers import Share, title_of
 from pipeline.palette import VERDICTS as COLORS
 from pipeline.palette import hex_color
 from pipeline.relations import PHRASE
@@ -43,10 +45,21 @@ def summary_html(figures: RunFigures) -> str:
     """Verdicts with their intervals, and what each module costs."""
     summary = figures.summary
     if isinstance(summary, str):
-        return panel(note(summary))
+        return panel(shares_html(figures.run.shares), note(summary))
     count = f'<span class="dim">{summary.expressions} expressions</span>'
     head = f'<div class="runhead"><b>{safe(figures.run.name)}</b>{count}</div>'
-    return panel(head, _verdicts(summary), _costs(summary))
+    return panel(head, shares_html(figures.run.shares), _verdicts(summary), _costs(summary))
+
+
+def shares_html(shares: Sequence[Share]) -> str:
+    """What the figures below can show and cannot, in a line; in full where the mouse rests."""
+    if not shares:
+        return ""
+    hint = "\n".join(share.sentence for share in shares)
+    title = title_of(shares)
+    if title:
+        return f'<div title="{safe(hint)}">{note(title[:1].upper() + title[1:])}</div>'
+    return f'<div class="small dim oneline" title="{safe(hint)}">{safe(shares[0].sentence)}</div>'
 
 
 def percent(e: Estimate) -> str:

@@ -12,8 +12,10 @@ from spatialviz.app.layout import Page
 from spatialviz.app.place import Place
 from spatialviz.app.run_browser import Listing, RunBrowser
 from spatialviz.app.run_figures import figures_of
+from spatialviz.app.run_html import shares_html
 from spatialviz.app.run_tab import RunTab
 from spatialviz.app.state import State
+from spatialviz.app.text import panel
 
 FILLED = 4
 """Small pictures that are read at once, behind whatever the user does."""
@@ -153,7 +155,9 @@ class RunPanel:
             self._fill(listing)
 
     def _draw(self) -> None:
-        self._page.listing.content = listing_html(self._state().listing, self._thumbs)
+        browser = self._browser
+        shares = "" if browser is None else panel(shares_html(browser.figures.run.shares))
+        self._page.listing.content = shares + listing_html(self._state().listing, self._thumbs)
 
     def _fill(self, listing: Listing) -> None:
         """Read the small pictures of the page that is shown, a few at a time."""

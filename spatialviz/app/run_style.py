@@ -5,6 +5,7 @@ RUN_CSS = """<style>
 .sv .runhead{display:flex;justify-content:space-between;gap:10px;padding-top:.6em}
 .sv .runhead b{min-width:0;overflow:hidden;text-overflow:ellipsis;white-space:nowrap}
 .sv .runhead span{white-space:nowrap}
+.sv .oneline{overflow:hidden;text-overflow:ellipsis;white-space:nowrap}
 .sv .small{font-size:11px;line-height:1.35;padding-top:3px}
 .sv .vrow{display:grid;grid-template-columns:92px 1fr 34px 36px 56px;gap:6px;align-items:center;height:21px;border-radius:3px;cursor:pointer;padding:0 4px;margin:0 -4px}
 .sv .vrow:hover{background:var(--mantine-color-default-hover)}

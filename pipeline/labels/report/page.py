@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from html import escape
 from typing import Any
 
+from pipeline.labels.makers import makers_of
 from pipeline.labels.report.style import FULL, percent, relation_color, thousands
 from pipeline.labels.schema import Manifest
 
@@ -150,10 +151,9 @@ def _provenance(manifest: Manifest) -> list[tuple[str, str]]:
     config = manifest.config
     return [
         ("tool", f"{manifest.tool} {manifest.version}, schema {manifest.schema_version}, {manifest.created}"),
-        ("rules", f"{manifest.profile.get('name')}, {manifest.profile_hash[:16]}"),
+        *makers_of(manifest).lines().items(),
         ("configuration", f"vocabulary {config.get('vocabulary')}, style {config.get('style')}, "
                           f"seed {manifest.seed}, {manifest.config_hash[:16]}"),
-        ("models", ", ".join(f"{k} {v}" for k, v in manifest.models.items()) or "none"),
         ("dataset", f"{manifest.dataset.get('format')}, input {str(manifest.dataset.get('input_hash'))[:16]}"),
         ("expressions", f"content {manifest.tables['expressions'].content_hash[:16]}"),
     ]  # fmt: skip

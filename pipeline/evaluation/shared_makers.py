@@ -1,0 +1,335 @@
+"""What an evaluated system shares with what made the labels it is measured by, and what its figures can say then."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from pipeline.errors import InputError
+from pipeline.labels.makers import OF_ANNOTATIONS, RECORDED, Makers, MaskMakers, makers_of, mask_makers
+from pipeline.labels.profiles import profile_of
+from pipeline.labels.reading import Labels, open_labels
+from pipeline.labels.second_opinion import NONE
+from pipeline.proposals.onnx_session import file_hash
+from pipeline.relations import PROFILE
+from pipeline.srm import RULE, TRAINED, RelationScorer, RuleScorer
+from pipeline.srm.model import OnnxScorer
+
+if TYPE_CHECKING:
+    from pipeline.evaluation.relation_systems import RelationSystem
+    from pipeline.evaluation.tables import Table
+    from pipeline.jobs import Source
+
+AGREEMENT = "shares rule and cloud with the labels: agreement, not accuracy"
+SIMULATED = "errors are simulated out of the truth's own masks"
+CHECKED = "people checked the detector's own proposals: what it missed does not count"
+HAD_A_PART = "a detector measured had a part in the truth: agreement, not accuracy"
+PERFECT = "OPM is the truth itself here"
+REPEATED = "the detector made its own truth: repetition, not accuracy"
+_RANK = ("", SIMULATED, CHECKED, HAD_A_PART, PERFECT, REPEATED)
+Kind = Literal[
+    "same detector", "shared detector", "annotations", "simulated", "same segmenter", "unknown maker", "same rule",
+    "rule elsewhere", "second opinion", "same geometry",
+]  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Share:
+    """One thing that labels and a measured system have from the same maker.
+
+    Attributes
+    ----------
+    about : str
+        "masks", "relations" or "boxes".
+    kind : str
+        One of Kind.
+    title : str
+        In a few words what the figures are then; empty where accuracy stays accuracy.
+    said : str
+        What the figures can show and cannot.
+    """
+
+    about: Literal["masks", "relations", "boxes"]
+    kind: Kind
+    title: str
+    said: str
+
+    @property
+    def sentence(self) -> str:
+        """For people."""
+        return f"{self.about}: {self.said}"
+
+    def record(self) -> dict[str, str]:
+        """As JSON: an entry of `shares` of a run."""
+        return {"about": self.about, "kind": self.kind, "title": self.title, "said": self.said}
+
+
+@dataclass(frozen=True)
+class Measured:
+    """What is measured, as far as labels may share it.
+
+    Attributes
+    ----------
+    masks : MaskMakers or None
+        None where no detector takes part, or none that is known.
+    scorer : str or None
+        "rule", "trained", or what the network is called; None where relations are not judged.
+    network : str or None
+        Hash of the network's file, where that is known.
+    rule_too : tuple of str
+        Relations that the rule judges because the network has no output for them.
+    """
+
+    masks: MaskMakers | None
+    scorer: str | None
+    network: str | None = None
+    rule_too: tuple[str, ...] = ()
+
+    def record(self) -> dict[str, Any]:
+        """As JSON: `measured` of a run."""
+        masks = None if self.masks is None else self.masks.record()
+        return {"masks": masks, "scorer": self.scorer, "network": self.network, "rule_too": list(self.rule_too)}
+
+
+def measured_of(source: Source, labels: Labels, system: str = "pipeline") -> Measured:
+    """What of a source a run measures.
+
+    Parameters
+    ----------
+    source : Source
+    labels : Labels
+        Whose relations are asked.
+    system : str
+        "pipeline", "referring" or "vlm".
+    """
+    if system == "vlm":
+        return Measured(None, None)
+    detector = source.needed_detector()
+    masks = mask_makers(f"{detector.name}: {detector.fingerprint()}")
+    if system != "pipeline":
+        return Measured(masks, None)
+    scorer = source.scorer
+    if not isinstance(scorer, OnnxScorer):
+        return Measured(masks, scorer.name)
+    rest = tuple(r for r in labels.relation_names if r not in scorer.contract.vocabulary)
+    return Measured(masks, scorer.path.stem, file_hash(scorer.path), rest)
+
+
+def measured_of_run(manifest: Mapping[str, Any]) -> Measured:
+    """The same from `run.json`, of any release; what it does not tell is None."""
+    system = str(manifest.get("system", "pipeline"))
+    if system == "vlm":
+        return Measured(None, None)
+    masks = mask_makers(str(manifest.get("detector", "")))
+    said = manifest.get("measured")
+    if isinstance(said, dict):
+        rest = tuple(str(r) for r in said.get("rule_too") or ())
+        return Measured(masks, said.get("scorer"), said.get("network"), rest)
+    spec = manifest.get("spec")
+    options = spec.get("options", {}) if isinstance(spec, dict) else {}
+    scorer = str(options.get("srm", TRAINED)) if isinstance(options, dict) else None
+    return Measured(masks, scorer if system == "pipeline" else None)
+
+
+def shared_makers(makers: Makers, measured: Measured) -> tuple[Share, ...]:
+    """What answers share with the labels that they are measured by: what makes their figures agreement comes first."""
+    found = [*_masks(makers, measured.masks), *_relations(makers, measured)]
+    if measured.masks is not None and not any(share.title for share in found):
+        found.append(
+            Share(
+                "boxes", "same geometry", "",
+                "the labels' boxes are lifted from depth as the answers' are: LIFT costs what other masks change, and "
+                "what lifting itself does wrong costs nothing",
+            )
+        )  # fmt: skip
+    return tuple(sorted(found, key=lambda share: not share.title))
+
+
+def shares_of_run(manifest: Mapping[str, Any], labels: str | Path | None) -> tuple[Share, ...]:
+    """What a run says that it shares with its labels; of an earlier release what follows from both manifests.
+
+    Parameters
+    ----------
+    manifest : mapping
+        Of `run.json`.
+    labels : str, Path or None
+        Where the run's labels are, as far as that is known.
+    """
+    said = manifest.get("shares")
+    if isinstance(said, list):
+        with suppress(KeyError, TypeError):
+            return tuple(Share(s["about"], s["kind"], str(s["title"]), str(s["said"])) for s in said)
+    try:
+        if labels is None:
+            raise InputError("the run does not say where its labels are")
+        makers = makers_of(open_labels(labels).manifest)
+    except InputError:
+        said = "the run was made by an earlier release and its labels are not at hand: who made its truth is not known"
+        return (Share("masks", "unknown maker", "", said),)
+    return shared_makers(makers, measured_of_run(manifest))
+
+
+def _masks(makers: Makers, measured: MaskMakers | None) -> list[Share]:
+    if measured is None:
+        return []
+    truth = makers.masks
+    if truth is None or (RECORDED in {m.name for m in (*truth.detectors, *measured.detectors)} and truth != measured):
+        who = "the labels do not say what made their masks" if truth is None else (
+            "a recording does not say which detector made it"
+        )  # fmt: skip
+        said = f"{who}: where it is the one that is measured, accuracy only says that the pipeline repeats itself"
+        return [Share("masks", "unknown maker", "", said)]
+    common = [m for m in measured.detectors if m in truth.detectors]
+    derived = [m for m in measured.detectors if m.name in OF_ANNOTATIONS]
+    if makers.annotated and measured.detectors == truth.detectors:
+        return [
+            Share(
+                "masks", "annotations", PERFECT,
+                "the dataset's annotations are the truth and the detector: OPM and LIFT cannot fail; the figures show "
+                "what relations and ranking make of perfect proposals, and nothing of a detector",
+            )
+        ]  # fmt: skip
+    if common:
+        names = " & ".join(map(str, common))
+        alone = len(common) == len(measured.detectors) == len(truth.detectors)
+        if alone and _all_decided(makers):
+            said = (
+                f"{names} proposed the truth's objects and is measured by it; people decided each, so that wrong names "
+                "count, and what it missed only where somebody added it"
+            )
+            return [Share("masks", "same detector", CHECKED, said)]
+        return [
+            Share(
+                "masks", "same detector" if alone else "shared detector", REPEATED if alone else HAD_A_PART,
+                f"{names} made the truth and is measured by it: accuracy says only that the pipeline repeats itself; "
+                f"what it misses or misnames is true here, and so OPM and LIFT cost nothing{_but(makers, 'objects')}",
+            )
+        ]  # fmt: skip
+    if derived and any(m.name in OF_ANNOTATIONS for m in truth.detectors):
+        return [
+            Share(
+                "masks", "simulated", SIMULATED,
+                f"{derived[0].name} and the truth are made of the same annotations: misses, wrong names and scores are "
+                "put in by options; the figures compare modules and systems under these errors, and say nothing of how "
+                "accurate a detector is here",
+            )
+        ]  # fmt: skip
+    theirs = (*truth.detectors, *truth.segmenters)
+    alike = [m for m in (*measured.detectors, *measured.segmenters) if m in theirs]
+    if alike:
+        said = f"{alike[0]} may make masks on both sides, where boxes have none: what it cuts wrong alike costs nothing"
+        return [Share("masks", "same segmenter", "", said)]
+    return []
+
+
+def _relations(makers: Makers, measured: Measured) -> list[Share]:
+    if measured.scorer is None:
+        return []
+    found = []
+    if _had_vote(makers, measured):
+        found.append(
+            Share(
+                "relations", "second opinion", "",
+                f"the network {measured.scorer} had a vote in the labels: where it and the rule differ they are "
+                "doubtful and make no expression, so that SRM seems better than it is",
+            )
+        )  # fmt: skip
+    if makers.rule == PROFILE and (measured.scorer == RULE or measured.rule_too):
+        too = "" if measured.scorer == RULE else f", which scores {', '.join(measured.rule_too)},"
+        said = f"the rule{too} made the labels: where it is wrong costs nothing; SRM costs what other masks change"
+        found.append(Share("relations", "same rule" if measured.scorer == RULE else "rule elsewhere", "", said))
+    return found
+
+
+def relation_share(makers: Makers, system: RelationSystem) -> Share | None:
+    """As `scorer_share`, of a row of relations alone."""
+    return scorer_share(makers, system.name, system.scorer)
+
+
+def scorer_share(makers: Makers, name: str, scorer: RelationScorer) -> Share | None:
+    """What a scorer shares with the labels of pairs whose objects are the labels' own; None where only the cloud.
+
+    The objects are those of the labels, lifted again or as stored: the cloud is shared by every row. With the rule
+    shared too, the row says how alike two computations are.
+    """
+    if isinstance(scorer, RuleScorer) and makers.rule == PROFILE:
+        other = "" if makers.rule_hash == profile_of(PROFILE).hash else ", as it was in an earlier release"
+        said = f"the scorer is the rule that made the labels{other}, on the same cloud: near 100 by construction"
+        return Share("relations", "same rule", AGREEMENT, f"{said}{_but(makers, 'relations')}")
+    if _had_vote(makers, measured_scorer(name, scorer)):
+        said = (
+            "the scorer was the labels' second opinion, on the same cloud: cells where it and the rule differ became U "
+            "and do not count, near 100 by construction; label with --second-opinion none to measure it"
+        )
+        return Share("relations", "second opinion", AGREEMENT, f"{said}{_but(makers, 'relations')}")
+    return None
+
+
+def shares_rule_and_cloud(labels: Labels, system: RelationSystem) -> bool:
+    """Whether a row of relations alone is agreement with the labels' makers, and belongs below those that are not."""
+    return relation_share(makers_of(labels.manifest), system) is not None
+
+
+def title_of(shares: Sequence[Share]) -> str:
+    """What a system's figures are, in a few words; empty where accuracy stays accuracy."""
+    return next((share.title for share in shares if share.title), "")
+
+
+def rank(title: str) -> int:
+    """Where a block of rows stands: the more their truth is their own, the lower."""
+    return _RANK.index(title)
+
+
+def with_caveats(table: Table, shares: Mapping[str, Sequence[Share]]) -> Table:
+    """A table that says in its title what its figures are, and below it what they can show and cannot.
+
+    Parameters
+    ----------
+    table : Table
+    shares : mapping of str to sequence of Share
+        By the systems that it is of.
+    """
+    by_title: dict[str, list[str]] = {}
+    for name, found in shares.items():
+        by_title.setdefault(title_of(found), []).append(name)
+    titles = [
+        title if len(by_title) == 1 else f"{', '.join(names)}: {title}" for title, names in by_title.items() if title
+    ]
+    said: dict[str, list[str]] = {}
+    for name, found in shares.items():
+        for share in found:
+            said.setdefault(share.sentence, []).append(name)
+    caveats = tuple(
+        text if len(names) == len(shares) else f"{', '.join(names)}: {text}" for text, names in said.items()
+    )
+    title = f"{table.title} ({'; '.join(titles)})" if titles else table.title
+    return replace(table, title=title, caveats=(*table.caveats, *caveats))
+
+
+def measured_scorer(name: str, scorer: RelationScorer) -> Measured:
+    """A relation scorer by itself."""
+    return Measured(None, name, file_hash(scorer.path) if isinstance(scorer, OnnxScorer) else None)
+
+
+def _had_vote(makers: Makers, measured: Measured) -> bool:
+    """Whether the network was the labels' second opinion: by its file, by its name where a file is not known."""
+    if measured.scorer == RULE or makers.second_opinion in (None, NONE):
+        return False
+    if measured.network is not None:
+        return measured.network == makers.second_opinion
+    return measured.scorer == makers.second_opinion_name
+
+
+def _all_decided(makers: Makers) -> bool:
+    return makers.decided is not None and 0 < makers.decided.objects[1] == makers.decided.objects[0]
+
+
+def _but(makers: Makers, what: str) -> str:
+    """What people decided of it is no maker's."""
+    if makers.decided is None:
+        return "; people corrected some of it, how much was not counted" if makers.corrected else ""
+    n, of = getattr(makers.decided, what)
+    return f", but for {n} of {of} {what} that people decided" if n else ""
