@@ -12,8 +12,10 @@ from pipeline.diagnosis.verdict import VERDICTS
 from pipeline.evaluation.compare import Comparison
 from pipeline.evaluation.intervals import Estimate
 from pipeline.evaluation.job import RunReport
-from pipeline.evaluation.tables import Cell, Table, shown
+from pipeline.evaluation.tables import Cell, Table, with_heads
 from spatialviz.printing import make_console
+
+NAME_WIDTH = 32
 
 
 def print_run(report: RunReport, show: int) -> None:
@@ -45,14 +47,20 @@ def table_record(table: Table) -> dict[str, Any]:
 
 
 def rich_table(table: Table) -> RichTable:
-    """A table of figures for the terminal."""
+    """A table of figures for the terminal; where it is too wide, intervals stand below their figures."""
     found = RichTable(box=None, pad_edge=False, header_style="dim")
-    found.add_column("")
+    texts = [table.shown(row) for row in table.rows]
+    names = [row.name if row.source == "measured" else f"{row.name} ({row.source})" for row in table.rows]
+    found.add_column("", min_width=min(max(map(len, names), default=0), NAME_WIDTH))
     for name in table.columns:
         found.add_column(name, justify="right")
-    for row in table.rows:
-        name = row.name if row.source == "measured" else f"{row.name} ({row.source})"
-        found.add_row(name, *map(shown, row.cells))
+    columns = zip(table.columns, *texts, strict=True)
+    width = max(map(len, names), default=0) + sum(2 + max(map(len, column)) for column in columns)
+    wide = width > make_console().width
+    for (head, _), name, cells in zip(with_heads(table.rows), names, texts, strict=True):
+        if head:
+            found.add_row(Text(head, "italic"), *[""] * len(table.columns))
+        found.add_row(name, *(text.replace(" [", "\n[") if wide else text for text in cells))
     return found
 
 
