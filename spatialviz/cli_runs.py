@@ -99,13 +99,13 @@ class Tables:
     def run(self) -> int:
         from pipeline.evaluation.paper_run import tables_of_run
         from pipeline.evaluation.tables import latex, markdown
-        from spatialviz.printing_eval import print_table, table_record
+        from spatialviz.printing_eval import print_table, rows_record, table_record
 
         if self.json and self.format != "text":
             raise InputError("--json and --format exclude each other")
         tables = tables_of_run(self.run_folder)
         if self.json:
-            print_json({"tables": {table.key: table_record(table) for table in tables}})
+            print_json({"tables": {table.key: table_record(table) for table in tables}, "rows": rows_record(tables)})
         elif self.format == "text":
             for table in tables:
                 print_table(table)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import Any
 
 from rich.table import Table as RichTable
@@ -44,6 +45,11 @@ def print_table(table: Table) -> None:
 def table_record(table: Table) -> dict[str, Any]:
     """A table as JSON: by row and column; an estimate as {value, low, high, n, clusters, note}."""
     return {row.name: dict(zip(table.columns, map(_plain, row.cells), strict=True)) for row in table.rows}
+
+
+def rows_record(tables: Iterable[Table]) -> dict[str, Any]:
+    """Where the rows of tables come from: by table and row, `source` and `shares` of `tables.Row`."""
+    return {t.key: {row.name: {"source": row.source, "shares": row.shares} for row in t.rows} for t in tables}
 
 
 def rich_table(table: Table) -> RichTable:
@@ -109,6 +115,7 @@ def run_record(report: RunReport) -> dict[str, Any]:
         "warnings": list(report.warnings),
         "seconds": round(report.seconds, 2),
         "tables": {t.key: table_record(t) for t in report.tables},
+        "rows": rows_record(report.tables),
         "comparison": None if report.comparison is None else report.comparison.record(),
     }
 

@@ -292,8 +292,8 @@ def test_tables_in_three_formats() -> None:
     assert "| ours | 62.7 [59.9, 65.4] | – | 7 | – |" in text
     assert "| theirs (reported) | 50.0 |" in text
     lines = list(csv.reader(io.StringIO(as_csv(table))))
-    assert lines[0] == ["row", "source", "Acc", "Acc low", "Acc high", "x", "n", "m"]
-    assert lines[1] == ["ours", "measured", "0.627", "0.599", "0.654", "", "7", ""]
+    assert lines[0] == ["row", "source", "Acc", "Acc low", "Acc high", "x", "n", "m", "shares"]
+    assert lines[1] == ["ours", "measured", "0.627", "0.599", "0.654", "", "7", "", ""]
     assert float(lines[2][2]) == 0.5
     tex = latex([table])
     assert "A \\& B" in tex
