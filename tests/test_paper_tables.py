@@ -166,7 +166,12 @@ def test_own_rows_follow_from_the_records_and_carry_intervals() -> None:
 
     records, names = pairs_of(SA)
     table = tables_of(SA)["paper_relations_semantic_abstraction"]
-    (row,) = [row for row in table.rows if row.source == "measured"]
+    frequent, row = [row for row in table.rows if row.source == "measured"]
+    holds = records.states[(records.states > 0).sum(axis=1) == 1] > 0
+    order = np.argsort(-holds.mean(axis=0))
+    novel = [k for k, n in enumerate(names) if "Class" in subsets_of(*n) and (records.states[k] > 0).sum() == 1]
+    assert value(frequent.cells[2]) == pytest.approx((records.states[novel][:, order[0]] > 0).mean())
+    assert value(frequent.cells[5]) == pytest.approx((records.states[novel][:, order[:2]] > 0).any(axis=1).mean())
     chooser = records.systems[2]
     for name, cell in zip(table.columns, row.cells, strict=True):
         top, subset = int(name[4]), name.split(" ")[1]

@@ -18,7 +18,7 @@ from pipeline.evaluation.relation_records import RelationRecords
 from pipeline.evaluation.relation_report import counted_pairs, relation_ranks
 from pipeline.evaluation.reported import read_reported
 from pipeline.evaluation.tables import Cell, Row, Table, in_blocks
-from pipeline.relations import T
+from pipeline.relations import VOCABULARIES, T
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -29,6 +29,7 @@ Names = tuple[str, str, str]
 """Frame, class of the target, class of the reference."""
 AVD_ORDER = ("behind", "front", "above", "below", "left", "right")
 ALL_NEGATIVE = "all-negative (always no)"
+MOST_FREQUENT = "most frequent relation (always)"
 EVERYTHING = "all"
 """Heads the columns of a dataset that has none of the subsets."""
 
@@ -145,19 +146,24 @@ def _top_table(
     masks = _subset_masks(evaluated, pairs, len(records))
     columns = tuple(f"Top-{k} {subset}" for k in (1, 2) for subset in masks)
     clusters, unit = records.clusters(counted)
-    rows = []
-    for system in records.systems:
-        if not system.prior:
-            continue
-        ranks = relation_ranks(system.p, system.prior, records.truth(system.relations))
+
+    def row(name: str, ranks: np.ndarray) -> Row:
         cells = tuple(
             _mean((ranks < k).astype(np.float64), mask & counted & (ranks >= 0), clusters, config)
             for k in (1, 2)
             for mask in masks.values()
         )
-        rows.append(Row(system.title, cells, shares=evaluated.shares.get(system.title, "")))
-    one = (records.truth(tuple(records.relations)) == T).sum(axis=1) == 1
-    counts = {subset: int((mask & counted & one).sum()) for subset, mask in masks.items()}
+        return Row(name, cells, shares=evaluated.shares.get(name, ""))
+
+    truth = records.truth(tuple(r for r in VOCABULARIES[SA] if r in records.relations))
+    one = counted & ((truth == T).sum(axis=1) == 1)
+    shares = (truth[one] == T).mean(axis=0) if one.any() else np.full(truth.shape[1], 1 / max(truth.shape[1], 1))
+    frequent = relation_ranks(np.ones(truth.shape), shares, truth)
+    rows = [row(MOST_FREQUENT, frequent)]
+    for system in records.systems:
+        if system.prior:
+            rows.append(row(system.title, relation_ranks(system.p, system.prior, records.truth(system.relations))))
+    counts = {subset: int((mask & one).sum()) for subset, mask in masks.items()}
     return _table(evaluated, "relations", SA, columns, rows, f"{unit}s; pairs: {_listed(counts)}")
 
 
