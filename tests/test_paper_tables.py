@@ -18,7 +18,7 @@ from pipeline.datasets.semantic_abstraction_splits import SUBSETS, subsets_of
 from pipeline.evaluation.intervals import BootstrapConfig, Estimate
 from pipeline.evaluation.job import RunReport, evaluate_dataset
 from pipeline.evaluation.paper_run import AGREEMENT, PERFECT, tables_of_run
-from pipeline.evaluation.paper_tables import ALL_NEGATIVE, AVD, SA, Evaluated, paper_tables
+from pipeline.evaluation.paper_tables import ALL_NEGATIVE, AVD, IMITATION, SA, Evaluated, paper_tables
 from pipeline.evaluation.relation_records import RelationRecords, SystemRecords
 from pipeline.evaluation.relation_systems import RelationSpec
 from pipeline.evaluation.reported import read_reported
@@ -80,7 +80,7 @@ def tables_of(vocabulary: str, layout: str = SA, shares: dict[str, str] | None =
     for name, values in changed.items():
         answers = answers.set_column(answers.column_names.index(name), name, [values])
     found = paper_tables(
-        Evaluated(vocabulary, "my rooms", layout, shares or {}), {"ours": answers}, records, names, config=QUICK
+        Evaluated(vocabulary, "my rooms", layout, shares=shares or {}), {"ours": answers}, records, names, config=QUICK
     )
     return {table.key: table for table in found}
 
@@ -292,6 +292,7 @@ def test_a_scorer_of_the_labels_own_rule_is_told(given_labels: Labels, copy: Pat
             replace(spec), tmp_path / f"run-{labels.name}", paper=True, plots=False, bootstrap=QUICK
         )
         rules = [row for table in report.tables for row in table.rows if row.name == "rule"]
+        assert (IMITATION in report.tables[0].note) == bool(expected)
         assert [row.shares for row in rules] == ([expected] if expected else [])
     manifest = json.loads((tmp_path / "run-ruled" / "run.json").read_text())
     assert manifest["relations"]["systems"][0]["title"] == "rule"

@@ -14,6 +14,7 @@ from pipeline.evaluation.paper_tables import Evaluated, paper_tables
 from pipeline.evaluation.relation_records import FILE, read_pair_names, read_relation_records
 from pipeline.evaluation.run_folder import RECORDS_FILE, open_run
 from pipeline.evaluation.tables import NOTHING_SHARED, Table
+from pipeline.labels.profiles import GIVEN
 from pipeline.relations import PROFILE
 from pipeline.srm import RULE
 
@@ -45,7 +46,8 @@ def tables_of_folder(
     relations = read_relation_records(stored) if stored.exists() else None
     pairs = read_pair_names(stored) if stored.exists() else ()
     vocabulary, layout = str(labels.manifest.config["vocabulary"]), str(labels.manifest.dataset.get("format"))
-    evaluated = Evaluated(vocabulary, dataset, layout, shares)
+    ruled = labels.manifest.profile.get("name") != GIVEN
+    evaluated = Evaluated(vocabulary, dataset, layout, ruled, shares)
     return paper_tables(evaluated, systems, relations, pairs, held_out=held_out, config=config)
 
 

@@ -45,6 +45,10 @@ NOTES = {
     ("pipeline", AVD): f"{_ACC} Mean IoU is a percentage here and a fraction in the table of Semantic Abstraction, as "
     "published.",
 }
+IMITATION = (
+    "The labels here are a rule's verdicts: networks that learnt from such labels are measured by how well they imitate "
+    "the rule."
+)
 WHAT = {"relations": "Relations alone", "pipeline": "The whole pipeline"}
 
 
@@ -58,6 +62,8 @@ class Evaluated:
         Of the labels: "avd", "semantic-abstraction" or "all".
     dataset, format : str
         Its name for people, and its layout.
+    ruled : bool
+        The labels' relations are a rule's verdicts, and not the dataset's own.
     shares : mapping of str to str
         Of systems and of relation scorers (by title), what their figures are where they are agreement with what made
         the labels: see `Row.shares`.
@@ -66,6 +72,7 @@ class Evaluated:
     vocabulary: str
     dataset: str
     format: str
+    ruled: bool = False
     shares: Mapping[str, str] = field(default_factory=dict)
 
     @property
@@ -223,12 +230,13 @@ def _table(
 ) -> Table:
     """Published rows, then the measured ones, then those that are agreement with what made the labels."""
     key = f"paper_{what}_{shape.replace('-', '_')}"
+    more = f" {IMITATION}" if evaluated.ruled and what == "relations" else ""
     return Table(
         key,
         evaluated.title(what, shape),
         columns,
         in_blocks([*published(key, columns), *rows]),
-        f"{NOTES[what, shape]} Brackets: 95 % bootstrap intervals over {drawn}.",
+        f"{NOTES[what, shape]} Brackets: 95 % bootstrap intervals over {drawn}.{more}",
         decimals=2,
     )
 

@@ -7,13 +7,14 @@ import io
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Any
 
 from pipeline.evaluation.intervals import Estimate
 
 Cell = Estimate | float | int | str | None
 """What stands in a table. Estimates and floats are shares, and are written as percentages."""
-NOTHING_SHARED: Mapping[str, Any] = {}
+NOTHING_SHARED: Mapping[str, Any] = MappingProxyType({})
 """No system has anything in common with what made the truth."""
 
 
