@@ -46,8 +46,8 @@ NOTES = {
     "published.",
 }
 IMITATION = (
-    "The labels here are a rule's verdicts: networks that learnt from such labels are measured by how well they imitate "
-    "the rule."
+    "The labels here are a rule's verdicts: networks that learnt from such labels are measured by how well they "
+    "imitate the rule."
 )
 WHAT = {"relations": "Relations alone", "pipeline": "The whole pipeline"}
 
