@@ -26,7 +26,7 @@ from spatialviz.cli_journal import Correct, Effective, Redo, ShowJournal, Undo
 from spatialviz.cli_labels import BenchLabel, Check, Label, Merge
 from spatialviz.cli_models import BenchDetect, Models
 from spatialviz.cli_review import BenchReview, Install, Retrain, Review
-from spatialviz.cli_runs import Failures, Query
+from spatialviz.cli_runs import Failures, Query, Tables
 from spatialviz.cli_show import Show
 from spatialviz.cli_training import Train
 from spatialviz.cli_view import View
@@ -289,6 +289,7 @@ Command = Union[
     Annotated[Eval, subcommand("eval")],
     Annotated[Failures, subcommand("failures")],
     Annotated[Query, subcommand("query")],
+    Annotated[Tables, subcommand("tables")],
     Annotated[SaveCase, subcommand("save-case")],
     Annotated[Replay, subcommand("replay")],
     Annotated[Report, subcommand("report")],

@@ -40,9 +40,9 @@ class Eval:
     """Requests a minute at most."""
     marks: Path | None = None
     """JSON of labels that a person found wrong: [{"frame", "id", "mark": "BAD_LABEL" | "BAD_BOX"}]."""
-    tables: Literal["grounding", "relations", "both"] | None = None
-    """grounding: expressions | relations: relations alone, pair by pair | both. Default: both for --system pipeline,
-    else grounding."""
+    tables: Literal["grounding", "relations", "both", "paper"] | None = None
+    """grounding: expressions | relations: relations alone, pair by pair | both | paper: both, printed as the paper's
+    tables with its published rows. Default: both for --system pipeline, else grounding."""
     relations_of: tuple[str, ...] = ()
     """Further relation scorers to measure beside --srm: trained | rule | ONNX files. --vectors is for all of them."""
     relation_frames: int | None = None
@@ -116,6 +116,7 @@ class Eval:
                 workers=self.workers,
                 others=self.others,
                 against=self.compare,
+                paper=self.tables == "paper",
                 plots=self.plots,
                 overwrite=self.overwrite,
                 progress=advance,
@@ -130,7 +131,8 @@ class Eval:
 
     def _tables(self) -> Literal["grounding", "relations", "both"]:
         """What is measured."""
-        chosen = self.tables or ("both" if self.system == "pipeline" else "grounding")
+        asked = "both" if self.tables == "paper" and self.system == "pipeline" else self.tables
+        chosen = ("grounding" if asked == "paper" else asked) or ("both" if self.system == "pipeline" else "grounding")
         if chosen == "grounding" and self.tables != "grounding" and self.relations_of:
             chosen = "both"
         given = {"--relations-of": self.relations_of, "--relation-frames": self.relation_frames,

@@ -114,8 +114,8 @@ class Label:
     selection: OmitArgPrefixes[Selection] = Selection()
     vocabulary: Literal["avd", "semantic-abstraction", "all"] = "avd"
     """Which relations."""
-    profile: Literal["viewer-cone-v1", "semantic-abstraction-published"] = "viewer-cone-v1"
-    """The rules that decide them."""
+    profile: Literal["viewer-cone-v1", "semantic-abstraction-published", "given"] = "viewer-cone-v1"
+    """The rules that decide them; given: no rule of ours, what the dataset's own expressions say."""
     second_opinion: str = "trained"
     """trained | none | an ONNX file: a network that makes labels doubtful where it says the opposite."""
     style: Literal["varied", "plain", "semantic-abstraction"] = "varied"
@@ -136,6 +136,8 @@ class Label:
     """Go on in a folder where a run was stopped."""
     limit: int | None = None
     """Only the first so many frames."""
+    frames_of: tuple[str, ...] = ()
+    """Only the frames of these splits of the dataset's own, such as vool/train."""
     json: bool = False
     """Print one JSON object: counts, seconds, hashes."""
 
@@ -167,6 +169,7 @@ class Label:
                     part=part,
                     resume=self.resume,
                     limit=self.limit,
+                    frames_of=self.frames_of,
                     gpus_a_detector=self.gpus_a_detector,
                     progress=advance,
                 )

@@ -1,10 +1,10 @@
-"""The commands that look into a run of `eval`: SQL, and failures by words."""
+"""The commands that look into a run of `eval`: SQL, failures by words, and the paper's tables."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from tyro.conf import Positional
 
@@ -87,6 +87,35 @@ class Failures:
         else:
             print_failures(name, shares, summary, slices, found, self.limit, self.search)
         return FINE if found.num_rows else NO
+
+
+@dataclass(frozen=True)
+class Tables:
+    """The paper's tables of a run, with its published rows; those of the vocabulary of the run's labels."""
+
+    run_folder: Positional[Path]
+    """Run folder of `spatialviz eval`."""
+    format: Literal["text", "markdown", "latex"] = "text"
+    """text | markdown | latex."""
+    json: bool = False
+    """Print one JSON object."""
+
+    def run(self) -> int:
+        from pipeline.evaluation.paper_run import tables_of_run
+        from pipeline.evaluation.tables import latex, markdown
+        from spatialviz.printing_eval import print_table, rows_record, table_record
+
+        if self.json and self.format != "text":
+            raise InputError("--json and --format exclude each other")
+        tables = tables_of_run(self.run_folder)
+        if self.json:
+            print_json({"tables": {table.key: table_record(table) for table in tables}, "rows": rows_record(tables)})
+        elif self.format == "text":
+            for table in tables:
+                print_table(table)
+        else:
+            print(markdown(tables) if self.format == "markdown" else latex(tables), end="")
+        return FINE
 
 
 MOST_ROWS = 15

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import Any
 
 from rich.table import Table as RichTable
@@ -12,8 +13,10 @@ from pipeline.diagnosis.verdict import VERDICTS
 from pipeline.evaluation.compare import Comparison
 from pipeline.evaluation.intervals import Estimate
 from pipeline.evaluation.job import RunReport
-from pipeline.evaluation.tables import Cell, Table, shown, with_heads
+from pipeline.evaluation.tables import Cell, Table, with_heads
 from spatialviz.printing import make_console
+
+NAME_WIDTH = 32
 
 
 def print_run(report: RunReport, show: int) -> None:
@@ -48,17 +51,26 @@ def table_record(table: Table) -> dict[str, Any]:
     return {row.name: dict(zip(table.columns, map(_plain, row.cells), strict=True)) for row in table.rows}
 
 
+def rows_record(tables: Iterable[Table]) -> dict[str, Any]:
+    """Where the rows of tables come from: by table and row, `source` and `shares` of `tables.Row`."""
+    return {t.key: {row.name: {"source": row.source, "shares": row.shares} for row in t.rows} for t in tables}
+
+
 def rich_table(table: Table) -> RichTable:
-    """A table of figures for the terminal."""
+    """A table of figures for the terminal; where it is too wide, intervals stand below their figures."""
     found = RichTable(box=None, pad_edge=False, header_style="dim")
-    found.add_column("")
+    texts = [table.shown(row) for row in table.rows]
+    names = [row.name if row.source == "measured" else f"{row.name} ({row.source})" for row in table.rows]
+    found.add_column("", min_width=min(max(map(len, names), default=0), NAME_WIDTH))
     for name in table.columns:
         found.add_column(name, justify="right")
-    for head, row in with_heads(table.rows):
+    columns = zip(table.columns, *texts, strict=True)
+    width = max(map(len, names), default=0) + sum(2 + max(map(len, column)) for column in columns)
+    wide = width > make_console().width
+    for (head, _), name, cells in zip(with_heads(table.rows), names, texts, strict=True):
         if head:
             found.add_row(Text(head, "italic"), *[""] * len(table.columns))
-        name = row.name if row.source == "measured" else f"{row.name} ({row.source})"
-        found.add_row(name, *map(shown, row.cells))
+        found.add_row(name, *(text.replace(" [", "\n[") if wide else text for text in cells))
     return found
 
 
@@ -109,6 +121,7 @@ def run_record(report: RunReport) -> dict[str, Any]:
         "seconds": round(report.seconds, 2),
         "caveats": {t.key: list(t.caveats) for t in report.tables},
         "tables": {t.key: table_record(t) for t in report.tables},
+        "rows": rows_record(report.tables),
         "comparison": None if report.comparison is None else report.comparison.record(),
     }
 

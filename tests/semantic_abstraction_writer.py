@@ -114,15 +114,52 @@ def write_view(
     room, camera, depth, instances = rendered(seed, size)
     rng = np.random.default_rng(seed)
     rgb = rng.integers(0, 256, (size, size, 3)).astype(np.uint8)
-    seg = np.where(instances >= 0, instances + FIRST_OBJECT, -1).astype(np.int32)
-    classes = ["ceiling", "empty", "out of bounds", *(i.model.label for i in room.instances)]
+    view = RenderedView(room, camera, rgb, depth, instances, tuple(i.model.label for i in room.instances))
+    other = 255 - rgb if randomized else None
+    return write_rendered(path, view, rng, points, how, descriptions, other, items, in_references)
+
+
+@dataclass(frozen=True, eq=False)
+class RenderedView:
+    """What one file shows: rgb (H, W, 3) uint8, depth (H, W) float32 metres, the room's instances (H, W), -1 for none,
+    and the class name of each instance. The camera is level."""
+
+    room: Room
+    camera: Camera
+    rgb: np.ndarray
+    depth: np.ndarray
+    instances: np.ndarray
+    names: tuple[str, ...]
+
+
+def scene_clouds(view: RenderedView, rng: np.random.Generator, points: int) -> list[np.ndarray]:
+    """(`points`, 3) of the whole surface of every instance, in scene units."""
+    assert view.camera.T_world_camera is not None
+    T = TRUE_POSE @ np.linalg.inv(view.camera.T_world_camera)
+    room = view.room
+    clouds = (surface_points(room, k, rng, points) for k in range(len(room.instances)))
+    return [(cloud @ T[:3, :3].T + T[:3, 3]) * SCALE for cloud in clouds]
+
+
+def write_rendered(
+    path: Path,
+    view: RenderedView,
+    rng: np.random.Generator,
+    points: int = 20_000,
+    how: Written = "literal",
+    descriptions: list[tuple[str, int, str, str]] | None = None,
+    randomized: np.ndarray | None = None,
+    items: int = 1,
+    in_references: bool = False,
+) -> ViewTruth:
+    """One file of a rendered view; `randomized` is the picture (H, W, 3) with other materials."""
+    seg = np.where(view.instances >= 0, view.instances + FIRST_OBJECT, -1).astype(np.int32)
+    classes = ["ceiling", "empty", "out of bounds", *view.names]
     labels = {int(i): classes[i] for i in np.unique(seg[seg >= 0])}
-    assert camera.T_world_camera is not None
-    T = TRUE_POSE @ np.linalg.inv(camera.T_world_camera)
-    share = points // (2 * len(room.instances))
-    clouds = [surface_points(room, k, rng, share) @ T[:3, :3].T + T[:3, 3] for k in range(len(room.instances))]
+    share = points // (2 * len(view.names))
+    clouds = scene_clouds(view, rng, share)
     owner = np.repeat(np.arange(len(clouds)) + FIRST_OBJECT, share)
-    scene = np.concatenate(clouds) * SCALE
+    scene = np.concatenate(clouds)
     inside = ((scene >= [-1, -1, -0.1]) & (scene <= [1, 1, 1.9])).all(axis=1)
     scene, owner = scene[inside], owner[inside]
     empty = rng.uniform([-1, -1, -0.1], [1, 1, 1.9], (points - len(scene), 3))
@@ -134,8 +171,8 @@ def write_view(
         xyz[:, 2] = 2 - xyz[:, 2]
     path.parent.mkdir(parents=True, exist_ok=True)
     root: dict[str, np.ndarray] = {
-        "rgb": rgb,
-        "depth": depth,
+        "rgb": view.rgb,
+        "depth": view.depth,
         "seg": seg,
         "full_xyz_pts": xyz,
         "full_objid_pts": owner,
@@ -147,18 +184,19 @@ def write_view(
         for name, value in root.items():
             stored = np.stack([value if k == 0 else value[::-1] for k in range(items)])
             made = file.create_dataset(
-                name, data=stored, chunks=(1, *value.shape), maxshape=(None, *value.shape), compression="gzip"
-            )
+                name, data=stored, chunks=(1, *value.shape), maxshape=(None, *value.shape), compression="gzip",
+                compression_opts=1,
+            )  # fmt: skip
             _list(group, name, [made.regionref[k, ...] for k in range(items)], h5py.regionref_dtype)
         file.create_dataset("saliencies", data=np.zeros((2, 8, 8), np.float32))
-        group["cam_intr"], group["cam_pose"] = camera.K, scene_pose(how)
+        group["cam_intr"], group["cam_pose"] = view.camera.K, scene_pose(how)
         group["scene_bounds"] = np.array([[-1, -1, -0.1], [1, 1, 1.9]])
-        group["domain_randomized_rgb"] = 255 - rgb[None] if randomized else np.zeros((1, 1))
+        group["domain_randomized_rgb"] = np.zeros((1, 1)) if randomized is None else randomized[None]
         group["objid_to_class"] = np.array([f"{name}[{k}]" for k, name in enumerate(classes)]).astype("S")
         group["visible_scene_obj_labels"] = np.array(sorted(set(labels.values()))).astype("S")
         if descriptions is not None:
             _describe(file, group.create_group("descriptions"), descriptions, in_references)
-    return ViewTruth(rgb, depth, seg, labels, world)
+    return ViewTruth(view.rgb, view.depth, seg, labels, world)
 
 
 def _describe(file: Any, group: Any, rows: list[tuple[str, int, str, str]], in_references: bool) -> None:

@@ -8,10 +8,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.errors import InputError
-from pipeline.labels.profiles import PROFILES, profile_of
+from pipeline.labels.profiles import GIVEN, PROFILES, profile_of
 from pipeline.relations import INVERSE, PAIRWISE
 
-NAMES = list(PROFILES)
+NAMES = [name for name in PROFILES if name != GIVEN]
 
 
 def random_extents(seed: int, n: int = 7) -> tuple[np.ndarray, np.ndarray]:
@@ -35,6 +35,15 @@ def test_the_margin_has_the_sign_of_the_state(seed: int, name: str) -> None:
     assert (margins[states == 0] == 0).all()
     # Nearly every decision stands by something: a margin of 0 is the exception.
     assert (np.abs(margins[states != 0]) > 1e-9).mean() > 0.9
+
+
+def test_geometry_decides_nothing_of_what_the_dataset_gives() -> None:
+    lo, hi = random_extents(3)
+    judged, measured = (PROFILES[name].judge(lo, hi, (lo + hi) / 2, None) for name in (GIVEN, "viewer-cone-v1"))
+    off = ~np.eye(len(lo), dtype=bool)
+    assert not judged.states[off].any()
+    assert not judged.margins.any()
+    np.testing.assert_array_equal(judged.distance, measured.distance)
 
 
 @settings(max_examples=60, deadline=None)

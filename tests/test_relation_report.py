@@ -386,7 +386,12 @@ def test_tables_and_plots_of_a_run_from_the_command_line(
         "tables.md", "tables.tex", "tables/srm.csv", "tables/srm_relations.csv", "relation_records.parquet",
         "run.json", "plots/srm.html", "plots/srm_reliability.png", "plots/srm_relations.png",
     }  # fmt: skip
-    assert "(reported)" in (tmp_path / "run" / "tables.md").read_text()
+    again = ["tables", str(tmp_path / "run"), "--json"]
+    assert main(again) == 0
+    rows = json.loads(capsys.readouterr().out)["rows"]["paper_relations_avd"]
+    assert [row["source"] for row in rows.values()] == ["reported"] * 6 + ["measured"] * 3
+    assert main([*again[:2], "--format", "markdown"]) == 0
+    assert "| 3D-Geom+Lng (reported) |" in capsys.readouterr().out
     for wrong, message in (
         (["--tables", "grounding", "--relation-frames", "2"], "belongs to relations alone"),
         (["--tables", "relations", "--limit", "4"], "are about expressions"),

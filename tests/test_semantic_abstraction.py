@@ -19,16 +19,20 @@ from semantic_abstraction_writer import TRUE_POSE, ViewTruth, Written, scene_pos
 
 from pipeline.camera import backproject, to_world
 from pipeline.datasets import GivenExpression, given_expressions, has_moves, open_dataset, splits, survey
-from pipeline.datasets.semantic_abstraction import RANDOMIZED, RELATIONS, SemanticAbstractionDataset
+from pipeline.datasets.semantic_abstraction import RELATIONS, SemanticAbstractionDataset
 from pipeline.datasets.semantic_abstraction_pose import fit_pose
 from pipeline.datasets.semantic_abstraction_splits import (
     NOVEL_CLASSES,
+    RANDOMIZED,
+    RENAMED,
+    SUBSETS,
     SYNONYMS,
     novel_class,
     novel_room,
     novel_visual,
     novel_vocabulary,
     read_split,
+    subsets_of,
     with_synonyms,
 )
 from pipeline.datasets.settings import Settings
@@ -313,7 +317,7 @@ def test_splits_name_frames_that_are_here(divided: Path) -> None:
         "vool/train": (VIEW,),
         "vool/unseen_instances": (TEST_VIEW,),
         "vool/unseen_instances_dr": (TEST_VIEW + RANDOMIZED,),
-        "vool/unseen_instances_synonyms": (TEST_VIEW,),
+        "vool/unseen_instances_synonyms": (TEST_VIEW + RENAMED,),
     }
 
 
@@ -326,15 +330,33 @@ def test_the_four_subsets(divided: Path) -> None:
     plain = ["laptop on a desk", "book behind a lamp"]
     assert texts(novel_room(dataset)) == [(TEST_VIEW, text) for text in plain]
     assert texts(novel_visual(dataset)) == [(TEST_VIEW + RANDOMIZED, text) for text in plain]
-    assert texts(novel_vocabulary(dataset)) == [(TEST_VIEW, "computer on a desk")]
+    assert texts(novel_vocabulary(dataset)) == [(TEST_VIEW + RENAMED, "computer on a desk")]
     assert texts(novel_class(dataset)) == [
         (TEST_VIEW, "mug on a desk"),
         (TEST_VIEW + RANDOMIZED, "mug on a desk"),
-        (TEST_VIEW, "mug on a desk"),
+        (TEST_VIEW + RENAMED, "mug on a desk"),
     ]
     assert [item.split for item in novel_class(dataset)] == list(TABLE)[1:]
     assert list(novel_room(dataset, "ssc")) == []
+    everything = [*novel_room(dataset), *novel_visual(dataset), *novel_vocabulary(dataset), *novel_class(dataset)]
+    for name, chosen in zip(SUBSETS, (novel_visual, novel_vocabulary, novel_class), strict=True):
+        by_id = {(x.frame_id, x.expression.text) for x in everything
+                 if name in subsets_of(x.frame_id, x.expression.target, x.expression.reference)}  # fmt: skip
+        assert by_id == set(texts(chosen(dataset)))
     assert dataset.load(next(novel_visual(dataset)).frame_id).annotations
+
+
+def test_a_view_with_other_names_is_the_same_view(tmp_path: Path) -> None:
+    write_view(tmp_path / f"{TEST_VIEW}.hdf5")
+    dataset = opened(tmp_path)
+    plain, renamed = (dataset.load(TEST_VIEW + end) for end in ("", RENAMED))
+    assert np.array_equal(plain.rgb, renamed.rgb)
+    assert np.array_equal(plain.depth, renamed.depth)
+    names = [(a.label, b.label) for a, b in zip(plain.annotations, renamed.annotations, strict=True)]
+    assert [SYNONYMS.get(own, own) for own, _ in names] == [other for _, other in names]
+    assert any(own != other for own, other in names)
+    assert dataset.scene_of(TEST_VIEW + RENAMED) == "FloorPlan30"
+    assert dataset.scene_of("view_of_a_room") is None
 
 
 def test_synonyms_and_novel_classes_are_the_published_ones() -> None:

@@ -20,7 +20,8 @@ class Dataset(Protocol):
     A dataset may have more to say, by methods that `pipeline.datasets.capabilities`
     asks for and that most do not have: `moves(frame_id)`, a dict of move to frame id;
     `given_expressions(frame_id)`, a tuple of GivenExpression; `splits()`, a dict of
-    split to frame ids; `load_picture(frame_id)`, the frame without its annotations.
+    split to frame ids; `scene_of(frame_id)`, the name of its scene or None;
+    `load_picture(frame_id)`, the frame without its annotations.
 
     Attributes
     ----------

@@ -37,7 +37,16 @@ from pipeline.datasets.semantic_abstraction_objects import (
     points_of,
 )
 from pipeline.datasets.semantic_abstraction_pose import SCENE_BOUNDS, ScenePose, fit_pose
-from pipeline.datasets.semantic_abstraction_splits import RANDOMIZED_ROOMS, read_split, split_files, view_name
+from pipeline.datasets.semantic_abstraction_splits import (
+    RANDOMIZED,
+    RENAMED,
+    SUFFIXES,
+    SYNONYMS,
+    read_split,
+    split_files,
+    view_name,
+    with_synonyms,
+)
 from pipeline.datasets.settings import Settings
 from pipeline.errors import InputError
 from pipeline.frame import Frame
@@ -45,8 +54,6 @@ from pipeline.frame import Frame
 SUFFIX = ".hdf5"
 LEVELS = 3
 """How deep files lie at most below the opened folder."""
-RANDOMIZED = "@randomized"
-"""What is put behind a frame's id for the same view with randomised materials, which test rooms have."""
 NOT_AN_OBJECT = frozenset({"empty", "out of bounds", "unlabelled"})
 LARGEST_ID = 1_000_000
 MOST_OBJECTS = 2000
@@ -88,7 +95,8 @@ class SemanticAbstractionDataset:
     takes the depth to the file's own points, else the reading of it that does;
     where none does there is no pose, and there are no boxes. An id with
     `@randomized` behind it is the view with randomised materials, where it has
-    one; such ids are in the splits and not in `frame_ids`.
+    one, and with `@synonyms` the view whose objects go by their other names;
+    such ids are in the splits and not in `frame_ids`.
     """
 
     format = "semantic-abstraction"
@@ -124,6 +132,8 @@ class SemanticAbstractionDataset:
             K = None if self._settings.intrinsics is not None else read_array(file, "data/cam_intr", 3, 3)
             seg = _segments(file, item, size, notes)
             labels = _labels(file, object_ids(seg), notes)
+            if frame_id.endswith(RENAMED):
+                labels = {number: SYNONYMS.get(label, label) for number, label in labels.items()}
             scene = _scene(file, item, notes)
         depth = _depth(stored, self._settings)
         camera = make_camera(K, size, None, self._settings, path)
@@ -173,24 +183,30 @@ class SemanticAbstractionDataset:
             found.append(
                 GivenExpression(text, target, RELATIONS[relation], reference, meant, of_class.get(reference, ()))
             )
-        return tuple(found)
+        return tuple(map(with_synonyms, found) if frame_id.endswith(RENAMED) else found)
+
+    def scene_of(self, frame_id: str) -> str | None:
+        """The room, such as "FloorPlan3", where the view's name says it."""
+        named = re.search(r"FloorPlan[0-9]+", frame_id, re.ASCII)
+        return None if named is None else named.group()
 
     def splits(self) -> dict[str, tuple[str, ...]]:
         """The frames that the split files beside the views list, by "vool/train" and so on; see `capabilities.splits`.
 
         Files that are not here, and paths that lead outside, are left out. The
-        frames of `unseen_instances_dr` are those with randomised materials.
+        frames of `unseen_instances_dr` are those with randomised materials, the
+        frames of `unseen_instances_synonyms` those with the other names.
         """
         found: dict[str, tuple[str, ...]] = {}
         for kind, path in split_files(self.root).items():
             for name, listed in read_split(path).items():
                 views = dict.fromkeys(view_name(file) for file in listed)
                 ids = [i for view in views if view is not None for i in self._views.get(view, ())]
-                found[f"{kind}/{name}"] = tuple(i + RANDOMIZED if name == RANDOMIZED_ROOMS else i for i in ids)
+                found[f"{kind}/{name}"] = tuple(i + SUFFIXES.get(name, "") for i in ids)
         return found
 
     def _found(self, frame_id: str) -> tuple[Path, int]:
-        place = self._place.get(frame_id.removesuffix(RANDOMIZED))
+        place = self._place.get(frame_id.removesuffix(RANDOMIZED).removesuffix(RENAMED))
         if place is None:
             raise unknown_frame(self, frame_id)
         return self.root / (place[0] + SUFFIX), place[1]

@@ -15,6 +15,13 @@ from pipeline.errors import InputError
 
 SPLIT_FILES = ("vool_split", "ssc_split")
 ROOMS, RANDOMIZED_ROOMS, SYNONYM_ROOMS = "unseen_instances", "unseen_instances_dr", "unseen_instances_synonyms"
+RANDOMIZED, RENAMED = "@randomized", "@synonyms"
+"""What is put behind a frame's id for the same view with randomised materials, which test rooms have, and for the
+same view with the objects called by their other names."""
+SUFFIXES = {RANDOMIZED_ROOMS: RANDOMIZED, SYNONYM_ROOMS: RENAMED}
+"""By split, what stands behind the ids of its frames."""
+SUBSETS = ("Visual", "Synonyms", "Class")
+"""The subsets that the relation method is reported on, in the order of its tables."""
 LARGEST_SPLIT_FILE = 100_000_000
 
 SYNONYMS: dict[str, str] = {
@@ -37,6 +44,7 @@ SYNONYMS: dict[str, str] = {
     "stairs": "staircase",
 }
 """The other name of each of 17 classes, spelt as the dataset spells it."""
+_OTHER_NAMES = frozenset(SYNONYMS.values())
 
 NOVEL_CLASSES = frozenset({"pot", "mug", "safe", "teddy bear", "basket ball", "wine bottle"})
 """The classes that no training view shows."""
@@ -84,8 +92,7 @@ def novel_visual(dataset: SplitDataset, file: str = "vool") -> Iterator[SubsetEx
 
 def novel_vocabulary(dataset: SplitDataset, file: str = "vool") -> Iterator[SubsetExpression]:
     """Expressions whose target or reference is called by its synonym."""
-    names = set(SYNONYMS.values())
-    return _chosen(dataset, file, (SYNONYM_ROOMS,), lambda e: e.target in names or e.reference in names)
+    return _chosen(dataset, file, (SYNONYM_ROOMS,), lambda e: bool({e.target, e.reference} & _OTHER_NAMES))
 
 
 def novel_class(dataset: SplitDataset, file: str = "vool") -> Iterator[SubsetExpression]:
@@ -96,6 +103,18 @@ def novel_class(dataset: SplitDataset, file: str = "vool") -> Iterator[SubsetExp
 def has_novel_class(expression: GivenExpression) -> bool:
     """Whether the target or the reference is of one of the `NOVEL_CLASSES`."""
     return expression.target in NOVEL_CLASSES or expression.reference in NOVEL_CLASSES
+
+
+def subsets_of(frame_id: str, target: str, reference: str) -> tuple[str, ...]:
+    """Which of the `SUBSETS` an expression about a frame, or a pair of its objects, belongs to.
+
+    As the four functions above say it, by the frame's id alone: "Visual" is `novel_visual`, "Synonyms"
+    `novel_vocabulary`, "Class" `novel_class`. Of frames of the training split, which show no novel class, in none.
+    """
+    novel = target in NOVEL_CLASSES or reference in NOVEL_CLASSES
+    renamed = frame_id.endswith(RENAMED) and bool({target, reference} & _OTHER_NAMES)
+    held = (frame_id.endswith(RANDOMIZED) and not novel, renamed, novel)
+    return tuple(name for name, there in zip(SUBSETS, held, strict=True) if there)
 
 
 def with_synonyms(expression: GivenExpression) -> GivenExpression:
@@ -112,8 +131,7 @@ def _chosen(
     splits = dataset.splits()
     for name in names:
         for frame_id in splits.get(f"{file}/{name}", ()):
-            for given in dataset.given_expressions(frame_id):
-                expression = with_synonyms(given) if name == SYNONYM_ROOMS else given
+            for expression in dataset.given_expressions(frame_id):
                 if keep(expression):
                     yield SubsetExpression(name, frame_id, expression)
 

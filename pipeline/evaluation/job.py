@@ -30,6 +30,7 @@ from pipeline.evaluation.grounding_tables import (
 )
 from pipeline.evaluation.intervals import BootstrapConfig
 from pipeline.evaluation.other_runs import other_systems
+from pipeline.evaluation.paper_run import tables_of_folder
 from pipeline.evaluation.raw_scores import is_calibrated, raw_records
 from pipeline.evaluation.relation_cases import labelled_detector
 from pipeline.evaluation.relation_job import measure_relations, relation_sink
@@ -84,6 +85,7 @@ def evaluate_dataset(
     workers: int = 1,
     others: Sequence[Path] = (),
     against: Path | None = None,
+    paper: bool = False,
     plots: bool = True,
     overwrite: bool = False,
     bootstrap: BootstrapConfig | None = None,
@@ -104,6 +106,8 @@ def evaluate_dataset(
         Runs on the same labels, whose systems become further rows.
     against : Path, optional
         The run to compare with: `comparison.json`.
+    paper : bool
+        The paper's tables stand first, and are those of the report.
     plots : bool
         Draw; without the extra `report` they are left out with a warning.
 
@@ -159,6 +163,14 @@ def evaluate_dataset(
         diagnosed = spec.grounding and spec.verdicts and spec.system == "pipeline"
         diagnosis = diagnose_run(systems, labels, folder, bootstrap, shares) if diagnosed else None
         tables += [] if diagnosis is None else diagnosis.tables
+        shown = tables
+        if paper:
+            blocks = {n: title_of(found) for n, found in shares.items()}
+            blocks |= {} if relations is None else {n: share.title for n, share in relations.shares.items()}
+            held_out = spec.relations is not None and spec.relations.pairs == "held-out"
+            answered = systems if spec.grounding else {}
+            shown = tables_of_folder(folder, labels, answered, blocks, held_out=held_out, config=bootstrap)
+            tables = [*shown, *tables]
         (folder / "tables.md").write_text(markdown(tables), encoding="utf-8")
         (folder / "tables.tex").write_text(latex(tables), encoding="utf-8")
         (folder / "tables").mkdir()
@@ -215,7 +227,7 @@ def evaluate_dataset(
         if not spec.grounding:
             (folder / "records.parquet").unlink()
     pairs = 0 if relations is None else relations.pairs
-    return RunReport(out, tuple(tables), count, perf_counter() - start, comparison, pairs, warnings, own)
+    return RunReport(out, tuple(shown), count, perf_counter() - start, comparison, pairs, warnings, own)
 
 
 def make_tables(

@@ -218,6 +218,14 @@ def relation_writer(path: Path, schema: pa.Schema) -> Iterator[RelationWriter]:
         raise
 
 
+def read_pair_names(path: Path) -> list[tuple[str, str, str]]:
+    """Frame and class names (of a, of b) of each pair, in the order of `read_relation_records`."""
+    import pyarrow.parquet as pq
+
+    table = pq.read_table(path, columns=["frame", "label_a", "label_b"])
+    return list(zip(*(column.to_pylist() for column in table.columns), strict=True))
+
+
 def read_relation_records(path: Path) -> RelationRecords:
     """Relation records as arrays, read piece by piece.
 

@@ -114,14 +114,25 @@ def _top(
     """Share of pairs whose one relation is the most probable, is among the two most probable."""
     if not system.prior:
         return None, None
+    ranks = relation_ranks(p, system.prior, truth)
+    one = ranks >= 0
+    first, second = (mean_estimate((ranks[one] < k).astype(np.float64), clusters[one], config=config) for k in (1, 2))
+    return first, second
+
+
+def relation_ranks(p: np.ndarray, prior: Sequence[float] | np.ndarray, truth: np.ndarray) -> np.ndarray:
+    """(P,) int64: place, from 0, of the one relation that holds of each pair; -1 where not exactly one does.
+
+    `p` is (P, R) float of a softmax network of that prior, `truth` (P, R) int8.
+    """
     holds = truth == T
     one = holds.sum(axis=1) == 1
     # What ranks pairs has the prior divided out; what the network says of one pair has not.
-    likely = p[one] * np.array(system.prior)
+    likely = p[one].astype(np.float64) * np.array(prior)
     likely /= np.maximum(likely.sum(axis=1, keepdims=True), 1e-12)
-    ranks = true_ranks(likely, holds[one].argmax(axis=1))
-    first, second = (mean_estimate((ranks < k).astype(np.float64), clusters[one], config=config) for k in (1, 2))
-    return first, second
+    ranks = np.full(len(p), -1, np.int64)
+    ranks[one] = true_ranks(likely, holds[one].argmax(axis=1))
+    return ranks
 
 
 def _tuned(system: SystemRecords, states: np.ndarray, counted: np.ndarray) -> np.ndarray:

@@ -56,6 +56,10 @@ class Table:
         What a reader must know: what is counted, what the intervals are.
     caveats : tuple of str
         What the figures cannot show, since what is measured and what made the truth have something in common.
+    decimals : int
+        Of percentages without an interval.
+    fractions : tuple of str
+        Columns whose shares are written as they are, between 0 and 1, and not as percentages.
     """
 
     key: str
@@ -64,6 +68,15 @@ class Table:
     rows: tuple[Row, ...]
     note: str = ""
     caveats: tuple[str, ...] = ()
+    decimals: int = 1
+    fractions: tuple[str, ...] = ()
+
+    def shown(self, row: Row) -> tuple[str, ...]:
+        """The cells of a row as text."""
+        return tuple(
+            shown(cell, self.decimals, name in self.fractions)
+            for name, cell in zip(self.columns, row.cells, strict=True)
+        )
 
 
 def in_blocks(rows: Iterable[Row], kinds: Iterable[str] = ()) -> tuple[Row, ...]:
@@ -87,13 +100,15 @@ def caveats_html(tables: Iterable[Table]) -> str:
     return "".join(f'<p style="color:#a85b00;font:13px Arial,sans-serif">{escape(text)}</p>' for text in said)
 
 
-def shown(cell: Cell) -> str:
-    """A cell as text: percentages with one decimal, intervals in brackets."""
+def shown(cell: Cell, decimals: int = 1, fraction: bool = False) -> str:
+    """A cell as text: percentages with one decimal (fractions with two), intervals in brackets."""
     if cell is None or (isinstance(cell, float) and math.isnan(cell)):
         return "–"
     if isinstance(cell, Estimate):
-        return cell.formatted().replace("n/a", "–")
-    return f"{100 * cell:.1f}" if isinstance(cell, float) else str(cell)
+        return (cell.formatted(1.0, 2) if fraction else cell.formatted()).replace("n/a", "–")
+    if not isinstance(cell, float):
+        return str(cell)
+    return f"{cell:.2f}" if fraction else f"{100 * cell:.{decimals}f}"
 
 
 def markdown(tables: Sequence[Table]) -> str:
@@ -107,7 +122,7 @@ def markdown(tables: Sequence[Table]) -> str:
             if head:
                 lines.append("| " + " | ".join([f"*{_bars(head)}*", *[""] * len(table.columns)]) + " |")
             name = row.name if row.source == "measured" else f"{row.name} ({row.source})"
-            lines.append("| " + " | ".join(_bars(x) for x in (name, *map(shown, row.cells))) + " |")
+            lines.append("| " + " | ".join(_bars(x) for x in (name, *table.shown(row))) + " |")
         caveats = "\n".join(f"- {caveat}" for caveat in table.caveats)
         parts.append("\n\n".join(part for part in ("\n".join(lines), table.note, caveats) if part))
     return "\n\n".join(parts) + "\n"
@@ -163,7 +178,7 @@ def latex(tables: Sequence[Table]) -> str:
             if head:
                 lines.append(rf"\midrule \multicolumn{{{1 + len(table.columns)}}}{{l}}{{\emph{{{_tex(head)}}}}} \\")
             name = _tex(row.name) + ("" if row.source == "measured" else r"$^\dagger$")
-            lines.append(" & ".join([name, *map(_tex_cell, row.cells)]) + r" \\")
+            lines.append(" & ".join([name, *map(_tex_cell, table.shown(row))]) + r" \\")
         lines += [r"\bottomrule", r"\end{tabular}"]
         if any(row.source != "measured" for row in table.rows):
             lines.append(r"\\ \footnotesize $^\dagger$ as reported")
@@ -176,8 +191,6 @@ def _tex(text: str) -> str:
     return "".join(_SPECIAL.get(c, c) for c in text)
 
 
-def _tex_cell(cell: Cell) -> str:
-    if not isinstance(cell, Estimate):
-        return _tex(shown(cell)).replace("–", "--")
-    value, _, interval = shown(cell).replace("–", "--").partition(" ")
-    return value + (rf" {{\scriptsize {interval}}}" if interval else "")
+def _tex_cell(text: str) -> str:
+    value, _, interval = _tex(text).replace("–", "--").partition(" [")
+    return value + (rf" {{\scriptsize [{interval}}}" if interval else "")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
@@ -62,6 +62,7 @@ def label_dataset(
     part: tuple[int, int] | None = None,
     resume: bool = False,
     limit: int | None = None,
+    frames_of: Sequence[str] = (),
     frames_a_shard: int | None = None,
     gpus_a_detector: float = 0.0,
     progress: Progress | None = None,
@@ -84,6 +85,8 @@ def label_dataset(
         Go on in a folder where a run was stopped: finished shards are kept.
     limit : int, optional
         Only the first so many frames.
+    frames_of : sequence of str
+        Only the frames of these splits of the dataset's own.
 
     Raises
     ------
@@ -105,7 +108,7 @@ def label_dataset(
         )
     if store.holds_something_else():
         raise InputError("the folder holds something else than labels", cause="use another folder", path=out)
-    plan = make_plan(spec.absolute(), config, frames_a_shard=frames_a_shard, limit=limit, out=out)
+    plan = make_plan(spec.absolute(), config, frames_a_shard=frames_a_shard, limit=limit, frames_of=frames_of, out=out)
     open_second_opinion(config.second_opinion)
     if engine == "ray":
         from pipeline.labels.ray_engine import needed_ray

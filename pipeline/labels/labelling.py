@@ -9,12 +9,14 @@ from typing import Any
 import numpy as np
 import xxhash
 
+from pipeline.datasets import GivenExpression
 from pipeline.fitting import pca_box
 from pipeline.frame import Annotation, Frame
 from pipeline.labels.config import LabelConfig
 from pipeline.labels.expressions import candidate_expressions
+from pipeline.labels.given import as_given
 from pipeline.labels.occlusion import occluded_share
-from pipeline.labels.profiles import CONTACT, Judged
+from pipeline.labels.profiles import CONTACT, GIVEN, Judged
 from pipeline.labels.second_opinion import doubted
 from pipeline.labels.tables import PART_TABLES, Columns
 from pipeline.lifting import LiftedObject
@@ -56,6 +58,7 @@ def label_objects(
     exact: bool,
     network: OnnxScorer | None = None,
     numbers: Sequence[int] | None = None,
+    given: Sequence[GivenExpression] = (),
 ) -> FrameLabels:
     """The rows of a frame whose objects are lifted.
 
@@ -74,6 +77,8 @@ def label_objects(
         The second opinion.
     numbers : sequence of int, optional
         The objects' numbers, where they have some already.
+    given : sequence of GivenExpression
+        What the dataset itself says of its annotations: the relations under the profile `given`.
     """
     frame = context.frame
     if numbers is None:
@@ -86,6 +91,8 @@ def label_objects(
     related = [k for k, o in enumerate(objects) if not config.is_background(o.label)]
     judged = judge_list(context, [objects[k] for k in related], config, network)
     ids = [numbers[k] for k in related]
+    if config.profile == GIVEN:
+        judged = as_given(judged, ids, given)
     up_source = str(context.viewer.up_source)
     return FrameLabels(
         _frame_rows(frame, frame_index, scene, len(objects)),

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline import __version__
+from pipeline.datasets import Dataset, splits
 from pipeline.errors import InputError
 from pipeline.jobs import Source, open_source
 from pipeline.labels.config import LabelConfig
@@ -146,6 +147,7 @@ def make_plan(
     *,
     frames_a_shard: int | None = None,
     limit: int | None = None,
+    frames_of: Sequence[str] = (),
     out: str | Path | None = None,
 ) -> Plan:
     """Look at the dataset and lay out the shards; no image is decoded.
@@ -154,6 +156,8 @@ def make_plan(
     ----------
     limit : int, optional
         Only the first so many frames.
+    frames_of : sequence of str
+        Only the frames of these splits of the dataset's own, in their order.
     out : str or Path, optional
         Where the labels go: within the dataset's folder, that place is not part of the input.
 
@@ -168,7 +172,7 @@ def make_plan(
         raise InputError("a shard needs at least one frame", got=frames_a_shard)
     source = spec.open(config)
     detector = source.needed_detector()
-    frames = source.dataset.frame_ids[:limit]
+    frames = (frames_of_splits(source.dataset, frames_of) if frames_of else source.dataset.frame_ids)[:limit]
     if not frames:
         raise InputError("the dataset has no frames", path=source.dataset.root)
     odd = next((f for f in frames if any("\ud800" <= c <= "\udfff" for c in f)), None)
@@ -191,6 +195,24 @@ def make_plan(
         detector.exact,
         frames_a_shard,
     )
+
+
+def frames_of_splits(dataset: Dataset, names: Sequence[str]) -> tuple[str, ...]:
+    """The frames of the dataset's own splits of these names, each frame once.
+
+    Raises
+    ------
+    InputError
+        The dataset has no such split.
+    """
+    there = splits(dataset)
+    absent = [name for name in names if name not in there]
+    if absent:
+        raise InputError(
+            "the dataset has no such split", got=absent[0], expected=" | ".join(there) or "no splits at all",
+            path=dataset.root,
+        )  # fmt: skip
+    return tuple(dict.fromkeys(frame for name in names for frame in there[name]))
 
 
 def input_changed(plan: Plan, out: str | Path) -> bool:

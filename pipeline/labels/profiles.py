@@ -196,6 +196,24 @@ def semantic_abstraction_directions(
     return Judged(states, margins, contact.distance)
 
 
+GIVEN = "given"
+"""The profile whose relations are the dataset's own."""
+
+
+def judge_nothing(
+    lo: np.ndarray,
+    hi: np.ndarray,
+    centroids: np.ndarray,
+    clouds: Sequence[np.ndarray] | None,
+    relations: Collection[str] = PAIRWISE,
+) -> Judged:
+    """`given`: geometry decides nothing, every pair is in doubt until `labels.given` says what the dataset gives."""
+    measured = judge_viewer_cone(lo, hi, centroids, None, ())
+    states = np.full(measured.states.shape, U, np.int8)
+    states[np.eye(len(lo), dtype=np.bool_)] = F
+    return Judged(states, np.zeros(measured.margins.shape), measured.distance)
+
+
 PROFILES: dict[str, RuleProfile] = {
     p.name: p
     for p in (
@@ -213,6 +231,7 @@ PROFILES: dict[str, RuleProfile] = {
             },
             judge_semantic_abstraction,
         ),
+        RuleProfile(GIVEN, ("left", "right", "front", "behind", "on", "in"), {}, judge_nothing),
     )
 }
 """The profiles by name. A new one is a `Judge` and an entry here."""

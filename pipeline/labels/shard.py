@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipeline.datasets import Dataset
+from pipeline.datasets import Dataset, given_expressions
+from pipeline.datasets.capabilities import own_scene
 from pipeline.errors import InputError
 from pipeline.jobs import Source
 from pipeline.labels.config import LabelConfig
 from pipeline.labels.labelling import FrameLabels, broken_frame, label_objects
 from pipeline.labels.plan import Shard, SourceSpec
+from pipeline.labels.profiles import GIVEN
 from pipeline.labels.second_opinion import open_second_opinion
 from pipeline.labels.store import Store
 from pipeline.labels.tables import CANDIDATES, PART_TABLES, arrow_schema, build_table
@@ -87,6 +89,7 @@ def label_frame(labeller: Labeller, frame_id: str, frame_index: int, found: Prop
     scene = scene_of(source.dataset, frame_id)
     detector = source.needed_detector()
     try:
+        given = given_expressions(source.dataset, frame_id) if config.profile == GIVEN else ()
         context = FrameContext(source.dataset.load(frame_id), config.lift)
         found = detector.detect(context.frame, None) if found is None else found
         if (np.diff(found.ids) < 0).any():
@@ -102,6 +105,7 @@ def label_frame(labeller: Labeller, frame_id: str, frame_index: int, found: Prop
         scene=scene,
         exact=detector.exact,
         network=labeller.network,
+        given=given,
     )
 
 
@@ -118,7 +122,10 @@ def detect_shard(shard: Shard, source: Source) -> dict[str, Proposals]:
 
 
 def scene_of(dataset: Dataset, frame_id: str) -> str:
-    """The scene of a frame: the folder part of its id, or the dataset's own name."""
+    """The scene of a frame: as the dataset knows it, else the folder part of its id, or the dataset's own name."""
+    own = own_scene(dataset, frame_id)
+    if own is not None:
+        return own
     parent = str(PurePosixPath(frame_id).parent)
     return dataset.root.resolve().name if parent in (".", "/") else parent
 

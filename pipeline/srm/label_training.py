@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.errors import InputError
+from pipeline.labels.profiles import GIVEN
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.proposals.onnx_session import file_hash
 from pipeline.relations import VOCABULARIES
@@ -149,7 +150,7 @@ def train_on_labels(
             "split": plan.record(),
             "calibration": {relation: list(ab) for relation, ab in calibration.items()},
             "held_out": held_out(OnnxScorer(made), test, data.names),
-            "warnings": _warnings(model, plan, data),
+            "warnings": _warnings(model, plan, data, labels.manifest.profile.get("name") == GIVEN),
         }
         if language is not None and vectors is not None:
             card["language"] = {**asdict(language), "classes": len(vectors.names), "classes_xxh3_128": vectors.hash}
@@ -233,8 +234,8 @@ def _labels_record(labels: Labels, data: LabelData) -> dict[str, Any]:
     }
 
 
-def _warnings(model: TrainedModel, plan: SplitPlan, data: LabelData) -> list[str]:
-    found = [CIRCULAR]
+def _warnings(model: TrainedModel, plan: SplitPlan, data: LabelData, given: bool) -> list[str]:
+    found = [] if given else [CIRCULAR]
     if plan.warning is not None:
         found.append(plan.warning)
     lost = [r for r in data.vocabulary if r not in model.vocabulary]

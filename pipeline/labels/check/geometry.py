@@ -31,7 +31,7 @@ from pipeline.labels.check.findings import Finding
 from pipeline.labels.check.stream import UNKNOWN
 from pipeline.labels.check.view import FrameView, pairs_where, state_letter
 from pipeline.labels.margins import directional_margins, margin_of
-from pipeline.labels.profiles import Judged, semantic_abstraction_directions
+from pipeline.labels.profiles import GIVEN, Judged, semantic_abstraction_directions
 from pipeline.relations import (
     DIRECTIONAL,
     PAIRWISE,
@@ -167,9 +167,19 @@ def _contact(
     )
 
 
+def expected_given(view: FrameView) -> Expected:
+    """`given`: the dataset itself says the states, with no margin; only distances follow from the extents."""
+    shape = (len(view.ids), len(view.ids))
+    low, high, margins = (
+        {relation: np.full(shape, value) for relation in view.states} for value in (np.int8(F), np.int8(T), 0.0)
+    )
+    return Expected(low, high, margins, expected_viewer_cone(view).distance)
+
+
 EXPECTED: dict[str, Callable[[FrameView], Expected]] = {
     "viewer-cone-v1": expected_viewer_cone,
     "semantic-abstraction-published": expected_semantic_abstraction,
+    GIVEN: expected_given,
 }
 """What geometry says under a profile. Of a profile without an entry here, `profile/changed` tells that it has none."""
 
