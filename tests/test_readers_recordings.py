@@ -37,7 +37,7 @@ from pipeline.datasets import open_dataset, survey
 from pipeline.datasets.tum import _match
 from pipeline.errors import InputError
 from pipeline.frame import Frame
-from pipeline.viewer import level_plane
+from pipeline.level_plane import level_plane
 
 CAMERA = (60.0, 61.0, 31.5, 23.5)
 
