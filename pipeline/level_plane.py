@@ -2,81 +2,233 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Literal
+
 import cv2
 import numpy as np
 
-from pipeline.camera import IMAGE_UP, Camera, lift_pixels
+from pipeline.camera import Camera, lift_pixels
 from pipeline.errors import InputError
 from pipeline.normals import depth_noise, surface_normals
-
-MAX_TILT_DEG = 45.0
-MIN_PLANE_SHARE = 0.05
-_GRID_POINTS = 4000
-_HYPOTHESES = 192
 
 SAME_SURFACE_DEG = 15.0
 """Normals of one surface differ by no more than this."""
 MIN_SURFACE_PIXELS = 60
 
+STEEPEST_DEG, HIGHEST_DEG, MAX_ROLL_DEG = 77.0, 40.0, 30.0
+"""How a camera may be held: looking down and up by at most so much, and rolled by at most so much.
+A wall, taken for a floor, would say of a camera that looks down that it is upside down, and of a
+level one that it looks straight down."""
+EASY_ROLL_DEG, EASY_STEEP_DEG, EASY_HIGH_DEG = 14.0, 68.0, 16.0
+"""Up to about so much is common; beyond it, every other explanation is more likely."""
+
+PARALLEL_DEG = 8.0
+UPRIGHT_DEG = 10.0
+APART_DEG = 15.0
+"""Hypotheses closer than this are one."""
+FULL_SHARE = 0.03
+"""A plane of so much of the surface counts half, a larger one more."""
+WEIGHT = {"floor": 1.0, "ceiling": 0.5, "walls": 0.5}
+"""To a camera that looks down steeply, a wall behind a table looks like a ceiling does to one that looks up."""
+WALLS_STEEP_DEG, WALLS_HIGH_DEG = 45.0, 10.0
+"""Up is where two walls meet only while the camera looks down by no more than this, and up by no more."""
+MIN_SCORE = 0.15
+MIN_LEAD = 2.0
+"""The best hypothesis must be so many times as good as the best that contradicts it."""
+
+NEAREST_M, FARTHEST_M = 0.15, 10.0
+GRID_BLOCKS = 12_000
+DIRECTIONS, VOTERS = 96, 4000
+MAX_HYPOTHESES = 5
+MIN_POINTS = 50
+LEAST_SHARE = 0.01
+STRETCH_M = 0.04
+
+
+@dataclass(frozen=True)
+class UpHypothesis:
+    """An up vector that planes of the frame suggest, and what speaks for it.
+
+    Attributes
+    ----------
+    up : (3,) float64
+        Unit vector, camera frame.
+    kind : str
+        A plane seen from above (a floor, a table-top), one seen from below, or walls that stand on no floor seen.
+    share : float
+        Share of the surface seen that lies in the plane; of walls, what speaks for the less seen direction.
+    explained : float
+        Share of the flat surface that is level or upright under it, in either way.
+    """
+
+    up: np.ndarray
+    kind: Literal["floor", "ceiling", "walls"]
+    share: float
+    explained: float
+
+    @property
+    def score(self) -> float:
+        """0..1: how well it explains the frame, how large its plane is, how common it is to hold a camera so."""
+        held = float(_ease(self.up[None])[0])
+        return WEIGHT[self.kind] * held * self.explained**2 * self.share / (self.share + FULL_SHARE)
+
+
+@dataclass(frozen=True)
+class _Surface:
+    """The frame in blocks of pixels: `points` and `normals` (N, 3) float32 towards the camera, `flat` (N,) bool."""
+
+    points: np.ndarray
+    normals: np.ndarray
+    flat: np.ndarray
+
 
 def level_plane(depth: np.ndarray, camera: Camera) -> np.ndarray | None:
-    """Normal of the largest plane within 45 degrees of image-up, or None.
-
-    Candidate normals come from the local surface on a coarse pixel grid, so
-    that every hypothesis is a real patch of the scene and no random numbers are
-    needed; the plane with the most points near it wins and is fitted to them.
+    """The up vector that the level planes of a frame give, or None where they are too few or contradict each other.
 
     Returns
     -------
     (3,) float64 or None
-        Unit vector, camera frame, on the side of image-up.
+        Unit vector, camera frame.
     """
-    height, width = depth.shape
-    stride = max(1, int(np.sqrt(height * width / _GRID_POINTS)))
-    v, u = np.meshgrid(
-        np.arange(stride, height - stride, stride), np.arange(stride, width - stride, stride), indexing="ij"
-    )
-    z = depth[v, u]
-    points = lift_pixels(z.ravel(), camera, v.ravel(), u.ravel()).astype(np.float64).reshape(*v.shape, 3)
-    valid = (z > 0.3) & (z < 10.0)
-    if valid.sum() < 50:
+    found = up_hypotheses(depth, camera)
+    if not found or found[0].score < MIN_SCORE:
         return None
+    best = found[0]
+    others = (h.score for h in found[1:] if h.up @ best.up < np.cos(np.deg2rad(APART_DEG)))
+    return best.up if best.score >= MIN_LEAD * max(others, default=0.0) else None
 
-    across = points[1:-1, 2:] - points[1:-1, :-2]
-    down = points[2:, 1:-1] - points[:-2, 1:-1]
-    normal = np.cross(across, down)
-    length = np.linalg.norm(normal, axis=-1)
-    near = valid[1:-1, 2:] & valid[1:-1, :-2] & valid[2:, 1:-1] & valid[:-2, 1:-1] & valid[1:-1, 1:-1]
-    normal = normal / np.maximum(length, 1e-12)[..., None]
-    normal *= np.where(normal[..., 1:2] > 0, -1.0, 1.0)
-    level = near & (length > 1e-12) & (normal @ IMAGE_UP > np.cos(np.deg2rad(MAX_TILT_DEG)))
-    if level.sum() < 10:
-        return None
 
-    cloud = points[valid]
-    tolerance = 0.008 + 0.004 * cloud[:, 2] ** 2
-    candidates, anchors = normal[level], points[1:-1, 1:-1][level]
-    pick = np.linspace(0, len(candidates) - 1, min(_HYPOTHESES, len(candidates))).astype(int)
-    candidates, anchors = candidates[pick].astype(np.float32), anchors[pick].astype(np.float32)
-    offset = np.einsum("hk,hk->h", candidates, anchors)
-    support = (np.abs(candidates @ cloud.T.astype(np.float32) - offset[:, None]) < tolerance.astype(np.float32)).sum(1)
-    best = int(support.argmax())
-    n, d = candidates[best].astype(np.float64), float(offset[best])
+def up_hypotheses(depth: np.ndarray, camera: Camera) -> tuple[UpHypothesis, ...]:
+    """What the planes of a frame suggest, the best first.
+
+    Candidate directions are normals of the surface itself, so that every hypothesis is a real patch of the
+    scene and no random numbers are needed. A plane counts only on the side it is seen from: a floor from
+    above, a ceiling from below.
+
+    Parameters
+    ----------
+    depth : (H, W) float32
+        Metres.
+    """
+    surface = _surface(depth, camera)
+    if len(surface.points) < MIN_POINTS or surface.flat.sum() < MIN_POINTS:
+        return ()
+    found = [*_of_one_side(surface, "floor"), *_of_one_side(surface, "ceiling")]
+    same = np.cos(np.deg2rad(APART_DEG))
+    # A level plane is fitted to more than the directions of walls are.
+    found += [h for h in _of_walls(surface) if not any(h.up @ level.up > same for level in found)]
+    return tuple(sorted(found, key=lambda h: -h.score))
+
+
+def _of_one_side(surface: _Surface, kind: Literal["floor", "ceiling"]) -> list[UpHypothesis]:
+    sign = np.float32(1.0 if kind == "floor" else -1.0)
+    facing = surface.normals[surface.flat] * sign
+    # Every third or so of the normals is enough to rank directions; the planes are fitted to all points.
+    voters = facing[:: max(1, len(facing) // VOTERS)]
+    candidates = voters[_ease(voters) > 0]
+    if len(candidates) < 10:
+        return []
+    candidates = candidates[np.linspace(0, len(candidates) - 1, min(DIRECTIONS, len(candidates))).astype(int)]
+    cosines = candidates @ voters.T
+    alike, same = (np.float32(np.cos(np.deg2rad(a))) for a in (PARALLEL_DEG, APART_DEG))
+    support = np.count_nonzero(cosines > alike, axis=1)
+    found: list[UpHypothesis] = []
+    for _ in range(MAX_HYPOTHESES):
+        best = int(support.argmax())
+        if support[best] < LEAST_SHARE / 2 * len(voters):
+            break
+        direction = voters[cosines[best] > alike].mean(axis=0)
+        fitted = _fitted(surface, direction / np.linalg.norm(direction), sign)
+        support[candidates @ candidates[best] > same] = 0
+        if fitted is None or _ease(fitted[0][None])[0] == 0 or any(fitted[0] @ h.up > same for h in found):
+            continue
+        up, share = fitted
+        found.append(UpHypothesis(up, kind, share, _explained(facing, up)))
+    return found
+
+
+def _of_walls(surface: _Surface) -> list[UpHypothesis]:
+    """The direction that all walls run along, where nothing level is seen and they face at least two ways."""
+    normals = surface.normals[surface.flat].astype(np.float64)
+    upright = normals
     for _ in range(3):
-        inliers = np.abs(cloud @ n - d) < tolerance
-        if inliers.sum() < max(30, MIN_PLANE_SHARE * len(cloud)):
+        spread, axes = np.linalg.eigh(upright.T @ upright)
+        up = axes[:, 0] * (-1.0 if axes[1, 0] > 0 else 1.0)
+        upright = normals[np.abs(normals @ up) < np.sin(np.deg2rad(UPRIGHT_DEG))]
+        if len(upright) < MIN_POINTS:
+            return []
+    pitch = np.rad2deg(np.arcsin(np.clip(-up[2], -1, 1)))
+    if not -WALLS_HIGH_DEG < pitch < WALLS_STEEP_DEG or _ease(up[None])[0] == 0:
+        return []
+    share = float(spread[1] / len(surface.points))
+    return [UpHypothesis(up, "walls", share, _explained(normals, up))] if share > LEAST_SHARE else []
+
+
+def _explained(normals: np.ndarray, up: np.ndarray) -> float:
+    """Share of the normals ((N, 3)) that are parallel or perpendicular to an up vector."""
+    along = np.abs(normals @ up.astype(normals.dtype))
+    return float(((along > np.cos(np.deg2rad(PARALLEL_DEG))) | (along < np.sin(np.deg2rad(UPRIGHT_DEG)))).mean())
+
+
+def _ease(up: np.ndarray) -> np.ndarray:
+    """0..1 of each up vector ((N, 3)): how common it is to hold a camera so; 0 is never."""
+    pitch = np.rad2deg(np.arcsin(np.clip(-up[:, 2], -1, 1)))
+    roll = np.abs(np.rad2deg(np.arctan2(up[:, 0], -up[:, 1])))
+    beyond = np.maximum(pitch - EASY_STEEP_DEG, 0) + np.maximum(-pitch - EASY_HIGH_DEG, 0)
+    held = np.exp(-0.5 * (np.maximum(roll - EASY_ROLL_DEG, 0) / 8) ** 2 - beyond / 12)
+    return np.where((pitch < STEEPEST_DEG) & (pitch > -HIGHEST_DEG) & (roll < MAX_ROLL_DEG), held, 0.0)
+
+
+def _surface(depth: np.ndarray, camera: Camera) -> _Surface:
+    """Means over blocks of pixels, of inverse depth: in it a plane stays a plane."""
+    height, width = depth.shape
+    side = max(1, round(float(np.sqrt(height * width / GRID_BLOCKS))))
+    rows, columns = height // side, width // side
+    cut = depth[: rows * side, : columns * side]
+    has = (cut > NEAREST_M) & (cut < FARTHEST_M)
+    inverse = np.divide(1.0, cut, out=np.zeros(cut.shape, np.float32), where=has)
+    filled, mean = (cv2.resize(a, (columns, rows), interpolation=cv2.INTER_AREA) for a in (has.astype(np.float32), inverse))
+    z = np.divide(filled, mean, out=np.zeros_like(mean), where=filled > 0.5)
+    K = camera.K.copy()
+    K[:2] /= side
+    K[:2, 2] -= (side - 1) / (2 * side)
+    blocks = Camera(K, columns, rows)
+    normals, known = surface_normals(z, blocks, radius=2)
+    v, u = np.nonzero(z > 0)
+    return _Surface(lift_pixels(z[v, u], blocks, v, u), normals[v, u], known[v, u])
+
+
+def _fitted(surface: _Surface, direction: np.ndarray, sign: np.float32) -> tuple[np.ndarray, float] | None:
+    """The largest plane of about this normal: its unit normal, and its share of the points; None where it is too small."""
+    points = surface.points
+    tolerance = 0.008 + 0.006 * points[:, 2] ** 2
+    cosine = surface.normals @ direction * sign
+    near = surface.flat & (cosine > np.cos(np.deg2rad(PARALLEL_DEG)))
+    heights = np.sort(points[near] @ direction)
+    stretch = np.searchsorted(heights, heights + STRETCH_M) - np.arange(len(heights))
+    densest = int(stretch.argmax())
+    normal = direction.astype(np.float64)
+    offset = float(np.median(heights[densest : densest + stretch[densest]]))
+    near = surface.flat & (cosine > np.cos(np.deg2rad(3 * PARALLEL_DEG)))
+    cloud, tolerance = points[near].astype(np.float64), tolerance[near]
+    for slack in (2, 1, 1):
+        inside = np.abs(cloud @ normal - offset) < slack * tolerance
+        if inside.sum() < max(LEAST_SHARE * len(points), 20):
             return None
-        centre = cloud[inliers].mean(axis=0)
-        # Far points are noisier by z squared; unweighted they would tilt the plane.
-        weight = 1.0 / tolerance[inliers]
-        centre = np.average(cloud[inliers], axis=0, weights=weight)
-        spread = (cloud[inliers] - centre) * weight[:, None]
-        n = np.linalg.svd(spread.T @ spread)[0][:, 2]
-        n = n if n @ IMAGE_UP > 0 else -n
-        d = float(centre @ n)
-    if n @ IMAGE_UP < np.cos(np.deg2rad(MAX_TILT_DEG)):
-        return None
-    return n
+        centre, normal = _plane_of(cloud[inside], 1.0 / tolerance[inside])
+        normal = normal if normal @ direction > 0 else -normal
+        offset = float(centre @ normal)
+    if sign * offset > 0:
+        return None  # Not on the side it would be seen from.
+    return normal, float(inside.sum() / len(points))
+
+
+def _plane_of(cloud: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Centre and unit normal of points; far ones are noisier by z squared and unweighted would tilt the plane."""
+    centre = np.average(cloud, axis=0, weights=weight)
+    spread = (cloud - centre) * weight[:, None]
+    return centre, np.linalg.svd(spread.T @ spread)[0][:, 2]
 
 
 def level_normal_at(depth: np.ndarray, camera: Camera, u: int, v: int) -> np.ndarray:
@@ -124,10 +276,7 @@ def level_normal_at(depth: np.ndarray, camera: Camera, u: int, v: int) -> np.nda
         if region.sum() < MIN_SURFACE_PIXELS:
             raise no_plane
         cloud = points[region].astype(np.float64)
-        weight = 1.0 / tolerance[region].astype(np.float64)
-        centre = np.average(cloud, axis=0, weights=weight)
-        spread = (cloud - centre) * weight[:, None]
-        normal = np.linalg.svd(spread.T @ spread)[0][:, 2]
+        centre, normal = _plane_of(cloud, 1.0 / tolerance[region].astype(np.float64))
         normal = normal if normal @ centre < 0 else -normal
         offset = float(centre @ normal)
     return normal
