@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -25,12 +26,15 @@ EASY_ROLL_DEG, EASY_STEEP_DEG, EASY_HIGH_DEG = 14.0, 68.0, 16.0
 
 PARALLEL_DEG = 8.0
 UPRIGHT_DEG = 10.0
+_UPRIGHT = float(np.sin(np.deg2rad(UPRIGHT_DEG)))
 APART_DEG = 15.0
 """Hypotheses closer than this are one."""
 FULL_SHARE = 0.03
 """A plane of so much of the surface counts half, a larger one more."""
 WEIGHT = {"floor": 1.0, "ceiling": 0.5, "walls": 0.5}
 """To a camera that looks down steeply, a wall behind a table looks like a ceiling does to one that looks up."""
+LEAST_WALL = 0.05
+"""A ceiling counts only where walls are seen with it: alone, it may as well be a wall seen from above."""
 WALLS_STEEP_DEG, WALLS_HIGH_DEG = 45.0, 10.0
 """Up is where two walls meet only while the camera looks down by no more than this, and up by no more."""
 MIN_SCORE = 0.15
@@ -91,12 +95,17 @@ def level_plane(depth: np.ndarray, camera: Camera) -> np.ndarray | None:
     (3,) float64 or None
         Unit vector, camera frame.
     """
-    found = up_hypotheses(depth, camera)
+    best = decided(up_hypotheses(depth, camera))
+    return None if best is None else best.up
+
+
+def decided(found: Sequence[UpHypothesis]) -> UpHypothesis | None:
+    """The best of a frame's hypotheses (best first), None where it is weak or another contradicts it."""
     if not found or found[0].score < MIN_SCORE:
         return None
     best = found[0]
     others = (h.score for h in found[1:] if h.up @ best.up < np.cos(np.deg2rad(APART_DEG)))
-    return best.up if best.score >= MIN_LEAD * max(others, default=0.0) else None
+    return best if best.score >= MIN_LEAD * max(others, default=0.0) else None
 
 
 def up_hypotheses(depth: np.ndarray, camera: Camera) -> tuple[UpHypothesis, ...]:
@@ -144,6 +153,8 @@ def _of_one_side(surface: _Surface, kind: Literal["floor", "ceiling"]) -> list[U
         if fitted is None or _ease(fitted[0][None])[0] == 0 or any(fitted[0] @ h.up > same for h in found):
             continue
         up, share = fitted
+        if kind == "ceiling" and np.mean(np.abs(facing @ up.astype(np.float32)) < _UPRIGHT) < LEAST_WALL:
+            continue
         found.append(UpHypothesis(up, kind, share, _explained(facing, up)))
     return found
 
@@ -151,24 +162,29 @@ def _of_one_side(surface: _Surface, kind: Literal["floor", "ceiling"]) -> list[U
 def _of_walls(surface: _Surface) -> list[UpHypothesis]:
     """The direction that all walls run along, where nothing level is seen and they face at least two ways."""
     normals = surface.normals[surface.flat].astype(np.float64)
-    upright = normals
-    for _ in range(3):
-        spread, axes = np.linalg.eigh(upright.T @ upright)
-        up = axes[:, 0] * (-1.0 if axes[1, 0] > 0 else 1.0)
-        upright = normals[np.abs(normals @ up) < np.sin(np.deg2rad(UPRIGHT_DEG))]
+    up, spread = _least_seen(normals)
+    for _ in range(2):
+        upright = normals[np.abs(normals @ up) < _UPRIGHT]
         if len(upright) < MIN_POINTS:
             return []
+        up, spread = _least_seen(upright)
     pitch = np.rad2deg(np.arcsin(np.clip(-up[2], -1, 1)))
     if not -WALLS_HIGH_DEG < pitch < WALLS_STEEP_DEG or _ease(up[None])[0] == 0:
         return []
-    share = float(spread[1] / len(surface.points))
+    share = spread / len(surface.points)
     return [UpHypothesis(up, "walls", share, _explained(normals, up))] if share > LEAST_SHARE else []
+
+
+def _least_seen(normals: np.ndarray) -> tuple[np.ndarray, float]:
+    """Where normals ((N, 3)) point least, as a unit vector up the image, and the sum of squares of the next axis."""
+    spread, axes = np.linalg.eigh(normals.T @ normals)
+    return axes[:, 0] * (-1.0 if axes[1, 0] > 0 else 1.0), float(spread[1])
 
 
 def _explained(normals: np.ndarray, up: np.ndarray) -> float:
     """Share of the normals ((N, 3)) that are parallel or perpendicular to an up vector."""
     along = np.abs(normals @ up.astype(normals.dtype))
-    return float(((along > np.cos(np.deg2rad(PARALLEL_DEG))) | (along < np.sin(np.deg2rad(UPRIGHT_DEG)))).mean())
+    return float(((along > np.cos(np.deg2rad(PARALLEL_DEG))) | (along < _UPRIGHT)).mean())
 
 
 def _ease(up: np.ndarray) -> np.ndarray:
@@ -188,7 +204,8 @@ def _surface(depth: np.ndarray, camera: Camera) -> _Surface:
     cut = depth[: rows * side, : columns * side]
     has = (cut > NEAREST_M) & (cut < FARTHEST_M)
     inverse = np.divide(1.0, cut, out=np.zeros(cut.shape, np.float32), where=has)
-    filled, mean = (cv2.resize(a, (columns, rows), interpolation=cv2.INTER_AREA) for a in (has.astype(np.float32), inverse))
+    filled = cv2.resize(has.astype(np.float32), (columns, rows), interpolation=cv2.INTER_AREA)
+    mean = cv2.resize(inverse, (columns, rows), interpolation=cv2.INTER_AREA)
     z = np.divide(filled, mean, out=np.zeros_like(mean), where=filled > 0.5)
     K = camera.K.copy()
     K[:2] /= side
@@ -200,7 +217,7 @@ def _surface(depth: np.ndarray, camera: Camera) -> _Surface:
 
 
 def _fitted(surface: _Surface, direction: np.ndarray, sign: np.float32) -> tuple[np.ndarray, float] | None:
-    """The largest plane of about this normal: its unit normal, and its share of the points; None where it is too small."""
+    """The largest plane of about this normal: its unit normal and its share of the points; None where too small."""
     points = surface.points
     tolerance = 0.008 + 0.006 * points[:, 2] ** 2
     cosine = surface.normals @ direction * sign
@@ -214,7 +231,7 @@ def _fitted(surface: _Surface, direction: np.ndarray, sign: np.float32) -> tuple
     cloud, tolerance = points[near].astype(np.float64), tolerance[near]
     for slack in (2, 1, 1):
         inside = np.abs(cloud @ normal - offset) < slack * tolerance
-        if inside.sum() < max(LEAST_SHARE * len(points), 20):
+        if np.count_nonzero(inside) < max(LEAST_SHARE * len(points), 20):
             return None
         centre, normal = _plane_of(cloud[inside], 1.0 / tolerance[inside])
         normal = normal if normal @ direction > 0 else -normal

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from pathlib import PurePosixPath
 from time import perf_counter
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipeline.datasets import Dataset
+from pipeline.datasets.base import scene_of
 from pipeline.errors import InputError
 from pipeline.jobs import Source
 from pipeline.labels.config import LabelConfig
@@ -19,7 +18,7 @@ from pipeline.labels.plan import Shard, SourceSpec
 from pipeline.labels.second_opinion import open_second_opinion
 from pipeline.labels.store import Store
 from pipeline.labels.tables import CANDIDATES, PART_TABLES, arrow_schema, build_table
-from pipeline.objects import FrameContext
+from pipeline.objects import frame_context
 from pipeline.proposals.base import Proposals
 from pipeline.srm.model import OnnxScorer
 
@@ -87,7 +86,7 @@ def label_frame(labeller: Labeller, frame_id: str, frame_index: int, found: Prop
     scene = scene_of(source.dataset, frame_id)
     detector = source.needed_detector()
     try:
-        context = FrameContext(source.dataset.load(frame_id), config.lift)
+        context = frame_context(source.dataset, source.dataset.load(frame_id), config.lift)
         found = detector.detect(context.frame, None) if found is None else found
         if (np.diff(found.ids) < 0).any():
             found = found.take(np.argsort(found.ids, kind="stable"))
@@ -111,16 +110,10 @@ def detect_shard(shard: Shard, source: Source) -> dict[str, Proposals]:
     found = {}
     for frame_id in shard.frames:
         try:
-            found[frame_id] = detector.detect(FrameContext(source.dataset.load(frame_id)).frame, None)
+            found[frame_id] = detector.detect(frame_context(source.dataset, source.dataset.load(frame_id)).frame, None)
         except InputError:
             continue
     return found
-
-
-def scene_of(dataset: Dataset, frame_id: str) -> str:
-    """The scene of a frame: the folder part of its id, or the dataset's own name."""
-    parent = str(PurePosixPath(frame_id).parent)
-    return dataset.root.resolve().name if parent in (".", "/") else parent
 
 
 def shard_tables(labels: Iterable[FrameLabels]) -> dict[str, pa.Table]:
