@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Literal
 
 import cv2
@@ -86,6 +87,12 @@ class _Surface:
     normals: np.ndarray
     flat: np.ndarray
 
+    @cached_property
+    def voters(self) -> np.ndarray:
+        """Some of the flat normals, evenly: enough to weigh directions; planes are fitted to all points."""
+        normals = self.normals[self.flat]
+        return normals[:: max(1, len(normals) // VOTERS)]
+
 
 def level_plane(depth: np.ndarray, camera: Camera) -> np.ndarray | None:
     """The up vector that the level planes of a frame give, or None where they are too few or contradict each other.
@@ -132,9 +139,7 @@ def up_hypotheses(depth: np.ndarray, camera: Camera) -> tuple[UpHypothesis, ...]
 
 def _of_one_side(surface: _Surface, kind: Literal["floor", "ceiling"]) -> list[UpHypothesis]:
     sign = np.float32(1.0 if kind == "floor" else -1.0)
-    facing = surface.normals[surface.flat] * sign
-    # Every third or so of the normals is enough to rank directions; the planes are fitted to all points.
-    voters = facing[:: max(1, len(facing) // VOTERS)]
+    voters = surface.voters * sign
     candidates = voters[_ease(voters) > 0]
     if len(candidates) < 10:
         return []
@@ -153,15 +158,15 @@ def _of_one_side(surface: _Surface, kind: Literal["floor", "ceiling"]) -> list[U
         if fitted is None or _ease(fitted[0][None])[0] == 0 or any(fitted[0] @ h.up > same for h in found):
             continue
         up, share = fitted
-        if kind == "ceiling" and np.mean(np.abs(facing @ up.astype(np.float32)) < _UPRIGHT) < LEAST_WALL:
+        if kind == "ceiling" and np.mean(np.abs(voters @ up.astype(np.float32)) < _UPRIGHT) < LEAST_WALL:
             continue
-        found.append(UpHypothesis(up, kind, share, _explained(facing, up)))
+        found.append(UpHypothesis(up, kind, share, _explained(voters, up)))
     return found
 
 
 def _of_walls(surface: _Surface) -> list[UpHypothesis]:
     """The direction that all walls run along, where nothing level is seen and they face at least two ways."""
-    normals = surface.normals[surface.flat].astype(np.float64)
+    normals = surface.voters.astype(np.float64)
     up, spread = _least_seen(normals)
     for _ in range(2):
         upright = normals[np.abs(normals @ up) < _UPRIGHT]
@@ -171,7 +176,7 @@ def _of_walls(surface: _Surface) -> list[UpHypothesis]:
     pitch = np.rad2deg(np.arcsin(np.clip(-up[2], -1, 1)))
     if not -WALLS_HIGH_DEG < pitch < WALLS_STEEP_DEG or _ease(up[None])[0] == 0:
         return []
-    share = spread / len(surface.points)
+    share = spread / len(normals) * float(surface.flat.mean())
     return [UpHypothesis(up, "walls", share, _explained(normals, up))] if share > LEAST_SHARE else []
 
 

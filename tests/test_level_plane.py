@@ -49,8 +49,8 @@ def test_a_mirrored_picture_mirrors_up(pitch: float, roll: float, seed: int) -> 
     here, there = level_plane(depth, CAMERA), level_plane(np.ascontiguousarray(depth[:, ::-1]), CAMERA)
     assert here is not None
     assert there is not None
-    assert angle_deg(here, up) < 2
-    np.testing.assert_allclose(there * (-1, 1, 1), here, atol=np.deg2rad(2))
+    assert angle_deg(here, up) < 5
+    assert angle_deg(there * (-1, 1, 1), here) < 5
 
 
 @pytest.mark.parametrize("heading", [-35.0, 0.0, 35.0])
@@ -74,9 +74,10 @@ def test_a_ceiling_says_where_up_is_and_is_not_taken_for_a_floor(pitch: float) -
     assert angle_deg(found, viewer.up) < 2
 
 
-def test_a_sloping_board_among_walls_gives_no_up() -> None:
+@pytest.mark.parametrize("offset", [1.1, 1.2, 1.3])
+def test_a_sloping_board_among_walls_is_no_floor(offset: float) -> None:
     viewer = viewer_axes(up_of(5))
-    board = Plane((0, 0.766, 0.643), 1.6)
+    board = Plane((0, 0.766, 0.643), offset)
     seen = cast(CAMERA, [], [board, Plane((0.8, 0, 0.6), 1.1), Plane((-0.8, 0, 0.6), 1.1)], viewer)
     assert (seen.ids == 0).mean() > 0.15, "the case says nothing"
     found = level_plane(noisy(seen.depth), CAMERA)
@@ -138,7 +139,8 @@ def test_a_pixel_that_names_no_plane_is_refused_in_one_line() -> None:
     depth = noisy(cast(CAMERA, [], [Plane((0, 1, 0), 1.2)], viewer_axes(up_of(40))).depth)
     depth[100:140, 100:140] = 0
     rough = np.random.default_rng(0).uniform(0.5, 3, depth.shape).astype(np.float32)
-    for found, u, v, what in ((depth, 400, 10, "no such pixel"), (depth, 120, 120, "no depth"), (rough, 50, 50, "plane")):
+    cases = ((depth, 400, 10, "no such pixel"), (depth, 120, 120, "no depth"), (rough, 50, 50, "plane"))
+    for found, u, v, what in cases:
         with pytest.raises(InputError, match=what) as error:
             level_normal_at(found, CAMERA, u, v)
         assert "\n" not in str(error.value)
