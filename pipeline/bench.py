@@ -10,10 +10,10 @@ import numpy as np
 
 from pipeline.errors import InputError
 from pipeline.jobs import Source, contexts
+from pipeline.level_plane import level_plane
 from pipeline.lifting import depth_edges, lift
 from pipeline.objects import FrameContext, all_objects
 from pipeline.srm.appearance import Appearance, appearance_of
-from pipeline.viewer import level_plane
 
 MAX_FRAMES = 8
 

@@ -15,7 +15,7 @@ from pipeline.demo import DEMO_NAME, demo_path
 from pipeline.errors import FrameUnusable, InputError, UnknownFormat
 from pipeline.frame import Frame
 from pipeline.naming import Synonyms
-from pipeline.objects import FrameContext, SceneObject, all_objects
+from pipeline.objects import FrameContext, SceneObject, all_objects, frame_context
 from pipeline.proposals import Detector, Segmented, make_segmenter
 from pipeline.proposals.detector_setup import DetectorSetup
 from pipeline.proposals.segmenters import SegmenterFiles
@@ -257,7 +257,7 @@ def contexts(source: Source, key: str | int | None, skipped: Skipped | None = No
     """
     for frame_id in frame_ids(source.dataset, key):
         try:
-            context = FrameContext(source.dataset.load(frame_id), source.config.lift)
+            context = frame_context(source.dataset, source.dataset.load(frame_id), source.config.lift)
         except InputError as error:
             skip_or_raise(error, key, frame_id, skipped)
             continue

@@ -11,10 +11,12 @@ import numpy as np
 
 from pipeline.boxes import Box3D, iou_2d
 from pipeline.camera import backproject
+from pipeline.datasets.base import Dataset
 from pipeline.frame import Frame
 from pipeline.lifting import LiftConfig, LiftedObject, MaskSource, depth_edges, lift
 from pipeline.proposals.annotations import box_mask
 from pipeline.proposals.base import Detector, Proposals
+from pipeline.scene_up import resolved_camera
 from pipeline.viewer import ViewerAxes, resolve_up, viewer_axes
 
 SAME_BOX_IOU = 0.7
@@ -125,6 +127,13 @@ class FrameContext:
         if proposals.masks is not None and segmented:
             return proposals.masks[i], "segmenter"
         return mask, "box"
+
+
+def frame_context(
+    dataset: Dataset, frame: Frame, config: LiftConfig | None = None, *, boxes: bool = True
+) -> FrameContext:
+    """A frame of a dataset made ready: where it has a pose and no up vector of its own, its scene's is taken."""
+    return FrameContext(replace(frame, camera=resolved_camera(dataset, frame)), config, boxes=boxes)
 
 
 def pixels_inside(box: Box3D, mask: np.ndarray, frame: Frame, margin: float = BOX_MARGIN_M) -> np.ndarray:

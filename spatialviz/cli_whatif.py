@@ -45,7 +45,7 @@ class WhatIf:
         from pipeline.datasets import resolve_frame
         from pipeline.diagnosis.asking import edited_verdicts
         from pipeline.labels.reading import open_labels
-        from pipeline.objects import FrameContext
+        from pipeline.objects import frame_context
         from pipeline.records import why_no_answer
         from pipeline.whatif import Baseline, Edits, load_edits, rerun
         from pipeline.whatif.rerun import foreign_keys
@@ -53,7 +53,8 @@ class WhatIf:
 
         edits = Edits() if self.edits is None else load_edits(self.edits)
         source = self.source.open(self.dataset)
-        context = FrameContext(source.dataset.load(resolve_frame(source.dataset, self.frame)), source.config.lift)
+        frame = source.dataset.load(resolve_frame(source.dataset, self.frame))
+        context = frame_context(source.dataset, frame, source.config.lift)
         baseline = Baseline(source, context, self.expression)
         unknown = foreign_keys(baseline, edits)
         if unknown:

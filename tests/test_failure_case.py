@@ -120,13 +120,27 @@ def test_depth_is_kept_in_its_own_units_and_exactly_where_it_has_none(
     np.testing.assert_array_equal(open_dataset(folder).load(frame.id).depth, frame.depth)
 
 
-def test_an_up_vector_that_the_depth_gives_is_found_again_from_it(tmp_path: Path) -> None:
+def test_an_up_vector_that_the_depth_gives_is_kept_with_its_source(tmp_path: Path) -> None:
     frame = row()
     context = FrameContext(replace(frame, camera=replace(frame.camera, up=None, up_source=None)))
     assert context.viewer.up_source == "plane"
     folder = keep(tmp_path / "case", context=context)
-    assert json.loads((folder / MANIFEST).read_text())["frame"]["up"] is None
-    np.testing.assert_array_equal(open_case(folder).context.viewer.up, context.viewer.up)
+    assert json.loads((folder / MANIFEST).read_text())["frame"]["up_source"] == "plane"
+    viewer = open_case(folder).context.viewer
+    assert viewer.up_source == "plane"
+    np.testing.assert_array_equal(viewer.up, context.viewer.up)
+
+
+def test_an_older_case_without_an_up_vector_takes_that_of_its_answer(tmp_path: Path) -> None:
+    frame = row()
+    camera = frame.camera.with_up(np.array([0.2, -0.9, -0.3]), "plane")
+    folder = keep(tmp_path / "case", context=FrameContext(replace(frame, camera=camera)))
+    table = json.loads((folder / MANIFEST).read_text())
+    table["frame"].update(up=None, up_source=None)
+    (folder / MANIFEST).write_text(json.dumps(table))
+    viewer = open_case(folder).context.viewer
+    assert viewer.up_source == "plane"
+    np.testing.assert_allclose(viewer.up, camera.up, atol=1e-5)
 
 
 def test_detections_below_k_and_suppressed_ones_are_kept(scored: Path) -> None:

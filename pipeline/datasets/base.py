@@ -6,7 +6,7 @@ import difflib
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Protocol
 
 from pipeline.datasets.settings import Settings
@@ -106,6 +106,21 @@ def resolve_frame(dataset: Dataset, key: str | int) -> str:
         if len(same) == 1:
             return same[0]
     raise unknown_frame(dataset, text)
+
+
+def scene_of(dataset: Dataset, frame_id: str) -> str:
+    """The scene of a frame: as the dataset knows it, else the folder part of its id, or the dataset's own name."""
+    known = getattr(dataset, "scene_of", None)
+    if callable(known) and (own := known(frame_id)) is not None:
+        return str(own)
+    parent = str(PurePosixPath(frame_id).parent)
+    return dataset.root.resolve().name if parent in (".", "/") else parent
+
+
+def frames_of_scene(dataset: Dataset, frame_id: str) -> tuple[str, ...]:
+    """The ids of all frames of the scene that a frame belongs to, in the dataset's order."""
+    folder = PurePosixPath(frame_id).parent
+    return tuple(other for other in dataset.frame_ids if PurePosixPath(other).parent == folder)
 
 
 def unknown_frame(dataset: Dataset, key: str) -> InputError:

@@ -80,11 +80,6 @@ def splits(dataset: Dataset) -> dict[str, tuple[str, ...]]:
     return _ask(dataset, "splits", {})
 
 
-def own_scene(dataset: Dataset, frame_id: str) -> str | None:
-    """The scene of a frame where the dataset itself knows it, else None."""
-    return _ask(dataset, "scene_of", None, frame_id)
-
-
 def load_picture(dataset: Dataset, frame_id: str) -> Frame:
     """A frame for those who need no annotations: without them where the dataset can leave them out, else whole.
 

@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from pipeline.boxes import Box3D
-from pipeline.camera import Camera
+from pipeline.camera import Camera, UpSource
 from pipeline.datasets.assembly import make_frame, read_pair
 from pipeline.datasets.base import DatasetFormat, unknown_frame
 from pipeline.datasets.files import read_json
@@ -24,7 +24,6 @@ from pipeline.datasets.settings import Settings
 from pipeline.errors import InputError
 from pipeline.frame import Annotation, Frame
 from pipeline.run_length import RunLength, decode_run_length, encode_run_length
-from pipeline.viewer import resolve_up
 
 MANIFEST = "spatialviz-case.json"
 CASE_FORMAT = "spatialviz-case-1"
@@ -61,10 +60,17 @@ class SavedAnnotation(_Strict):
     difficulty: int | None = None
 
 
+class _SavedViewer(BaseModel):
+    """What the kept answer says of the up vector, to six decimals."""
+
+    up: Three
+    up_source: UpSource
+
+
 class SavedFrame(_Strict):
     """A frame but for its pixels. `units` is the depth units in one metre, None where depth.npy holds float32 metres.
 
-    `up` is null where it is found from the depth.
+    `up` is null in older cases where it was found from the depth; then it is that of the kept answer.
     """
 
     id: str = Field(min_length=1)
@@ -75,7 +81,7 @@ class SavedFrame(_Strict):
     K: tuple[Three, Three, Three]
     T_world_camera: tuple[Four, Four, Four, Four] | None
     up: Three | None
-    up_source: Literal["declared", "imu", "plane", "assumed"] | None
+    up_source: UpSource | None
     annotations: tuple[SavedAnnotation, ...]
     notes: tuple[str, ...] = ()
 
@@ -83,11 +89,6 @@ class SavedFrame(_Strict):
 def saved_frame(frame: Frame) -> tuple[SavedFrame, dict[str, bytes]]:
     """A frame as what is written: its record, and its files by name."""
     camera = frame.camera
-    found_again = resolve_up(frame.depth, Camera(camera.K, camera.width, camera.height, camera.T_world_camera))
-    ups = (found_again.up, camera.up)
-    computed = camera.up_source in ("plane", "assumed") and found_again.up_source == camera.up_source
-    if computed and ups[0] is not None and ups[1] is not None and np.array_equal(ups[0], ups[1]):
-        camera = Camera(camera.K, camera.width, camera.height, camera.T_world_camera)
     depth_file, units, depth = _depth_bytes(frame.depth)
     record = SavedFrame.model_validate(
         {
@@ -190,12 +191,23 @@ def read_saved_frame(root: Path, manifest: dict[str, Any]) -> Frame:
         )  # fmt: skip
     try:
         pose = None if saved.T_world_camera is None else np.array(saved.T_world_camera)
-        up = None if saved.up is None else np.array(saved.up)
-        camera = Camera(np.array(saved.K), saved.width, saved.height, pose, up, saved.up_source)
+        up, up_source = (saved.up, saved.up_source) if saved.up is not None else _answered_up(manifest)
+        up = None if up is None else np.array(up)
+        camera = Camera(np.array(saved.K), saved.width, saved.height, pose, up, up_source)
         annotations = tuple(_annotation(a, depth.shape) for a in saved.annotations)
     except InputError as error:
         raise InputError(str(error), path=path) from error
     return make_frame(saved.id, (rgb, depth), camera, depth_path, annotations, saved.notes)
+
+
+def _answered_up(manifest: dict[str, Any]) -> tuple[Three | None, UpSource | None]:
+    """The up vector with which the kept answer was given, so that an old case is answered as it was."""
+    expected = manifest.get("expected")
+    try:
+        viewer = _SavedViewer.model_validate(expected.get("viewer") if isinstance(expected, dict) else None)
+    except ValidationError:
+        return None, None
+    return (viewer.up, viewer.up_source) if any(viewer.up) else (None, None)
 
 
 def _frame_part(manifest: dict[str, Any], path: Path) -> SavedFrame:

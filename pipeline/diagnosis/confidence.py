@@ -12,7 +12,7 @@ from pipeline.errors import InputError
 from pipeline.evaluation.cases import FrameCases, read_cases
 from pipeline.evaluation.records import HIT
 from pipeline.jobs import Source
-from pipeline.objects import FrameContext
+from pipeline.objects import FrameContext, frame_context
 
 if TYPE_CHECKING:
     from pipeline.labels.reading import Labels
@@ -60,7 +60,7 @@ def median_confidence(source: Source, labels: Labels, looked_at: int = LOOKED_AT
     for index in chosen.tolist():
         for truth in read_cases(labels, index, index + 1):
             try:
-                context = FrameContext(source.dataset.load(truth.frame), source.config.lift)
+                context = frame_context(source.dataset, source.dataset.load(truth.frame), source.config.lift)
                 found.append(right_scores(source, context, truth))
             except InputError:
                 continue

@@ -51,7 +51,7 @@ from pipeline.evaluation.run import class_names_of
 from pipeline.frame import Frame
 from pipeline.jobs import Source
 from pipeline.labels.reading import Labels
-from pipeline.objects import FrameContext
+from pipeline.objects import FrameContext, frame_context
 from pipeline.proposals.annotations import AnnotationDetector
 from pipeline.proposals.base import Proposals
 from pipeline.relations import INVERSE, PHRASE, U
@@ -189,7 +189,7 @@ def planted_failures(
     clean = clean_source(source, seed)
     class_names = class_names_of(labels)
     for truth in read_cases(labels, 0, 2**31 - 1 if stop is None else stop):
-        context = FrameContext(clean.dataset.load(truth.frame), clean.config.lift)
+        context = frame_context(clean.dataset, clean.dataset.load(truth.frame), clean.config.lift)
         for case in truth.cases[::every]:
             row, _ = judge(Planted(clean, context, truth, case), class_names)
             if not row["correct"]:

@@ -31,7 +31,7 @@ from pipeline.evaluation.whole_expression import Referring, Vlm, VlmOptions, Who
 from pipeline.expression import Query
 from pipeline.jobs import Source, open_source
 from pipeline.labels.reading import Labels, open_labels
-from pipeline.objects import FrameContext
+from pipeline.objects import FrameContext, frame_context
 from pipeline.proposals.base import reads_annotations
 from pipeline.threads import one_thread, threads_in_children
 
@@ -147,7 +147,7 @@ class Evaluator:
         if context is None:
             # No answer depends on 3D boxes: features that are made of boxes fit them to the points themselves.
             with self.clock.stage("lift"):
-                context = FrameContext(frame, self.source.config.lift, boxes=False)
+                context = frame_context(self.source.dataset, frame, self.source.config.lift, boxes=False)
         names = dict.fromkeys(name for case in truth.cases for name in (case.target, case.reference))
         relations = {case.relation for case in truth.cases}
         answers = FrameAnswers(self.source, context, tuple(names), relations, self.clock)
@@ -207,7 +207,7 @@ class Evaluator:
             if self.relations is not None and index in pairs:
                 if self.relations.needs_frames:
                     frame = self.source.dataset.load(pairs[index].key.frame)
-                    context = FrameContext(frame, self.source.config.lift)
+                    context = frame_context(self.source.dataset, frame, self.source.config.lift)
                 tables.append(self.relations.table(self.source, pairs[index], context))
             if index in cases:
                 rows += self.frame(cases[index], context)

@@ -16,7 +16,7 @@ from pipeline.journal.setting import Setting
 from pipeline.labels.labelling import label_objects
 from pipeline.labels.second_opinion import NONE, open_second_opinion
 from pipeline.lifting import LiftedObject, lift
-from pipeline.objects import FrameContext, SceneObject, pixels_inside
+from pipeline.objects import FrameContext, SceneObject, frame_context, pixels_inside
 from pipeline.proposals.annotations import box_mask
 from pipeline.run_length import decode_run_length
 from pipeline.srm.model import OnnxScorer
@@ -45,7 +45,7 @@ class Relifter:
     def context(self, frame: str) -> FrameContext:
         """A frame of the dataset, ready to lift from; raises as `Dataset.load`."""
         if frame not in self._contexts:
-            self._contexts[frame] = FrameContext(self.dataset.load(frame), self.setting.config.lift)
+            self._contexts[frame] = frame_context(self.dataset, self.dataset.load(frame), self.setting.config.lift)
             while len(self._contexts) > FRAMES_KEPT:
                 gone, _ = self._contexts.popitem(last=False)
                 self._lifted = {key: value for key, value in self._lifted.items() if key[0] != gone}

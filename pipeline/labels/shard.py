@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from pathlib import PurePosixPath
 from time import perf_counter
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipeline.datasets import Dataset, given_expressions
-from pipeline.datasets.capabilities import own_scene
+from pipeline.datasets import given_expressions
+from pipeline.datasets.base import scene_of
 from pipeline.errors import InputError
 from pipeline.jobs import Source
 from pipeline.labels.config import LabelConfig
@@ -21,7 +20,7 @@ from pipeline.labels.profiles import GIVEN
 from pipeline.labels.second_opinion import open_second_opinion
 from pipeline.labels.store import Store
 from pipeline.labels.tables import CANDIDATES, PART_TABLES, arrow_schema, build_table
-from pipeline.objects import FrameContext
+from pipeline.objects import frame_context
 from pipeline.proposals.base import Proposals
 from pipeline.srm.model import OnnxScorer
 
@@ -90,7 +89,7 @@ def label_frame(labeller: Labeller, frame_id: str, frame_index: int, found: Prop
     detector = source.needed_detector()
     try:
         given = given_expressions(source.dataset, frame_id) if config.profile == GIVEN else ()
-        context = FrameContext(source.dataset.load(frame_id), config.lift)
+        context = frame_context(source.dataset, source.dataset.load(frame_id), config.lift)
         found = detector.detect(context.frame, None) if found is None else found
         if (np.diff(found.ids) < 0).any():
             found = found.take(np.argsort(found.ids, kind="stable"))
@@ -115,19 +114,10 @@ def detect_shard(shard: Shard, source: Source) -> dict[str, Proposals]:
     found = {}
     for frame_id in shard.frames:
         try:
-            found[frame_id] = detector.detect(FrameContext(source.dataset.load(frame_id)).frame, None)
+            found[frame_id] = detector.detect(frame_context(source.dataset, source.dataset.load(frame_id)).frame, None)
         except InputError:
             continue
     return found
-
-
-def scene_of(dataset: Dataset, frame_id: str) -> str:
-    """The scene of a frame: as the dataset knows it, else the folder part of its id, or the dataset's own name."""
-    own = own_scene(dataset, frame_id)
-    if own is not None:
-        return own
-    parent = str(PurePosixPath(frame_id).parent)
-    return dataset.root.resolve().name if parent in (".", "/") else parent
 
 
 def shard_tables(labels: Iterable[FrameLabels]) -> dict[str, pa.Table]:

@@ -14,7 +14,7 @@ import numpy as np
 from pipeline.agreeing import Beside, beside
 from pipeline.errors import InputError
 from pipeline.jobs import Source
-from pipeline.objects import FrameContext, SceneObject, all_objects
+from pipeline.objects import FrameContext, SceneObject, all_objects, frame_context
 from spatialviz.app.cloud import Cloud, cloud_of
 
 KEPT_FRAMES = 4
@@ -78,7 +78,7 @@ class FrameStore:
                 self._loaded.move_to_end(key)
                 return self._loaded[key]
         opened = self.sources[source]
-        context = FrameContext(opened.dataset.load(frame_id), opened.config.lift)
+        context = frame_context(opened.dataset, opened.dataset.load(frame_id), opened.config.lift)
         objects: tuple[SceneObject, ...] = ()
         problem, second = "", None
         if opened.detector is not None:

@@ -1,0 +1,146 @@
+"""Floors and table-tops from any pitch a camera is held at; walls and ceilings are not taken for them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from box_worlds import random_boxes
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from scenes import Plane, angle_deg, camera_of, cast, up_of, upright
+from test_viewer import noisy
+
+from pipeline.camera import Camera
+from pipeline.errors import InputError
+from pipeline.level_plane import MIN_SCORE, decided, level_normal_at, level_plane, up_hypotheses
+from pipeline.synthetic import camera_at, make_room, sense_view
+from pipeline.viewer import resolve_up, viewer_axes
+
+CAMERA = camera_of()
+
+
+def world(pitch: float, roll: float, height: float, heading: float = 20.0, seed: int = 0, wall: float = 3.0):
+    """Depth of boxes on a floor before two walls, and the true up."""
+    viewer = viewer_axes(up_of(pitch, roll))
+    a = np.deg2rad(heading)
+    planes = [Plane((0, 1, 0), height), Plane((np.sin(a), 0, np.cos(a)), wall), Plane((np.cos(a), 0, -np.sin(a)), 2.0)]
+    seen = cast(CAMERA, random_boxes(np.random.default_rng(seed), height), planes, viewer)
+    return noisy(seen.depth), viewer.up, seen
+
+
+@settings(max_examples=30, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(st.floats(0, 75), st.floats(-15, 15), st.floats(0.5, 2.3), st.floats(-40, 40), st.integers(0, 50))
+def test_an_up_that_is_claimed_is_right_at_any_pitch(
+    pitch: float, roll: float, height: float, heading: float, seed: int
+) -> None:
+    depth, up, seen = world(pitch, roll, height, heading, seed)
+    found = level_plane(depth, CAMERA)
+    floor = (seen.ids == len(seen.boxes)).mean()
+    if found is None:
+        assert floor < 0.05
+    else:
+        assert angle_deg(found, up) < 5
+
+
+@settings(max_examples=10, deadline=None, suppress_health_check=[HealthCheck.too_slow])
+@given(st.floats(5, 70), st.floats(-12, 12), st.integers(0, 20))
+def test_a_mirrored_picture_mirrors_up(pitch: float, roll: float, seed: int) -> None:
+    depth, up, _ = world(pitch, roll, 1.4, seed=seed)
+    here, there = level_plane(depth, CAMERA), level_plane(np.ascontiguousarray(depth[:, ::-1]), CAMERA)
+    assert here is not None
+    assert there is not None
+    assert angle_deg(here, up) < 5
+    assert angle_deg(there * (-1, 1, 1), here) < 5
+
+
+@pytest.mark.parametrize("heading", [-35.0, 0.0, 35.0])
+@pytest.mark.parametrize("pitch", [0.0, 10.0, 30.0, 60.0])
+@pytest.mark.parametrize("roll", [-12.0, 0.0, 12.0])
+def test_a_wall_alone_is_no_floor(heading: float, pitch: float, roll: float) -> None:
+    a = np.deg2rad(heading)
+    seen = cast(CAMERA, [], [Plane((np.sin(a), 0, np.cos(a)), 1.5)], viewer_axes(up_of(pitch, roll)))
+    assert level_plane(noisy(seen.depth), CAMERA) is None
+    assert resolve_up(noisy(seen.depth), CAMERA).up_source == "assumed"
+
+
+@pytest.mark.parametrize("pitch", [-20.0, -10.0, 0.0])
+def test_a_ceiling_says_where_up_is_and_is_not_taken_for_a_floor(pitch: float) -> None:
+    viewer = viewer_axes(up_of(pitch, 6))
+    planes = [Plane((0, -1, 0), 0.6), Plane((0.5, 0, 0.8660254), 2.5), Plane((-0.8660254, 0, 0.5), 2.5)]
+    seen = cast(CAMERA, [], planes, viewer)
+    assert (seen.ids == 0).mean() > 0.05, "the case says nothing"
+    found = level_plane(noisy(seen.depth), CAMERA)
+    assert found is not None
+    assert angle_deg(found, viewer.up) < 2
+
+
+@pytest.mark.parametrize("offset", [1.1, 1.2, 1.3])
+def test_a_sloping_board_among_walls_is_no_floor(offset: float) -> None:
+    viewer = viewer_axes(up_of(5))
+    board = Plane((0, 0.766, 0.643), offset)
+    seen = cast(CAMERA, [], [board, Plane((0.8, 0, 0.6), 1.1), Plane((-0.8, 0, 0.6), 1.1)], viewer)
+    assert (seen.ids == 0).mean() > 0.15, "the case says nothing"
+    found = level_plane(noisy(seen.depth), CAMERA)
+    assert found is None or angle_deg(found, viewer.up) < 5
+
+
+@pytest.mark.parametrize("pitch", [10.0, 50.0, 75.0])
+def test_a_table_top_that_fills_the_picture_gives_up(pitch: float) -> None:
+    viewer = viewer_axes(up_of(pitch, -7))
+    things = [upright((x, 0.42, 0.5), (0.08, 0.16, 0.08), 20 * x) for x in (-0.3, 0.0, 0.25)]
+    seen = cast(CAMERA, things, [Plane((0, 1, 0), 0.5)], viewer)
+    found = level_plane(noisy(seen.depth), CAMERA)
+    assert found is not None
+    assert angle_deg(found, viewer.up) < 2
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_rendered_rooms_never_claim_a_wrong_up(seed: int) -> None:
+    room, rng = make_room(900 + seed), np.random.default_rng(seed)
+    right = 0
+    for pitch in (2, 20, 40, 55, 65, 74):
+        place = np.array([room.width * rng.uniform(0.35, 0.65), room.depth * rng.uniform(0.35, 0.65), 1.9])
+        angles = rng.uniform(-np.pi, np.pi), np.deg2rad(pitch), np.deg2rad(rng.uniform(-15, 15))
+        camera = camera_at(place, *angles, width=320, height=240)
+        depth, _ = sense_view(room, camera, rng)
+        found = level_plane(depth, Camera(camera.K, 320, 240))
+        assert camera.up is not None
+        if found is not None:
+            assert angle_deg(found, camera.up) < 5
+            right += 1
+    assert right >= 4
+
+
+def test_hypotheses_come_best_first_and_a_contradiction_decides_nothing() -> None:
+    depth, up, _ = world(40, 5, 1.4)
+    found = up_hypotheses(depth, CAMERA)
+    assert [h.score for h in found] == sorted((h.score for h in found), reverse=True)
+    assert angle_deg(found[0].up, up) < 1
+    turned = found[0].__class__(np.array([up[0], up[1] * 0.5, -0.9]), "floor", found[0].share, found[0].explained)
+    assert turned.score > MIN_SCORE
+    assert decided(found[:1]) is found[0]
+    assert decided((found[0], turned)) is None
+    assert decided(()) is None
+
+
+# A surface that is named by a pixel.
+
+
+@pytest.mark.parametrize("pitch", [15.0, 50.0, 80.0])
+def test_the_surface_at_a_pixel_gives_its_normal(pitch: float) -> None:
+    viewer = viewer_axes(up_of(pitch, 9))
+    seen = cast(CAMERA, [upright((0.0, 1.0, 2.2), (0.5, 0.4, 0.5))], [Plane((0, 1, 0), 1.2)], viewer)
+    floor = np.argwhere(seen.ids == 1)
+    v, u = floor[len(floor) * 3 // 4]
+    assert angle_deg(level_normal_at(noisy(seen.depth), CAMERA, int(u), int(v)), viewer.up) < 1
+
+
+def test_a_pixel_that_names_no_plane_is_refused_in_one_line() -> None:
+    depth = noisy(cast(CAMERA, [], [Plane((0, 1, 0), 1.2)], viewer_axes(up_of(40))).depth)
+    depth[100:140, 100:140] = 0
+    rough = np.random.default_rng(0).uniform(0.5, 3, depth.shape).astype(np.float32)
+    cases = ((depth, 400, 10, "no such pixel"), (depth, 120, 120, "no depth"), (rough, 50, 50, "plane"))
+    for found, u, v, what in cases:
+        with pytest.raises(InputError, match=what) as error:
+            level_normal_at(found, CAMERA, u, v)
+        assert "\n" not in str(error.value)
