@@ -14,9 +14,12 @@ import numpy as np
 
 from pipeline.errors import InputError
 
-UpSource = Literal["declared", "imu", "plane", "assumed"]
-"""How an up vector is known: declared by the dataset, measured by an inertial
-sensor, fitted to the largest level plane, or assumed to be image-up."""
+UpSource = Literal["given", "declared", "imu", "scene", "plane", "assumed"]
+"""How an up vector is known: given by the user, declared by the dataset, measured by an
+inertial sensor, agreed by the posed frames of the scene, the normal of a level plane of
+this frame, or assumed to be image-up."""
+
+IMAGE_UP = np.array([0.0, -1.0, 0.0])
 
 
 @dataclass(frozen=True)

@@ -118,6 +118,8 @@ def open_source(
     *,
     intrinsics: tuple[float, float, float, float] | None = None,
     depth_scale: float | None = None,
+    up: str | None = None,
+    level_at: str | None = None,
     detector: str | None = None,
     model: Path | None = None,
     model_config: Path | None = None,
@@ -134,6 +136,7 @@ def open_source(
 ) -> Source:
     """Open a dataset and the models for it; the path "demo" is the built-in one.
 
+    `intrinsics`, `depth_scale`, `up` and `level_at` are those of `open_dataset`.
     `segmenter` makes masks for boxes that have none ("depth", "recorded", "yolo-seg", "sam", "sam2", "efficientsam");
     by default there is none. `segmenter_model` is its file, or its encoder and decoder. A network's file may also be
     named by its id on the model hub. `model_config` says what the detector's file does not.
@@ -151,7 +154,7 @@ def open_source(
     """
     if str(path) == DEMO_NAME and not Path(path).exists():
         path = demo_path()
-    dataset = open_dataset(path, intrinsics=intrinsics, depth_scale=depth_scale)
+    dataset = open_dataset(path, intrinsics=intrinsics, depth_scale=depth_scale, up=up, level_at=level_at)
     table = Synonyms.load(synonyms)
     if detector is None:
         detector = "annotations" if dataset.class_names else None

@@ -6,7 +6,7 @@ import difflib
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Protocol
 
 from pipeline.datasets.settings import Settings
@@ -105,6 +105,12 @@ def resolve_frame(dataset: Dataset, key: str | int) -> str:
         if len(same) == 1:
             return same[0]
     raise unknown_frame(dataset, text)
+
+
+def scene_of(dataset: Dataset, frame_id: str) -> str:
+    """The scene of a frame: the folder part of its id, or the dataset's own name."""
+    parent = str(PurePosixPath(frame_id).parent)
+    return dataset.root.resolve().name if parent in (".", "/") else parent
 
 
 def unknown_frame(dataset: Dataset, key: str) -> InputError:

@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
 from pipeline.boxes import Box3D
-from pipeline.camera import Camera
+from pipeline.camera import Camera, UpSource
 from pipeline.datasets.assembly import make_frame, read_pair
 from pipeline.datasets.base import DatasetFormat, unknown_frame
 from pipeline.datasets.files import read_json
@@ -75,7 +75,7 @@ class SavedFrame(_Strict):
     K: tuple[Three, Three, Three]
     T_world_camera: tuple[Four, Four, Four, Four] | None
     up: Three | None
-    up_source: Literal["declared", "imu", "plane", "assumed"] | None
+    up_source: UpSource | None
     annotations: tuple[SavedAnnotation, ...]
     notes: tuple[str, ...] = ()
 

@@ -25,7 +25,7 @@ from pipeline.labels.config import LabelConfig
 from pipeline.labels.labelling import label_objects
 from pipeline.labels.reading import Labels
 from pipeline.labels.second_opinion import open_second_opinion
-from pipeline.labels.shard import scene_of
+from pipeline.datasets.base import scene_of
 from pipeline.naming import match
 from pipeline.objects import FrameContext, all_objects
 from pipeline.proposals.annotations import AnnotationDetector

@@ -19,6 +19,8 @@ def labelled_dataset(
     *,
     intrinsics: Intrinsics | None = None,
     depth_scale: float | None = None,
+    up: str | None = None,
+    level_at: str | None = None,
 ) -> Dataset:
     """Open it where it was when it was labelled, or where it is now; its camera is the one that was said then.
 
@@ -32,6 +34,8 @@ def labelled_dataset(
         fx, fy, cx, cy in pixels, instead of what was said then.
     depth_scale : float, optional
         Depth units in one metre, instead of what was said then.
+    up, level_at : str, optional
+        As for `open_dataset`, instead of what was said then.
 
     Raises
     ------
@@ -49,7 +53,9 @@ def labelled_dataset(
         intrinsics = _four(options["intrinsics"])
     if depth_scale is None and options.get("depth_scale") is not None:
         depth_scale = _number(options["depth_scale"])
-    return open_dataset(where, intrinsics=intrinsics, depth_scale=depth_scale)
+    if up is None and level_at is None:
+        up, level_at = (None if options.get(n) is None else str(options[n]) for n in ("up", "level_at"))
+    return open_dataset(where, intrinsics=intrinsics, depth_scale=depth_scale, up=up, level_at=level_at)
 
 
 def _four(said: Any) -> Intrinsics:

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from pathlib import PurePosixPath
 from time import perf_counter
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipeline.datasets import Dataset
+from pipeline.datasets.base import scene_of
 from pipeline.errors import InputError
 from pipeline.jobs import Source
 from pipeline.labels.config import LabelConfig
@@ -115,12 +114,6 @@ def detect_shard(shard: Shard, source: Source) -> dict[str, Proposals]:
         except InputError:
             continue
     return found
-
-
-def scene_of(dataset: Dataset, frame_id: str) -> str:
-    """The scene of a frame: the folder part of its id, or the dataset's own name."""
-    parent = str(PurePosixPath(frame_id).parent)
-    return dataset.root.resolve().name if parent in (".", "/") else parent
 
 
 def shard_tables(labels: Iterable[FrameLabels]) -> dict[str, pa.Table]:

@@ -297,7 +297,7 @@ def calibrate_scores(
         `ece` (15 bins), `log_loss` and `reliability`, a list of {low, high, count, score, hits} by bin of score.
     """
     # The labels import the jobs, which import this.
-    from pipeline.labels.shard import scene_of
+    from pipeline.datasets.base import scene_of
 
     fitted_on: list[FittedFrame] = []
     dataset = source.dataset
