@@ -22,6 +22,7 @@ from pipeline.proposals.segmenters import SegmenterFiles
 from pipeline.relations import PAIRWISE
 from pipeline.srm import RelationScorer, RelationScores, make_scorer
 from pipeline.srm.appearance import appearance_of
+from pipeline.viewer import ViewerAxes
 
 ALL_FRAMES = "all"
 Skipped = Callable[[str, str], None]
@@ -290,12 +291,14 @@ def ask_frames(
 
 @dataclass(frozen=True)
 class FrameRelations:
-    """All objects of a frame and every relation between them; `exact` where the objects are the dataset's own."""
+    """All objects of a frame and every relation between them; `exact` where the objects are the dataset's own, `viewer`
+    the axes in which they were judged."""
 
     frame_id: str
     objects: tuple[SceneObject, ...]
     scores: RelationScores
     exact: bool
+    viewer: ViewerAxes | None = None
 
 
 def relate_frames(source: Source, key: str | int | None, skipped: Skipped | None = None) -> Iterator[FrameRelations]:
@@ -308,4 +311,4 @@ def relate_frames(source: Source, key: str | int | None, skipped: Skipped | None
             skip_or_raise(error, key, context.frame.id, skipped)
             continue
         scores = source.score(context, objects)
-        yield FrameRelations(context.frame.id, objects, scores, detector.exact)
+        yield FrameRelations(context.frame.id, objects, scores, detector.exact, context.viewer)

@@ -7,7 +7,7 @@ import os
 import sys
 import traceback
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal, Union
 
@@ -122,7 +122,7 @@ class Frames:
 
     dataset: Positional[str]
     """Dataset folder, or "demo"."""
-    camera: OmitArgPrefixes[CameraOptions] = CameraOptions()
+    camera: OmitArgPrefixes[CameraOptions] = field(default_factory=CameraOptions)
     json: bool = False
     """Print one JSON object for each frame."""
     summary: bool = False
@@ -208,7 +208,7 @@ class Context:
     """Frame id, or its index."""
     out: Positional[Path]
     """Mesh file to write: .ply, .obj or .glb."""
-    camera: OmitArgPrefixes[CameraOptions] = CameraOptions()
+    camera: OmitArgPrefixes[CameraOptions] = field(default_factory=CameraOptions)
     json: bool = False
     """Print one JSON object."""
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from pipeline.datasets.base import Dataset, resolve_frame, scene_of, unknown_frame
 from pipeline.datasets.settings import Settings
-from pipeline.datasets.up_words import GivenUp, Vector, parse_level_at
+from pipeline.datasets.up_text import GivenUp, Vector, parse_level_at
 from pipeline.errors import InputError
 from pipeline.frame import Frame
 

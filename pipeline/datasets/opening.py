@@ -20,7 +20,7 @@ from pipeline.datasets import (
 from pipeline.datasets.base import Dataset, DatasetFormat
 from pipeline.datasets.given_up import with_given_up
 from pipeline.datasets.settings import read_settings
-from pipeline.datasets.up_words import GivenUp
+from pipeline.datasets.up_text import GivenUp
 from pipeline.errors import InputError, UnknownFormat
 from pipeline.plugins import load_plugins
 

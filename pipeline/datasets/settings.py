@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-from pipeline.datasets.up_words import GivenUp, Vector
+from pipeline.datasets.up_text import GivenUp, Vector
 from pipeline.errors import InputError
 
 if sys.version_info >= (3, 11):

@@ -7,9 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.datasets.base import Dataset
+from pipeline.camera import Camera, UpSource
+from pipeline.datasets.base import Dataset, scene_of
 from pipeline.datasets.capabilities import has_moves, moves
 from pipeline.errors import InputError
+from pipeline.up_words import ASSUMED, DECLARE
 
 
 @dataclass(frozen=True)
@@ -37,7 +39,9 @@ class FrameReport:
         Metres, over those pixels; None where broken.
     has_pose : bool
     up_source : str or None
-        How the up vector is known, None where it is not.
+        How the up vector that is used is known; see `camera.UpSource`.
+    up : (x, y, z) or None
+        That vector, in the camera frame.
     notes : tuple of str
         What was odd and could be left out.
     moves : dict of str to str, or None
@@ -55,13 +59,16 @@ class FrameReport:
     depth_valid: float = 0.0
     median_depth: float | None = None
     has_pose: bool = False
-    up_source: str | None = None
+    up_source: UpSource | None = None
+    up: tuple[float, ...] | None = None
     notes: tuple[str, ...] = ()
     moves: dict[str, str] | None = None
 
 
 def survey(dataset: Dataset) -> Iterator[FrameReport]:
     """Load every frame in turn and report it; a broken one does not stop the rest."""
+    from pipeline.scene_up import resolved_camera
+
     for index, frame_id in enumerate(dataset.frame_ids):
         leads = moves(dataset, frame_id) if has_moves(dataset) else None
         try:
@@ -69,6 +76,7 @@ def survey(dataset: Dataset) -> Iterator[FrameReport]:
         except InputError as error:
             yield FrameReport(index, frame_id, ok=False, problem=str(error), moves=leads)
             continue
+        camera = resolved_camera(dataset, frame)
         valid = frame.depth[frame.depth > 0]
         yield FrameReport(
             index,
@@ -81,7 +89,29 @@ def survey(dataset: Dataset) -> Iterator[FrameReport]:
             depth_valid=valid.size / frame.depth.size,
             median_depth=float(np.median(valid)),
             has_pose=frame.camera.T_world_camera is not None,
-            up_source=frame.camera.up_source,
-            notes=frame.notes,
+            up_source=camera.up_source,
+            up=None if camera.up is None else tuple(camera.up.tolist()),
+            notes=(*frame.notes, *up_notes(dataset, camera, frame_id)),
             moves=leads,
         )
+
+
+def up_notes(dataset: Dataset, camera: Camera, frame_id: str) -> tuple[str, ...]:
+    """What is to be doubted about the up vector of a frame: that it is assumed, that its scene disagrees.
+
+    Parameters
+    ----------
+    camera : Camera
+        Of the frame, with its up vector resolved.
+    """
+    from pipeline.scene_up import scene_vote
+
+    notes = (f"{ASSUMED}; {DECLARE}",) if camera.up_source == "assumed" else ()
+    if camera.T_world_camera is None or camera.up_source not in ("scene", "plane", "assumed"):
+        return notes
+    vote = scene_vote(dataset, scene_of(dataset, frame_id))
+    off = dict(vote.disagreeing).get(frame_id)
+    if off is None:
+        return notes
+    most = f"{vote.agreeing} of {vote.voting} frames of the scene"
+    return (*notes, f"its own level plane is {off:.0f} degrees off the up of {most}")

@@ -11,6 +11,7 @@ import numpy as np
 
 from pipeline.ask import Trace
 from pipeline.boxes import Box3D, iou_2d
+from pipeline.datasets.base import scene_of
 from pipeline.diagnosis.frame_evidence import DEFAULT_CONFIDENCE, FrameEvidence
 from pipeline.diagnosis.oracles import names_of
 from pipeline.diagnosis.repair import Needed, needed_changes
@@ -25,7 +26,6 @@ from pipeline.labels.config import LabelConfig
 from pipeline.labels.labelling import label_objects
 from pipeline.labels.reading import Labels
 from pipeline.labels.second_opinion import open_second_opinion
-from pipeline.datasets.base import scene_of
 from pipeline.naming import match
 from pipeline.objects import FrameContext, all_objects
 from pipeline.proposals.annotations import AnnotationDetector

@@ -249,7 +249,9 @@ class Session:
             return
         self.state = replace(cleared, loaded=loaded, shown=shown_objects(loaded, None, self._exact()))
         self._cloud.place_anew = first
-        self._suggestions = () if scores is None else suggest_expressions(loaded.objects, scores)
+        self._suggestions = () if scores is None else suggest_expressions(
+            loaded.objects, scores, loaded.context.viewer
+        )
         self._note(f"frame {frame_id}: {len(loaded.objects)} objects, up {loaded.context.viewer.up_source}")
         if loaded.problem:
             self._note(loaded.problem)

@@ -33,10 +33,10 @@ class GivenUp:
         frame, colon, numbers = text.strip().rpartition(":")
         try:
             x, y, z = (float(part) for part in numbers.split(","))
-            good = math.isfinite(math.hypot(x, y, z)) and math.hypot(x, y, z) > 1e-9
         except ValueError:
-            good = False
-        if not good or (colon and frame not in ("world", "camera")):
+            x = y = z = math.nan
+        length = math.hypot(x, y, z)
+        if not (1e-9 < length < math.inf) or (colon and frame not in ("world", "camera")):
             raise InputError(
                 "up must be a vector that points somewhere",
                 got=repr(text),
