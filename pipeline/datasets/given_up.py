@@ -144,23 +144,13 @@ def with_given_up(dataset: Dataset, settings: Settings, level_at: str | None = N
     return UpGiven(dataset, settings, frame_up)
 
 
-def with_frame_up(dataset: Dataset, frame_id: str, up: np.ndarray) -> UpGiven:
-    """The dataset, told that `up` ((3,), camera frame) is up in a frame."""
-    x, y, z = np.asarray(up, np.float64).tolist()
+def with_frame_up(dataset: Dataset, frame_id: str, up: Vector) -> UpGiven:
+    """The dataset, told that `up` (camera frame) is up in a frame."""
     known = dataset if isinstance(dataset, UpGiven) else UpGiven(dataset, Settings(), {})
     others = {other: v for other, v in known.frame_up.items() if other != frame_id}
-    return UpGiven(known.inner, known.settings, {**others, frame_id: (x, y, z)})
+    return UpGiven(known.inner, known.settings, {**others, frame_id: up})
 
 
 def told_up(dataset: Dataset) -> tuple[GivenUp | None, dict[str, Vector]]:
     """What was told of the whole dataset, and of single frames, for `write_settings`."""
     return (dataset.up, dataset.frame_up) if isinstance(dataset, UpGiven) else (None, {})
-
-
-def up_option(dataset: Dataset, frame: Frame) -> str:
-    """The words of `--up` that say the up vector of a frame: of the world where it has a pose, else of its camera."""
-    assert frame.camera.up is not None
-    pose = frame.camera.T_world_camera
-    up = frame.camera.up if pose is None else pose[:3, :3] @ frame.camera.up
-    x, y, z = (round(float(c), 6) + 0.0 for c in up)
-    return str(GivenUp((x, y, z), "camera" if pose is None else "world"))

@@ -5,13 +5,14 @@ from __future__ import annotations
 import base64
 import threading
 from collections import OrderedDict
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import cv2
 import numpy as np
 
 from pipeline.agreeing import Beside, beside
+from pipeline.datasets import Dataset
 from pipeline.errors import InputError
 from pipeline.jobs import Source
 from pipeline.objects import FrameContext, SceneObject, all_objects
@@ -94,6 +95,13 @@ class FrameStore:
                 self._loaded.popitem(last=False)
         self._thumbs[key] = (jpeg_url(_small(context.frame.rgb)), "")
         return loaded
+
+    def replace_dataset(self, source: str, dataset: Dataset) -> None:
+        """Load the frames of a source from another dataset of the same frames: one that knows more of them."""
+        with self._lock:
+            self.sources[source] = replace(self.sources[source], dataset=dataset)
+            for key in [key for key in self._loaded if key[0] == source]:
+                del self._loaded[key]
 
     def thumb(self, source: str, frame_id: str) -> tuple[str, str]:
         """(data URL, "") of a small picture, or ("", reason) for a broken frame."""

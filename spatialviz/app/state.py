@@ -117,6 +117,10 @@ class State:
         Whose boxes are shown where there is a second detector.
     second : int or None
         The selected object of the second detector, where it is not the one that stands for `selected`.
+    picking : bool
+        The next click names a level surface.
+    told : dict of str to str
+        By source the pixel, as of `--level-at`, that was said to be level.
     """
 
     source: str
@@ -143,6 +147,8 @@ class State:
     correctable: bool = False
     layers: Layers = "both"
     second: int | None = None
+    picking: bool = False
+    told: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def unasked(self) -> State:
