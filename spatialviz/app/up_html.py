@@ -33,7 +33,7 @@ def level_html(state: State) -> str:
         return ""
     return (
         f'<div class="dim uptold">Up as you said, until the program ends; <code>--level-at {safe(words)}</code> says '
-        'it again <span class="try" role="button" onclick="sv(\'level-keep\')" title="keep it in spatialviz.toml beside '
-        'the data">save</span> <span class="try" role="button" onclick="sv(\'level-back\')" '
+        'it again <span class="try" role="button" onclick="sv(\'level-keep\')" title="keep it in spatialviz.toml '
+        'beside the data">save</span> <span class="try" role="button" onclick="sv(\'level-back\')" '
         'title="as it was before">take back</span></div>'
     )
