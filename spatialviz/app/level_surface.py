@@ -7,11 +7,11 @@ from dataclasses import replace
 
 import viser
 
-from pipeline.datasets import Dataset, write_settings
-from pipeline.datasets.given_up import with_frame_up
+from pipeline.datasets import write_settings
+from pipeline.demo import demo_path
 from pipeline.errors import InputError
 from pipeline.level_plane import level_normal_at
-from spatialviz.app.frames import FrameStore
+from spatialviz.app.frames import FrameStore, ToldUp
 from spatialviz.app.state import State
 
 
@@ -48,8 +48,6 @@ class LevelSurface:
     ) -> None:
         self._client, self._store = client, store
         self._state, self._take, self._draw, self._reopen, self._note = state, take, draw, reopen, note
-        self._before: dict[str, Dataset] = {}
-        self._said: dict[str, tuple[str, tuple[float, float, float]]] = {}
 
     def commands(self) -> dict[str, Callable[[str], None]]:
         """What the page may ask for, by the first word of its message."""
@@ -77,33 +75,30 @@ class LevelSurface:
         except InputError as error:
             self._tell("Not a level surface", str(error))
             return True
-        dataset = self._store.sources[state.source].dataset
-        self._before.setdefault(state.source, dataset)
-        self._said[state.source] = frame.id, (x, y, z)
-        self._store.replace_dataset(state.source, with_frame_up(dataset, frame.id, (x, y, z)))
+        self._store.tell_up(state.source, ToldUp(frame.id, (u, v), (x, y, z)))
         self._note(f"frame {frame.id}: the surface at {u},{v} is level, up {x:.3f}, {y:.3f}, {z:.3f} in the camera")
-        self._take(replace(state, picking=False, told={**state.told, state.source: f"{frame.id}:{u},{v}"}))
+        self._take(replace(state, picking=False))
         self._reopen()
         return True
 
     def keep(self) -> None:
         """Write what was said into the settings beside the data."""
         source = self._state().source
-        if source in self._said:
-            frame_id, up = self._said[source]
+        told = self._store.told.get(source)
+        if told is not None:
             root = self._store.sources[source].dataset.root
             try:
-                self._tell("Up is kept", str(write_settings(root, None, None, frame_up={frame_id: up})))
+                if root.resolve() == demo_path().resolve():
+                    raise InputError("the built-in demo stays as it is", path=root)
+                self._tell("Up is kept", str(write_settings(root, None, None, frame_up={told.frame_id: told.up})))
             except InputError as error:
                 self._tell("Up is not kept", str(error))
 
     def take_back(self) -> None:
         """Up as it was before anything was said."""
         state = self._state()
-        if state.source in self._before:
-            self._store.replace_dataset(state.source, self._before.pop(state.source))
-            self._said.pop(state.source, None)
-            self._take(replace(state, told={k: v for k, v in state.told.items() if k != state.source}))
+        if state.source in self._store.told:
+            self._store.tell_up(state.source, None)
             self._reopen()
 
     def _tell(self, title: str, text: str) -> None:

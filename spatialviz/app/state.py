@@ -119,8 +119,6 @@ class State:
         The selected object of the second detector, where it is not the one that stands for `selected`.
     picking : bool
         The next click names a level surface.
-    told : dict of str to str
-        By source the pixel, as of `--level-at`, that was said to be level.
     """
 
     source: str
@@ -148,7 +146,6 @@ class State:
     layers: Layers = "both"
     second: int | None = None
     picking: bool = False
-    told: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def unasked(self) -> State:

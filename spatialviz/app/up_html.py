@@ -28,12 +28,13 @@ def level_html(state: State) -> str:
     """What to click while a level surface is asked for; afterwards, how to keep what was said."""
     if state.picking:
         return note(PICK)
-    words = state.told.get(state.source)
-    if words is None or state.loaded is None or state.loaded.context.viewer.up_source != "given":
+    loaded = state.loaded
+    if loaded is None or loaded.told is None or loaded.context.viewer.up_source != "given":
         return ""
+    words = safe(loaded.told.words)
     return (
-        f'<div class="dim uptold">Up as you said, until the program ends; <code>--level-at {safe(words)}</code> says '
-        'it again <span class="try" role="button" onclick="sv(\'level-keep\')" title="keep it in spatialviz.toml '
-        'beside the data">save</span> <span class="try" role="button" onclick="sv(\'level-back\')" '
-        'title="as it was before">take back</span></div>'
+        f'<div class="dim uptold">Up as you said, until the program ends; <code>--level-at {words}</code> says it again '
+        '<span class="try" role="button" onclick="sv(\'level-keep\')" title="keep it in spatialviz.toml beside the '
+        'data">save</span> <span class="try" role="button" onclick="sv(\'level-back\')" title="as it was before">'
+        'take back</span></div>'
     )
