@@ -31,10 +31,10 @@ def level_html(state: State) -> str:
     loaded = state.loaded
     if loaded is None or loaded.told is None or loaded.context.viewer.up_source != "given":
         return ""
-    words = safe(loaded.told.words)
+    save, back = "keep it in spatialviz.toml beside the data", "as it was before"
     return (
-        f'<div class="dim uptold">Up as you said, until the program ends; <code>--level-at {words}</code> says it again '
-        '<span class="try" role="button" onclick="sv(\'level-keep\')" title="keep it in spatialviz.toml beside the '
-        'data">save</span> <span class="try" role="button" onclick="sv(\'level-back\')" title="as it was before">'
-        'take back</span></div>'
+        '<div class="dim uptold">Up as you said, until the program ends; it is said again by '
+        f"<code>--level-at {safe(loaded.told.words)}</code> "
+        f'<span class="try" role="button" onclick="sv(\'level-keep\')" title="{save}">save</span> '
+        f'<span class="try" role="button" onclick="sv(\'level-back\')" title="{back}">take back</span></div>'
     )
