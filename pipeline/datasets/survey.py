@@ -40,12 +40,12 @@ class FrameReport:
     has_pose : bool
     up_source : str or None
         How the up vector that is used is known; see `camera.UpSource`.
-    up : (x, y, z) or None
-        That vector, in the camera frame.
     notes : tuple of str
         What was odd and could be left out.
     moves : dict of str to str, or None
         Where the possible moves lead, in a dataset that has moves; see `capabilities.moves`.
+    up : (x, y, z) or None
+        The up vector that is used, in the camera frame.
     """
 
     index: int
@@ -60,9 +60,9 @@ class FrameReport:
     median_depth: float | None = None
     has_pose: bool = False
     up_source: UpSource | None = None
-    up: tuple[float, ...] | None = None
     notes: tuple[str, ...] = ()
     moves: dict[str, str] | None = None
+    up: tuple[float, ...] | None = None
 
 
 def survey(dataset: Dataset) -> Iterator[FrameReport]:

@@ -60,6 +60,7 @@ CSS = """<style>
 .sv .upchip.loud{border-color:var(--c);background:color-mix(in srgb,var(--c) 18%,transparent);color:var(--warn,#e8a33d);font-weight:650}
 .sv .upchip:hover,.sv .upchip[aria-pressed=true]{border-color:var(--mantine-primary-color-filled)}
 .sv .uptold{padding:.35em 0 .1em}
+.sv .uptold code{white-space:nowrap}
 [data-mantine-color-scheme=light] .sv{--warn:#a85b00}
 .sv .low{color:var(--warn,#e8a33d);font-weight:600}
 .sv .scroll{max-height:var(--mh,260px);overflow:auto}
