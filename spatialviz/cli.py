@@ -69,7 +69,7 @@ class Ask:
             raise InputError("--save takes one frame and one expression", path=self.save)
         labels = None if self.labels is None else open_labels(self.labels)
         answered = 0
-        source = self.source.open(self.dataset, self.frame)
+        source = self.source.open(self.dataset, self.frame, labels)
         for answer in ask_and_judge(source, self.frame, self.expressions, labels, warn_skipped):
             answered += why_no_answer(answer.trace) is None
             if self.json:

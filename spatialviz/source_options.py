@@ -12,6 +12,7 @@ from spatialviz.options import four_numbers
 
 if TYPE_CHECKING:
     from pipeline.jobs import Source
+    from pipeline.labels.reading import Labels
     from pipeline.proposals.detector_setup import DetectorSetup
     from pipeline.proposals.score_calibration import ScoreCalibration
 
@@ -185,8 +186,10 @@ class SourceOptions(CameraOptions):
                 words += [f"--{field.name.replace('_', '-')}", *map(str, parts)]
         return words
 
-    def open(self, dataset: str, frame: str | None = None) -> Source:
-        """The dataset with its models; `frame` is the one that is asked."""
+    def open(self, dataset: str, frame: str | None = None, labels: Labels | None = None) -> Source:
+        """The dataset with its models; `frame` is the one that is asked, `labels` judge what is answered."""
         from pipeline.jobs import open_source
+        from pipeline.labels.pictures import labelled_up
 
-        return open_source(dataset, **self.options(frame))
+        options = self.options(frame)
+        return open_source(dataset, **(options if labels is None else labelled_up(labels.manifest, options)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
@@ -17,9 +18,12 @@ from pipeline.datasets.given_up import told_up, with_frame_up
 from pipeline.datasets.up_text import GivenUp, parse_level_at
 from pipeline.demo import demo_path
 from pipeline.errors import InputError
+from pipeline.evaluation.job import evaluate_dataset
+from pipeline.evaluation.run import EvalSpec
 from pipeline.jobs import open_source, relate_frames
 from pipeline.labels.config import LabelConfig
-from pipeline.labels.pictures import labelled_dataset
+from pipeline.labels.job import label_dataset
+from pipeline.labels.pictures import labelled_dataset, labelled_up
 from pipeline.labels.plan import SourceSpec, make_plan
 from pipeline.records import relation_records
 from tests.avd_writer import write_scan
@@ -106,7 +110,7 @@ def test_what_is_told_wins_in_every_format(roots: dict[str, Path], name: str) ->
             assert frame.camera.up is not None
             assert frame.camera.up_source == "given"
             in_camera = frame_of == "camera" or pose is None
-            expected = vector if in_camera else pose[:3, :3].T @ vector
+            expected = vector if in_camera or pose is None else pose[:3, :3].T @ vector
             np.testing.assert_allclose(frame.camera.up, expected, atol=1e-9)
             taken = "camera" if in_camera else "world"
             assert (frame_of is None) == any(f"is taken as {taken}:" in note for note in frame.notes)
@@ -153,6 +157,12 @@ def level_views(root: Path, up: np.ndarray, poses: bool = True) -> None:
         (root / "pose.txt").write_text("\n".join(lines))
 
 
+def up_of(dataset: Dataset, frame_id: str) -> np.ndarray:
+    found = dataset.load(frame_id).camera.up
+    assert found is not None
+    return found
+
+
 def degrees(a: np.ndarray | None, b: np.ndarray) -> float:
     assert a is not None
     return float(np.degrees(np.arccos(np.clip(a @ b, -1, 1))))
@@ -172,16 +182,17 @@ def test_a_level_surface_is_carried_by_the_poses(tmp_path: Path, poses: bool) ->
     assert second.T_world_camera is not None
     assert second.up_source == "given"
     assert degrees(second.T_world_camera[:3, :3] @ second.up, up) < 0.5
+    known = opened(tmp_path, level_at="1:30,30")
     # The frame by its index, and the first one where none is named.
     for text in ("0:30,30", "30,30"):
-        assert np.array_equal(opened(tmp_path, level_at=text).load("1").camera.up, first.up)
+        assert up_of(opened(tmp_path, level_at=text), "1").tolist() == up_of(known, "1").tolist()
     # What is said of a frame is kept for it, and wins over what is said of all.
-    write_settings(tmp_path, CAMERA["intrinsics"], 1000, *told_up(opened(tmp_path, level_at="1:30,30")))
-    assert np.array_equal(open_dataset(tmp_path).load("2").camera.up, second.up)
-    assert degrees(open_dataset(tmp_path, up="world:0,-1,0").load("2").camera.up, np.array([0, -1, 0])) > 20
+    write_settings(tmp_path, CAMERA["intrinsics"], 1000, *told_up(known))
+    assert up_of(open_dataset(tmp_path), "2").tolist() == up_of(known, "2").tolist()
+    assert degrees(up_of(open_dataset(tmp_path, up="world:0,-1,0"), "2"), np.array([0, -1, 0])) > 20
     # The last one that was told counts.
     level = with_frame_up(open_dataset(tmp_path), "2", (0.0, -1.0, 0.0))
-    assert level.load("2").camera.up.tolist() == [0, -1, 0]
+    assert up_of(level, "2").tolist() == [0, -1, 0]
     other = level.load("1").camera
     assert degrees(other.up, up) < 0.5  # its own frame keeps what was told of it
 
@@ -258,9 +269,21 @@ def test_labels_are_opened_with_the_up_that_they_were_made_with() -> None:
     assert plan.shards[0].key != plain.shards[0].key
 
     said: Any = SimpleNamespace(dataset={"path": str(demo_path()), "options": spec.options})
-    for told, expected in (({}, [0, -1, 0]), ({"up": "camera:1,0,0"}, [1, 0, 0])):
+    cases: list[tuple[dict[str, Any], list[int]]] = [({}, [0, -1, 0]), ({"up": "camera:1,0,0"}, [1, 0, 0])]
+    for told, expected in cases:
+        assert labelled_up(said, told)["up"] == f"camera:{','.join(map(str, expected))}"
         dataset = labelled_dataset(said, **told)
-        assert dataset.load(dataset.frame_ids[0]).camera.up.tolist() == expected
+        assert up_of(dataset, dataset.frame_ids[0]).tolist() == expected
+
+
+def test_an_evaluation_answers_with_the_up_of_its_labels(tmp_path: Path) -> None:
+    spec = SourceSpec("demo", {"up": "camera:0,-1,0"})
+    label_dataset(spec, tmp_path / "labels", limit=1)
+    for given_up, expected in ((None, "camera:0,-1,0"), ("camera:0,-1,0.1", "camera:0,-1,0.1")):
+        asked = EvalSpec("demo", str(tmp_path / "labels"), {"srm": "rule", "up": given_up}, limit=2)
+        evaluate_dataset(asked, tmp_path / "run", plots=False, overwrite=True)
+        run = json.loads((tmp_path / "run" / "run.json").read_text())
+        assert run["options"]["up"] == expected
 
 
 def test_relations_say_which_up_they_rest_on() -> None:

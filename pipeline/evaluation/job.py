@@ -38,7 +38,9 @@ from pipeline.evaluation.run import EvalSpec, Progress, evaluate_labels, write_r
 from pipeline.evaluation.run_folder import RUN_FILE, spec_record
 from pipeline.evaluation.tables import Table, as_csv, latex, markdown
 from pipeline.labels.merge import environment
+from pipeline.labels.pictures import labelled_up
 from pipeline.labels.profiles import canonical_hash
+from pipeline.labels.reading import open_labels
 from pipeline.staging import staged_folder, write_json
 
 if TYPE_CHECKING:
@@ -119,6 +121,8 @@ def evaluate_dataset(
         need_plots()
     if not spec.grounding and (against is not None or others or spec.relations is None):
         raise InputError("runs are compared by their expressions, and this one answers none")
+    # Answers are judged by labels, and so in their axes.
+    spec = replace(spec, options=labelled_up(open_labels(spec.labels).manifest, spec.options))
     source, labels = spec.open()
     detector = source.needed_detector() if spec.grounding else labelled_detector(source)
     seen = 0

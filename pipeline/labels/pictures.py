@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -53,9 +54,15 @@ def labelled_dataset(
         intrinsics = _four(options["intrinsics"])
     if depth_scale is None and options.get("depth_scale") is not None:
         depth_scale = _number(options["depth_scale"])
-    if up is None and level_at is None:
-        up, level_at = (None if options.get(n) is None else str(options[n]) for n in ("up", "level_at"))
-    return open_dataset(where, intrinsics=intrinsics, depth_scale=depth_scale, up=up, level_at=level_at)
+    told = labelled_up(manifest, {"up": up, "level_at": level_at})
+    return open_dataset(where, intrinsics=intrinsics, depth_scale=depth_scale, **told)
+
+
+def labelled_up(manifest: Manifest, options: Mapping[str, Any]) -> dict[str, Any]:
+    """Arguments of `open_dataset`, with the up vector that was said when the labels were made where none is said."""
+    said = manifest.dataset.get("options") or {}
+    told = {n: str(said[n]) for n in ("up", "level_at") if said.get(n) is not None}
+    return dict(options) if any(options.get(n) is not None for n in ("up", "level_at")) else {**options, **told}
 
 
 def _four(said: Any) -> Intrinsics:
