@@ -283,7 +283,7 @@ def test_an_evaluation_answers_with_the_up_of_its_labels(tmp_path: Path) -> None
         asked = EvalSpec("demo", str(tmp_path / "labels"), {"srm": "rule", "up": given_up}, limit=2)
         evaluate_dataset(asked, tmp_path / "run", plots=False, overwrite=True)
         run = json.loads((tmp_path / "run" / "run.json").read_text())
-        assert run["options"]["up"] == expected
+        assert run["spec"]["options"]["up"] == expected
 
 
 def test_relations_say_which_up_they_rest_on() -> None:
