@@ -113,6 +113,12 @@ def scene_of(dataset: Dataset, frame_id: str) -> str:
     return dataset.root.resolve().name if parent in (".", "/") else parent
 
 
+def frames_of_scene(dataset: Dataset, frame_id: str) -> tuple[str, ...]:
+    """The ids of all frames of the scene that a frame belongs to, in the dataset's order."""
+    folder = PurePosixPath(frame_id).parent
+    return tuple(other for other in dataset.frame_ids if PurePosixPath(other).parent == folder)
+
+
 def unknown_frame(dataset: Dataset, key: str) -> InputError:
     """The error for an id that a dataset does not have, with the nearest ids and the count."""
     ids = dataset.frame_ids

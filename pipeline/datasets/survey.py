@@ -8,9 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.camera import Camera, UpSource
-from pipeline.datasets.base import Dataset, scene_of
+from pipeline.datasets.base import Dataset
 from pipeline.datasets.capabilities import has_moves, moves
 from pipeline.errors import InputError
+from pipeline.frame import Frame
 from pipeline.up_words import ASSUMED, DECLARE
 
 
@@ -91,12 +92,12 @@ def survey(dataset: Dataset) -> Iterator[FrameReport]:
             has_pose=frame.camera.T_world_camera is not None,
             up_source=camera.up_source,
             up=None if camera.up is None else tuple(camera.up.tolist()),
-            notes=(*frame.notes, *up_notes(dataset, camera, frame_id)),
+            notes=(*frame.notes, *up_notes(dataset, frame, camera)),
             moves=leads,
         )
 
 
-def up_notes(dataset: Dataset, camera: Camera, frame_id: str) -> tuple[str, ...]:
+def up_notes(dataset: Dataset, frame: Frame, camera: Camera) -> tuple[str, ...]:
     """What is to be doubted about the up vector of a frame: that it is assumed, that its scene disagrees.
 
     Parameters
@@ -104,14 +105,14 @@ def up_notes(dataset: Dataset, camera: Camera, frame_id: str) -> tuple[str, ...]
     camera : Camera
         Of the frame, with its up vector resolved.
     """
-    from pipeline.scene_up import scene_vote
+    from pipeline.scene_up import own_disagreement, scene_vote
 
     notes = (f"{ASSUMED}; {DECLARE}",) if camera.up_source == "assumed" else ()
     if camera.T_world_camera is None or camera.up_source not in ("scene", "plane", "assumed"):
         return notes
-    vote = scene_vote(dataset, scene_of(dataset, frame_id))
-    off = dict(vote.disagreeing).get(frame_id)
+    vote = scene_vote(dataset, frame.id)
+    off = own_disagreement(frame, vote)
     if off is None:
         return notes
-    most = f"{vote.agreeing} of {vote.voting} frames of the scene"
-    return (*notes, f"its own level plane is {off:.0f} degrees off the up of {most}")
+    most = f"{vote.agreeing} of {vote.voting} frames that were asked"
+    return (*notes, f"its own level plane is {off:.0f} degrees off the up of its scene, on which {most} agree")
