@@ -325,6 +325,8 @@ def test_suggested_expressions_have_exactly_one_right_answer() -> None:
             assert len(right) == 1, text
             asked += 1
         assert suggest_expressions([], scores, context.viewer) == ()
+        # No example rests on an up that is only assumed.
+        assert suggest_expressions(objects, scores, replace(context.viewer, up_source="assumed")) == ()
     assert asked >= 3
 
 
