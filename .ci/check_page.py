@@ -70,6 +70,18 @@ def same_as_the_command_line(page, text: str) -> None:
     assert page.locator(".sv .big .p").inner_text() == f"{said['answer']['probability']:.2f}", said["answer"]
 
 
+def up_is_what_is_clicked(page) -> None:
+    """A click names a level surface; what was declared comes back."""
+    chip = page.locator(".sv .upchip")
+    assert chip.inner_text() == "up declared", chip.inner_text()
+    chip.click()
+    page.locator(".sv .note", has_text="level surface").wait_for(timeout=30_000)
+    page.evaluate("sv('image:0.10000,0.95000')")
+    page.locator(".sv .upchip", has_text="given").wait_for(timeout=60_000)
+    page.locator(".sv .uptold").get_by_text("take back").click()
+    page.locator(".sv .upchip", has_text="declared").wait_for(timeout=60_000)
+
+
 def drive() -> dict:
     with sync_playwright() as play:
         browser = play.chromium.launch(executable_path="/usr/bin/chromium", args=CHROMIUM)
@@ -86,6 +98,7 @@ def drive() -> dict:
         rows = page.locator(".sv tr.r").count()
         page.locator(".sv .bar", has_text="left of").first.click()
         page.locator(".sv .big", has_text="left of").wait_for(timeout=30_000)
+        up_is_what_is_clicked(page)
         field.fill("<img src=x onerror=alert(1)> left of the mug")
         field.press("Enter")
         page.locator(".sv .note").first.wait_for(timeout=30_000)

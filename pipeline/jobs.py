@@ -22,6 +22,7 @@ from pipeline.proposals.segmenters import SegmenterFiles
 from pipeline.relations import PAIRWISE
 from pipeline.srm import RelationScorer, RelationScores, make_scorer
 from pipeline.srm.appearance import appearance_of
+from pipeline.viewer import ViewerAxes
 
 ALL_FRAMES = "all"
 Skipped = Callable[[str, str], None]
@@ -118,6 +119,8 @@ def open_source(
     *,
     intrinsics: tuple[float, float, float, float] | None = None,
     depth_scale: float | None = None,
+    up: str | None = None,
+    level_at: str | None = None,
     detector: str | None = None,
     model: Path | None = None,
     model_config: Path | None = None,
@@ -134,6 +137,7 @@ def open_source(
 ) -> Source:
     """Open a dataset and the models for it; the path "demo" is the built-in one.
 
+    `intrinsics`, `depth_scale`, `up` and `level_at` are those of `open_dataset`.
     `segmenter` makes masks for boxes that have none ("depth", "recorded", "yolo-seg", "sam", "sam2", "efficientsam");
     by default there is none. `segmenter_model` is its file, or its encoder and decoder. A network's file may also be
     named by its id on the model hub. `model_config` says what the detector's file does not.
@@ -151,7 +155,7 @@ def open_source(
     """
     if str(path) == DEMO_NAME and not Path(path).exists():
         path = demo_path()
-    dataset = open_dataset(path, intrinsics=intrinsics, depth_scale=depth_scale)
+    dataset = open_dataset(path, intrinsics=intrinsics, depth_scale=depth_scale, up=up, level_at=level_at)
     table = Synonyms.load(synonyms)
     if detector is None:
         detector = "annotations" if dataset.class_names else None
@@ -287,12 +291,14 @@ def ask_frames(
 
 @dataclass(frozen=True)
 class FrameRelations:
-    """All objects of a frame and every relation between them; `exact` where the objects are the dataset's own."""
+    """All objects of a frame and every relation between them; `exact` where the objects are the dataset's own, `viewer`
+    the axes in which they were judged."""
 
     frame_id: str
     objects: tuple[SceneObject, ...]
     scores: RelationScores
     exact: bool
+    viewer: ViewerAxes | None = None
 
 
 def relate_frames(source: Source, key: str | int | None, skipped: Skipped | None = None) -> Iterator[FrameRelations]:
@@ -305,4 +311,4 @@ def relate_frames(source: Source, key: str | int | None, skipped: Skipped | None
             skip_or_raise(error, key, context.frame.id, skipped)
             continue
         scores = source.score(context, objects)
-        yield FrameRelations(context.frame.id, objects, scores, detector.exact)
+        yield FrameRelations(context.frame.id, objects, scores, detector.exact, context.viewer)

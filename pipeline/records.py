@@ -188,6 +188,7 @@ def relation_records(
     """
     objects, scores = found.objects, found.scores
     columns = [scores.relations.index(r) for r in relations]
+    up = {} if found.viewer is None else viewer_record(found.viewer)
     for i, a in enumerate(objects):
         for j, b in enumerate(objects):
             if i == j:
@@ -200,6 +201,7 @@ def relation_records(
                 "probabilities": {
                     r: _probability(scores.probabilities[i, j, c]) for r, c in zip(relations, columns, strict=True)
                 },
+                **up,
             }
 
 
@@ -218,6 +220,7 @@ def frame_record(report: FrameReport) -> Record:
         "median_depth": report.median_depth,
         "has_pose": report.has_pose,
         "up_source": report.up_source,
+        "up": None if report.up is None else _numbers(np.array(report.up), 6),
         "notes": list(report.notes),
     }
     if report.moves is not None:

@@ -14,14 +14,19 @@ from pipeline.naming import normal_form
 from pipeline.objects import SceneObject
 from pipeline.relations import DIRECTIONAL, PHRASE
 from pipeline.srm.scorer import RelationScores
+from pipeline.viewer import ViewerAxes
 
 
-def suggest_expressions(objects: Sequence[SceneObject], scores: RelationScores, count: int = 3) -> tuple[str, ...]:
-    """Up to `count` expressions that have exactly one right answer in the frame.
+def suggest_expressions(
+    objects: Sequence[SceneObject], scores: RelationScores, viewer: ViewerAxes, count: int = 3
+) -> tuple[str, ...]:
+    """Up to `count` expressions that have exactly one right answer in the frame; none where up is only assumed.
 
     Those whose target's class stands in the frame several times come first:
     there the relation decides. No class and no relation is repeated while there are others.
     """
+    if viewer.up_source == "assumed":
+        return ()
     labels = [o.label for o in objects]
     number = Counter(labels)
     found: list[tuple[float, str, str, str]] = []

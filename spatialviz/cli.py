@@ -7,7 +7,7 @@ import os
 import sys
 import traceback
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Literal, Union
 
@@ -32,8 +32,8 @@ from spatialviz.cli_training import Train
 from spatialviz.cli_view import View
 from spatialviz.cli_whatif import WhatIf
 from spatialviz.exits import BAD, FINE, INTERRUPTED, NO
-from spatialviz.options import four_numbers, one_line_warnings, print_json, warn_skipped
-from spatialviz.source_options import SourceOptions
+from spatialviz.options import one_line_warnings, print_json, warn_skipped
+from spatialviz.source_options import CameraOptions, SourceOptions
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class Ask:
             raise InputError("--save takes one frame and one expression", path=self.save)
         labels = None if self.labels is None else open_labels(self.labels)
         answered = 0
-        source = self.source.open(self.dataset)
+        source = self.source.open(self.dataset, self.frame, labels)
         for answer in ask_and_judge(source, self.frame, self.expressions, labels, warn_skipped):
             answered += why_no_answer(answer.trace) is None
             if self.json:
@@ -106,7 +106,7 @@ class Relations:
 
         relations = VOCABULARIES[self.vocabulary]
         pairs = 0
-        for found in relate_frames(self.source.open(self.dataset), self.frame, warn_skipped):
+        for found in relate_frames(self.source.open(self.dataset, self.frame), self.frame, warn_skipped):
             pairs += len(found.objects) * max(len(found.objects) - 1, 0)
             if self.json:
                 for record in relation_records(found, relations):
@@ -122,28 +122,26 @@ class Frames:
 
     dataset: Positional[str]
     """Dataset folder, or "demo"."""
-    intrinsics: str | None = None
-    """fx,fy,cx,cy in pixels, for recordings without a camera file."""
-    depth_scale: float | None = None
-    """Depth units in one metre (1000 for millimetres)."""
+    camera: OmitArgPrefixes[CameraOptions] = field(default_factory=CameraOptions)
     json: bool = False
     """Print one JSON object for each frame."""
     summary: bool = False
     """Print only counts over all frames; with --json, as one JSON object."""
     remember: bool = False
-    """Keep --intrinsics and --depth-scale in spatialviz.toml beside the data."""
+    """Keep --intrinsics, --depth-scale, --up and --level-at in spatialviz.toml beside the data."""
 
     def run(self) -> int:
         from pipeline.datasets import SurveyCounts, summarise, survey, write_settings
+        from pipeline.datasets.given_up import told_up
         from pipeline.jobs import open_source
         from pipeline.records import frame_record
         from spatialviz.printing import print_frames
         from spatialviz.printing_statistics import print_summary
 
-        camera = four_numbers(self.intrinsics)
-        dataset = open_source(self.dataset, intrinsics=camera, depth_scale=self.depth_scale).dataset
+        camera = self.camera.camera()
+        dataset = open_source(self.dataset, **camera).dataset
         if self.remember:
-            write_settings(dataset.root, camera, self.depth_scale)
+            write_settings(dataset.root, camera["intrinsics"], camera["depth_scale"], *told_up(dataset))
         counts = SurveyCounts()
         reports = survey(dataset)
         if self.summary:
@@ -210,10 +208,7 @@ class Context:
     """Frame id, or its index."""
     out: Positional[Path]
     """Mesh file to write: .ply, .obj or .glb."""
-    intrinsics: str | None = None
-    """fx,fy,cx,cy in pixels, for recordings without a camera file."""
-    depth_scale: float | None = None
-    """Depth units in one metre (1000 for millimetres)."""
+    camera: OmitArgPrefixes[CameraOptions] = field(default_factory=CameraOptions)
     json: bool = False
     """Print one JSON object."""
 
@@ -222,8 +217,7 @@ class Context:
         from pipeline.datasets import resolve_frame
         from pipeline.jobs import open_source
 
-        camera = four_numbers(self.intrinsics)
-        dataset = open_source(self.dataset, intrinsics=camera, depth_scale=self.depth_scale).dataset
+        dataset = open_source(self.dataset, **self.camera.camera(self.frame)).dataset
         frame = dataset.load(resolve_frame(dataset, self.frame))
         mesh = fuse_context(dataset, frame)
         export_mesh(mesh, self.out)

@@ -55,7 +55,7 @@ class SaveCase:
         from pipeline.failure_case import answer_record, save_case
         from spatialviz.printing_cases import print_saved
 
-        source = self.source.open(self.dataset)
+        source = self.source.open(self.dataset, self.frame)
         context = _one_context(source, self.frame)
         edits = None
         if self.edits is not None:
@@ -171,7 +171,7 @@ class Report:
         else:
             if self.expression is None:
                 raise InputError("EXPRESSION is missing", expected='for example "mug left of the laptop"')
-            source = self.source.open(self.dataset)
+            source = self.source.open(self.dataset, self.frame)
             context = _one_context(source, self.frame)
             answered = answer(source, context, self.expression, truth=truth_of(source, context, self.labels))
             subject = Subject.of_dataset(self.dataset, source, context, self.expression, self.source.words())

@@ -10,15 +10,15 @@ from tyro.conf import OmitArgPrefixes, Positional
 
 from pipeline.execution import Provider
 from spatialviz.exits import FINE, NO
-from spatialviz.options import four_numbers, print_json, warn_skipped
-from spatialviz.source_options import fusing
+from spatialviz.options import print_json, warn_skipped
+from spatialviz.source_options import CameraOptions, fusing
 
 if TYPE_CHECKING:
     from pipeline.jobs import Source
 
 
 @dataclass(frozen=True)
-class DetectorOptions:
+class DetectorOptions(CameraOptions):
     """Which detector is run, and how."""
 
     detector: str | None = None
@@ -46,10 +46,6 @@ class DetectorOptions:
     """all, FROM:TO by index (FROM is in, TO is not), or a frame's id or index."""
     synonyms: Path | None = None
     """A JSON file with more synonyms: {"groups": [["mug", "cup"], …]}."""
-    intrinsics: str | None = None
-    """fx,fy,cx,cy in pixels, for recordings without a camera file."""
-    depth_scale: float | None = None
-    """Depth units in one metre (1000 for millimetres), for recordings without a camera file."""
     provider: Provider | None = None
     """What networks compute on. Default: cuda, directml or coreml where ONNX Runtime has it, else the CPU."""
     verbose: bool = False
@@ -66,8 +62,7 @@ class DetectorOptions:
             dataset,
             also=also,
             **fusing(self.fuse, self.fusion),
-            intrinsics=four_numbers(self.intrinsics),
-            depth_scale=self.depth_scale,
+            **self.camera(),
             detector=self.detector,
             model=self.model,
             model_config=self.model_config,

@@ -96,7 +96,7 @@ class Export:
         with tempfile.TemporaryDirectory(prefix="spatialviz-") as folder:
             where = Path(folder) / "corrected"
             with self.journal.open(automatic, must_exist=True) as journal:
-                dataset = DatasetOptions(self.dataset).open(automatic)
+                dataset = DatasetOptions(dataset=self.dataset).open(automatic)
                 _, found = materialise(automatic, journal, where, dataset=dataset)
             stale = found.counts["stale"]
             if stale:
@@ -111,7 +111,7 @@ class Export:
 
         if labels.manifest.corrections is not None:
             # A folder of corrected labels has no plan; its manifest names the dataset.
-            return None if self.dataset is None else DatasetOptions(self.dataset).open(labels)
+            return None if self.dataset is None else DatasetOptions(dataset=self.dataset).open(labels)
         plan = load_plan(Store(self.labels))
         spec = plan.spec if self.dataset is None else type(plan.spec)(self.dataset, plan.spec.options)
         return spec.open(plan.config).dataset

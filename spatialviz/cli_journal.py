@@ -13,7 +13,8 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 
 from pipeline.errors import InputError
 from spatialviz.exits import FINE, NO
-from spatialviz.options import four_numbers, print_json
+from spatialviz.options import print_json
+from spatialviz.source_options import CameraOptions
 
 if TYPE_CHECKING:
     from pipeline.datasets import Dataset
@@ -41,22 +42,17 @@ class JournalOptions:
 
 
 @dataclass(frozen=True)
-class DatasetOptions:
+class DatasetOptions(CameraOptions):
     """Where the pictures are, for corrections of masks and boxes."""
 
     dataset: str | None = None
     """Dataset folder, or "demo". Default: where the labels say it was, if it is still there."""
-    intrinsics: str | None = None
-    """fx,fy,cx,cy in pixels, for recordings without a camera file."""
-    depth_scale: float | None = None
-    """Depth units in one metre (1000 for millimetres)."""
 
     def open(self, labels: Labels) -> Dataset | None:
         from pipeline.labels.pictures import labelled_dataset
 
-        camera = four_numbers(self.intrinsics)
         try:
-            return labelled_dataset(labels.manifest, self.dataset, intrinsics=camera, depth_scale=self.depth_scale)
+            return labelled_dataset(labels.manifest, self.dataset, **self.camera())
         except InputError as error:
             if self.dataset is not None:
                 raise

@@ -12,8 +12,8 @@ from tyro.conf import OmitArgPrefixes, Positional
 
 from pipeline.execution import Provider
 from spatialviz.exits import FINE, NO
-from spatialviz.options import four_numbers, print_json, task_of
-from spatialviz.source_options import fusing
+from spatialviz.options import print_json, task_of
+from spatialviz.source_options import CameraOptions, fusing
 
 if TYPE_CHECKING:
     from pipeline.labels.config import SelectConfig
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True)
-class LabelSource:
+class LabelSource(CameraOptions):
     """What is labelled, and what finds the objects."""
 
     detector: str | None = None
@@ -44,10 +44,6 @@ class LabelSource:
     """Drop detections below this score, of each detector before they are fused. Default: the detector's own."""
     synonyms: Path | None = None
     """A JSON file with more synonyms."""
-    intrinsics: str | None = None
-    """fx,fy,cx,cy in pixels, for recordings without a camera file."""
-    depth_scale: float | None = None
-    """Depth units in one metre (1000 for millimetres), for recordings without a camera file."""
     provider: Provider | None = None
     """What networks compute on. Default: cuda, directml or coreml where ONNX Runtime has it, else the CPU."""
     verbose: bool = False
@@ -67,8 +63,7 @@ class LabelSource:
             "segmenter_model": self.segmenter_model,
             "min_score": self.min_score,
             "synonyms": self.synonyms,
-            "intrinsics": four_numbers(self.intrinsics),
-            "depth_scale": self.depth_scale,
+            **self.camera(),
             **fusing(self.fuse, self.fusion),
         }
         plain = {k: str(v) if isinstance(v, Path) else v for k, v in options.items()}

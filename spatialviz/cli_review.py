@@ -15,7 +15,7 @@ from tyro.conf import OmitArgPrefixes, Positional, arg
 from pipeline.errors import InputError, MissingExtra
 from spatialviz.cli_journal import DatasetOptions, JournalOptions
 from spatialviz.exits import FINE, NO
-from spatialviz.options import four_numbers, print_json, warn_skipped
+from spatialviz.options import print_json, warn_skipped
 from spatialviz.source_options import SecondDetectorOptions
 
 if TYPE_CHECKING:
@@ -242,9 +242,7 @@ class Retrain:
         train = TrainConfig(CLI_FEATURES[self.features], epochs=self.epochs, batch=self.batch, seed=self.seed)
         config = RetrainConfig(train, self.split)
         if self.after is None:
-            options = {
-                "intrinsics": four_numbers(self.source.intrinsics), "depth_scale": self.source.depth_scale
-            }
+            options = self.source.camera()
             job = CircleJob(
                 self.labels, self.out, self.journal.journal, self.journal.project, self.source.dataset, options,
                 self.run_folder, config, self.workers,

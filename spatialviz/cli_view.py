@@ -63,6 +63,7 @@ class View:
         from pipeline.demo import DEMO_NAME, demo_run
         from pipeline.evaluation.run_folder import open_run
         from pipeline.jobs import open_sources
+        from pipeline.labels.pictures import labelled_up
         from pipeline.labels.reading import open_labels
         from pipeline.whatif.state import decode
         from spatialviz.app.server import serve
@@ -87,13 +88,15 @@ class View:
             if self.compare is not None:
                 others = {name: open_run(self.compare, dataset=run.spec.dataset)}
         else:
-            sources, left_out = open_sources(dataset, **self.source.options(), also=self.also)
+            found = None if self.labels is None else open_labels(self.labels)
+            options = self.source.options()
+            options = options if found is None else labelled_up(found.manifest, options)
+            sources, left_out = open_sources(dataset, **options, also=self.also)
             for name, reason in left_out.items():
                 print(f"spatialviz: left out {name}: {reason}", file=sys.stderr)
-            if self.labels is not None:
+            if found is not None:
                 if len(sources) > 1:
                     raise InputError("--labels are of one dataset", got=f"{len(sources)} datasets", path=self.labels)
-                found = open_labels(self.labels)
                 _check_labels(found, next(iter(sources.values())))
                 labels = dict.fromkeys(sources, found)
         corrected = dict(labels)

@@ -52,7 +52,7 @@ class WhatIf:
         from spatialviz.printing_whatif import print_change
 
         edits = Edits() if self.edits is None else load_edits(self.edits)
-        source = self.source.open(self.dataset)
+        source = self.source.open(self.dataset, self.frame)
         frame = source.dataset.load(resolve_frame(source.dataset, self.frame))
         context = frame_context(source.dataset, frame, source.config.lift)
         baseline = Baseline(source, context, self.expression)

@@ -22,6 +22,8 @@ from pipeline.objects import SceneObject
 from pipeline.overlooked import Overlooked
 from pipeline.records import why_no_answer
 from pipeline.relations import PHRASE, letter
+from pipeline.up_words import ASSUMED, DECLARE
+from pipeline.viewer import ViewerAxes
 
 SHOWN_PAIRS = 5
 
@@ -95,10 +97,16 @@ def print_trace(trace: Trace) -> None:
         for role, place in (("target", best.target), ("reference", best.reference)):
             for concern in trace.objects[place].lifted.quality.concerns:
                 console.print(Text(f"{role} {_at(trace, place)}: {concern}", "yellow"))
+    _warn_assumed(console, trace.viewer)
     stages = " · ".join(f"{k} {v * 1000:.1f} ms" for k, v in trace.timings.items())
     console.print(
         Text(f"{stages} · detector {trace.detector} · relations by {trace.scorer} · up {trace.viewer.up_source}", "dim")
     )
+
+
+def _warn_assumed(console: Console, viewer: ViewerAxes) -> None:
+    if viewer.up_source == "assumed":
+        console.print(Text(f"{ASSUMED}; {DECLARE}", "yellow"))
 
 
 def print_verdict(answer: JudgedAnswer) -> None:
@@ -130,7 +138,10 @@ def _at(trace: Trace, place: int) -> str:
 def print_relations(found: FrameRelations, relations: Sequence[str]) -> None:
     """The relations of a frame that hold (T) or are in doubt (U), a line for each pair."""
     console = make_console()
-    console.print(Text.assemble(("frame ", "dim"), found.frame_id, (f"  {len(found.objects)} objects", "dim")))
+    up = "" if found.viewer is None else f"  up {found.viewer.up_source}"
+    console.print(Text.assemble(("frame ", "dim"), found.frame_id, (f"  {len(found.objects)} objects{up}", "dim")))
+    if found.viewer is not None:
+        _warn_assumed(console, found.viewer)
     for i, a in enumerate(found.objects):
         for j, b in enumerate(found.objects):
             if i == j:
@@ -148,10 +159,11 @@ def print_relations(found: FrameRelations, relations: Sequence[str]) -> None:
 
 
 def print_frames(dataset: Dataset, reports: Iterable[FrameReport]) -> int:
-    """A line or two for each frame; returns how many can be used."""
+    """A line or two for each frame, then their notes, each once; returns how many can be used."""
     console = make_console()
     console.print(Text.assemble((str(dataset.root), "bold"), f"  {dataset.format}, {len(dataset.frame_ids)} frames"))
     usable = 0
+    notes: dict[str, list[str]] = {}
     for report in reports:
         usable += report.ok
         if report.ok:
@@ -159,7 +171,7 @@ def print_frames(dataset: Dataset, reports: Iterable[FrameReport]) -> int:
             pose = "pose" if report.has_pose else "no pose"
             line = (
                 f"{report.index:>5}  {report.id}  {report.width}x{report.height}  {depth}  {pose}"
-                f"  up {report.up_source or 'unknown'}  {report.annotations} objects"
+                f"  up {report.up_source}, {_off_image_up(report.up)} off the picture's  {report.annotations} objects"
             )
             console.print(Text(line))
             if report.labels:
@@ -167,8 +179,15 @@ def print_frames(dataset: Dataset, reports: Iterable[FrameReport]) -> int:
         else:
             console.print(Text(f"{report.index:>5}  {report.id}  broken: {report.problem}", "red"))
         for note in report.notes:
-            console.print(Text(f"       note: {note}", "yellow"))
+            notes.setdefault(note, []).append(report.id)
+    for note, frames in notes.items():
+        where = frames[0] if len(frames) == 1 else f"{len(frames)} frames"
+        console.print(Text(f"note on {where}: {note}", "yellow"))
     return usable
+
+
+def _off_image_up(up: Sequence[float] | None) -> str:
+    return "?" if up is None else f"{math.degrees(math.acos(max(-1.0, min(1.0, -up[1])))):.0f}°"
 
 
 def print_bench(record: dict[str, Any]) -> None:

@@ -19,6 +19,7 @@ def label_record(report: LabelReport) -> dict[str, Any]:
         "frames": report.frames,
         "reused": report.reused,
         "broken": report.broken,
+        "frames_up_assumed": None if manifest is None else manifest.counts["frames_up_assumed"],
         "objects": report.objects,
         "pairs": report.pairs,
         "candidates": report.candidates,

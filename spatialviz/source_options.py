@@ -12,6 +12,7 @@ from spatialviz.options import four_numbers
 
 if TYPE_CHECKING:
     from pipeline.jobs import Source
+    from pipeline.labels.reading import Labels
     from pipeline.proposals.detector_setup import DetectorSetup
     from pipeline.proposals.score_calibration import ScoreCalibration
 
@@ -78,7 +79,36 @@ class SecondDetectorOptions:
 
 
 @dataclass(frozen=True)
-class SourceOptions:
+class CameraOptions:
+    """What a person knows of the camera of a recording, and of where up is."""
+
+    intrinsics: str | None = None
+    """fx,fy,cx,cy in pixels, for recordings without a camera file."""
+    depth_scale: float | None = None
+    """Depth units in one metre (1000 for millimetres), for recordings without a camera file."""
+    up: str | None = None
+    """Against gravity, X,Y,Z: in the world of the poses; in a dataset without poses in the camera frame (OpenCV: x
+    right, y down, z forward; a level camera has 0,-1,0). world:X,Y,Z and camera:X,Y,Z say which. It wins over what the
+    dataset declares."""
+    level_at: str | None = None
+    """U,V (column, row): the surface at this pixel of the frame that is asked, else of the first one, is level;
+    FRAME:U,V says which frame. The poses carry it to the whole scene."""
+
+    def camera(self, frame: str | None = None) -> dict[str, Any]:
+        """The same as arguments of `open_dataset`; `frame` is the one that a bare --level-at is of."""
+        level_at = self.level_at
+        if level_at is not None and ":" not in level_at and frame not in (None, "all"):
+            level_at = f"{frame}:{level_at}"
+        return {
+            "intrinsics": four_numbers(self.intrinsics),
+            "depth_scale": self.depth_scale,
+            "up": self.up,
+            "level_at": level_at,
+        }
+
+
+@dataclass(frozen=True)
+class SourceOptions(CameraOptions):
     """What is opened, and with which models."""
 
     detector: str | None = None
@@ -115,25 +145,20 @@ class SourceOptions:
     """Use it although it was fitted for another detector or setting."""
     synonyms: Path | None = None
     """A JSON file with more synonyms: {"groups": [["mug", "cup"], …]}."""
-    intrinsics: str | None = None
-    """fx,fy,cx,cy in pixels, for recordings without a camera file."""
-    depth_scale: float | None = None
-    """Depth units in one metre (1000 for millimetres), for recordings without a camera file."""
     provider: Provider | None = None
     """What networks compute on. Default: cuda, directml or coreml where ONNX Runtime has it, else the CPU."""
     verbose: bool = False
     """Show ONNX Runtime's own messages."""
 
-    def options(self) -> dict[str, Any]:
-        """The same as arguments of `pipeline.jobs.open_source`."""
+    def options(self, frame: str | None = None) -> dict[str, Any]:
+        """The same as arguments of `pipeline.jobs.open_source`; `frame` is the one that is asked."""
         from pipeline.ask import AskConfig
         from pipeline.execution import use_execution
         from pipeline.lifting import LiftConfig
 
         use_execution(self.provider, self.verbose)
         return {
-            "intrinsics": four_numbers(self.intrinsics),
-            "depth_scale": self.depth_scale,
+            **self.camera(frame),
             "detector": self.detector,
             "model": self.model,
             "model_config": self.model_config,
@@ -161,7 +186,10 @@ class SourceOptions:
                 words += [f"--{field.name.replace('_', '-')}", *map(str, parts)]
         return words
 
-    def open(self, dataset: str) -> Source:
+    def open(self, dataset: str, frame: str | None = None, labels: Labels | None = None) -> Source:
+        """The dataset with its models; `frame` is the one that is asked, `labels` judge what is answered."""
         from pipeline.jobs import open_source
+        from pipeline.labels.pictures import labelled_up
 
-        return open_source(dataset, **self.options())
+        options = self.options(frame)
+        return open_source(dataset, **(options if labels is None else labelled_up(labels.manifest, options)))

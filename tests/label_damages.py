@@ -171,6 +171,21 @@ def the_focal_length_is_negative(t: Tables) -> set[Where]:
     return {("room/0", ())}
 
 
+@damages("frame/up-assumed", "warning")
+def nothing_tells_where_up_is(t: Tables) -> set[Where]:
+    put(row_of(t["frames"], frame="room/2"), up_source="assumed")
+    return {("room/2", ())}
+
+
+@damages("frame/up-disagrees", "warning")
+def a_pose_makes_up_another(t: Tables) -> set[Where]:
+    """The cameras look down by 20, 25 and 20 degrees; the pose of the first is turned by 37 more."""
+    for frame in t["frames"]:
+        put(frame, T_world_camera=[1.0, 0, 0, 0, 0, 1.0, 0, 0, 0, 0, 1.0, 0, 0, 0, 0, 1.0])
+    t["frames"][0]["T_world_camera"] = [1.0, 0, 0, 0, 0, 0.8, -0.6, 0, 0, 0.6, 0.8, 0, 0, 0, 0, 1.0]
+    return {("room/0", ())}
+
+
 @damages("frame/camera")
 def the_pose_is_scaled(t: Tables) -> set[Where]:
     put(row_of(t["frames"], frame="room/0"), T_world_camera=[2.0, 0, 0, 0, 0, 2.0, 0, 0, 0, 0, 2.0, 0, 0, 0, 0, 1.0])

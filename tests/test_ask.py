@@ -316,7 +316,7 @@ def test_suggested_expressions_have_exactly_one_right_answer() -> None:
     for context in contexts(source, "all"):
         objects = all_objects(context, detector)
         scores = source.scorer.score([o.lifted for o in objects], context.viewer)
-        texts = suggest_expressions(objects, scores, 3)
+        texts = suggest_expressions(objects, scores, context.viewer, 3)
         assert len(texts) == len(set(texts)) <= 3
         for text in texts:
             trace = ask(context, text, detector, class_names=source.dataset.class_names)
@@ -324,7 +324,9 @@ def test_suggested_expressions_have_exactly_one_right_answer() -> None:
             right = [p for p in trace.ranking.pairs if p.p_relation >= 0.5]
             assert len(right) == 1, text
             asked += 1
-        assert suggest_expressions([], scores) == ()
+        assert suggest_expressions([], scores, context.viewer) == ()
+        # No example rests on an up that is only assumed.
+        assert suggest_expressions(objects, scores, replace(context.viewer, up_source="assumed")) == ()
     assert asked >= 3
 
 
@@ -333,17 +335,17 @@ def test_suggestions_are_words_even_where_class_names_are_not() -> None:
     (context,) = contexts(source, 0)
     objects = all_objects(context, source.needed_detector())
     scores = source.scorer.score([o.lifted for o in objects], context.viewer)
-    expected = suggest_expressions(objects, scores, 5)
+    expected = suggest_expressions(objects, scores, context.viewer, 5)
     assert any("potted plant" in text for text in expected)
     raw = [replace(o, label=o.label.replace(" ", "_")) for o in objects]
     names = tuple(dict.fromkeys(o.label for o in raw))
-    assert suggest_expressions(raw, scores, 5) == expected
+    assert suggest_expressions(raw, scores, context.viewer, 5) == expected
     for text in expected:
         said = parse(text, class_names=names).expression
         assert len(match(said.target, names)) == len(match(said.reference or "", names)) == 1
     # A name that no words can stand for is said as it is spelled, or not at all.
     odd = [replace(o, label=f"{o.label} on the wall (3)") for o in objects]
-    for text in suggest_expressions(odd, scores, 5):
+    for text in suggest_expressions(odd, scores, context.viewer, 5):
         assert parse(text, class_names=tuple(o.label for o in odd)).expression.target in {o.label for o in odd}
 
 

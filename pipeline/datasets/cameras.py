@@ -127,7 +127,6 @@ def make_camera(
     size : (height, width)
     T_world_camera : (4, 4) float64 or None
     settings : Settings
-        `world_up`, where declared, becomes the up vector of a posed camera.
     path : Path
         The file to blame.
 
@@ -152,6 +151,4 @@ def make_camera(
             cause="are these the intrinsics of another image size?",
             path=path,
         )
-    if settings.world_up is not None and T_world_camera is not None:
-        return camera.with_up(T_world_camera[:3, :3].T @ np.asarray(settings.world_up), "declared")
     return camera

@@ -18,7 +18,9 @@ from pipeline.datasets import (
     tum,
 )
 from pipeline.datasets.base import Dataset, DatasetFormat
+from pipeline.datasets.given_up import with_given_up
 from pipeline.datasets.settings import read_settings
+from pipeline.datasets.up_text import GivenUp
 from pipeline.errors import InputError, UnknownFormat
 from pipeline.plugins import load_plugins
 
@@ -49,6 +51,8 @@ def open_dataset(
     *,
     intrinsics: tuple[float, float, float, float] | None = None,
     depth_scale: float | None = None,
+    up: str | None = None,
+    level_at: str | None = None,
 ) -> Dataset:
     """Open a folder of RGB-D frames without decoding an image.
 
@@ -63,6 +67,12 @@ def open_dataset(
         Pixels.
     depth_scale : float, optional
         Depth units in one metre: 1000 for millimetres.
+    up : str, optional
+        Against gravity: "world:X,Y,Z", "camera:X,Y,Z", or "X,Y,Z" for the world in a dataset with poses and the
+        camera frame in one without.
+    level_at : str, optional
+        "FRAME:U,V", or "U,V" of the first frame: the surface at this pixel is level, in all frames of its scene that
+        have poses.
 
     Raises
     ------
@@ -77,12 +87,15 @@ def open_dataset(
         raise InputError(
             "a dataset is a folder", got="a file", cause="is its parent folder the dataset?", path=root
         )
-    settings = read_settings(root).overridden(intrinsics, depth_scale)
+    if up is not None and level_at is not None:
+        raise InputError("--up and --level-at say the same", expected="one of them")
+    told = None if up is None else GivenUp.parse(up)
+    settings = read_settings(root).overridden(intrinsics, depth_scale, told)
     added = (loaded for _, loaded in load_plugins(ENTRY_POINT_GROUP, "dataset", DatasetFormat))
     formats = (*FORMATS, *added, FALLBACK)
     for candidate in formats:
         if candidate.recognises(root):
-            return candidate.open(root, settings)
+            return with_given_up(candidate.open(root, settings), settings, level_at)
     raise UnknownFormat(
         "no dataset is recognised in this folder",
         cause="looked for " + "; ".join(candidate.signature for candidate in formats),

@@ -6,11 +6,12 @@ import json
 import math
 import os
 import sys
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from pipeline.datasets.up_text import GivenUp, Vector
 from pipeline.errors import InputError
 
 if sys.version_info >= (3, 11):
@@ -19,7 +20,9 @@ else:
     import tomli as tomllib  # pyright: ignore[reportMissingImports]
 
 FILE_NAME = "spatialviz.toml"
-KEYS = ("name", "intrinsics", "depth_scale", "world_up")
+KEYS = ("name", "intrinsics", "depth_scale", "world_up", "up", "frame_up")
+TABLE = "frame_up"
+"""The one key that is a table."""
 
 
 @dataclass(frozen=True)
@@ -33,7 +36,11 @@ class Settings:
     depth_scale : float or None
         Depth units in one metre: 1000 for millimetres.
     world_up : (x, y, z) or None
-        The direction against gravity in the world that the poses speak of.
+        The direction against gravity in the world that the poses speak of, as the dataset's makers declare it.
+    up : GivenUp or None
+        The same as a person tells it, in the world or in the camera frame; in the file "world:X,Y,Z".
+    frame_up : dict of str to (x, y, z)
+        Up in the camera frame of single frames; the poses carry it to the others of the scene.
     name : str or None
         The dataset's name for people.
     """
@@ -42,6 +49,8 @@ class Settings:
     depth_scale: float | None = None
     world_up: tuple[float, float, float] | None = None
     name: str | None = None
+    up: GivenUp | None = None
+    frame_up: Mapping[str, Vector] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         if self.intrinsics is not None:
@@ -59,10 +68,15 @@ class Settings:
                 )
             object.__setattr__(self, "depth_scale", scale)
         if self.world_up is not None:
-            up = _numbers("world_up", self.world_up, 3)
-            if math.hypot(*up) < 1e-9:
-                raise InputError("world_up must point somewhere", got=list(up))
-            object.__setattr__(self, "world_up", up)
+            object.__setattr__(self, "world_up", _direction("world_up", self.world_up))
+        if isinstance(self.up, str):
+            object.__setattr__(self, "up", GivenUp.parse(self.up))
+        if not isinstance(self.up, GivenUp | None):
+            raise InputError("up must be a string", got=str(self.up)[:80], expected='such as "world:0,0,1"')
+        if not isinstance(self.frame_up, Mapping):
+            raise InputError("frame_up must be a table of frames", got=str(self.frame_up)[:80])
+        told = {frame: _direction(f"frame_up of {frame!r}", up) for frame, up in self.frame_up.items()}
+        object.__setattr__(self, "frame_up", told)
         if self.name is not None and not isinstance(self.name, str):
             raise InputError("name must be a string", got=repr(self.name))
 
@@ -70,9 +84,12 @@ class Settings:
         self,
         intrinsics: tuple[float, float, float, float] | None = None,
         depth_scale: float | None = None,
+        up: GivenUp | None = None,
     ) -> Settings:
-        """These settings, with what is given here winning."""
-        given = {"intrinsics": intrinsics, "depth_scale": depth_scale}
+        """These settings, with what is given here winning: `up` also over what is known of single frames."""
+        given: dict[str, Any] = {"intrinsics": intrinsics, "depth_scale": depth_scale, "up": up}
+        if up is not None:
+            given["frame_up"] = {}
         return replace(self, **{key: value for key, value in given.items() if value is not None})
 
 
@@ -92,7 +109,7 @@ def read_settings(root: Path) -> Settings:
     except (tomllib.TOMLDecodeError, UnicodeDecodeError, OSError) as error:
         raise InputError("the settings cannot be read", got=str(error), path=path) from error
     # Tables such as [generator] say how the data came to be; they are for people and other tools.
-    table = {key: value for key, value in table.items() if not isinstance(value, dict)}
+    table = {key: value for key, value in table.items() if key == TABLE or not isinstance(value, dict)}
     unknown = sorted(set(table) - set(KEYS))
     if unknown:
         raise InputError(f"unknown setting {unknown[0]!r}", expected=f"one of {', '.join(KEYS)}", path=path)
@@ -106,11 +123,13 @@ def write_settings(
     root: str | Path,
     intrinsics: tuple[float, float, float, float] | None,
     depth_scale: float | None,
+    up: GivenUp | None = None,
+    frame_up: Mapping[str, Vector] | None = None,
 ) -> Path:
-    """Keep the camera of a recording beside it, for the next time.
+    """Keep the camera and the up vector of a recording beside it, for the next time.
 
-    What the file already holds and is not given here (None) stays. The file is
-    replaced whole, so that a killed process leaves the old one.
+    What the file already holds and is not given here (None) stays, frames of `frame_up` that are not among them, too;
+    but `up` is told of all frames. The file is replaced whole, so that a killed process leaves the old one.
 
     Returns
     -------
@@ -123,19 +142,20 @@ def write_settings(
         A value that cannot be, or a folder that cannot be written.
     """
     root = Path(root)
-    settings = read_settings(root).overridden(intrinsics, depth_scale)
+    settings = read_settings(root).overridden(intrinsics, depth_scale, up)
+    told = {**settings.frame_up, **(frame_up or {})}
     lines: list[str] = []
     for key in KEYS:
         value = getattr(settings, key)
-        if isinstance(value, str):
-            # A JSON string is a TOML basic string, except that TOML also escapes DEL.
-            quoted = json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007F")
-            lines.append(f"{key} = {quoted}")
+        if isinstance(value, str | GivenUp):
+            lines.append(f"{key} = {_quoted(str(value))}")
         elif isinstance(value, tuple):
             lines.append(f"{key} = [{', '.join(repr(float(v)) for v in value)}]")
-        elif value is not None:
-            lines.append(f"{key} = {float(value)!r}")
+        elif isinstance(value, float):
+            lines.append(f"{key} = {value!r}")
     lines += _tables(root / FILE_NAME)
+    if told:
+        lines += ["", f"[{TABLE}]", *(f"{_quoted(frame)} = {list(v)!r}" for frame, v in told.items())]
     path, temporary = root / FILE_NAME, root / f".{FILE_NAME}.{os.getpid()}"
     try:
         temporary.write_text("\n".join(lines) + "\n", encoding="utf-8")
@@ -146,12 +166,31 @@ def write_settings(
 
 
 def _tables(path: Path) -> list[str]:
-    """The lines of a settings file from its first table on, as they stand."""
+    """The lines of a settings file from its first table on, as they stand; without the table that is a key."""
     if not path.is_file():
         return []
-    lines = path.read_text(encoding="utf-8").splitlines()
-    first = next((i for i, line in enumerate(lines) if line.lstrip().startswith("[")), len(lines))
-    return ["", *lines[first:]] if first < len(lines) else []
+    kept: list[str] = []
+    inside: str | None = None
+    for line in path.read_text(encoding="utf-8").splitlines():
+        if line.lstrip().startswith("["):
+            inside = line.split("#")[0].strip()
+        if inside is not None and inside != f"[{TABLE}]":
+            kept.append(line)
+    while kept and not kept[-1].strip():
+        kept.pop()
+    return ["", *kept] if kept else []
+
+
+def _quoted(text: str) -> str:
+    """A JSON string is a TOML basic string, except that TOML also escapes DEL."""
+    return json.dumps(text, ensure_ascii=False).replace("\x7f", "\\u007F")
+
+
+def _direction(key: str, values: Any) -> Vector:
+    x, y, z = _numbers(key, values, 3)
+    if math.hypot(x, y, z) < 1e-9:
+        raise InputError(f"{key} must point somewhere", got=[x, y, z])
+    return x, y, z
 
 
 def _numbers(key: str, values: Any, count: int) -> tuple[float, ...]:

@@ -7,9 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.camera import Camera, UpSource
 from pipeline.datasets.base import Dataset
 from pipeline.datasets.capabilities import has_moves, moves
 from pipeline.errors import InputError
+from pipeline.frame import Frame
+from pipeline.up_words import ASSUMED, DECLARE
 
 
 @dataclass(frozen=True)
@@ -37,11 +40,13 @@ class FrameReport:
         Metres, over those pixels; None where broken.
     has_pose : bool
     up_source : str or None
-        How the up vector is known, None where it is not.
+        How the up vector that is used is known; see `camera.UpSource`.
     notes : tuple of str
         What was odd and could be left out.
     moves : dict of str to str, or None
         Where the possible moves lead, in a dataset that has moves; see `capabilities.moves`.
+    up : (x, y, z) or None
+        The up vector that is used, in the camera frame.
     """
 
     index: int
@@ -55,13 +60,16 @@ class FrameReport:
     depth_valid: float = 0.0
     median_depth: float | None = None
     has_pose: bool = False
-    up_source: str | None = None
+    up_source: UpSource | None = None
     notes: tuple[str, ...] = ()
     moves: dict[str, str] | None = None
+    up: tuple[float, ...] | None = None
 
 
 def survey(dataset: Dataset) -> Iterator[FrameReport]:
     """Load every frame in turn and report it; a broken one does not stop the rest."""
+    from pipeline.scene_up import resolved_camera
+
     for index, frame_id in enumerate(dataset.frame_ids):
         leads = moves(dataset, frame_id) if has_moves(dataset) else None
         try:
@@ -69,6 +77,7 @@ def survey(dataset: Dataset) -> Iterator[FrameReport]:
         except InputError as error:
             yield FrameReport(index, frame_id, ok=False, problem=str(error), moves=leads)
             continue
+        camera = resolved_camera(dataset, frame)
         valid = frame.depth[frame.depth > 0]
         yield FrameReport(
             index,
@@ -81,7 +90,29 @@ def survey(dataset: Dataset) -> Iterator[FrameReport]:
             depth_valid=valid.size / frame.depth.size,
             median_depth=float(np.median(valid)),
             has_pose=frame.camera.T_world_camera is not None,
-            up_source=frame.camera.up_source,
-            notes=frame.notes,
+            up_source=camera.up_source,
+            up=None if camera.up is None else tuple(camera.up.tolist()),
+            notes=(*frame.notes, *up_notes(dataset, frame, camera)),
             moves=leads,
         )
+
+
+def up_notes(dataset: Dataset, frame: Frame, camera: Camera) -> tuple[str, ...]:
+    """What is to be doubted about the up vector of a frame: that it is assumed, that its scene disagrees.
+
+    Parameters
+    ----------
+    camera : Camera
+        Of the frame, with its up vector resolved.
+    """
+    from pipeline.scene_up import own_disagreement, scene_vote
+
+    notes = (f"{ASSUMED}; {DECLARE}",) if camera.up_source == "assumed" else ()
+    if camera.T_world_camera is None or camera.up_source not in ("scene", "plane", "assumed"):
+        return notes
+    vote = scene_vote(dataset, frame.id)
+    off = own_disagreement(frame, vote)
+    if off is None:
+        return notes
+    most = f"{vote.agreeing} of {vote.voting} frames that were asked"
+    return (*notes, f"its own level plane is {off:.0f} degrees off the up of its scene, on which {most} agree")

@@ -41,7 +41,9 @@ from pipeline.evaluation.shared_makers import Share, measured_of, rank, shared_m
 from pipeline.evaluation.tables import NOTHING_SHARED, Table, as_csv, latex, markdown
 from pipeline.labels.makers import makers_of
 from pipeline.labels.merge import environment
+from pipeline.labels.pictures import labelled_up
 from pipeline.labels.profiles import canonical_hash
+from pipeline.labels.reading import open_labels
 from pipeline.staging import staged_folder, write_json
 
 if TYPE_CHECKING:
@@ -130,6 +132,8 @@ def evaluate_dataset(
             plots, left_out = False, (f"the plots are left out, as with --no-plots: {why}",)
     if not spec.grounding and (against is not None or others or spec.relations is None):
         raise InputError("runs are compared by their expressions, and this one answers none")
+    # Answers are judged by labels, and so in their axes.
+    spec = replace(spec, options=labelled_up(open_labels(spec.labels).manifest, spec.options))
     source, labels = spec.open()
     detector = source.needed_detector() if spec.grounding else labelled_detector(source)
     seen = 0

@@ -30,6 +30,7 @@ from pipeline.labels.tables import CANDIDATES, ROW_GROUP, RowHash, arrow_schema
 from pipeline.labels.whole_files import clear_abandoned, temporary_beside, write_synced
 from pipeline.labels.wording import expression_text
 from pipeline.relations import PAIRWISE
+from pipeline.up_words import ASSUMED, DECLARE
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -108,14 +109,17 @@ def _write_all(out: Path, plan: Plan, store: Store, selection: SelectConfig) -> 
         tables[name] = write_merged(out, name, (store.read_part(s.name, name) for s in shards))
     candidates, chosen = choose(shards, store, selection)
     tables["expressions"] = write_merged(out, "expressions", _worded(shards, store, chosen, plan.config.style))
-    frames_ok = 0
+    frames_ok = assumed = 0
     for shard in shards:
-        rows = store.read_part(shard.name, "frames", ["frame", "ok", "problem"]).to_pylist()
+        rows = store.read_part(shard.name, "frames", ["frame", "ok", "problem", "up_source"]).to_pylist()
         frames_ok += sum(row["ok"] for row in rows)
+        assumed += sum(row["up_source"] == "assumed" for row in rows)
         warnings += [f"{row['frame']}: {row['problem']}" for row in rows if not row["ok"]]
     more = len(warnings) - LISTED_WARNINGS
     if more > 0:
         warnings = [*warnings[:LISTED_WARNINGS], f"and {more} more frames"]
+    if assumed:
+        warnings.insert(0, f"{assumed} of {frames_ok} frames: {ASSUMED}; {DECLARE}")
     manifest = Manifest(
         schema_version=SCHEMA_VERSION,
         tool="spatialviz",
@@ -136,6 +140,7 @@ def _write_all(out: Path, plan: Plan, store: Store, selection: SelectConfig) -> 
         counts={
             "frames": tables["frames"].rows,
             "frames_usable": frames_ok,
+            "frames_up_assumed": assumed,
             "objects": tables["objects"].rows,
             "pairs": tables["relations"].rows,
             "candidates": candidates,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +20,8 @@ def labelled_dataset(
     *,
     intrinsics: Intrinsics | None = None,
     depth_scale: float | None = None,
+    up: str | None = None,
+    level_at: str | None = None,
 ) -> Dataset:
     """Open it where it was when it was labelled, or where it is now; its camera is the one that was said then.
 
@@ -32,6 +35,8 @@ def labelled_dataset(
         fx, fy, cx, cy in pixels, instead of what was said then.
     depth_scale : float, optional
         Depth units in one metre, instead of what was said then.
+    up, level_at : str, optional
+        As for `open_dataset`, instead of what was said then.
 
     Raises
     ------
@@ -49,7 +54,15 @@ def labelled_dataset(
         intrinsics = _four(options["intrinsics"])
     if depth_scale is None and options.get("depth_scale") is not None:
         depth_scale = _number(options["depth_scale"])
-    return open_dataset(where, intrinsics=intrinsics, depth_scale=depth_scale)
+    told = labelled_up(manifest, {"up": up, "level_at": level_at})
+    return open_dataset(where, intrinsics=intrinsics, depth_scale=depth_scale, **told)
+
+
+def labelled_up(manifest: Manifest, options: Mapping[str, Any]) -> dict[str, Any]:
+    """Arguments of `open_dataset`, with the up vector that was said when the labels were made where none is said."""
+    said = manifest.dataset.get("options") or {}
+    told = {n: str(said[n]) for n in ("up", "level_at") if said.get(n) is not None}
+    return dict(options) if any(options.get(n) is not None for n in ("up", "level_at")) else {**options, **told}
 
 
 def _four(said: Any) -> Intrinsics:

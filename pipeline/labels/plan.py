@@ -27,6 +27,8 @@ SHARDS_WANTED = 32
 """Small datasets get small shards, so that workers share them and progress shows."""
 _PATHS = ("model", "model_config", "segmenter_model", "synonyms")
 """The options that name files."""
+_CAMERA = ("intrinsics", "depth_scale", "up", "level_at")
+"""The options that say what the camera is and how it stands."""
 
 
 @dataclass(frozen=True)
@@ -217,7 +219,7 @@ def frames_of_splits(dataset: Dataset, names: Sequence[str]) -> tuple[str, ...]:
 
 def input_changed(plan: Plan, out: str | Path) -> bool:
     """Whether the dataset's files are other ones now than when the plan was made; no model is loaded."""
-    camera = {n: plan.spec.options.get(n) for n in ("intrinsics", "depth_scale")}
+    camera = {n: plan.spec.options.get(n) for n in _CAMERA}
     return _input_hash(SourceSpec(plan.spec.path, camera).open(plan.config), out) != plan.input_hash
 
 
@@ -228,7 +230,7 @@ def _input_hash(source: Source, out: str | Path | None) -> str:
 
 def _declared(options: dict[str, Any]) -> dict[str, str]:
     """What a person said of the camera and of names, by content: the rows depend on it."""
-    found = {n: json.dumps(options[n]) for n in ("intrinsics", "depth_scale") if options.get(n) is not None}
+    found = {n: json.dumps(options[n]) for n in _CAMERA if options.get(n) is not None}
     if options.get("synonyms") is not None:
         found["synonyms"] = hashlib.sha256(Path(options["synonyms"]).read_bytes()).hexdigest()
     return found

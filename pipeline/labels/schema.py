@@ -13,6 +13,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from pipeline.camera import UpSource
+
 SCHEMA_VERSION = "1.2.0"
 """Semantic version of the tables below: a new major number means that old readers must refuse."""
 
@@ -52,7 +54,7 @@ class FrameRow(Row):
     K: Matrix | None
     T_world_camera: Pose | None
     up: Vector | None
-    up_source: Literal["declared", "imu", "plane", "assumed"] | None
+    up_source: UpSource | None
     rgb_hash: str | None
     depth_hash: str | None
     objects: Count
@@ -155,7 +157,7 @@ class ExpressionRow(Row):
     ambiguous: bool
     margin: Margin
     judged_in: Literal["viewer"]
-    up_source: Literal["declared", "imu", "plane", "assumed"]
+    up_source: UpSource
     profile: str
 
 

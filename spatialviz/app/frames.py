@@ -5,13 +5,16 @@ from __future__ import annotations
 import base64
 import threading
 from collections import OrderedDict
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import cv2
 import numpy as np
 
 from pipeline.agreeing import Beside, beside
+from pipeline.datasets import Dataset
+from pipeline.datasets.given_up import with_frame_up
+from pipeline.datasets.up_text import Vector
 from pipeline.errors import InputError
 from pipeline.jobs import Source
 from pipeline.objects import FrameContext, SceneObject, all_objects, frame_context
@@ -19,6 +22,20 @@ from spatialviz.app.cloud import Cloud, cloud_of
 
 KEPT_FRAMES = 4
 THUMB_WIDTH = 160
+
+
+@dataclass(frozen=True)
+class ToldUp:
+    """A surface that somebody says is level: its pixel, and up there in the camera frame."""
+
+    frame_id: str
+    pixel: tuple[int, int]
+    up: Vector
+
+    @property
+    def words(self) -> str:
+        """The same for `--level-at`."""
+        return f"{self.frame_id}:{self.pixel[0]},{self.pixel[1]}"
 
 
 @dataclass(frozen=True)
@@ -34,12 +51,15 @@ class LoadedFrame:
         Why a detector could not be asked about this frame.
     beside : Beside or None
         What a second detector finds in it.
+    told : ToldUp or None
+        What was said of up since the program began.
     """
 
     context: FrameContext
     objects: tuple[SceneObject, ...]
     problem: str = ""
     beside: Beside | None = None
+    told: ToldUp | None = None
     _thumbs: dict[bytes, str] = field(default_factory=dict, repr=False, compare=False)
 
     def thumb(self, bbox: np.ndarray) -> str:
@@ -63,6 +83,9 @@ class FrameStore:
         self._loaded: OrderedDict[tuple[str, str], LoadedFrame] = OrderedDict()
         self._thumbs: dict[tuple[str, str], tuple[str, str]] = {}
         self._lock = threading.Lock()
+        self.told: dict[str, ToldUp] = {}
+        """By source what was said last of its up."""
+        self._untold: dict[str, Dataset] = {}
 
     def load(self, source: str, frame_id: str) -> LoadedFrame:
         """The frame, from memory where it is there.
@@ -87,13 +110,28 @@ class FrameStore:
                 second = beside(opened, context, objects)
             except InputError as error:
                 problem = str(error)
-        loaded = LoadedFrame(context, objects, problem, second)
+        loaded = LoadedFrame(context, objects, problem, second, self.told.get(source))
         with self._lock:
             self._loaded[key] = loaded
             while len(self._loaded) > KEPT_FRAMES:
                 self._loaded.popitem(last=False)
         self._thumbs[key] = (jpeg_url(_small(context.frame.rgb)), "")
         return loaded
+
+    def tell_up(self, source: str, told: ToldUp | None) -> None:
+        """Take what is said of a source's up, for all clients; None takes back all that was said."""
+        with self._lock:
+            opened = self.sources[source]
+            if told is None:
+                self.told.pop(source, None)
+                dataset = self._untold.pop(source, opened.dataset)
+            else:
+                self.told[source] = told
+                self._untold.setdefault(source, opened.dataset)
+                dataset = with_frame_up(opened.dataset, told.frame_id, told.up)
+            self.sources[source] = replace(opened, dataset=dataset)
+            for key in [key for key in self._loaded if key[0] == source]:
+                del self._loaded[key]
 
     def thumb(self, source: str, frame_id: str) -> tuple[str, str]:
         """(data URL, "") of a small picture, or ("", reason) for a broken frame."""

@@ -42,7 +42,7 @@ class Judge:
         corrected: Callable[[str, str], EffectiveFrame | None] = lambda source, frame: None,
     ) -> None:
         self._runs, self._others, self._labels, self._corrected = runs, others, labels or {}, corrected
-        self._kept: tuple[tuple[str, str], EffectiveFrame | None, FrameCases | None] | None = None
+        self._kept: tuple[tuple[str, str, bytes], EffectiveFrame | None, FrameCases | None] | None = None
 
     def truth(self, name: str, source: Source, context: FrameContext) -> FrameCases | None:
         """What is true in a frame: by the run's labels or those that were named, else by the frame's annotations.
@@ -56,8 +56,9 @@ class Judge:
         InputError
             The labels cannot be read.
         """
-        key = (name, context.frame.id)
-        corrected = self._corrected(*key)
+        # Annotations are true under the up vector that is known now.
+        key = (name, context.frame.id, context.viewer.up.tobytes())
+        corrected = self._corrected(name, context.frame.id)
         if self._kept is None or self._kept[0] != key or self._kept[1] is not corrected:
             run = self._runs.get(name)
             labels = self._labels.get(name) if run is None else run.labels

@@ -34,6 +34,7 @@ KEYS: tuple[tuple[str, str, str], ...] = (
     ("Shift+V", "Open a view from its string", "paste-state"),
     ("Shift+K", "Save the answer as a case", "keep-case"),
     ("Shift+P", "Report of the answer as one page", "report"),
+    ("Shift+U", "Say which surface is level: click it next", "level"),
     ("M", "Dark or light", "theme"),
     ("X", "Clear the question", "clear"),
     ("Shift+E", "Handles: move, turn, resize, off", "edit-mode:next"),

@@ -94,6 +94,8 @@ def parse_html(state: State, suggestions: Sequence[str]) -> str:
         mapped = state.trace.query.expression.note
         if mapped:
             parts.append(f'<div class="dim" style="padding-top:3px">{safe(mapped)}</div>')
+    if state.loaded is not None and state.labels is None and state.loaded.context.viewer.up_source == "assumed":
+        parts.append('<div class="dim" style="padding-top:4px">No example: it would rest on an assumed up.</div>')
     if suggestions:
         tries = "".join(
             f'<span class="try{" on" if text == state.text else ""}" onclick="sv(\'try:{i}\')">{safe(text)}</span>'

@@ -16,6 +16,7 @@ from spatialviz.app.before import before_html, changed
 from spatialviz.app.beside_html import hollow, second_name
 from spatialviz.app.state import State
 from spatialviz.app.text import BAD, DOUBT, dot, heading, note, panel, safe, words
+from spatialviz.app.up_html import level_html, up_chip
 from spatialviz.app.why import mend_button, verdict_line
 
 SHOWN_PAIRS = 30
@@ -31,20 +32,22 @@ def answer_html(state: State, can_ask: bool = True) -> str:
         hint = "Type TARGET RELATION REFERENCE at the left, for example “mug left of the laptop”, and press Enter."
         if not can_ask:
             hint = "Nothing can be asked: the dataset has no annotations, and no detector was named (--detector)."
-        return panel(f'<div class="dim" style="padding:.7em 0">{hint}</div>')
+        chip = f'<div class="under"><span></span>{up_chip(state)}</div>'
+        return panel(level_html(state), f'<div class="dim" style="padding:.7em 0">{hint}</div>', chip)
     reason, before = why_no_answer(trace), before_html(state)
     if reason is not None:
         return panel(
+            level_html(state),
             before,
             '<div style="height:.5em"></div>',
             note(reason[0].upper() + reason[1:], BAD),
             verdict_line(state),
             _alone(state),
-            f'<div class="under"><span></span>{mend_button(state)}</div>',
+            f'<div class="under"><span></span>{up_chip(state)}{mend_button(state)}</div>',
         )
     best, chosen = state.ranked[0], state.chosen
     pair = chosen or best
-    parts = [before, _sentence(state, pair), verdict_line(state)]
+    parts = [level_html(state), before, _sentence(state, pair), verdict_line(state)]
     assert trace.ranking is not None
     place = state.ranked.index(pair) + 1
     if place == 1:
@@ -55,7 +58,8 @@ def answer_html(state: State, can_ask: bool = True) -> str:
     count = len(state.ranked)
     summary = f"relation {pair.p_relation:.2f} · "
     summary += f"{more} · {count} pairs" if count > 1 else "the only candidate pair"
-    parts.append(f'<div class="under"><span class="dim" title="{summary}">{summary}</span>{mend_button(state)}</div>')
+    marks = up_chip(state) + mend_button(state)
+    parts.append(f'<div class="under"><span class="dim" title="{summary}">{summary}</span>{marks}</div>')
     if best.p_relation < 0.5 and place == 1 and not isinstance(state.judged, Judgement):
         parts.append(
             note(f"The best there is, but the relation itself is unlikely ({best.p_relation:.2f}).", DOUBT)

@@ -23,6 +23,8 @@ class Selection:
     draw : callable
     look_at : callable
         Turns the view around a box.
+    taken : callable
+        Whether a click on a pixel (u, v) was meant for something else.
     """
 
     def __init__(
@@ -31,8 +33,9 @@ class Selection:
         take: Callable[[State], None],
         draw: Callable[[], None],
         look_at: Callable[[Box3D], None],
+        taken: Callable[[int, int], bool],
     ) -> None:
-        self._state, self._take, self._draw, self._look_at = state, take, draw, look_at
+        self._state, self._take, self._draw, self._look_at, self._taken = state, take, draw, look_at, taken
 
     def commands(self) -> dict[str, Callable[[str], None]]:
         """What the page may ask for, by the first word of its message."""
@@ -58,6 +61,8 @@ class Selection:
         if state.loaded is None:
             return
         found = None
+        if pixel is not None and self._taken(*pixel):
+            return
         if pixel is not None:
             frame = state.loaded.context.frame
             at = (pixel[0] + 0.5) / frame.width, (pixel[1] + 0.5) / frame.height
@@ -80,7 +85,12 @@ class Selection:
             x, y = (float(part) for part in fractions.split(","))
         except ValueError:
             return
-        found = bottom.object_at(self._state(), x, y)
+        state = self._state()
+        if state.loaded is not None:
+            height, width = state.loaded.context.frame.depth.shape
+            if self._taken(min(int(x * width), width - 1), min(int(y * height), height - 1)):
+                return
+        found = bottom.object_at(state, x, y)
         if found is None and self._select_second(x, y):
             return
         self._select_other(found)

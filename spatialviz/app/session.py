@@ -38,6 +38,7 @@ from spatialviz.app.keeping import Keeping
 from spatialviz.app.keys import HelpDialog, add_keys, meant
 from spatialviz.app.labelling import Labelling
 from spatialviz.app.layout import build, listed
+from spatialviz.app.level_surface import LevelSurface
 from spatialviz.app.place import Place
 from spatialviz.app.run_browser import Listing
 from spatialviz.app.run_panel import RunPanel
@@ -99,7 +100,13 @@ class Session:
                 lambda: None if self._labels.pixels.on_ray(pixel) else self._selection.select_on_ray(pixel, boxes)
             ),
         )
-        self._selection = Selection(self._now, self._take, self._draw, self.scene.viewpoint.focus)
+        self._level = LevelSurface(
+            client, store, state=self._now, take=self._take, draw=self._draw, note=self._note,
+            reopen=lambda: self._open_frame(self.state.frame_id, first=True, asking=self.state.text),
+        )  # fmt: skip
+        self._selection = Selection(
+            self._now, self._take, self._draw, self.scene.viewpoint.focus, self._level.on_pixel
+        )
         reach = (self._source, self._now, self._take)
         self._beside = BesideLayer(client, self.scene, self._now, self._take, self._draw)
         self._view = ViewSettings(client, self.page, self.scene, *reach, self._draw, self._note)
@@ -129,7 +136,7 @@ class Session:
         )  # fmt: skip
         parts = (
             self._selection, self._view, self._runs, self._what_if, self._strings, keeping, self._labels, self._beside,
-            dialog, self._steps,
+            dialog, self._steps, self._level,
         )  # fmt: skip
         self._more = {name: run for part in parts for name, run in part.commands().items()}
         forward_inputs(self.page, self.post, self.bridge.alive)
@@ -258,8 +265,9 @@ class Session:
             return
         self.state = replace(cleared, loaded=loaded, shown=shown_objects(loaded, None, self._exact()))
         self._cloud.place_anew = first
-        self._suggestions = () if scores is None else suggest_expressions(loaded.objects, scores)
-        self._note(f"frame {frame_id}: {len(loaded.objects)} objects, up {loaded.context.viewer.up_source}")
+        viewer = loaded.context.viewer
+        self._suggestions = () if scores is None else suggest_expressions(loaded.objects, scores, viewer)
+        self._note(f"frame {frame_id}: {len(loaded.objects)} objects, up {viewer.up_source}")
         if loaded.problem:
             self._note(loaded.problem)
         for remark in loaded.context.frame.notes:

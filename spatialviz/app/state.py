@@ -117,6 +117,8 @@ class State:
         Whose boxes are shown where there is a second detector.
     second : int or None
         The selected object of the second detector, where it is not the one that stands for `selected`.
+    picking : bool
+        The next click names a level surface.
     """
 
     source: str
@@ -143,6 +145,7 @@ class State:
     correctable: bool = False
     layers: Layers = "both"
     second: int | None = None
+    picking: bool = False
 
     @property
     def unasked(self) -> State:

@@ -14,6 +14,7 @@ from pipeline.labels.check.relations import check_relations
 from pipeline.labels.check.rows import check_rows
 from pipeline.labels.check.sizes import SizeSurvey, check_sizes
 from pipeline.labels.check.stream import TableStream, frames_of, open_streams
+from pipeline.labels.check.up import UpRules
 from pipeline.labels.check.view import FrameView, Names
 from pipeline.labels.corrections import Corrections, read_corrections
 from pipeline.labels.reading import Labels
@@ -90,10 +91,13 @@ def _all_findings(labels: Labels, groups: frozenset[str], chosen: frozenset[str]
         groups -= {"relation", "expression"}
     elif "expressions" in lost:
         groups -= {"expression"}
+    ups = UpRules()
     for index, tables in frames_of(streams):
         view = FrameView(index, tables, names, relations)
         if groups & {"row", "frame", "file", "object"}:
             yield from check_rows(view)
+        if "frame" in groups:
+            yield from ups.add(view)
         if "object" in groups:
             yield from check_objects(view)
             if "object/duplicate" in chosen:
@@ -106,6 +110,7 @@ def _all_findings(labels: Labels, groups: frozenset[str], chosen: frozenset[str]
                 yield from check_geometry(view, expected)
         if "expression" in groups:
             yield from check_expressions(view, expression_rules)
+    yield from ups.finish()
     if "file" in groups:
         yield from _broke_off(streams)
 

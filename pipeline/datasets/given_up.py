@@ -1,0 +1,156 @@
+"""The up vector that a person tells, whatever reader the frames come from."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.datasets.base import Dataset, resolve_frame, scene_of, unknown_frame
+from pipeline.datasets.settings import Settings
+from pipeline.datasets.up_text import GivenUp, Vector, parse_level_at
+from pipeline.errors import InputError
+from pipeline.frame import Frame
+
+LOOKED_AT = 5
+"""So many frames are asked for a pose where an up vector does not say its frame."""
+
+
+class UpGiven:
+    """A dataset whose frames have the up vector that was told; all else is the dataset's own.
+
+    What was told of a frame holds for it, and by the poses for its whole scene; then what was told of the whole
+    dataset; then `world_up` of the settings, which declares it; then what the reader says.
+    """
+
+    def __init__(self, inner: Dataset, settings: Settings, frame_up: Mapping[str, Vector]) -> None:
+        self.inner, self.settings = inner, settings
+        self.frame_up = dict(frame_up)
+        for frame_id in self.frame_up:
+            if frame_id not in inner.frame_ids:
+                raise unknown_frame(inner, frame_id)
+
+    @property
+    def root(self) -> Path:
+        return self.inner.root
+
+    @property
+    def format(self) -> str:
+        return self.inner.format
+
+    @property
+    def frame_ids(self) -> tuple[str, ...]:
+        return self.inner.frame_ids
+
+    @property
+    def class_names(self) -> tuple[str, ...]:
+        return self.inner.class_names
+
+    def __getattr__(self, name: str) -> Any:
+        if name.startswith("_") or name == "inner":
+            raise AttributeError(name)
+        found = getattr(self.inner, name)
+        if name == "load_picture":
+            return lambda frame_id: self._told(found(frame_id))
+        return found
+
+    def load(self, frame_id: str) -> Frame:
+        """Decode one frame; see `Dataset.load`."""
+        return self._told(self.inner.load(frame_id))
+
+    @cached_property
+    def up(self) -> GivenUp | None:
+        """What was told of the whole dataset, with its frame."""
+        said = self.settings.up
+        if said is None or said.frame is not None:
+            return said
+        return replace(said, frame="world" if self._posed() else "camera")
+
+    def _posed(self) -> bool:
+        ids = self.inner.frame_ids
+        for place in np.linspace(0, len(ids) - 1, min(LOOKED_AT, len(ids))).astype(int):
+            try:
+                if self.inner.load(ids[place]).camera.T_world_camera is not None:
+                    return True
+            except InputError:
+                continue
+        return False
+
+    @cached_property
+    def _scene_up(self) -> dict[str, np.ndarray]:
+        """{scene: up in its world} by what was told of posed frames; the last one told counts."""
+        found = {}
+        for frame_id, up in self.frame_up.items():
+            try:
+                pose = self.inner.load(frame_id).camera.T_world_camera
+            except InputError:
+                continue
+            if pose is not None:
+                found[scene_of(self.inner, frame_id)] = pose[:3, :3] @ np.asarray(up)
+        return found
+
+    def _told(self, frame: Frame) -> Frame:
+        camera, settings = frame.camera, self.settings
+        pose, up = camera.T_world_camera, self.up
+        scene_up = self._scene_up.get(scene_of(self.inner, frame.id)) if self.frame_up else None
+        if frame.id in self.frame_up:
+            camera = camera.with_up(np.asarray(self.frame_up[frame.id]), "given")
+        elif pose is not None and scene_up is not None:
+            camera = camera.with_up(pose[:3, :3].T @ scene_up, "given")
+        elif up is not None and up.frame == "camera":
+            camera = camera.with_up(np.asarray(up.vector), "given")
+        elif up is not None and pose is not None:
+            camera = camera.with_up(pose[:3, :3].T @ np.asarray(up.vector), "given")
+        elif settings.world_up is not None and pose is not None:
+            camera = camera.with_up(pose[:3, :3].T @ np.asarray(settings.world_up), "declared")
+        notes = frame.notes
+        if camera is frame.camera:
+            if camera.up is None and (up is not None or settings.world_up is not None):
+                said = f"up {up}" if up is not None else "world_up"
+                notes = (*notes, f"{said} is of the world, and this frame has no pose: it is not used")
+        elif settings.up is not None and settings.up.frame is None:
+            notes = (*notes, f"up {settings.up} is taken as {up}")
+        return replace(frame, camera=camera, notes=notes)
+
+
+def with_given_up(dataset: Dataset, settings: Settings, level_at: str | None = None) -> Dataset:
+    """The dataset with the up vector that its settings tell; itself where they tell none.
+
+    Parameters
+    ----------
+    level_at : str, optional
+        "FRAME:U,V", or "U,V" of the first frame: the surface at this pixel is level.
+
+    Raises
+    ------
+    InputError
+        There is no such frame, or no surface at the pixel.
+    """
+    frame_up = dict(settings.frame_up)
+    if level_at is not None:
+        from pipeline.level_plane import level_normal_at
+
+        key, u, v = parse_level_at(level_at)
+        frame = dataset.load(resolve_frame(dataset, 0 if key is None else key))
+        x, y, z = level_normal_at(frame.depth, frame.camera, u, v).tolist()
+        frame_up.pop(frame.id, None)
+        frame_up[frame.id] = (x, y, z)
+    if settings.up is None and settings.world_up is None and not frame_up:
+        return dataset
+    return UpGiven(dataset, settings, frame_up)
+
+
+def with_frame_up(dataset: Dataset, frame_id: str, up: Vector) -> UpGiven:
+    """The dataset, told that `up` (camera frame) is up in a frame."""
+    known = dataset if isinstance(dataset, UpGiven) else UpGiven(dataset, Settings(), {})
+    others = {other: v for other, v in known.frame_up.items() if other != frame_id}
+    return UpGiven(known.inner, known.settings, {**others, frame_id: up})
+
+
+def told_up(dataset: Dataset) -> tuple[GivenUp | None, dict[str, Vector]]:
+    """What was told of the whole dataset, and of single frames, for `write_settings`."""
+    return (dataset.up, dataset.frame_up) if isinstance(dataset, UpGiven) else (None, {})

@@ -1,0 +1,106 @@
+"""Saying that a surface is level: by a click, for all frames that follow from it."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import viser
+
+from pipeline.datasets import write_settings
+from pipeline.demo import demo_path
+from pipeline.errors import InputError
+from pipeline.level_plane import level_normal_at
+from spatialviz.app.frames import FrameStore, ToldUp
+from spatialviz.app.state import State
+
+
+class LevelSurface:
+    """Takes the next click of one client as a pixel of a level surface.
+
+    Up is a fact of the data: what one client says holds for all of them, until the program ends or it is saved.
+
+    Parameters
+    ----------
+    client : viser.ClientHandle
+    store : FrameStore
+    state : callable
+        Gives the client's state.
+    take : callable
+        Takes a new one.
+    draw : callable
+    reopen : callable
+        Opens the frame anew, with its question.
+    note : callable
+        Writes a line of the log.
+    """
+
+    def __init__(
+        self,
+        client: viser.ClientHandle,
+        store: FrameStore,
+        *,
+        state: Callable[[], State],
+        take: Callable[[State], None],
+        draw: Callable[[], None],
+        reopen: Callable[[], None],
+        note: Callable[[str], None],
+    ) -> None:
+        self._client, self._store = client, store
+        self._state, self._take, self._draw, self._reopen, self._note = state, take, draw, reopen, note
+
+    def commands(self) -> dict[str, Callable[[str], None]]:
+        """What the page may ask for, by the first word of its message."""
+        return {
+            "level": lambda _: self.ask(),
+            "level-keep": lambda _: self.keep(),
+            "level-back": lambda _: self.take_back(),
+        }
+
+    def ask(self) -> None:
+        """Take the next click as one on a level surface; asked again, as any other."""
+        state = self._state()
+        if state.loaded is not None and state.labels is None:
+            self._take(replace(state, picking=not state.picking))
+            self._draw()
+
+    def on_pixel(self, u: int, v: int) -> bool:
+        """A click on a pixel; whether it was meant for a level surface."""
+        state = self._state()
+        if not state.picking or state.loaded is None or state.labels is not None:
+            return False
+        frame = state.loaded.context.frame
+        try:
+            x, y, z = level_normal_at(frame.depth, frame.camera, u, v).tolist()
+        except InputError as error:
+            self._tell("Not a level surface", str(error))
+            return True
+        self._store.tell_up(state.source, ToldUp(frame.id, (u, v), (x, y, z)))
+        self._note(f"frame {frame.id}: the surface at {u},{v} is level, up {x:.3f}, {y:.3f}, {z:.3f} in the camera")
+        self._take(replace(state, picking=False))
+        self._reopen()
+        return True
+
+    def keep(self) -> None:
+        """Write what was said into the settings beside the data."""
+        source = self._state().source
+        told = self._store.told.get(source)
+        if told is not None:
+            root = self._store.sources[source].dataset.root
+            try:
+                if root.resolve() == demo_path().resolve():
+                    raise InputError("the built-in demo stays as it is", path=root)
+                self._tell("Up is kept", str(write_settings(root, None, None, frame_up={told.frame_id: told.up})))
+            except InputError as error:
+                self._tell("Up is not kept", str(error))
+
+    def take_back(self) -> None:
+        """Up as it was before anything was said."""
+        state = self._state()
+        if state.source in self._store.told:
+            self._store.tell_up(state.source, None)
+            self._reopen()
+
+    def _tell(self, title: str, text: str) -> None:
+        self._note(text)
+        self._client.add_notification(title, text, auto_close_seconds=12)
