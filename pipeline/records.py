@@ -204,7 +204,7 @@ def relation_records(
 
 
 def frame_record(report: FrameReport) -> Record:
-    """One record of `frames --json`; "moves" only where the dataset has moves."""
+    """One record of `frames --json`; "moves" only where the dataset has moves. "dataset_notes" are the same in all."""
     record: Record = {
         "index": report.index,
         "frame": report.id,
@@ -219,6 +219,7 @@ def frame_record(report: FrameReport) -> Record:
         "has_pose": report.has_pose,
         "up_source": report.up_source,
         "notes": list(report.notes),
+        "dataset_notes": list(report.dataset_notes),
     }
     if report.moves is not None:
         record["moves"] = dict(report.moves)

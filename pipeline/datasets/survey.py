@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.datasets.base import Dataset
-from pipeline.datasets.capabilities import has_moves, moves
+from pipeline.datasets.capabilities import dataset_notes, has_moves, moves
 from pipeline.errors import InputError
 
 
@@ -40,6 +40,8 @@ class FrameReport:
         How the up vector is known, None where it is not.
     notes : tuple of str
         What was odd and could be left out.
+    dataset_notes : tuple of str
+        What the reader takes for granted in every frame; see `capabilities.dataset_notes`.
     moves : dict of str to str, or None
         Where the possible moves lead, in a dataset that has moves; see `capabilities.moves`.
     """
@@ -57,17 +59,19 @@ class FrameReport:
     has_pose: bool = False
     up_source: str | None = None
     notes: tuple[str, ...] = ()
+    dataset_notes: tuple[str, ...] = ()
     moves: dict[str, str] | None = None
 
 
 def survey(dataset: Dataset) -> Iterator[FrameReport]:
     """Load every frame in turn and report it; a broken one does not stop the rest."""
+    assumed = dataset_notes(dataset)
     for index, frame_id in enumerate(dataset.frame_ids):
         leads = moves(dataset, frame_id) if has_moves(dataset) else None
         try:
             frame = dataset.load(frame_id)
         except InputError as error:
-            yield FrameReport(index, frame_id, ok=False, problem=str(error), moves=leads)
+            yield FrameReport(index, frame_id, ok=False, problem=str(error), dataset_notes=assumed, moves=leads)
             continue
         valid = frame.depth[frame.depth > 0]
         yield FrameReport(
@@ -83,5 +87,6 @@ def survey(dataset: Dataset) -> Iterator[FrameReport]:
             has_pose=frame.camera.T_world_camera is not None,
             up_source=frame.camera.up_source,
             notes=frame.notes,
+            dataset_notes=assumed,
             moves=leads,
         )
