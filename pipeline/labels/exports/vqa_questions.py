@@ -14,8 +14,7 @@ from pipeline.labels.exports.frame_rows import FrameRows
 from pipeline.labels.exports.images import image_name
 from pipeline.labels.exports.vqa_geometry import POINTS, Figures, gap_between
 from pipeline.labels.exports.vqa_records import Kind, Question, VqaConfig
-from pipeline.labels.expressions import row_hash, same_names
-from pipeline.naming import normal_form
+from pipeline.labels.expressions import alone, row_hash
 from pipeline.relations import F, T
 
 Unit = Callable[[], tuple[Question, ...]]
@@ -126,16 +125,6 @@ def make_scene(rows: FrameRows, config: VqaConfig, figures: Sequence[Figures]) -
         clear,
         figures,
     )
-
-
-def alone(labels: Sequence[str]) -> np.ndarray:
-    """(N,) bool: names that mean one object only, neither a second of the class nor one of a kind of it."""
-    # As they are said: `bat (animal)` and `bat (club)` may both be said `bat`.
-    said = [say.say_name(label) for label in labels]
-    single = (same_names(labels).sum(axis=1) == 1) & (same_names(said).sum(axis=1) == 1)
-    forms = [normal_form(name) for name in said]
-    general = [any(other.endswith(f" {form}") for other in forms) for form in forms]
-    return single & ~np.array(general, np.bool_)
 
 
 @dataclass(frozen=True)
