@@ -63,7 +63,8 @@ def write_vqa(job: Job) -> Written:
 
 
 def _without_depth(depths: Depths) -> str:
-    return f"{depths.missing} frames: gaps are not asked, nor what no 3D box tells, without their depth: {depths.problem}"
+    what = "gaps are not asked, and sizes and distances of given 3D boxes only"
+    return f"{depths.missing} frames without depth, where {what}: {depths.problem}"
 
 
 def boxed_by_people(provenance: Provenance, rows: FrameRows) -> frozenset[int]:
