@@ -185,7 +185,8 @@ def test_with_and_no_tail_belongs_to_the_name() -> None:
 def test_far_from_is_not_taken_for_the_farthest(phrase: str) -> None:
     for text in (
         f"the mug {phrase} the laptop", f"find the mug that is {phrase} the laptop",
-        f"mug left of the book {phrase} it", f"mug not {phrase} the laptop", f"the mug {phrase} the laptop and left of the book",
+        f"mug left of the book {phrase} it", f"mug not {phrase} the laptop",
+        f"the mug {phrase} the laptop and left of the book",
     ):  # fmt: skip
         message = refused(text)
         assert f"'{phrase}' is not a relation that is judged" in message

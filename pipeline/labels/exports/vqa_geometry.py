@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import xxhash
 from scipy.ndimage import distance_transform_edt
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from pipeline.boxes import Box3D
 from pipeline.camera import Camera, lift_pixels
@@ -149,7 +149,7 @@ def gap_between(a: Figures, b: Figures) -> float | None:
     """Metres between the nearest raw points of two objects; None where one of them is not seen whole."""
     if not len(a.points) or not len(b.points):
         return None
-    return float(cKDTree(a.points).query(b.points)[0].min())
+    return float(KDTree(a.points).query(b.points)[0].min())
 
 
 class _Raw:
