@@ -18,7 +18,7 @@ from pipeline import lexicon
 from pipeline.errors import InputError
 from pipeline.naming import DETERMINERS
 from pipeline.tokens import EXAMPLE, Token, Vocabulary, label_of, tokenize
-from pipeline.unreadable import FORM, check_noun, no_relation, other_view, unreadable
+from pipeline.unreadable import FORM, check_judged, check_noun, no_relation, other_view, unreadable
 
 Role = Literal["target", "relation", "reference"]
 Attach = Literal["any", "nearest", "same"]
@@ -113,6 +113,7 @@ class _Reader:
         while tokens and tokens[-1].plain in lexicon.CLOSING:
             tokens = tokens[:-1]
         tokens = _without_leading(_without_view(tokens, self.text))
+        check_judged(tokens, self.text)
         phrases = [t for t in tokens if t.relation is not None]
         if not phrases:
             raise no_relation(tokens, self.text)

@@ -59,11 +59,13 @@ SAYS: dict[str, tuple[str, ...]] = {
     "closest": ("closest to", "closest", "nearest to", "nearest", "closer to", "nearer to"),
     "farthest": (
         "farthest from", "furthest from", "farthest away from", "furthest away from", "farther from", "further from",
-        "farther away from", "further away from", "far from", "far away from", "most distant from", "farthest",
-        "furthest", "most distant",
+        "farther away from", "further away from", "most distant from", "farthest", "furthest", "most distant",
     ),
 }  # fmt: skip
 """Phrases by the relation that they say of TARGET to REFERENCE."""
+
+FAR = ("far from", "far away from", "far off from", "a long way from", "distant from")
+"""Not near, which nothing here judges: no superlative, so that `farthest from` would be a guess."""
 
 SAYS_SWAPPED: dict[str, tuple[str, ...]] = {
     "on": ("supporting", "supports", "holding", "holds", "carrying", "carries"),

@@ -206,7 +206,7 @@ def relation_records(
 
 
 def frame_record(report: FrameReport) -> Record:
-    """One record of `frames --json`; "moves" only where the dataset has moves."""
+    """One record of `frames --json`; "moves" only where the dataset has moves. "dataset_notes" are the same in all."""
     record: Record = {
         "index": report.index,
         "frame": report.id,
@@ -222,6 +222,7 @@ def frame_record(report: FrameReport) -> Record:
         "up_source": report.up_source,
         "up": None if report.up is None else _numbers(np.array(report.up), 6),
         "notes": list(report.notes),
+        "dataset_notes": list(report.dataset_notes),
     }
     if report.moves is not None:
         record["moves"] = dict(report.moves)

@@ -9,6 +9,7 @@ import numpy as np
 
 from pipeline.errors import InputError
 from pipeline.expression import parse
+from pipeline.labels.expressions import alone
 from pipeline.labels.noun_phrase import readable
 from pipeline.naming import normal_form
 from pipeline.objects import SceneObject
@@ -29,6 +30,7 @@ def suggest_expressions(
         return ()
     labels = [o.label for o in objects]
     number = Counter(labels)
+    single = {name for name, one in zip(labels, alone(labels).tolist(), strict=True) if one}
     found: list[tuple[float, str, str, str]] = []
     columns = [scores.relations.index(r) for r in DIRECTIONAL if r in scores.relations]
     for n in columns:
@@ -37,7 +39,7 @@ def suggest_expressions(
             rows = [i for i, name in enumerate(labels) if name == target]
             for reference in sorted(number):
                 ends = [j for j, name in enumerate(labels) if name == reference]
-                if target == reference or number[reference] > 1:
+                if target == reference or reference not in single:
                     continue
                 column = scores.states[np.ix_(rows, ends)][..., n]
                 likely = scores.probabilities[np.ix_(rows, ends)][..., n] >= 0.5

@@ -56,6 +56,25 @@ def check_noun(tokens: Sequence[Token], role: str, text: str) -> None:
             raise unreadable(str(word), text)
 
 
+def check_judged(tokens: Sequence[Token], text: str) -> None:
+    """Refuse a relation that has words and no rule: `far from`.
+
+    Raises
+    ------
+    InputError
+    """
+    words = [t.plain or "" for t in tokens]
+    for phrase in lexicon.FAR:
+        size = len(phrase.split())
+        if any(" ".join(words[i : i + size]) == phrase for i in range(1, len(words))):
+            raise InputError(
+                f"'{phrase}' is not a relation that is judged",
+                got=f"'{text}'",
+                expected="'farthest from' or 'near'",
+                cause="it says only that two things are not near",
+            )
+
+
 def other_view(what: str, text: str) -> InputError:
     """The error for an expression judged from an object's front, or from where somebody stands."""
     return InputError(

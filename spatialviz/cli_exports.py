@@ -36,7 +36,8 @@ class Export:
     images: Literal["none", "copy"] = "none"
     """copy: write the colour images beside the labels too."""
     dataset: str | None = None
-    """Where the dataset is now, for its images and for corrected masks and boxes. Default: where it was labelled."""
+    """Where the dataset is now, for its images, for corrected masks and boxes, and for the depth that vqa measures.
+    Default: where it was labelled."""
     corrected: bool = False
     """Apply the journal first, as `effective` does."""
     journal: OmitArgPrefixes[JournalOptions] = field(default_factory=JournalOptions)
@@ -104,7 +105,7 @@ class Export:
             yield open_labels(where)
 
     def _pictures(self, labels: Labels) -> Dataset | None:
-        if self.images != "copy":
+        if self.images != "copy" and not (self.format == "vqa" and self.dataset is not None):
             return None
         from pipeline.labels.plan import load_plan
         from pipeline.labels.store import Store

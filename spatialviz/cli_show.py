@@ -20,7 +20,7 @@ class Show:
     labels: Positional[Path]
     """Labels folder."""
     frame: Positional[str]
-    """Frame id."""
+    """Frame id, or its index."""
     object: int | None = None
     """Only this object, rejected ones included."""
     pair: str | None = None
@@ -37,6 +37,7 @@ class Show:
         from pipeline.correcting.cards import pair_card
         from pipeline.correcting.journal_place import JournalPlace
         from pipeline.correcting.object_card import object_card
+        from pipeline.datasets.base import named_frame
         from pipeline.journal.effective import Corrector
         from pipeline.labels.reading import open_labels
         from spatialviz.printing_show import print_objects, print_pair, print_support
@@ -51,7 +52,8 @@ class Show:
         else:
             journal = JournalPlace(labels, project=self.journal.project).to_read()
         corrector = Corrector(labels, self.source.open(labels))
-        frame = corrector.frame(self.frame, () if journal is None else journal)
+        name = named_frame(tuple(corrector.index.of_frame), self.frame, labels.root)
+        frame = corrector.frame(name, () if journal is None else journal)
         if self.pair is not None:
             card = pair_card(frame, *_two_numbers(self.pair))
             print_json(card.record()) if self.json else print_pair(card)

@@ -122,6 +122,8 @@ def print_summary(summary: dict[str, Any]) -> None:
     console = make_console()
     frames, usable = summary["frames"], summary["frames_usable"]
     console.print(Text(f"{usable:,} of {frames:,} frames can be used"))
+    for note in summary["notes"]:
+        console.print(Text(f"  note: {note}", "yellow"))
     for reason, count in list(summary["problems"].items())[:5]:
         console.print(Text(f"  {count:,} broken: {reason}", "red"))
     if len(summary["problems"]) > 5:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from typing import Any
 
@@ -32,7 +33,8 @@ def item(tables: Tables, frame: str, number: int) -> dict[str, Any]:
 
 def said(tables: Tables, frame: str, text: str) -> dict[str, Any]:
     """The row whose sentence this is, but for articles."""
-    (found,) = [r for r in tables["expressions"] if r["frame"] == frame and r["text"].replace(" the ", " ") == text]
+    rows = [r for r in tables["expressions"] if r["frame"] == frame]
+    (found,) = [r for r in rows if re.sub(" (?:the|a|another) ", " ", r["text"]) == text]
     return found
 
 

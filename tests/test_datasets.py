@@ -770,6 +770,27 @@ def test_a_frame_is_found_by_id_index_and_loose_id(tmp_path: Path) -> None:
     refused(lambda: dataset.load("0"), "no frame")
 
 
+def test_a_scene_is_not_taken_for_an_index(tmp_path: Path) -> None:
+    write_bop(tmp_path, {"000001": [0, 1, 2], "000002": [0, 5], "000007": [3], "000008": [0, 3]})
+    dataset = open_dataset(tmp_path)
+    for key in ("000001", "000002"):
+        index = int(key)
+        refused(
+            lambda key=key: resolve_frame(dataset, key),
+            repr(key), f"the index {index}, which is {dataset.frame_ids[index]}", f"{key}/000000", f"or {index} for",
+        )  # fmt: skip
+    # An image's number that is no scene's, and leads elsewhere as an index.
+    refused(lambda: resolve_frame(dataset, "000003"), "000002/000000", "000007/000003", "000008/000003")
+    for index, frame_id in enumerate(dataset.frame_ids):
+        assert resolve_frame(dataset, f"{index}") == resolve_frame(dataset, index) == frame_id
+    # Nothing else is called so.
+    assert resolve_frame(dataset, "000004") == dataset.frame_ids[4]
+    write_bop(tmp_path / "one", {"2": [0, 1, 2], "3": [0]})
+    dataset = open_dataset(tmp_path / "one")
+    refused(lambda: resolve_frame(dataset, "2"), "2/000000", "expected a whole id [")
+    assert resolve_frame(dataset, "1") == "2/000001"
+
+
 def test_an_id_that_looks_like_an_index_is_an_id_first(tmp_path: Path) -> None:
     write_folder(tmp_path, [1, 2, 3])
     dataset = open_dataset(tmp_path, **FOLDER)

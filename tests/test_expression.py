@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from pipeline import grammar, lexicon
 from pipeline.errors import InputError
 from pipeline.expression import Expression, Node, Query, parse
-from pipeline.lexicon import INVERSES, RELATIONS, SAYS, SAYS_SWAPPED, wording
+from pipeline.lexicon import FAR, INVERSES, RELATIONS, SAYS, SAYS_SWAPPED, wording
 
 NAMES = [
     "mug", "trash can", "front door", "remote control", "tv stand", "box of tissues on wheels", "pillow on bed",
@@ -179,6 +179,20 @@ def test_with_tails(text: str, relation: str, inverse: bool) -> None:
 def test_with_and_no_tail_belongs_to_the_name() -> None:
     assert triple("the hat with a wide brim left of the mug") == ("hat with a wide brim", "left", "mug")
     assert triple("the mug on the table with the red legs") == ("mug", "on", "table with the red legs")
+
+
+@pytest.mark.parametrize("phrase", FAR)
+def test_far_from_is_not_taken_for_the_farthest(phrase: str) -> None:
+    for text in (
+        f"the mug {phrase} the laptop", f"find the mug that is {phrase} the laptop",
+        f"mug left of the book {phrase} it", f"mug not {phrase} the laptop",
+        f"the mug {phrase} the laptop and left of the book",
+    ):  # fmt: skip
+        message = refused(text)
+        assert f"'{phrase}' is not a relation that is judged" in message
+        assert "'farthest from' or 'near'" in message
+    assert triple("the mug most distant from the laptop") == ("mug", "farthest", "laptop")
+    assert triple("the mug farther away from the laptop") == ("mug", "farthest", "laptop")
 
 
 @pytest.mark.parametrize("word", ["nearest", "closest", "farthest", "furthest"])

@@ -27,6 +27,7 @@ from pipeline.labels.config import LabelConfig, SelectConfig
 from pipeline.labels.job import label_dataset
 from pipeline.labels.labelling import FrameLabels, judge_objects, label_objects
 from pipeline.labels.merge import merge_labels
+from pipeline.labels.noun_phrase import readable
 from pipeline.labels.occlusion import occluded_share
 from pipeline.labels.plan import SourceSpec, load_plan, make_plan, part_of, save_plan
 from pipeline.labels.profiles import PROFILES
@@ -36,6 +37,7 @@ from pipeline.labels.second_opinion import doubted, open_second_opinion
 from pipeline.labels.shard import label_shard, open_labeller
 from pipeline.labels.store import Store
 from pipeline.labels.tables import PART_TABLES, content_hash, read_table, validate_rows
+from pipeline.naming import same_class
 from pipeline.objects import FrameContext, all_objects
 from pipeline.proposals.annotations import AnnotationDetector
 from pipeline.relations import DIRECTIONAL, INVERSE, PAIRWISE, directional_states
@@ -315,6 +317,9 @@ def test_every_sentence_is_true_and_carries_all_its_answers(demo: Path) -> None:
             }
             assert set(row[column]) == wanted
         assert row["ambiguous"] == (len(row["acceptable"]) > 1)
+        for role in ("target", "reference"):
+            if sum(same_class(row[role], label[frame, n]["label"]) for n in by_frame[frame]) > 1:
+                assert f"the {readable(row[role])}" not in row["text"]
 
 
 def test_inverse_labels_mirror_exactly(demo: Path) -> None:

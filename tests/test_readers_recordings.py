@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import pickle
 import shutil
+import tempfile
 from collections.abc import Callable
+from decimal import Decimal
 from pathlib import Path
 from typing import Any
 
@@ -28,12 +30,13 @@ from dataset_writers import (
     write_tum,
     write_votenet,
 )
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from semantic_abstraction_writer import write_view
 
 from pipeline.camera import backproject
-from pipeline.datasets import open_dataset, survey
+from pipeline.datasets import open_dataset, summarise, survey
+from pipeline.datasets.capabilities import dataset_notes
 from pipeline.datasets.tum import _match
 from pipeline.errors import InputError
 from pipeline.frame import Frame
@@ -157,30 +160,106 @@ def test_tum_times_may_stand_in_any_order(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("folder", "camera", "notes"),
+    ("folder", "camera", "whose"),
     [
-        ("rgbd_dataset_freiburg1_desk", (517.3, 516.5, 318.6, 255.3), 0),
-        ("rgbd_dataset_freiburg2_xyz", (520.9, 521.0, 325.1, 249.7), 0),
-        ("rgbd_dataset_freiburg3_sitting", (535.4, 539.2, 320.1, 247.6), 0),
-        ("mine", (525, 525, 319.5, 239.5), 1),
+        ("rgbd_dataset_freiburg1_desk", (517.3, 516.5, 318.6, 255.3), "freiburg1's by the folder's name"),
+        ("rgbd_dataset_freiburg2_xyz", (520.9, 521.0, 325.1, 249.7), "freiburg2's by the folder's name"),
+        ("rgbd_dataset_freiburg3_sitting", (535.4, 539.2, 320.1, 247.6), "freiburg3's by the folder's name"),
+        ("mine", (525, 525, 319.5, 239.5), "TUM's default"),
     ],
 )
 def test_tum_camera_is_the_one_that_the_folder_names(
-    tmp_path: Path, folder: str, camera: tuple[float, ...], notes: int
+    tmp_path: Path, folder: str, camera: tuple[float, ...], whose: str
 ) -> None:
     root = tmp_path / folder
     (frame_id,) = write_tum(root, 1)
     refused(lambda: open_dataset(root).load(frame_id), "640x480", "64x48", "--intrinsics")
     write_png(root / f"rgb/{frame_id}.png", np.zeros((480, 640, 3), np.uint8))
     write_png(next((root / "depth").iterdir()), np.full((480, 640), 7500, np.uint16))
-    frame = open_dataset(root).load(frame_id)
+    dataset = open_dataset(root)
+    frame = dataset.load(frame_id)
     assert (frame.camera.fx, frame.camera.fy, frame.camera.cx, frame.camera.cy) == camera
-    assert len(frame.notes) == notes
+    assert frame.notes == ()
+    unit, said = dataset_notes(dataset)
+    assert "5000 to a metre" in unit
+    assert "--depth-scale" in unit
+    assert f"{whose}, {','.join(f'{n:g}' for n in camera)}" in said
+    assert "--intrinsics" in said
     assert frame.depth[0, 0] == 1.5
-    given_by_hand = open_dataset(root, intrinsics=CAMERA, depth_scale=2500).load(frame_id)
-    assert given_by_hand.camera.fx == 60
-    assert given_by_hand.depth[0, 0] == 3
-    assert given_by_hand.notes == ()
+    given_by_hand = open_dataset(root, intrinsics=CAMERA, depth_scale=2500)
+    assert given_by_hand.load(frame_id).camera.fx == 60
+    assert given_by_hand.load(frame_id).depth[0, 0] == 3
+    assert dataset_notes(given_by_hand) == ()
+
+
+STAMPS = st.one_of(
+    st.floats(1e-4, 1e12).map(repr),
+    st.decimals(0, 10**10, allow_nan=False, allow_infinity=False).map(lambda d: f"{d:f}"),
+    st.integers(0, 10**25).map(str),
+    st.from_regex(r"[0-9]{1,12}\.[0-9]{1,40}", fullmatch=True),
+)
+
+
+@given(st.lists(STAMPS, min_size=1, max_size=12, unique_by=Decimal), st.sampled_from([" ", "  ", "\t"]))
+@example(["0.00585412979126"], " ")
+@example(["0.00001", "1311868164.363181", "1311868164.3631810000000001"], " ")
+def test_tum_time_stamps_may_be_of_any_length(stamps: list[str], between: str) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        root = Path(folder)
+        for name in ("rgb", "depth"):
+            lines = [f"{stamp}{between}{name}/{k}.png" for k, stamp in enumerate(stamps)]
+            (root / f"{name}.txt").write_text("\n".join(lines) + "\n")
+        dataset = open_dataset(root)
+        assert dataset.frame_ids == tuple(sorted(stamps, key=Decimal))
+        for stamp in stamps:
+            # Both images of a time are missing: neither their times nor their paths were taken for something else.
+            refused(lambda stamp=stamp: dataset.load(stamp), f"rgb/{stamps.index(stamp)}.png")
+
+
+@pytest.mark.parametrize("stamp", ["9" * 400, "inf", "-1.5", "1.5.2", "0x10", "1_0", "٣", "1e9", "1.", ".5", ""])
+def test_tum_times_that_are_none_are_refused(tmp_path: Path, stamp: str) -> None:
+    write_tum(tmp_path, 1)
+    (tmp_path / "rgb.txt").write_text(f"{stamp} rgb/0.png\n")
+    refused(lambda: open_dataset(tmp_path), "line 1", "rgb.txt")
+
+
+UNSTATED = {
+    "bop": (), "tum": ("5000 to a metre", "525,525,319.5,239.5"), "7-scenes": ("1000 to a metre", "585,585,320,240"),
+    "scannet": ("1000 to a metre",), "redwood": ("1000 to a metre",), "sunrgbd": ("1000 to a metre",),
+    "avd": ("1000 to a metre",), "sunrgbd-votenet": (), "semantic-abstraction": (),
+}  # fmt: skip
+"""What the files of a format leave unsaid."""
+
+
+@pytest.mark.parametrize("kind", UNSTATED)
+def test_what_no_file_states_is_said_once_with_the_option_that_tells_it(tmp_path: Path, kind: str) -> None:
+    said = UNSTATED[kind]
+    WRITERS[kind](tmp_path)
+    (tmp_path / "camera-intrinsics.txt").unlink(missing_ok=True)
+    dataset = open_dataset(tmp_path)
+    notes = dataset_notes(dataset)
+    assert len(notes) == len(said)
+    for note, words, option in zip(notes, said, ("--depth-scale", "--intrinsics"), strict=False):
+        assert words in note
+        assert option in note
+    assert list(summarise(survey(dataset))["notes"]) == list(notes)
+    told = open_dataset(tmp_path, intrinsics=CAMERA, depth_scale=1234)
+    assert dataset_notes(told) == ()
+    (tmp_path / "spatialviz.toml").write_text("depth_scale = 1234.0\n")
+    assert not [note for note in dataset_notes(open_dataset(tmp_path)) if "--depth-scale" in note]
+
+
+def test_an_own_camera_file_of_7_scenes_needs_no_note(tmp_path: Path) -> None:
+    for seq in ("seq-01", "seq-02"):
+        (tmp_path / seq).mkdir()
+        write_seven_scenes(tmp_path / seq, 1)
+        (tmp_path / seq / "camera-intrinsics.txt").unlink()
+    assert len(dataset_notes(open_dataset(tmp_path))) == 2
+    (tmp_path / "seq-01" / "camera-intrinsics.txt").write_text("60 0 31.5 0 61 23.5 0 0 1")
+    assert len(dataset_notes(open_dataset(tmp_path))) == 2
+    (tmp_path / "seq-02" / "camera-intrinsics.txt").write_text("60 0 31.5 0 61 23.5 0 0 1")
+    (note,) = dataset_notes(open_dataset(tmp_path))
+    assert "--depth-scale" in note
 
 
 @pytest.mark.parametrize(

@@ -184,7 +184,7 @@ def test_a_frame_record_says_what_is_in_it(shared_data: Path) -> None:
     for record in records:
         assert set(record) == {
             "index", "frame", "ok", "problem", "width", "height", "annotations", "labels", "depth_valid",
-            "median_depth", "has_pose", "up_source", "up", "notes",
+            "median_depth", "has_pose", "up_source", "up", "notes", "dataset_notes",
         }  # fmt: skip
         assert record["ok"]
         assert record["problem"] is None

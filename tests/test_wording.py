@@ -324,6 +324,46 @@ def test_a_thing_beside_its_like_is_beside_another() -> None:
         check_read_back(text, "mug", "left", "mug", ("mug",))
 
 
+@given(
+    st.sampled_from([*COCO, *AVD, *BRIEF]), st.sampled_from([*COCO, *AVD, *BRIEF]), st.sampled_from(PAIRWISE),
+    st.integers(0, 2**64 - 1), st.sampled_from(("varied", "plain")), st.tuples(st.booleans(), st.booleans()),
+)  # fmt: skip
+@settings(max_examples=200, deadline=None)
+def test_the_is_said_only_of_what_is_alone(
+    target: str, reference: str, relation: str, key: int, style: str, several: tuple[bool, bool]
+) -> None:
+    if is_named(target, reference) or is_named(reference, target):
+        several = (True, True)
+    text = expression_text(target, relation, reference, key, style=style, several=several)
+    check_read_back(text, target, relation, reference, (target, reference))
+    for name, many in zip((target, reference), several, strict=True):
+        phrase = noun_phrase(readable(name))
+        if many:
+            assert f"the {phrase.words}" not in text, text
+        for article in {"a", "an"} - {phrase.article}:
+            assert not re.search(rf"\b{article} {re.escape(phrase.words)}\b", text), text
+    # The sentence is the same one, whatever its articles.
+    def bare(said: str) -> str:
+        return re.sub(r"\b(?:the|an?|some other|some|another) ", "", said)
+
+    assert bare(text) == bare(expression_text(target, relation, reference, key, style=style))
+
+
+def test_examples_of_several() -> None:
+    def texts(*several: bool) -> set[str]:
+        return {expression_text("mug", "left", "book", k, several=(several[0], several[1])) for k in range(160)}
+
+    assert "the mug to the left of a book" in texts(False, True)
+    assert "an apple left of the mug" in {
+        expression_text("apple", "left", "mug", k, several=(True, False)) for k in range(160)
+    }
+    assert not [t for t in texts(True, True) if "the mug" in t or "the book" in t]
+    assert {"a mug left of a book", "where is a mug left of a book?", "mug left of book"} <= texts(True, True)
+    assert expression_text("mug", "left", "book", 0, style="plain", several=(False, True)) == "mug left of a book"
+    shoes = {expression_text("mug", "near", "scissors", k, several=(False, True)) for k in range(160)}
+    assert "the mug near some scissors" in shoes
+
+
 @pytest.mark.parametrize(
     ("article", "names"),
     [

@@ -32,7 +32,7 @@ from pipeline.datasets.base import DatasetFormat, unknown_frame
 from pipeline.datasets.cameras import make_camera
 from pipeline.datasets.capabilities import MOVES
 from pipeline.datasets.files import listing
-from pipeline.datasets.settings import Settings
+from pipeline.datasets.settings import Settings, unit_notes
 from pipeline.errors import InputError
 from pipeline.frame import Annotation, Frame
 
@@ -109,6 +109,7 @@ class AvdDataset:
             self._place.update({prefix + stem: (name, stem) for stem in stems})
             labels.update({instance: label_of(instance, names) for instance in instances})
         self.frame_ids = tuple(self._place)
+        self.notes = unit_notes(settings, UNITS_PER_METRE, "AVD's")
         self.class_names: tuple[str, ...] = tuple(dict.fromkeys(labels[i] for i in sorted(labels)))
 
     def load(self, frame_id: str) -> Frame:

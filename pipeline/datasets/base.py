@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Protocol
@@ -21,7 +21,8 @@ class Dataset(Protocol):
     asks for and that most do not have: `moves(frame_id)`, a dict of move to frame id;
     `given_expressions(frame_id)`, a tuple of GivenExpression; `splits()`, a dict of
     split to frame ids; `scene_of(frame_id)`, the name of its scene or None;
-    `load_picture(frame_id)`, the frame without its annotations.
+    `load_picture(frame_id)`, the frame without its annotations; `notes`, a tuple of
+    what no file states and the reader takes for granted.
 
     Attributes
     ----------
@@ -84,7 +85,12 @@ class DatasetFormat:
 
 
 def resolve_frame(dataset: Dataset, key: str | int) -> str:
-    """The id of the frame that a person named.
+    """The id of the frame of a dataset that a person named; see `named_frame`."""
+    return named_frame(dataset.frame_ids, key, dataset.root)
+
+
+def named_frame(ids: Sequence[str], key: str | int, root: Path) -> str:
+    """The id of the frame that a person named, among all ids in order; `root` is the folder to blame.
 
     An exact id comes first, then an index counted from 0, then the same path
     with its numbers written differently ("1/20" for "000001/000020").
@@ -92,20 +98,38 @@ def resolve_frame(dataset: Dataset, key: str | int) -> str:
     Raises
     ------
     InputError
-        No such frame; the message gives the nearest ids and the count.
+        No such frame (the message gives the nearest ids and the count), or an
+        index that may also be the scene, or with leading zeros the last part, of
+        another frame's id.
     """
-    ids = dataset.frame_ids
     text = str(key).strip()
     if isinstance(key, str) and text in ids:
         return text
     if re.fullmatch(r"[0-9]{1,15}", text) and not isinstance(key, bool):
         if int(text) < len(ids):
-            return ids[int(text)]
+            found = ids[int(text)]
+            # Nobody writes an index with leading zeros; a scene may be named without.
+            others = [i for i in ids if f"/{text}/" in f"/{i}" or (text != f"{int(text)}" and i.endswith(f"/{text}"))]
+            if isinstance(key, str) and set(others) - {found}:
+                raise _ambiguous(text, found, others, root)
+            return found
     elif "/" in text:
         same = [frame_id for frame_id in ids if _loose(frame_id) == _loose(text)]
         if len(same) == 1:
             return same[0]
-    raise unknown_frame(dataset, text)
+    raise _unknown(ids, text, root)
+
+
+def _ambiguous(text: str, found: str, others: list[str], root: Path) -> InputError:
+    """The error for a number that is the index of one frame and stands in the ids of others."""
+    scene = sorted(others, key=lambda i: not i.startswith(f"{text}/"))
+    listed = ", ".join(scene[:3]) + (f" and {len(scene) - 3} more" if len(scene) > 3 else "")
+    return InputError(
+        f"{text!r} names more than one frame",
+        got=f"the index {int(text)}, which is {found}, and a part of {listed}",
+        expected="a whole id" + (f", or {int(text)} for the index" if text != f"{int(text)}" else ""),
+        path=root,
+    )
 
 
 def scene_of(dataset: Dataset, frame_id: str) -> str:
@@ -125,13 +149,16 @@ def frames_of_scene(dataset: Dataset, frame_id: str) -> tuple[str, ...]:
 
 def unknown_frame(dataset: Dataset, key: str) -> InputError:
     """The error for an id that a dataset does not have, with the nearest ids and the count."""
-    ids = dataset.frame_ids
+    return _unknown(dataset.frame_ids, key, dataset.root)
+
+
+def _unknown(ids: Sequence[str], key: str, root: Path) -> InputError:
     near = difflib.get_close_matches(key, ids[:20_000], n=3, cutoff=0.3) or list(ids[:3])
     return InputError(
         f"no frame {key[:80]!r} among {len(ids)}",
         expected=f"an id or an index from 0 to {len(ids) - 1}" if ids else None,
         cause=f"nearest ids: {', '.join(near)}" if near else None,
-        path=dataset.root,
+        path=root,
     )
 
 

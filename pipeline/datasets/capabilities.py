@@ -80,6 +80,12 @@ def splits(dataset: Dataset) -> dict[str, tuple[str, ...]]:
     return _ask(dataset, "splits", {})
 
 
+def dataset_notes(dataset: Dataset) -> tuple[str, ...]:
+    """What holds for every frame and no file states: a unit or a camera that the format is known for, each with the
+    option that tells another; empty for a dataset whose files say all."""
+    return getattr(dataset, "notes", ())
+
+
 def load_picture(dataset: Dataset, frame_id: str) -> Frame:
     """A frame for those who need no annotations: without them where the dataset can leave them out, else whole.
 

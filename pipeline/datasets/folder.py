@@ -57,6 +57,9 @@ class FolderDataset:
             (pair.color or pair.depth or root).stem: pair for pair in pair_files(naming, colors, depths)
         }
         self.frame_ids = tuple(self._pairs)
+        self.notes: tuple[str, ...] = ()
+        if settings.depth_scale is None:
+            self.notes = ("floating-point depth is taken for metres: --depth-scale UNITS_PER_METRE tells another unit",)
         self._poses, self._pose_problem = _poses(root, naming, [pair.key for pair in self._pairs.values()])
 
     def load(self, frame_id: str) -> Frame:

@@ -14,7 +14,7 @@ from pipeline.datasets.cameras import make_camera, pose_from_matrix
 from pipeline.datasets.files import as_floats, listing, numbered_lines, read_json
 from pipeline.datasets.images import COLOR_SUFFIXES
 from pipeline.datasets.pairing import Key, choose_naming, image_files, pair_files
-from pipeline.datasets.settings import Settings
+from pipeline.datasets.settings import Settings, unit_notes
 from pipeline.errors import InputError
 from pipeline.frame import Frame
 
@@ -68,6 +68,7 @@ class RedwoodDataset:
         pairs = pair_files(choose_naming(colors, depths), colors, depths)
         self._pairs = {(pair.color or pair.depth or root).stem: pair for pair in pairs}
         self.frame_ids = tuple(self._pairs)
+        self.notes = unit_notes(settings, UNITS_PER_METRE, "Redwood's")
         self._poses: dict[Key, np.ndarray] = {}
         self._pose_problem: str | None = None
         if layout.trajectory is not None:

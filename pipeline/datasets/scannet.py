@@ -14,7 +14,7 @@ from pipeline.datasets.cameras import make_camera
 from pipeline.datasets.files import read_matrix
 from pipeline.datasets.images import COLOR_SUFFIXES, read_color, read_depth
 from pipeline.datasets.pairing import choose_naming, image_files, pair_files
-from pipeline.datasets.settings import Settings
+from pipeline.datasets.settings import Settings, unit_notes
 from pipeline.errors import InputError
 from pipeline.frame import Frame
 
@@ -44,6 +44,7 @@ class ScanNetDataset:
         pairs = pair_files(choose_naming(colors, depths), colors, depths)
         self._pairs = {(pair.color or pair.depth or root).stem: pair for pair in pairs}
         self.frame_ids = tuple(self._pairs)
+        self.notes = unit_notes(settings, UNITS_PER_METRE, "ScanNet's")
 
     def load(self, frame_id: str) -> Frame:
         """Decode one frame; see `Dataset.load`."""

@@ -93,6 +93,24 @@ class Settings:
         return replace(self, **{key: value for key, value in given.items() if value is not None})
 
 
+def unit_notes(settings: Settings, units_per_metre: float, whose: str) -> tuple[str, ...]:
+    """What to say where the depth's unit is known from the format alone: nothing where a person told it."""
+    if settings.depth_scale is not None:
+        return ()
+    return (
+        f"the depth's unit is {whose}, {units_per_metre:g} to a metre, which no file states: "
+        "--depth-scale UNITS_PER_METRE tells another",
+    )
+
+
+def camera_notes(settings: Settings, numbers: Sequence[float], whose: str) -> tuple[str, ...]:
+    """What to say where the intrinsics are known from the format alone: nothing where a person told them."""
+    if settings.intrinsics is not None:
+        return ()
+    said = ",".join(f"{n:g}" for n in numbers)
+    return (f"the camera is {whose}, {said}, which no file states: --intrinsics fx,fy,cx,cy tells another",)
+
+
 def read_settings(root: Path) -> Settings:
     """The settings beside the data; all None where there is no `spatialviz.toml`.
 

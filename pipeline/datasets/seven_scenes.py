@@ -12,7 +12,7 @@ from pipeline.datasets.assembly import make_frame, one_file, read_pair, read_pos
 from pipeline.datasets.base import DatasetFormat, unknown_frame
 from pipeline.datasets.cameras import make_camera
 from pipeline.datasets.files import listing, read_matrix
-from pipeline.datasets.settings import Settings
+from pipeline.datasets.settings import Settings, camera_notes, unit_notes
 from pipeline.errors import InputError
 from pipeline.frame import Frame
 
@@ -46,6 +46,9 @@ class SevenScenesDataset:
                     kinds = self._files.setdefault(frame_id, {"color": [], "depth": []})
                     kinds[match[2]].append(root / folder / name)
         self.frame_ids = tuple(self._files)
+        self.notes = unit_notes(settings, UNITS_PER_METRE, "7-Scenes' own")
+        if any(_camera_file(root, (root / frame_id).parent) is None for frame_id in self.frame_ids):
+            self.notes += camera_notes(settings, DEFAULT_INTRINSICS, "7-Scenes' own")
 
     def load(self, frame_id: str) -> Frame:
         """Decode one frame; see `Dataset.load`."""
@@ -69,10 +72,9 @@ class SevenScenesDataset:
     ) -> tuple[np.ndarray | None, Path]:
         if self._settings.intrinsics is not None:
             return None, color
-        for place in dict.fromkeys((folder, self.root)):
-            path = place / "camera-intrinsics.txt"
-            if path.is_file():
-                return read_matrix(path, 3, 3), path
+        path = _camera_file(self.root, folder)
+        if path is not None:
+            return read_matrix(path, 3, 3), path
         if size != DEFAULT_SIZE:
             raise InputError(
                 "the camera is not known: 7-Scenes' own intrinsics are for 640x480",
@@ -81,6 +83,12 @@ class SevenScenesDataset:
                 path=color,
             )
         return intrinsics(*DEFAULT_INTRINSICS), color
+
+
+def _camera_file(root: Path, folder: Path) -> Path | None:
+    """The intrinsics beside the frames of a folder, or else in the opened one."""
+    files = (place / "camera-intrinsics.txt" for place in (folder, root))
+    return next((path for path in files if path.is_file()), None)
 
 
 def _sequences(root: Path) -> list[str]:

@@ -23,11 +23,13 @@ class SurveyCounts:
         self._sizes: Counter[str] = Counter()
         self._ups: Counter[str] = Counter()
         self._problems: Counter[str] = Counter()
+        self._notes: tuple[str, ...] = ()
         self._depth = 0.0
 
     def add(self, report: FrameReport) -> None:
         """Count one frame."""
         self._frames += 1
+        self._notes = report.dataset_notes
         if not report.ok:
             self._problems[_reason(report)] += 1
             return
@@ -56,6 +58,7 @@ class SurveyCounts:
             "frames": self._frames,
             "frames_usable": self._usable,
             "frames_broken": self._frames - self._usable,
+            "notes": list(self._notes),
             "problems": _sorted(self._problems),
             **{f"frames_{name}": self._missing[name] for name in missing},
             "sizes": _sorted(self._sizes),
@@ -73,9 +76,9 @@ def summarise(reports: Iterable[FrameReport]) -> dict[str, Any]:
     Returns
     -------
     dict
-        JSON-able: frames, frames_usable, frames_broken, problems ({reason:
-        frames}); of the usable frames frames_with_little_depth (less than a
-        tenth of the pixels), frames_without_pose, frames_without_objects,
+        JSON-able: frames, frames_usable, frames_broken, notes (what no file states,
+        see `capabilities.dataset_notes`), problems ({reason: frames}); of the usable
+        frames frames_with_little_depth (less than a tenth of the pixels), frames_without_pose, frames_without_objects,
         frames_with_notes, sizes ({"WxH": frames}), up_source ({source: frames}),
         depth_valid (mean share of the pixels, 0..1, or None), objects,
         objects_per_frame (mean or None), and classes ({name: objects}). What is

@@ -12,7 +12,7 @@ from pipeline.datasets.base import DatasetFormat, unknown_frame
 from pipeline.datasets.cameras import make_camera, nearest_rotation
 from pipeline.datasets.files import listing, natural, read_matrix
 from pipeline.datasets.images import COLOR_SUFFIXES
-from pipeline.datasets.settings import Settings
+from pipeline.datasets.settings import Settings, unit_notes
 from pipeline.errors import InputError
 from pipeline.frame import Frame
 
@@ -63,6 +63,7 @@ class SunRgbdDataset:
             found = sorted(_frames_below(root, LEVELS), key=natural)
             self._folders = {name: root / name for name in found}
         self.frame_ids = tuple(self._folders)
+        self.notes = unit_notes(settings, UNITS_PER_METRE, "SUN RGB-D's")
 
     def load(self, frame_id: str) -> Frame:
         """Decode one frame; see `Dataset.load`."""

@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.camera import Camera, UpSource
 from pipeline.datasets.base import Dataset
-from pipeline.datasets.capabilities import has_moves, moves
+from pipeline.datasets.capabilities import dataset_notes, has_moves, moves
 from pipeline.errors import InputError
 from pipeline.frame import Frame
 from pipeline.up_words import ASSUMED, DECLARE
@@ -43,6 +43,8 @@ class FrameReport:
         How the up vector that is used is known; see `camera.UpSource`.
     notes : tuple of str
         What was odd and could be left out.
+    dataset_notes : tuple of str
+        What the reader takes for granted in every frame; see `capabilities.dataset_notes`.
     moves : dict of str to str, or None
         Where the possible moves lead, in a dataset that has moves; see `capabilities.moves`.
     up : (x, y, z) or None
@@ -62,6 +64,7 @@ class FrameReport:
     has_pose: bool = False
     up_source: UpSource | None = None
     notes: tuple[str, ...] = ()
+    dataset_notes: tuple[str, ...] = ()
     moves: dict[str, str] | None = None
     up: tuple[float, ...] | None = None
 
@@ -70,12 +73,13 @@ def survey(dataset: Dataset) -> Iterator[FrameReport]:
     """Load every frame in turn and report it; a broken one does not stop the rest."""
     from pipeline.scene_up import resolved_camera
 
+    assumed = dataset_notes(dataset)
     for index, frame_id in enumerate(dataset.frame_ids):
         leads = moves(dataset, frame_id) if has_moves(dataset) else None
         try:
             frame = dataset.load(frame_id)
         except InputError as error:
-            yield FrameReport(index, frame_id, ok=False, problem=str(error), moves=leads)
+            yield FrameReport(index, frame_id, ok=False, problem=str(error), dataset_notes=assumed, moves=leads)
             continue
         camera = resolved_camera(dataset, frame)
         valid = frame.depth[frame.depth > 0]
@@ -93,6 +97,7 @@ def survey(dataset: Dataset) -> Iterator[FrameReport]:
             up_source=camera.up_source,
             up=None if camera.up is None else tuple(camera.up.tolist()),
             notes=(*frame.notes, *up_notes(dataset, frame, camera)),
+            dataset_notes=assumed,
             moves=leads,
         )
 

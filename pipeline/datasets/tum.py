@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 import os
 import re
 from dataclasses import dataclass
+from decimal import Decimal
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +16,7 @@ from pipeline.datasets.assembly import make_frame, read_pair
 from pipeline.datasets.base import DatasetFormat, unknown_frame
 from pipeline.datasets.cameras import make_camera, pose_from_quaternion
 from pipeline.datasets.files import as_floats, numbered_lines, path_inside
-from pipeline.datasets.settings import Settings
+from pipeline.datasets.settings import Settings, camera_notes, unit_notes
 from pipeline.errors import InputError
 from pipeline.frame import Frame
 
@@ -32,7 +34,8 @@ CAMERAS = {
 DEFAULT_CAMERA = (525.0, 525.0, 319.5, 239.5)
 
 _ROUNDING = 1e-6
-_TIME = re.compile(r"[0-9]{1,12}(\.[0-9]{1,12})?")
+_TIME = re.compile(r"[0-9]+(\.[0-9]+)?")
+"""Seconds with as many digits as a script prints."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +47,7 @@ class _Entry:
 
     @property
     def time(self) -> float:
+        """Seconds."""
         return float(self.stamp)
 
 
@@ -54,8 +58,9 @@ class TumDataset:
     first and each image once; a colour image that is left without depth is a
     broken frame. The pose is the nearest line of groundtruth.txt within 20 ms.
     The intrinsics are those of the camera that the folder's name tells
-    (freiburg1, 2 or 3), else the default of the format, with a note. The world
-    axes of the motion capture are not declared.
+    (freiburg1, 2 or 3), else the default of the format. These and the depth's
+    unit stand in no file, which a note says. The world axes of the motion
+    capture are not declared.
     """
 
     format = "tum"
@@ -78,7 +83,11 @@ class TumDataset:
         self.frame_ids = tuple(self._colors)
         self._path, self._path_problem = _camera_path(root / "groundtruth.txt")
         found = re.search("freiburg[123]", root.resolve().name.lower())
-        self._camera_name = found[0] if found else None
+        self._camera = CAMERAS[found[0]] if found else DEFAULT_CAMERA
+        whose = f"{found[0]}'s by the folder's name" if found else "TUM's default"
+        self.notes = (
+            *unit_notes(settings, UNITS_PER_METRE, "TUM's"), *camera_notes(settings, self._camera, whose)
+        )  # fmt: skip
 
     def load(self, frame_id: str) -> Frame:
         """Decode one frame; see `Dataset.load`."""
@@ -92,11 +101,11 @@ class TumDataset:
         size = (pair[1].shape[0], pair[1].shape[1])
         notes: list[str] = []
         pose = self._pose(color.time, notes)
-        K = self._camera_matrix(size, color.path, notes)
+        K = self._camera_matrix(size, color.path)
         camera = make_camera(K, size, pose, self._settings, color.path)
         return make_frame(frame_id, pair, camera, depth, notes=tuple(notes))
 
-    def _camera_matrix(self, size: tuple[int, int], path: Path, notes: list[str]) -> np.ndarray | None:
+    def _camera_matrix(self, size: tuple[int, int], path: Path) -> np.ndarray | None:
         if self._settings.intrinsics is not None:
             return None
         if size != SIZE:
@@ -106,10 +115,7 @@ class TumDataset:
                 expected="--intrinsics fx,fy,cx,cy",
                 path=path,
             )
-        if self._camera_name is None:
-            notes.append("the camera is not named: TUM's default intrinsics 525,525,319.5,239.5 are used")
-            return intrinsics(*DEFAULT_CAMERA)
-        return intrinsics(*CAMERAS[self._camera_name])
+        return intrinsics(*self._camera)
 
     def _pose(self, time: float, notes: list[str]) -> np.ndarray | None:
         if self._path_problem is not None:
@@ -138,17 +144,19 @@ def _entries(root: Path, name: str) -> list[_Entry]:
         A malformed line, a time that stands twice, a path that leaves the folder, or no line.
     """
     source = root / name
-    found: dict[float, _Entry] = {}
+    # As decimals, since two stamps may differ only in digits that a float does not hold.
+    found: dict[Decimal, _Entry] = {}
     for number, line in numbered_lines(source):
-        stamp, _, path = line.partition(" ")
-        if not _TIME.fullmatch(stamp) or not path.strip():
+        stamp, *rest = line.split(maxsplit=1)
+        if not _TIME.fullmatch(stamp) or not math.isfinite(float(stamp)) or not rest:
             raise InputError(
                 f"line {number} is malformed", got=repr(line[:60]), expected="timestamp path", path=source
             )
-        entry = _Entry(stamp, path_inside(root, path.strip(), source, number))
-        if entry.time in found:
-            raise InputError(f"line {number} repeats a time stamp", got=stamp, path=source)
-        found[entry.time] = entry
+        entry = _Entry(stamp, path_inside(root, rest[0], source, number))
+        time = Decimal(stamp)
+        if time in found:
+            raise InputError(f"line {number} repeats a time stamp", got=stamp[:60], path=source)
+        found[time] = entry
     if not found:
         raise InputError("a list without a line", expected="timestamp path", path=source)
     return [found[time] for time in sorted(found)]

@@ -17,7 +17,7 @@ from pipeline.journal.frame_rows import FrameRows, Pairs
 from pipeline.journal.origins import Origin, Origins
 from pipeline.journal.replay import Unapplied, all_gone, replay
 from pipeline.journal.setting import Setting
-from pipeline.labels.expressions import same_names
+from pipeline.labels.expressions import alone, same_names
 from pipeline.labels.wording import expression_text
 from pipeline.relations import PAIRWISE, T, U
 
@@ -248,9 +248,10 @@ def _reword(row: Row, objects: CorrectedObjects, setting: Setting, origins: Orig
     origin = Origin.of("recomputed", max(events, key=lambda e: e.id))
     try:
         names = tuple(sorted({*setting.class_names, *labels.values()}))
+        single = dict(zip(objects.rows, alone([r["label"] for r in objects.rows.values()]).tolist(), strict=True))
         text = expression_text(
             labels["target"], row["relation"], labels["reference"], int(row["id"], 16), style=setting.config.style,
-            class_names=names,
+            class_names=names, several=(not single[row["target_object"]], not single[row["reference_object"]]),
         )  # fmt: skip
     except (InputError, ValueError):
         return "no sentence can carry the new class names"

@@ -9,9 +9,10 @@ import numpy as np
 import xxhash
 
 from pipeline.labels.config import LabelConfig
+from pipeline.labels.noun_phrase import readable
 from pipeline.labels.profiles import Judged
 from pipeline.labels.wording import can_be_said
-from pipeline.naming import same_class
+from pipeline.naming import normal_form, same_class
 from pipeline.relations import PAIRWISE, T, U
 
 
@@ -26,6 +27,16 @@ def same_names(labels: Sequence[str]) -> np.ndarray:
     alike = np.array([[a == b or same_class(a, b) for b in names] for a in names], np.bool_).reshape(len(names), -1)
     place = np.array([names.index(label) for label in labels], np.int64)
     return alike[np.ix_(place, place)]
+
+
+def alone(labels: Sequence[str]) -> np.ndarray:
+    """(N,) bool: names that mean one object only, neither a second of the class nor one of a kind of it."""
+    # As they are said: `bat (animal)` and `bat (club)` may both be said `bat`.
+    said = [readable(label) for label in labels]
+    single = (same_names(labels).sum(axis=1) == 1) & (same_names(said).sum(axis=1) == 1)
+    forms = [normal_form(name) for name in said]
+    general = [any(other.endswith(f" {form}") for other in forms) for form in forms]
+    return single & ~np.array(general, np.bool_)
 
 
 def candidate_expressions(

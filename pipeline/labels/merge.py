@@ -19,6 +19,7 @@ from pipeline import __version__
 from pipeline.errors import InputError
 from pipeline.labels.card import croissant, dataset_card
 from pipeline.labels.config import SelectConfig, TextStyle
+from pipeline.labels.expressions import alone
 from pipeline.labels.makers import makers_of
 from pipeline.labels.plan import PLAN_FILE, Plan, Shard, load_plan
 from pipeline.labels.reading import MANIFEST_FILE, Labels
@@ -212,21 +213,38 @@ def _worded(
     labels = (store.read_part(s.name, "objects", ["label"]).column("label").unique().to_pylist() for s in shards)
     class_names = tuple(sorted({name for found in labels for name in found}))
 
-    def said(target: str, relation: str, reference: str, key: str) -> str | None:
+    def said(target: str, relation: str, reference: str, key: str, several: tuple[bool, bool]) -> str | None:
         try:
             return expression_text(
-                target, relation, reference, int(key, 16), style=style, class_names=class_names
+                target, relation, reference, int(key, 16), style=style, class_names=class_names, several=several
             )
         except InputError:
             return None
 
     for shard in shards:
         rows = store.read_part(shard.name, CANDIDATES).filter(pa.array(chosen[shard.name]))
-        named = zip(*(rows.column(n).to_pylist() for n in ("target", "relation", "reference", "id")), strict=True)
-        texts = pa.array([said(*row) for row in named], pa.string())
+        single = _single(store.read_part(shard.name, "objects", ["frame_index", "object", "label"]))
+        frames, *pairs = (rows.column(n).to_pylist() for n in ("frame_index", "target_object", "reference_object"))
+        several = [((k, a) not in single, (k, b) not in single) for k, a, b in zip(frames, *pairs, strict=True)]
+        columns = (rows.column(n).to_pylist() for n in ("target", "relation", "reference", "id"))
+        texts = pa.array([said(*row) for row in zip(*columns, several, strict=True)], pa.string())
         schema = arrow_schema("expressions")
         columns = [texts if n == "text" else rows.column(n).combine_chunks() for n in schema.names]
         yield pa.table(columns, schema.names).filter(texts.is_valid()).cast(schema)
+
+
+def _single(objects: pa.Table) -> set[tuple[int, int]]:
+    """(frame_index, object) of those whose name means no other object of their frame."""
+    frames: dict[int, list[tuple[int, str]]] = {}
+    columns = (objects.column(n).to_pylist() for n in ("frame_index", "object", "label"))
+    for k, number, label in zip(*columns, strict=True):
+        frames.setdefault(k, []).append((number, label))
+    return {
+        (k, number)
+        for k, named in frames.items()
+        for (number, _), one in zip(named, alone([label for _, label in named]).tolist(), strict=True)
+        if one
+    }
 
 
 def write_merged(out: Path, name: str, parts: Iterator[pa.Table]) -> TableFile:

@@ -68,11 +68,15 @@ SEEN_QUESTION_FRAMES = (
 SEEN = frozenset({"left", "right", "front", "behind"})
 """Relations that depend on where the camera stands."""
 
-PLAIN_FRAME = "{t} {p} the {r}"
+PLAIN_FRAME = "{t} {p} {plain_r}"
 PLAIN_QUESTION = "{Is} {the_t} {p} {the_r}?"
 SEMANTIC_ABSTRACTION_FRAME = "{t} {p} a {r}"
 SEMANTIC_ABSTRACTION_PHRASES = {**PHRASE, "left": "on the left of", "right": "on the right of"}
 """The relation words of Semantic Abstraction (Ha and Song, CoRL 2022); ours where it has none."""
+
+
+Several = tuple[bool, bool]
+"""Whether the frame has several objects that the target's, or the reference's, name may mean."""
 
 
 @dataclass(frozen=True)
@@ -82,18 +86,22 @@ class _Template:
     frame: str
     phrase: str
 
-    def filled(self, target: NounPhrase, reference: NounPhrase) -> str:
+    def filled(self, target: NounPhrase, reference: NounPhrase, several: Several = (False, False)) -> str:
         other = target.words == reference.words
+        a_r = reference.indefinite(other=other)
+        the_r = a_r if several[1] else reference.definite(other=other)
+        plain_r = a_r if several[1] else reference.definite()
         return self.frame.format(
             t=target.words,
-            the_t=target.definite(),
+            the_t=target.indefinite() if several[0] else target.definite(),
             a_t=target.indefinite(),
             p=self.phrase,
             r=reference.words,
             # "in front door" would be misleading, and "left of left shoe" is hard to read.
-            bare_r=reference.definite() if words_of(reference.words)[0] in _PHRASE_WORDS else reference.words,
-            the_r=reference.definite(other=other),
-            a_r=reference.indefinite(other=other),
+            bare_r=plain_r if words_of(reference.words)[0] in _PHRASE_WORDS else reference.words,
+            the_r=the_r,
+            a_r=a_r,
+            plain_r=plain_r,
             is_=target.verb,
             Is=target.verb.capitalize(),
         )
@@ -125,6 +133,7 @@ def expression_text(
     *,
     style: str = "varied",
     class_names: Sequence[str] = (),
+    several: Several = (False, False),
 ) -> str:
     """The sentence of one expression: `the mug to the left of a laptop`.
 
@@ -144,6 +153,9 @@ def expression_text(
         laptop`, whose `a` stands before any name.
     class_names : sequence of str
         All names of the dataset, where the sentence must also not be mistaken for any other of them.
+    several : (bool, bool)
+        Whether the target's and the reference's name mean several objects of the frame: those take `a`, since `the`
+        would claim that there is one. The published form has its `a` in any case.
 
     Raises
     ------
@@ -161,7 +173,7 @@ def expression_text(
         said = SEMANTIC_ABSTRACTION_PHRASES[relation]
         frames, phrases, plain = (SEMANTIC_ABSTRACTION_FRAME,), {relation: (said,)}, PLAIN_FRAME
     chosen = _chosen(frames, phrases[relation], number)
-    return _said(chosen, _Template(plain, PHRASE[relation]), target, relation, reference, class_names)
+    return _said(chosen, _Template(plain, PHRASE[relation]), target, relation, reference, class_names, several)
 
 
 def question_text(relation: str, target: str, reference: str, key: int, *, class_names: Sequence[str] = ()) -> str:
@@ -199,7 +211,13 @@ def _chosen(frames: Sequence[str], phrases: Sequence[str], key: int) -> _Templat
 
 
 def _said(
-    chosen: _Template, plain: _Template, target: str, relation: str, reference: str, class_names: Sequence[str]
+    chosen: _Template,
+    plain: _Template,
+    target: str,
+    relation: str,
+    reference: str,
+    class_names: Sequence[str],
+    several: Several = (False, False),
 ) -> str:
     """The chosen sentence, or the nearest to it that is read back as meant."""
     known = _known(class_names)
@@ -212,7 +230,7 @@ def _said(
     targets, references = _forms(target, known), _forms(reference, known)
     for template in (chosen, plain):
         for i, j in _by_preference(len(targets), len(references)):
-            text = template.filled(noun_phrase(targets[i]), noun_phrase(references[j]))
+            text = template.filled(noun_phrase(targets[i]), noun_phrase(references[j]), several)
             if len(text) > MAX_LENGTH:
                 continue
             if settled and not (rivals and _holds_a_rival(text, rivals, (targets[i], references[j]))):
@@ -279,8 +297,8 @@ def _forms(name: str, known: _Known) -> tuple[str, ...]:
     partner = "mug" if not same_class(name, "mug") else "lamp"
 
     def survives(form: str) -> bool:
-        ahead = PLAIN_FRAME.format(t=form, p="left of", r=partner)
-        after = PLAIN_FRAME.format(t=partner, p="near", r=form)
+        ahead = PLAIN_FRAME.format(t=form, p="left of", plain_r=f"the {partner}")
+        after = PLAIN_FRAME.format(t=partner, p="near", plain_r=f"the {form}")
         return (
             _names_no_other(form, name, known.names)
             and _reads_back(ahead, name, "left", partner, known)

@@ -12,6 +12,7 @@ import viser
 from pipeline.ask import Trace
 from pipeline.correcting.journal_place import JournalPlace
 from pipeline.datasets import has_moves
+from pipeline.datasets.capabilities import dataset_notes
 from pipeline.demo import DEMO_EXPRESSION
 from pipeline.diagnosis.live import Judgement
 from pipeline.errors import InputError
@@ -268,6 +269,8 @@ class Session:
         viewer = loaded.context.viewer
         self._suggestions = () if scores is None else suggest_expressions(loaded.objects, scores, viewer)
         self._note(f"frame {frame_id}: {len(loaded.objects)} objects, up {viewer.up_source}")
+        for remark in dataset_notes(self._source().dataset) if first else ():
+            self._note(remark)
         if loaded.problem:
             self._note(loaded.problem)
         for remark in loaded.context.frame.notes:

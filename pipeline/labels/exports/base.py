@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pipeline.datasets import Dataset
 from pipeline.labels.exports.images import ImageCopy
 from pipeline.labels.exports.provenance import Provenance
 from pipeline.labels.reading import Labels
@@ -33,6 +34,8 @@ class Job:
         Progress.
     options : object
         The format's own options, of the type it declares.
+    dataset : callable
+        Opens the dataset that was labelled; InputError where it cannot be.
     provenance : Provenance
         Where values come from, and what reviewers said.
     """
@@ -43,6 +46,7 @@ class Job:
     tell: Progress
     options: Any
     provenance: Provenance
+    dataset: Callable[[], Dataset] | None = None
 
 
 @dataclass(frozen=True)

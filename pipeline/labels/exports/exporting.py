@@ -68,7 +68,7 @@ def export_labels(
     images : {"none", "copy"}
         Whether the colour images of the frames come too.
     dataset : Dataset, optional
-        Where they come from; the dataset that the manifest names by default.
+        Where they come from, and the depth for what is measured; the dataset that the manifest names by default.
     overwrite : bool
         Replace an earlier export in `out`; a folder of anything else is never replaced.
     options : dataclass, optional
@@ -94,10 +94,15 @@ def export_labels(
         raise InputError("images", got=repr(images), expected="none | copy")
     out = Path(out).expanduser()
     _keep_the_labels(labels, out)
+
+    def opened() -> Dataset:
+        return dataset or labelled_dataset(labels.manifest)
+
     with staged_folder(out, overwrite=overwrite, mark=MARK) as folder:
-        copy = ImageCopy(dataset or labelled_dataset(labels.manifest)) if images == "copy" else None
+        copy = ImageCopy(opened()) if images == "copy" else None
         provenance = open_provenance(labels)
-        written = chosen.write(Job(labels, folder, copy, progress or (lambda done, of: None), options, provenance))
+        tell = progress or (lambda done, of: None)
+        written = chosen.write(Job(labels, folder, copy, tell, options, provenance, opened))
         shutil.copyfile(labels.root / MANIFEST_FILE, folder / MANIFEST_FILE)
         record = {
             "tool": "spatialviz",

@@ -9,11 +9,13 @@
   other judged object has it not.
 * grounding: answered by [x0, y0, x1, y1] as shares of the whole picture's width
   and height, for expressions that only one object satisfies.
-* distance: between the centres of two boxes, or the gap between their extents.
+* distance: between the centres of two objects, or the gap between their nearest points.
 * size: extent along the viewer's up ("height") and right ("width").
 
-An object is named only where its name means no other object of the frame;
-distances and sizes are asked of objects that are seen whole. Which questions are
+An object is named only where its name means no other object of the frame.
+Distances and sizes are asked where a 3D box is given or the object is seen whole,
+and `metadata.rests_on` says which: see `pipeline.labels.exports.vqa_geometry`.
+Without the dataset's depth only given boxes are measured, which a note says. Which questions are
 asked, and how, depends on the rows and the seed alone. `pipeline.labels.exports.
 vqa_check` recomputes every answer.
 
@@ -25,9 +27,11 @@ the keys of `pipeline.labels.exports.provenance`. Whatever it does not list is "
 from __future__ import annotations
 
 from pipeline.labels.exports.base import ExportFormat, Job, Written
-from pipeline.labels.exports.frame_rows import iterate_frames
+from pipeline.labels.exports.frame_rows import FrameRows, iterate_frames
 from pipeline.labels.exports.images import image_name
 from pipeline.labels.exports.json_text import JsonList
+from pipeline.labels.exports.provenance import Provenance
+from pipeline.labels.exports.vqa_geometry import Depths, figures_of
 from pipeline.labels.exports.vqa_questions import frame_questions
 from pipeline.labels.exports.vqa_records import CONVERSATIONS_FILE, Question, VqaConfig
 from pipeline.staging import text_file
@@ -38,11 +42,13 @@ __all__ = ["FORMAT", "VqaConfig", "write_vqa"]
 def write_vqa(job: Job) -> Written:
     """Write the conversations of all frames, as a stream."""
     counts = {"questions": 0, **dict.fromkeys(job.options.kinds, 0)}
-    relations = job.labels.relation_names
+    relations, depths = job.labels.relation_names, Depths(job.dataset)
+    measured = bool({"distance", "size"} & set(job.options.kinds))
     with text_file(job.folder / CONVERSATIONS_FILE) as file:
         records = JsonList(file)
         for rows in iterate_frames(job.labels, job.tell):
-            asked = frame_questions(rows, relations, job.options)
+            figures = figures_of(rows, job.options, depths, boxed_by_people(job.provenance, rows)) if measured else []
+            asked = frame_questions(rows, relations, job.options, figures)
             for question in asked:
                 known = {"base": job.provenance.base, "made_by": job.provenance.made_by}
                 records.add({**question.record(), **known, "provenance": _provenance(job, question)})
@@ -52,7 +58,24 @@ def write_vqa(job: Job) -> Written:
         records.close()
         file.write("\n")
     counts["questions"] = records.length
-    return Written((CONVERSATIONS_FILE, *(("images/",) if job.images is not None else ())), counts)
+    files = (CONVERSATIONS_FILE, *(("images/",) if job.images is not None else ()))
+    return Written(files, counts, () if not depths.missing else (_without_depth(depths),))
+
+
+def _without_depth(depths: Depths) -> str:
+    what = "gaps are not asked, and sizes and distances of given 3D boxes only"
+    return f"{depths.missing} frames without depth, where {what}: {depths.problem}"
+
+
+def boxed_by_people(provenance: Provenance, rows: FrameRows) -> frozenset[int]:
+    """Numbers of the objects of a frame whose 3D box a person set."""
+    frame = rows.frame["frame"]
+    return frozenset(
+        row["object"]
+        for row in rows.objects
+        for entry in provenance.of("objects", frame, str(row["object"]))
+        if entry["column"] == "size" and entry["source"] == "human"
+    )
 
 
 def _provenance(job: Job, question: Question) -> list[dict[str, object]]:

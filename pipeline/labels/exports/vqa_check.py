@@ -9,16 +9,23 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.datasets import Dataset
 from pipeline.errors import InputError
 from pipeline.labels.exports.frame_rows import FrameRows, iterate_frames
-from pipeline.labels.exports.vqa_questions import measured_extents
+from pipeline.labels.exports.provenance import open_provenance
+from pipeline.labels.exports.vqa import boxed_by_people
+from pipeline.labels.exports.vqa_geometry import Depths, Figures, figures_of
+from pipeline.labels.exports.vqa_questions import SIZE_AXES, distance
 from pipeline.labels.exports.vqa_records import Question, VqaConfig, read_questions
 from pipeline.labels.noun_phrase import readable
+from pipeline.labels.pictures import labelled_dataset
 from pipeline.labels.reading import Labels
 from pipeline.naming import same_class
 
 
-def verify_vqa(path: str | Path, labels: Labels, config: VqaConfig | None = None) -> list[str]:
+def verify_vqa(
+    path: str | Path, labels: Labels, config: VqaConfig | None = None, dataset: Dataset | None = None
+) -> list[str]:
     """What is wrong in an export of questions: one line a question, none where all is well.
 
     Parameters
@@ -29,8 +36,12 @@ def verify_vqa(path: str | Path, labels: Labels, config: VqaConfig | None = None
         Those that were exported.
     config : VqaConfig, optional
         The options of the export.
+    dataset : Dataset, optional
+        Whose depth was measured; the dataset that the labels name by default.
     """
     config = config or VqaConfig()
+    depths = Depths(lambda: dataset or labelled_dataset(labels.manifest))
+    provenance = open_provenance(labels)
     by_frame = groupby(read_questions(Path(path)), key=lambda q: q.frame_index)
     frames = iterate_frames(labels)
     wrong: list[str] = []
@@ -39,13 +50,17 @@ def verify_vqa(path: str | Path, labels: Labels, config: VqaConfig | None = None
         if rows is None:
             raise InputError(f"questions of frame_index {index}, which the labels lack or have earlier", path=path)
         asked = list(questions)
-        wrong += [f"{q.id}: {problem}" for q in asked if (problem := _problem(q, rows, config)) is not None]
+        figures: dict[int, Figures] = {}
+        if any(q.kind in ("distance", "size") for q in asked):
+            known = figures_of(rows, config, depths, boxed_by_people(provenance, rows))
+            figures = {row["object"]: one for row, one in zip(rows.objects, known, strict=True)}
+        wrong += [f"{q.id}: {problem}" for q in asked if (problem := _problem(q, rows, config, figures)) is not None]
         if len(asked) > config.per_frame:
             wrong.append(f"frame_index {index}: {len(asked)} questions")
     return wrong
 
 
-def _problem(question: Question, rows: FrameRows, config: VqaConfig) -> str | None:
+def _problem(question: Question, rows: FrameRows, config: VqaConfig, figures: dict[int, Figures]) -> str | None:
     objects = {row["object"]: row for row in rows.objects}
     if question.frame != rows.frame["frame"] or any(n not in objects for n in question.objects):
         return "about objects that the frame lacks"
@@ -56,7 +71,7 @@ def _problem(question: Question, rows: FrameRows, config: VqaConfig) -> str | No
         return _which(question, own, rows)
     if question.kind == "grounding":
         return _grounding(question, own, rows, config)
-    return _measure(question, own, rows)
+    return _measure(question, own, rows, [figures[n] for n in question.objects])
 
 
 def _named_once(rows: FrameRows, *named: dict[str, Any]) -> bool:
@@ -108,19 +123,18 @@ def _grounding(question: Question, own: list[dict[str, Any]], rows: FrameRows, c
     )
 
 
-def _measure(question: Question, own: list[dict[str, Any]], rows: FrameRows) -> str | None:
+def _measure(
+    question: Question, own: list[dict[str, Any]], rows: FrameRows, figures: list[Figures]
+) -> str | None:
     if not _named_once(rows, *own):
         return "a name that several objects have"
-    if any(row["touches_border"] or row["fallback"] for row in own):
-        return "an object that is not seen whole"
-    if question.about == "center":
-        value = float(np.sqrt(sum((p - q) ** 2 for p, q in zip(own[0]["center"], own[1]["center"], strict=True))))
-    elif question.about == "gap":
-        a, b = question.objects
-        pairs = rows.relations.select(["a", "b", "distance"]).to_pylist()
-        value = next(row["distance"] for row in pairs if (row["a"], row["b"]) == (a, b))
+    if question.kind == "size":
+        value, rests_on = float(figures[0].extents[SIZE_AXES[question.about]]), figures[0].rests_on
     else:
-        axis = {"height": 1, "width": 0}[question.about]
-        value = float(measured_extents(own[0], rows.frame["up"])[axis])
+        value, rests_on = distance(question.about, *figures)
+    if value is None or np.isnan(value):
+        return "an object that is not seen whole"
+    if question.rests_on != rests_on:
+        return f"said to rest on {question.rests_on}, rests on {rests_on}"
     number, unit = question.answer.split(" ")
     return None if unit == "m" and abs(float(number) - value) <= 0.00501 else f"answered {number}, is {value:.3f}"

@@ -9,19 +9,19 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.boxes import Box3D
 from pipeline.errors import InputError
 from pipeline.labels.exports import vqa_wording as say
 from pipeline.labels.exports.frame_rows import FrameRows
 from pipeline.labels.exports.images import image_name
+from pipeline.labels.exports.vqa_geometry import POINTS, Figures, gap_between
 from pipeline.labels.exports.vqa_records import Kind, Question, VqaConfig
-from pipeline.labels.expressions import row_hash, same_names
-from pipeline.naming import normal_form
+from pipeline.labels.expressions import alone, row_hash
 from pipeline.relations import F, T
-from pipeline.viewer import viewer_axes
 
 Unit = Callable[[], tuple[Question, ...]]
 """Questions that are asked together or not at all."""
+SIZE_AXES = {"height": 1, "width": 0}
+"""What sizes are asked for, and along which of (right, up, forward)."""
 
 
 @dataclass(frozen=True)
@@ -35,15 +35,14 @@ class Scene:
         The objects' numbers.
     clear : (N,) bool
         Usable objects whose name means no other object of the frame.
-    measurable : (N,) bool
-        Those of `clear` that are seen whole.
+    figures : sequence of N Figures
     """
 
     rows: FrameRows
     config: VqaConfig
     number: np.ndarray
     clear: np.ndarray
-    measurable: np.ndarray
+    figures: Sequence[Figures]
 
     def label(self, place: int) -> str:
         return self.rows.objects[place]["label"]
@@ -52,8 +51,9 @@ class Scene:
         return row_hash(self.config.seed, self.rows.frame["frame"], kind, *parts)
 
     def question(
-        self, kind: Kind, key: int, places: Sequence[int], about: str, text: str, answer: str, source: str | None = None
-    ) -> Question:
+        self, kind: Kind, key: int, places: Sequence[int], about: str, text: str, answer: str,
+        source: str | None = None, rests_on: str | None = None,
+    ) -> Question:  # fmt: skip
         frame = self.rows.frame
         return Question(
             f"{frame['frame_index']:06d}-{kind}-{key:016x}",
@@ -66,10 +66,13 @@ class Scene:
             text,
             answer,
             source,
+            rests_on,
         )
 
 
-def frame_questions(rows: FrameRows, relations: Sequence[str], config: VqaConfig) -> list[Question]:
+def frame_questions(
+    rows: FrameRows, relations: Sequence[str], config: VqaConfig, figures: Sequence[Figures]
+) -> list[Question]:
     """The chosen questions of a frame: kinds take turns until there are `per_frame`.
 
     A relation that holds is asked together with one of the same name that does
@@ -77,7 +80,7 @@ def frame_questions(rows: FrameRows, relations: Sequence[str], config: VqaConfig
     """
     if not rows.frame["ok"] or not rows.objects:
         return []
-    scene = make_scene(rows, config)
+    scene = make_scene(rows, config, figures)
     makers: dict[str, Callable[[], Iterator[Unit]]] = {
         "relation": lambda: relation_units(scene, relations),
         "which": lambda: which_units(scene, relations),
@@ -110,8 +113,8 @@ def _next_asked(units: Iterator[Unit]) -> tuple[Question, ...] | None:
     return None
 
 
-def make_scene(rows: FrameRows, config: VqaConfig) -> Scene:
-    """Which objects may be named, and which measured."""
+def make_scene(rows: FrameRows, config: VqaConfig, figures: Sequence[Figures]) -> Scene:
+    """Which objects may be named; `figures` are theirs, see `vqa_geometry.figures_of`."""
     labels = [row["label"] for row in rows.objects]
     usable = np.array([row["usable"] for row in rows.objects], np.bool_)
     askable = np.array([say.can_be_asked(label) for label in labels], np.bool_)
@@ -121,34 +124,7 @@ def make_scene(rows: FrameRows, config: VqaConfig) -> Scene:
         config,
         np.array([row["object"] for row in rows.objects], np.int64),
         clear,
-        clear & np.array([is_measurable(row, config) for row in rows.objects], np.bool_),
-    )
-
-
-def alone(labels: Sequence[str]) -> np.ndarray:
-    """(N,) bool: names that mean one object only, neither a second of the class nor one of a kind of it."""
-    # As they are said: `bat (animal)` and `bat (club)` may both be said `bat`.
-    said = [say.say_name(label) for label in labels]
-    single = (same_names(labels).sum(axis=1) == 1) & (same_names(said).sum(axis=1) == 1)
-    forms = [normal_form(name) for name in said]
-    general = [any(other.endswith(f" {form}") for other in forms) for form in forms]
-    return single & ~np.array(general, np.bool_)
-
-
-def is_measurable(row: dict[str, Any], config: VqaConfig) -> bool:
-    """Whether an object's size is known: by its exact box, or because it is seen so fully that it shows."""
-    if row["exact_size"] is not None:
-        return not row["touches_border"]
-    return (
-        row["center"] is not None
-        and row["lo"] is not None
-        and row["hi"] is not None
-        and not row["touches_border"]
-        and not row["fallback"]
-        and row["occluded"] <= config.max_occluded
-        and row["depth_missing"] <= config.max_depth_missing
-        and row["kept"] >= config.min_kept
-        and (row["visible"] is None or row["visible"] >= 1 - config.max_occluded)
+        figures,
     )
 
 
@@ -258,57 +234,58 @@ def _grounding(scene: Scene, row: dict[str, Any], places: tuple[int, int], box: 
 
 
 def distance_units(scene: Scene) -> Iterator[Unit]:
-    """How far two fully seen objects are apart, by their centres or by the gap between them."""
-    rows, least = scene.rows, scene.config.min_distance
-    gaps = {
-        (a, b): gap
-        for a, b, gap in zip(*(rows.relations.column(n).to_pylist() for n in ("a", "b", "distance")), strict=True)
-    }
-    found: list[tuple[int, Unit]] = []
-    for places in combinations(np.flatnonzero(scene.measurable).tolist(), 2):
+    """How far two objects are apart, by their centres or by the gap between them."""
+    found: list[tuple[int, str, int, int]] = []
+    for places in combinations(np.flatnonzero(scene.clear).tolist(), 2):
         for measure in ("center", "gap"):
             key = scene.key("distance", measure, *scene.number[list(places)])
             # Who is named first is left to the hash, not to the order of the list.
             a, b = places if key & 1 else places[::-1]
-            value = gaps.get((int(scene.number[a]), int(scene.number[b])))
-            if measure == "center":
-                value = float(np.linalg.norm(np.subtract(rows.objects[a]["center"], rows.objects[b]["center"])))
-            if value is not None and value >= least:
-                found.append((key, _distance(scene, measure, (a, b), value, key)))
-    yield from (unit for _, unit in sorted(found, key=lambda item: item[0]))
+            found.append((key, measure, a, b))
+    for key, measure, a, b in sorted(found):
+        # Measured in the order of asking: few of all pairs are asked for.
+        value, rests_on = distance(measure, scene.figures[a], scene.figures[b])
+        if value is not None and value >= scene.config.min_distance:
+            yield _distance(scene, measure, (a, b), value, rests_on, key)
 
 
-def _distance(scene: Scene, measure: str, places: tuple[int, int], value: float, key: int) -> Unit:
+def distance(measure: str, a: Figures, b: Figures) -> tuple[float | None, str | None]:
+    """Metres between two objects, by their centres or at their nearest points, and what the figure rests on."""
+    if measure == "gap":
+        return gap_between(a, b), POINTS
+    value = float(np.linalg.norm(a.center - b.center))
+    return (None if np.isnan(value) else value), " and ".join(sorted({str(a.rests_on), str(b.rests_on)}))
+
+
+def _distance(
+    scene: Scene, measure: str, places: tuple[int, int], value: float, rests_on: str | None, key: int
+) -> Unit:
     a, b = places
     return lambda: (
         scene.question(
             "distance", key, places, measure,
             say.ask_distance(measure, scene.label(a), scene.label(b), key >> 1), say.say_metres(value),
+            rests_on=rests_on,
         ),
     )  # fmt: skip
 
 
-def measured_extents(row: dict[str, Any], up: Sequence[float]) -> np.ndarray:
-    """(3,) metres along the viewer's (right, up, forward): of the exact box where there is one, else as seen."""
-    if row["exact_size"] is None:
-        return np.array(row["hi"]) - np.array(row["lo"])
-    R = np.array(row["exact_R"]).reshape(3, 3)
-    corners = Box3D(np.array(row["exact_center"]), R, np.array(row["exact_size"])).corners
-    return np.ptp(corners @ viewer_axes(np.array(up)).matrix.T, axis=0)
-
-
 def size_units(scene: Scene) -> Iterator[Unit]:
-    """How tall and how wide a fully seen object is, along the viewer's up and right."""
+    """How tall and how wide an object is, along the viewer's up and right."""
     found: list[tuple[int, Unit]] = []
-    for a in np.flatnonzero(scene.measurable).tolist():
-        extents = measured_extents(scene.rows.objects[a], scene.rows.frame["up"])
-        for measure, axis in (("height", 1), ("width", 0)):
-            key = scene.key("size", measure, scene.number[a])
-            found.append((key, _size(scene, measure, a, float(extents[axis]), key)))
+    for a in np.flatnonzero(scene.clear).tolist():
+        for measure, axis in SIZE_AXES.items():
+            value = float(scene.figures[a].extents[axis])
+            if not np.isnan(value):
+                key = scene.key("size", measure, scene.number[a])
+                found.append((key, _size(scene, measure, a, value, key)))
     yield from (unit for _, unit in sorted(found, key=lambda item: item[0]))
 
 
 def _size(scene: Scene, measure: str, a: int, value: float, key: int) -> Unit:
     return lambda: (
-        scene.question("size", key, (a,), measure, say.ask_size(measure, scene.label(a), key), say.say_metres(value)),
-    )
+        scene.question(
+            "size", key, (a,), measure, say.ask_size(measure, scene.label(a), key), say.say_metres(value),
+            rests_on=scene.figures[a].rests_on,
+        ),
+    )  # fmt: skip

@@ -29,12 +29,15 @@ class VqaConfig:
     min_margin : float
         Metres that a relation must stand from its thresholds to be asked for.
     max_occluded : float
-        Distances and sizes are asked only of objects with at most this share of
-        their border covered, that do not touch the picture's border.
+        Gaps, and distances and sizes without a given 3D box, are asked only of
+        objects with at most this share of their border covered, that do not touch
+        the picture's border.
+    min_visible : float
+        And of which the dataset, where it says so, sees at least this share.
     max_depth_missing : float
         And with at most this share of their pixels without depth.
     min_kept : float
-        And of whose mask cleaning kept at least this share: else what is measured is too small.
+        And of whose mask cleaning kept at least this share.
     min_distance : float
         Distances below it, metres, are not asked for.
     box_decimals : int
@@ -46,7 +49,8 @@ class VqaConfig:
     per_frame: int = 24
     kinds: tuple[Kind, ...] = KINDS
     min_margin: float = 0.05
-    max_occluded: float = 0.1
+    max_occluded: float = 0.05
+    min_visible: float = 0.9
     max_depth_missing: float = 0.5
     min_kept: float = 0.6
     min_distance: float = 0.1
@@ -85,6 +89,8 @@ class Question:
         What the human says without the image token, and what the model is to say.
     source : str or None
         Of a grounding question the id of its expression.
+    rests_on : str or None
+        Of a distance or a size what its figure was measured on: see `vqa_geometry`.
     """
 
     id: str
@@ -97,6 +103,7 @@ class Question:
     question: str
     answer: str
     source: str | None = field(default=None)
+    rests_on: str | None = field(default=None)
 
     def record(self) -> dict[str, Any]:
         """As LLaVA's training data has it, with `metadata` beside."""
@@ -114,6 +121,7 @@ class Question:
                 "objects": list(self.objects),
                 "about": self.about,
                 "source": self.source,
+                "rests_on": self.rests_on,
             },
         }
 
@@ -145,6 +153,7 @@ def question_of(record: Mapping[str, Any]) -> Question:
             human["value"][len(start) :],
             model["value"],
             meta["source"],
+            meta.get("rests_on"),
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise InputError("not a question of an export", got=f"{type(error).__name__}: {error}"[:120]) from error

@@ -1,0 +1,199 @@
+"""What questions say of an object's geometry, and what it rests on.
+
+Sizes and centres come from a box that a person or the dataset gives, else from the raw points of the mask: the
+cleaning that relations are judged by takes an eighth off a width, since it erodes the mask. It is undone twice,
+leniently (every pixel at the object's depths) and strictly (only what continues the surface that was kept); where the
+two disagree, the mask leaks or the sensor failed, and nothing is said. Gaps are between the raw points of two objects:
+boxes around them, exact ones too, would close or widen them by centimetres.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import xxhash
+from scipy.ndimage import distance_transform_edt
+from scipy.spatial import KDTree
+
+from pipeline.boxes import Box3D
+from pipeline.camera import Camera, lift_pixels
+from pipeline.datasets import Dataset
+from pipeline.datasets.capabilities import load_picture
+from pipeline.errors import InputError
+from pipeline.labels.exports.frame_rows import FrameRows
+from pipeline.labels.exports.vqa_records import VqaConfig
+from pipeline.lifting import LiftConfig, Pixel, clean, depth_edges, flying_pixels
+from pipeline.run_length import decode_run_length
+from pipeline.viewer import ViewerAxes, viewer_axes
+
+EXACT, HUMAN, POINTS = "the dataset's box", "a person's box", "points of the mask"
+AGREE = 0.1
+"""The strict and the lenient extent of an object differ by at most this share, or neither is believed."""
+LEAST_SIZE, LEAST_SIZE_RELATIVE = 0.05, 0.03
+"""Extents below max(5 cm, 3 % of the distance) are as much the depth's noise as the object's."""
+MOST_POINTS = 4000
+"""Of each object in a gap, thinned evenly."""
+MASKS = ("annotation", "detector", "segmenter", "human")
+"""Sources of masks that follow the object's outline."""
+
+
+@dataclass(frozen=True)
+class Figures:
+    """What can be said of one object; coordinates along the viewer's (right, up, forward), metres.
+
+    Attributes
+    ----------
+    rests_on : str or None
+        What centre and extents come from: EXACT, HUMAN or POINTS; None where nothing is known.
+    center : (3,) float64
+        NaN where it is not known.
+    extents : (3,) float64
+        NaN along an axis of which nothing can be said.
+    points : (N, 3) float32
+        Its raw points, empty where it is not seen whole.
+    """
+
+    rests_on: str | None
+    center: np.ndarray
+    extents: np.ndarray
+    points: np.ndarray
+
+
+NOTHING = Figures(None, np.full(3, np.nan), np.full(3, np.nan), np.empty((0, 3), np.float32))
+
+
+class Depths:
+    """The depth maps that labels were made from, read when first asked for.
+
+    Attributes
+    ----------
+    missing : int
+        How many were asked for in vain.
+    problem : str
+        Why, of the last.
+    """
+
+    def __init__(self, dataset: Callable[[], Dataset] | None) -> None:
+        self._open = dataset
+        self._dataset: Dataset | None = None
+        self.missing, self.problem = 0, ""
+
+    def of(self, frame: Mapping[str, Any]) -> np.ndarray | None:
+        """(H, W) float32 metres, exactly as it was labelled; None where it cannot be had."""
+        try:
+            if self._dataset is None:
+                if self._open is None:
+                    raise InputError("no dataset is given")
+                self._dataset = self._open()
+            depth = load_picture(self._dataset, frame["frame"]).depth
+            if xxhash.xxh3_128_hexdigest(np.ascontiguousarray(depth).data) != frame["depth_hash"]:
+                raise InputError(f"frame {frame['frame']}: another depth than was labelled", path=self._dataset.root)
+        except InputError as error:
+            self.missing, self.problem = self.missing + 1, str(error)
+            return None
+        return depth
+
+
+def figures_of(rows: FrameRows, config: VqaConfig, depths: Depths, human: frozenset[int]) -> list[Figures]:
+    """What can be said of each object of a frame.
+
+    Parameters
+    ----------
+    depths : Depths
+        Asked only where some object is seen whole.
+    human : frozenset of int
+        Numbers of the objects whose 3D box a person set.
+    """
+    if rows.frame["up"] is None:
+        return [NOTHING] * len(rows.objects)
+    viewer = viewer_axes(np.array(rows.frame["up"]))
+    whole = [seen_whole(row, config) for row in rows.objects]
+    depth = depths.of(rows.frame) if any(whole) else None
+    raw = None if depth is None else _Raw(rows.frame, depth, viewer)
+    return [
+        _figures(row, viewer, raw.figures(row) if ok and raw is not None else NOTHING, row["object"] in human)
+        for row, ok in zip(rows.objects, whole, strict=True)
+    ]
+
+
+def _figures(row: Mapping[str, Any], viewer: ViewerAxes, seen: Figures, human: bool) -> Figures:
+    """From a person's box, else the dataset's, else what is seen."""
+    prefix = "" if human else "exact_"
+    if row["touches_border"] or row[f"{prefix}size"] is None:
+        return seen
+    box = Box3D(
+        np.array(row[f"{prefix}center"]), np.array(row[f"{prefix}R"]).reshape(3, 3), np.array(row[f"{prefix}size"])
+    )
+    extents = np.ptp(box.corners @ viewer.matrix.T, axis=0)
+    return Figures(HUMAN if human else EXACT, viewer.matrix @ box.center, extents, seen.points)
+
+
+def seen_whole(row: Mapping[str, Any], config: VqaConfig) -> bool:
+    """Whether all of an object shows that can show from one side: not cut, not covered, and with depth."""
+    return (
+        row["mask"] is not None
+        and row["mask_source"] in MASKS
+        and not row["touches_border"]
+        and not row["fallback"]
+        and row["occluded"] <= config.max_occluded
+        and row["depth_missing"] <= config.max_depth_missing
+        and row["kept"] >= config.min_kept
+        and (row["visible"] is None or row["visible"] >= config.min_visible)
+    )
+
+
+def gap_between(a: Figures, b: Figures) -> float | None:
+    """Metres between the nearest raw points of two objects; None where one of them is not seen whole."""
+    if not len(a.points) or not len(b.points):
+        return None
+    return float(KDTree(a.points).query(b.points)[0].min())
+
+
+class _Raw:
+    """One frame's depth, ready for taking the raw points of masks."""
+
+    def __init__(self, frame: Mapping[str, Any], depth: np.ndarray, viewer: ViewerAxes) -> None:
+        self.depth, self.config = depth, LiftConfig()
+        self.camera = Camera(np.array(frame["K"]).reshape(3, 3), frame["width"], frame["height"])
+        self.matrix = viewer.matrix.T.astype(np.float32)
+        self.edges, self.flying = depth_edges(depth, self.config), flying_pixels(depth)
+
+    def figures(self, row: Mapping[str, Any]) -> Figures:
+        mask = decode_run_length(self.depth.shape, row["mask"])
+        evidence, _ = clean(mask, self.depth, self.edges, self.config)
+        height, width = evidence.codes.shape
+        place = np.s_[evidence.y0 : evidence.y0 + height, evidence.x0 : evidence.x0 + width]
+        z, kept = self.depth[place], evidence.codes == Pixel.KEPT
+        valid = (evidence.codes != Pixel.OUTSIDE) & (z > self.config.near) & (z < self.config.far)
+        v, u = np.nonzero(kept | (valid & ~self.flying[place]))
+        if not kept.any():
+            return NOTHING
+        points = lift_pixels(z[v, u], self.camera, v + evidence.y0, u + evidence.x0) @ self.matrix
+        core = kept[v, u]
+        step = max(self.config.edge, self.config.edge_relative * float(np.median(z[kept])))
+        lo, hi = np.percentile(points[core, 2], (1, 99))
+        lenient = (points[:, 2] >= lo - step) & (points[:, 2] <= hi + step)
+        extents = np.ptp(points[lenient], axis=0).astype(np.float64)
+        strict = points[core | self._continues(z, kept)[v, u]]
+        agree = np.abs(np.ptp(strict, axis=0) - extents) <= AGREE * extents
+        least = max(LEAST_SIZE, LEAST_SIZE_RELATIVE * float(np.median(z[kept])))
+        # From one side the far end of the forward axis is never seen.
+        told = agree & (extents >= least) & (True, True, False)
+        if not agree[:2].all():
+            return replace(NOTHING, rests_on=POINTS, extents=np.where(told, extents, np.nan))
+        return Figures(
+            POINTS,
+            (strict.min(axis=0) + strict.max(axis=0)).astype(np.float64) / 2,
+            np.where(told, extents, np.nan),
+            strict[np.linspace(0, len(strict) - 1, min(len(strict), MOST_POINTS)).astype(np.int64)],
+        )
+
+    def _continues(self, z: np.ndarray, kept: np.ndarray) -> np.ndarray:
+        """(h, w) bool: pixels that lie on from the nearest kept one at no more than 45 degrees and a step."""
+        away, (row, column) = distance_transform_edt(~kept, return_indices=True)  # pyright: ignore[reportGeneralTypeIssues]
+        of = z[row, column]
+        step = np.maximum(self.config.edge, self.config.edge_relative * of)
+        return np.abs(z - of) <= step + away * of / self.camera.fx
