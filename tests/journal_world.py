@@ -42,7 +42,7 @@ def widest(frame: EffectiveFrame) -> int:
 
 
 def work_of(journal: Journal, events: int, seed: int = 0) -> None:
-    """Let three people correct labels until there are so many events: names, masks, relations, sentences, undo, redo."""
+    """Let three people correct labels until there are so many events: names, relations, sentences, undo and redo."""
     rng = random.Random(seed)
     seen: dict[Cell, tuple[int, Any]] = {}
     mask = encode_run_length(np.eye(96, 128, dtype=bool))
