@@ -404,7 +404,8 @@ def test_a_read_only_folder_is_told_in_one_line() -> None:
 def test_a_journal_of_a_newer_release_and_other_files_are_refused(tmp_path: Path) -> None:
     journal = open_journal(tmp_path / JOURNAL_FILE)
     with sqlite3.connect(journal.place) as raw:
-        raw.execute("UPDATE alembic_version SET version_num = '9999'")
+        raw.execute("UPDATE journal_head SET version = 3")
+        raw.execute("PRAGMA user_version = 3")
     with pytest.raises(InputError, match="newer release"):
         open_journal(journal.place)
     (tmp_path / "text").write_text("no database, and long enough to be read as one " * 9)

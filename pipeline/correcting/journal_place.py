@@ -16,7 +16,6 @@ from pipeline.correcting.unsaved import Unsaved
 from pipeline.errors import InputError
 from pipeline.journal.connection import is_url
 from pipeline.journal.journal import JOURNAL_FILE, Journal, journal_of
-from pipeline.journal.migrations import known_revisions
 from pipeline.labels.reading import Labels
 
 PATIENCE_S = 3.0
@@ -121,10 +120,6 @@ class JournalPlace:
 
         Thread(target=work, daemon=True, name="journal-open").start()
         return opening
-
-    def prepare(self) -> None:
-        """Load what making a journal takes, and make none: the first edit then takes no longer than the others."""
-        known_revisions()
 
     def close(self) -> None:
         """Let go of the database."""

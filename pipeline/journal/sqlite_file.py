@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import os
 import sqlite3
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -23,17 +24,32 @@ GONE = "the journal's file is gone"
 _FILE = "spatialviz_file"
 
 
-def sqlite_engine(path: str | Path) -> sa.Engine:
-    """An engine for a file, which is made by the first connection and never again."""
+def sqlite_engine(path: str | Path, believe: Callable[[Path], object]) -> sa.Engine:
+    """An engine for a file, which is made by the first connection and never again.
+
+    Parameters
+    ----------
+    believe : callable
+        Examines another file that has come in the place of the first one, which was examined before; raises where it
+        is not to be used.
+    """
     file = Path(path).expanduser().absolute()
+    there = file.exists()
+    known = {_identity(file)} if there else set()
     mode = "rwc"
+    if there and not can_be_written(file):
+        # Where it has no log, nobody writes to it.
+        mode = "ro" if Path(f"{file}-wal").exists() else "ro&immutable=1"
 
     def connect() -> sqlite3.Connection:
         nonlocal mode
+        if known and _identity(file) not in known and file.exists():
+            believe(file)
         connection = sqlite3.connect(
             f"{file.as_uri()}?mode={mode}", uri=True, timeout=BUSY_S, check_same_thread=False
         )
-        mode = "rw"
+        known.add(_identity(file))
+        mode = "rw" if mode == "rwc" else mode
         return connection
 
     engine = sa.create_engine(
@@ -53,6 +69,11 @@ def sqlite_engine(path: str | Path) -> sa.Engine:
     event.listen(engine, "checkout", check)
     event.listen(engine, "begin", _begin)
     return engine
+
+
+def can_be_written(path: Path) -> bool:
+    """Whether a journal takes events: its log and its index are made beside it."""
+    return os.access(path.parent, os.W_OK) and (not path.exists() or os.access(path, os.W_OK))
 
 
 def check_in_place(connection: sa.Connection) -> None:
