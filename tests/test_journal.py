@@ -409,7 +409,7 @@ def test_a_journal_of_a_newer_release_and_other_files_are_refused(tmp_path: Path
     with pytest.raises(InputError, match="newer release"):
         open_journal(journal.place)
     (tmp_path / "text").write_text("no database, and long enough to be read as one " * 9)
-    with pytest.raises(InputError, match="cannot be opened"):
+    with pytest.raises(InputError, match="its first bytes are not those of a journal"):
         open_journal(tmp_path / "text")
     with sqlite3.connect(tmp_path / "other.sqlite") as raw:
         raw.execute("CREATE TABLE events (x)")

@@ -15,6 +15,7 @@ from pipeline.correcting.label_jobs import LabelJobs
 from pipeline.correcting.unsaved import Unsaved
 from pipeline.errors import InputError
 from pipeline.journal.connection import is_url
+from pipeline.journal.examining import DamagedJournal
 from pipeline.journal.journal import JOURNAL_FILE, Journal, journal_of
 from pipeline.labels.reading import Labels
 
@@ -96,6 +97,21 @@ class JournalPlace:
             return opening.result(max(0.0, began + PATIENCE_S - time.monotonic()))
         except NotYet:
             raise InputError("the journal cannot be opened", got="it does not answer yet", path=str(self)) from None
+
+    def check(self) -> None:
+        """Open the journal where there is one; one that cannot be reached now may be later.
+
+        Raises
+        ------
+        DamagedJournal
+            It is not as it was saved.
+        """
+        try:
+            self.to_read()
+        except DamagedJournal:
+            raise
+        except InputError:
+            return
 
     def _open(self) -> Future[Journal]:
         """Open it on a thread of its own, so that a database that says nothing holds nobody up for long."""

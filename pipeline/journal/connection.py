@@ -106,6 +106,9 @@ def reading(engine: sa.Engine) -> Iterator[sa.Connection]:
 @contextmanager
 def writing(engine: sa.Engine) -> Iterator[sa.Connection]:
     """A connection whose turn it is to write; when the block ends, what it wrote is on the disk."""
+    file = Path(place_of(engine)) if engine.dialect.name == "sqlite" else None
+    if file is not None and file.exists() and not can_be_written(file):
+        raise sqlite3.OperationalError("attempt to write a readonly database")
     with engine.connect() as connection, _turn(connection):
         yield connection
         if engine.dialect.name == "sqlite":

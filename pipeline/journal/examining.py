@@ -219,8 +219,8 @@ def _contents(path: Path, connection: sqlite3.Connection, lost: Sequence[str]) -
     (kept,) = connection.execute("PRAGMA user_version").fetchone()
     tables = {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
     try:
-        said = [str(line) for (line,) in connection.execute("PRAGMA integrity_check(10)")]
-        damage += [] if said == ["ok"] else [f"SQLite finds {' '.join(line.split())}" for line in said]
+        said = "\n".join(str(line) for (line,) in connection.execute("PRAGMA integrity_check(10)")).splitlines()
+        damage += [f"SQLite finds {line[:80]}" for line in said if line != "ok" and not line.startswith("***")]
     except _ERRORS as error:
         damage.append(_reason(error, path))
     if not tables:

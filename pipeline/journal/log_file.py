@@ -58,12 +58,12 @@ def _lost(log: bytes, index: bytes) -> str | None:
     count = (len(log) - _HEADER) // (_FRAME + size)
     frames = np.frombuffer(log, np.uint8, count * (_FRAME + size), _HEADER).reshape(count, _FRAME + size)
     heads = frames[:, :_FRAME].copy().view(">u4").reshape(count, 6)
-    # Frames of another salt are left from an earlier turn of the log.
-    ours = (heads[:, 2:4] == head[4:6]).all(axis=1)
-    ends = np.flatnonzero(ours & (heads[:, 1] > 0))
+    # What is left from an earlier turn of the log has other salts, both of them; nothing but damage makes zeros.
+    salts = heads[:, 2:4] == head[4:6]
+    ends = np.flatnonzero((salts.any(axis=1) & (heads[:, 1] > 0)) | (heads == 0).all(axis=1))
     content = np.concatenate([frames[:, :8], frames[:, _FRAME:]], axis=1)
     before = np.concatenate([head[None, 6:], heads[:-1, 4:]])
-    whole = ours & (_sums(content.view(order).astype(np.uint32), before) == heads[:, 4:]).all(axis=1)
+    whole = salts.all(axis=1) & (_sums(content.view(order).astype(np.uint32), before) == heads[:, 4:]).all(axis=1)
     valid = count if whole.all() else int(np.argmin(whole))
     saved = _frames_saved(index, log[16:24])
     if saved is None:
