@@ -140,16 +140,26 @@ def examine(path: Path) -> Examined:
 
 
 def _examine(path: Path, alone: bool) -> Examined:
-    lost = [said for said in (_header(path), lost_in_log(path)) if said is not None]
-    try:
-        with read_only(path, alone) as connection:
-            found = _contents(path, connection, lost)
-    except _ERRORS as error:
-        found = Examined(str(path), None, None, (), (*lost, _reason(error, path)))
+    lost = lost_in_log(path)
+    if lost is not None:
+        # SQLite would write a new index of what it reads of the log, and nobody would know any more what is missing.
+        found = Examined(str(path), None, None, (), (lost,))
+    else:
+        head = _header(path)
+        damage = [] if head is None else [head]
+        try:
+            with read_only(path, alone) as connection:
+                found = _contents(path, connection, damage)
+        except _ERRORS as error:
+            found = Examined(str(path), None, None, (), (*damage, _reason(error, path)))
     if not found.damage or found.intact:
         return found
     mended = _mended(path)
-    return found if mended is None else replace(mended, place=str(path), damage=found.damage)
+    if mended is None:
+        return found
+    # What the log has lost is counted nowhere.
+    events = None if lost is not None else mended.events
+    return replace(mended, place=str(path), events=events, damage=found.damage)
 
 
 def _mended(path: Path) -> Examined | None:
