@@ -316,7 +316,7 @@ def test_what_was_acknowledged_survives_a_killed_writer(tmp_path: Path) -> None:
     place, report = str(tmp_path / JOURNAL_FILE), tmp_path / "told.jsonl"
     writer = multiprocessing.get_context("spawn").Process(target=write_many, args=(place, "0", 100_000, report))
     writer.start()
-    until = time.monotonic() + 15
+    until = time.monotonic() + 120
     while len(read_report(report)) < 30 and time.monotonic() < until:
         time.sleep(0.02)
     os.kill(writer.pid or 0, signal.SIGKILL)
