@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import errno
-import os
 import re
 import sqlite3
-import tempfile
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -20,7 +17,14 @@ from pipeline.journal.chain import FIRST
 from pipeline.journal.examining import examine
 from pipeline.journal.postgres import ask_for_turn, postgres_engine, state_of
 from pipeline.journal.schema import VERSION, create, version_of
-from pipeline.journal.sqlite_file import BUSY_S, READING, can_be_written, check_in_place, sqlite_engine
+from pipeline.journal.sqlite_file import (
+    BUSY_S,
+    READING,
+    can_be_written,
+    check_in_place,
+    plain_reason,
+    sqlite_engine,
+)
 from pipeline.journal.taking_over import believed, take_over
 
 NETWORK_FILE_SYSTEMS = frozenset(
@@ -43,8 +47,6 @@ _HELP = (
 """Words of a reason, and what helps."""
 _ADVISORY = 0x5350_4A4C
 """Key of the lock by which PostgreSQL's writers take turns: events are numbered in the order of their saving."""
-_ROOM = 1 << 17
-"""Bytes that saving an edit may need: pages of the log and its index."""
 _ESCAPE = re.compile(r"\\([0-7]{3})")
 
 
@@ -167,7 +169,8 @@ def prepare(engine: sa.Engine) -> tuple[str, ...]:
             if found is None:
                 create(connection, FIRST)
             elif found < VERSION:
-                take_over(connection, place)
+                kept = take_over(connection, place)
+                return (f"{place} is chained now: as the release before left it, it stands in {kept}",)
         return ()
     except DATABASE_ERRORS as error:
         reason = reason_of(error, place)
@@ -197,21 +200,7 @@ def reason_of(error: BaseException, place: str = "") -> str:
     if isinstance(inner.__cause__, OSError) and str(inner.__cause__) not in said:
         said = f"{said}: {inner.__cause__}"
     said = next((line.strip() for line in said.splitlines() if line.strip()), type(inner).__name__)
-    # SQLite has these words too where there is no room for its log's index.
-    return _room_error(place) or said if said == "disk I/O error" and place else said
-
-
-def _room_error(place: str) -> str | None:
-    """Why nothing more can be written beside a file, tried out; None where it can."""
-    try:
-        with tempfile.TemporaryFile(dir=Path(place).parent) as file:
-            file.write(bytes(_ROOM))
-            file.flush()
-            os.fsync(file.fileno())
-    except OSError as error:
-        if error.errno in (errno.ENOSPC, errno.EDQUOT, errno.EFBIG):
-            return f"the disk is full: {error.strerror}" if error.errno != errno.EFBIG else None
-    return None
+    return said if not place else plain_reason(said, Path(place))
 
 
 def likely_cause(reason: str) -> str | None:

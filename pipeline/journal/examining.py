@@ -20,8 +20,8 @@ from pipeline.errors import InputError
 from pipeline.journal.before_chain import judged_alone
 from pipeline.journal.chain import CONTENT, Head, Row, Verdict, judged
 from pipeline.journal.log_file import lost_in_log
-from pipeline.journal.schema import STATEMENTS, TABLES, VERSION, fingerprint
-from pipeline.journal.sqlite_file import BUSY_S
+from pipeline.journal.schema import BEFORE, REVISION, STATEMENTS, TABLES, VERSION, fingerprint
+from pipeline.journal.sqlite_file import BUSY_S, plain_reason
 
 _NOT_DAMAGE = ("locked", "unable to open", "disk i/o", "readonly", "full", "permission", "out of memory", "busy")
 """Words of SQLite's errors that say nothing of the file."""
@@ -237,14 +237,14 @@ def _contents(path: Path, connection: sqlite3.Connection, lost: Sequence[str]) -
         if connection.execute("PRAGMA page_count").fetchone()[0] > 1 or kept:
             damage.append("its tables are gone")
         return Examined(str(path), None, None, (), tuple(damage))
-    if not tables & {*TABLES, "alembic_version"} or tables == {"events"}:
+    if not tables & {*TABLES, BEFORE} or tables == {"events"}:
         # Whatever is wrong with another program's file is not ours to say.
         return Examined(str(path), 0, None, (), ())
     if TABLES[1] in tables:
         return _with_head(path, connection, kept, damage)
-    said = _one(connection, "SELECT version_num FROM alembic_version", damage)
-    if said is not None and said != ("0001",):
-        damage.append(f"its revision is {said[0]!r}, and only '0001' was ever written")
+    said = _one(connection, f"SELECT version_num FROM {BEFORE}", damage)
+    if said is not None and said != (REVISION,):
+        damage.append(f"its revision is {said[0]!r}, and only {REVISION!r} was ever written")
     rows = _rows(connection, CONTENT, damage)
     last = _one(connection, "SELECT seq FROM sqlite_sequence WHERE name = 'events'", []) or ((None,) if rows else (0,))
     found = judged_alone(rows)
@@ -343,5 +343,6 @@ def _reason(error: Exception, path: Path | None) -> str:
     """SQLite's words on damage, in a clause; InputError where they are on something else."""
     said = " ".join(str(error).split())
     if any(word in said.lower() for word in _NOT_DAMAGE):
-        raise InputError("the journal cannot be opened", got=said, path=path) from error
+        raise InputError("the journal cannot be opened", got=said if path is None else plain_reason(said, path),
+                         path=path) from error  # fmt: skip
     return f"SQLite says {said}"

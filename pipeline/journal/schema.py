@@ -11,7 +11,8 @@ import sqlalchemy as sa
 VERSION = 2
 """Of this release. 1 had no chain, and kept its version in a table of Alembic's."""
 TABLES = ("events", "journal_head")
-_BEFORE = "alembic_version"
+BEFORE, REVISION = "alembic_version", "0001"
+"""That table, and all that it ever held."""
 _FORBIDDEN = "the journal can only grow"
 
 
@@ -83,7 +84,7 @@ def version_of(connection: sa.Connection) -> int | None:
     found = sa.inspect(connection).get_table_names()
     if HEAD.name in found:
         return int(connection.execute(sa.select(HEAD.c.version)).scalar_one())
-    if _BEFORE in found and EVENTS.name in found:
+    if BEFORE in found and EVENTS.name in found:
         return 1
     return 0 if EVENTS.name in found else None
 
@@ -121,7 +122,7 @@ def create(connection: sa.Connection, first: str) -> None:
 
 def drop_before(connection: sa.Connection) -> None:
     """Remove the tables of version 1, whose events are at hand."""
-    for table in (_BEFORE, EVENTS.name):
+    for table in (BEFORE, EVENTS.name):
         connection.exec_driver_sql(f"DROP TABLE {table}")
 
 

@@ -7,8 +7,10 @@ is none. Either would take edits that nobody finds again.
 
 from __future__ import annotations
 
+import errno
 import os
 import sqlite3
+import tempfile
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -22,6 +24,8 @@ BUSY_S = 60.0
 READING = "spatialviz_reading"
 GONE = "the journal's file is gone"
 _FILE = "spatialviz_file"
+_ROOM = 1 << 17
+"""Bytes that saving an edit may need, for pages of the log and its index."""
 
 
 def sqlite_engine(path: str | Path, believe: Callable[[Path], object]) -> sa.Engine:
@@ -74,6 +78,21 @@ def sqlite_engine(path: str | Path, believe: Callable[[Path], object]) -> sa.Eng
 def can_be_written(path: Path) -> bool:
     """Whether a journal takes events: its log and its index are made beside it."""
     return os.access(path.parent, os.W_OK) and (not path.exists() or os.access(path, os.W_OK))
+
+
+def plain_reason(said: str, path: Path) -> str:
+    """SQLite's words on a file, and plainer ones where its disk is full: it says "disk I/O error" of that, too."""
+    if said != "disk I/O error":
+        return said
+    try:
+        with tempfile.TemporaryFile(dir=path.parent) as file:
+            file.write(bytes(_ROOM))
+            file.flush()
+            os.fsync(file.fileno())
+    except OSError as error:
+        if error.errno in (errno.ENOSPC, errno.EDQUOT):
+            return f"the disk is full: {error.strerror}"
+    return said
 
 
 def check_in_place(connection: sa.Connection) -> None:

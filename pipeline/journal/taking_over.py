@@ -15,12 +15,17 @@ from pipeline.journal.chain import CONTENT, FIRST, Head, Row, Verdict, chained, 
 from pipeline.journal.examining import Examined, examine, read_only
 from pipeline.journal.schema import EVENTS, HEAD, create, drop_before
 
-ORIGINAL = "before-chain"
-"""What the name of the copy ends with, and the name of PostgreSQL's."""
+ORIGINAL, _TABLE = "before-chain", "events_before_chain"
+"""What the name of the copy ends with, and PostgreSQL's table."""
 
 
-def take_over(connection: sa.Connection, place: str) -> None:
+def take_over(connection: sa.Connection, place: str) -> str:
     """Chain the events of version 1, in the connection's turn to write; the original is kept beside.
+
+    Returns
+    -------
+    str
+        Where it is kept: a file, or a table.
 
     Raises
     ------
@@ -31,13 +36,15 @@ def take_over(connection: sa.Connection, place: str) -> None:
         path = Path(place)
         # Nobody else writes now, so this is what the transaction sees.
         rows = examine(path).believe().intact
-        copy_whole(path, _free(path))
+        kept = str(_free(path))
+        copy_whole(path, Path(kept))
     else:
-        rows = believed(connection, place, chain=False)
-        connection.exec_driver_sql("CREATE TABLE IF NOT EXISTS events_before_chain AS TABLE events")
+        rows, kept = believed(connection, place, chain=False), _TABLE
+        connection.exec_driver_sql(f"CREATE TABLE IF NOT EXISTS {kept} AS TABLE events")
     drop_before(connection)
     create(connection, FIRST)
     write_rows(connection, rows)
+    return kept
 
 
 def write_rows(connection: sa.Connection, rows: tuple[Row, ...]) -> None:
@@ -103,7 +110,7 @@ def copy_whole(path: Path, to: Path) -> None:
     """
     part = Path(f"{to}.part")
     try:
-        with read_only(path) as source, closing(sqlite3.connect(part)) as target:
+        with read_only(path, not Path(f"{path}-wal").exists()) as source, closing(sqlite3.connect(part)) as target:
             source.backup(target)
         with open(part, "rb+") as file:
             os.fsync(file.fileno())
