@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import random
 import sqlite3
+import subprocess
+import sys
 from collections.abc import Callable
 from contextlib import closing
 from pathlib import Path
@@ -13,6 +15,7 @@ from journal_world import work_of
 
 from pipeline.journal import log_file
 from pipeline.journal.cells import object_cell
+from pipeline.journal.connection import writing
 from pipeline.journal.events import Edit, Event, Saved
 from pipeline.journal.examining import DamagedJournal, examine
 from pipeline.journal.journal import JOURNAL_FILE, open_journal
@@ -151,3 +154,20 @@ def test_what_can_be_read_of_a_file_whose_first_bytes_are_gone(
     found = examine(placed(parts, tmp_path))
     assert found.damage
     assert [row["ulid"] for row in found.intact] == [e.ulid for e in events]
+
+
+def test_who_looks_at_a_journal_leaves_the_writers_turn_alone(tmp_path: Path) -> None:
+    """A process that closes a file lets go of its own locks on it: then two would write at once."""
+    path = tmp_path / JOURNAL_FILE
+    program = f"import sqlite3; sqlite3.connect({str(path)!r}, timeout=0).execute('BEGIN IMMEDIATE')"
+
+    def another() -> str:
+        done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120, check=False)
+        return done.stderr
+
+    with open_journal(path) as journal:
+        with writing(journal.engine):
+            assert examine(path).damage == ()
+            open_journal(path).close()
+            assert "database is locked" in another()
+        assert another() == ""

@@ -21,7 +21,7 @@ from pipeline.journal.before_chain import judged_alone
 from pipeline.journal.chain import CONTENT, Head, Row, Verdict, judged
 from pipeline.journal.log_file import lost_in_log
 from pipeline.journal.schema import BEFORE, REVISION, STATEMENTS, TABLES, VERSION, fingerprint
-from pipeline.journal.sqlite_file import BUSY_S, plain_reason
+from pipeline.journal.sqlite_file import connected, plain_reason, read_plainly
 
 _NOT_DAMAGE = ("locked", "unable to open", "disk i/o", "readonly", "full", "permission", "out of memory", "busy")
 """Words of SQLite's errors that say nothing of the file."""
@@ -140,12 +140,12 @@ def examine(path: Path) -> Examined:
 
 
 def _examine(path: Path, alone: bool) -> Examined:
-    lost = lost_in_log(path)
+    # What this process has open it has examined before.
+    head, lost = read_plainly(path, lambda: (_header(path), lost_in_log(path))) or (None, None)
     if lost is not None:
         # SQLite would write a new index of what it reads of the log, and nobody would know any more what is missing.
         found = Examined(str(path), None, None, (), (lost,))
     else:
-        head = _header(path)
         damage = [] if head is None else [head]
         try:
             with read_only(path, alone) as connection:
@@ -166,7 +166,9 @@ def _mended(path: Path) -> Examined | None:
     """What is in a copy whose first bytes are made anew: they hold nothing of a journal's own; None if it is no use."""
     with suppress(*_ERRORS, OSError, InputError), tempfile.TemporaryDirectory(prefix="spatialviz-") as folder:
         copy, log = Path(folder) / path.name, Path(f"{path}-wal")
-        data = bytearray(path.read_bytes())
+        data = bytearray(read_plainly(path, path.read_bytes) or b"")
+        if len(data) < 512:
+            return None
         size = int.from_bytes(data[16:18], "big")
         size = size if size >= 512 and size & (size - 1) == 0 else 4_096
         data[:24] = struct.pack(">16sH6B", _MAGIC, size, *([2, 2] if log.exists() else [1, 1]), *_FIXED)
@@ -194,9 +196,9 @@ def read_only(path: Path, alone: bool = False) -> Iterator[sqlite3.Connection]:
     alone : bool
         Nobody has the file open, and it has no log.
     """
-    uri = f"{path.expanduser().absolute().as_uri()}?mode=ro{'&immutable=1' if alone else ''}"
-    connection = sqlite3.connect(uri, uri=True, timeout=BUSY_S, isolation_level=None)
+    connection = connected(path.expanduser().absolute(), "ro&immutable=1" if alone else "ro")
     try:
+        connection.isolation_level = None
         connection.text_factory = _any_text
         connection.execute("BEGIN")
         yield connection

@@ -13,7 +13,9 @@ import sqlite3
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from threading import Lock
+from typing import Any, TypeVar
+from weakref import WeakKeyDictionary
 
 import sqlalchemy as sa
 from sqlalchemy import event
@@ -26,6 +28,39 @@ GONE = "the journal's file is gone"
 _FILE = "spatialviz_file"
 _ROOM = 1 << 17
 """Bytes that saving an edit may need, for pages of the log and its index."""
+
+
+class _Connection(sqlite3.Connection):
+    """One that is known of while it is open."""
+
+    def close(self) -> None:
+        super().close()
+        _HELD.pop(self, None)
+
+
+_HELD: WeakKeyDictionary[_Connection, tuple[int, int] | None] = WeakKeyDictionary()
+_GUARD = Lock()
+_Found = TypeVar("_Found")
+
+
+def connected(file: Path, mode: str) -> sqlite3.Connection:
+    """A connection to a file; `mode` is that of SQLite's URI."""
+    with _GUARD:
+        connection = sqlite3.connect(
+            f"{file.as_uri()}?mode={mode}", uri=True, timeout=BUSY_S, check_same_thread=False, factory=_Connection
+        )
+        _HELD[connection] = _identity(file)
+    return connection
+
+
+def read_plainly(file: Path, read: Callable[[], _Found]) -> _Found | None:
+    """What `read` finds in a journal's files; None where this process has a connection to them.
+
+    Whoever closes a descriptor of a file lets go of all locks that the process has on it, SQLite's too
+    (sqlite.org/howtocorrupt.html, section 2.2).
+    """
+    with _GUARD:
+        return None if _identity(file) in list(_HELD.values()) else read()
 
 
 def sqlite_engine(path: str | Path, believe: Callable[[Path], object]) -> sa.Engine:
@@ -49,9 +84,7 @@ def sqlite_engine(path: str | Path, believe: Callable[[Path], object]) -> sa.Eng
         nonlocal mode
         if known and _identity(file) not in known and file.exists():
             believe(file)
-        connection = sqlite3.connect(
-            f"{file.as_uri()}?mode={mode}", uri=True, timeout=BUSY_S, check_same_thread=False
-        )
+        connection = connected(file, mode)
         known.add(_identity(file))
         mode = "rw" if mode == "rwc" else mode
         return connection
