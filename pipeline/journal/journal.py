@@ -30,8 +30,8 @@ from pipeline.journal.connection import (
 )
 from pipeline.journal.events import Action, Conflict, Edit, Event, NotSaved, Rival, Saved, new_ulid
 from pipeline.journal.examining import HELP, DamagedJournal, examine
-from pipeline.journal.schema import EVENTS
-from pipeline.journal.taking_over import head_of, move_head
+from pipeline.journal.schema import EVENTS, HEAD
+from pipeline.journal.taking_over import move_head
 from pipeline.labels.profiles import canonical_hash
 from pipeline.labels.reading import Labels
 from pipeline.labels.schema import Manifest
@@ -266,15 +266,18 @@ class Journal:
         return tuple(_event(row) for row in rows)[::-1]
 
 
+_TIP = sa.select(
+    HEAD.c.events, HEAD.c.last, HEAD.c.hash, EVENTS.c.hash.label("kept"),
+    sa.select(sa.func.max(EVENTS.c.id)).scalar_subquery().label("newest"),
+).select_from(HEAD.outerjoin(EVENTS, EVENTS.c.id == HEAD.c.last))  # fmt: skip
+
+
 def _last(connection: sa.Connection) -> Head:
     """What the next event is chained to; InputError where the journal is not as it was left."""
-    found = head_of(connection)
-    last = connection.execute(sa.select(EVENTS.c.id, EVENTS.c.hash).order_by(EVENTS.c.id.desc()).limit(1)).one_or_none()
-    if found is None or (last is not None and (last.id, last.hash) != (found.last, found.hash)) or (
-        last is None and found.events
-    ):
+    row = connection.execute(_TIP).one_or_none()
+    if row is None or (row.kept, row.newest) != ((row.hash, row.last) if row.events else (None, None)):
         raise InputError("the journal is damaged: its last event is not the one that was saved last")
-    return found
+    return Head(row.events, row.last, row.hash)
 
 
 def _event(row: sa.RowMapping) -> Event:
