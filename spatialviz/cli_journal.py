@@ -62,7 +62,12 @@ class DatasetOptions(CameraOptions):
 
 @dataclass(frozen=True)
 class ShowJournal:
-    """List what people corrected in labels; exit status 1 where there are none, 2 without a journal."""
+    """List what people corrected in labels; exit status 1 where there are none, 2 without a journal.
+
+    A journal is checked in full whenever it is opened, and refused where it is damaged. To go on with one that is:
+    `--check` tells what is intact, `--recover NEW.sqlite` writes that into a new journal, which takes the place of the
+    old one or is named by `--journal`.
+    """
 
     labels: Positional[Path]
     """Labels folder."""
@@ -77,14 +82,26 @@ class ShowJournal:
     """Only of this entity: an object's number, a pair "3,5", the id of an expression."""
     last: int | None = None
     """Only the newest so many."""
+    check: bool = False
+    """Check the journal, and say which of its events are as they were saved; exit status 1 where not all are."""
+    backup: Path | None = None
+    """Write a copy with all that is saved, also while others save, and check it."""
+    recover: Path | None = None
+    """Write what is intact of a damaged journal into a new one; the damaged one is not changed."""
     json: bool = False
-    """Print one JSON object for each event."""
+    """Print one JSON object for each event; of the check, the copy or the new journal, one."""
 
     def run(self) -> int:
         from pipeline.journal.records import event_record
         from pipeline.labels.reading import open_labels
         from spatialviz.printing_journal import print_events
 
+        whole = [self.check, self.backup is not None, self.recover is not None]
+        if any(whole):
+            chosen = any(v is not None for v in (self.author, self.kind, self.frame, self.key, self.last))
+            if sum(whole) > 1 or chosen:
+                raise InputError("--check, --backup and --recover are of the whole journal, and one at a time")
+            return self._as_a_whole()
         if self.last is not None and self.last < 1:
             raise InputError("--last must be at least 1", got=self.last)
         labels = open_labels(self.labels)
@@ -98,6 +115,26 @@ class ShowJournal:
         else:
             print_events(events)
         return FINE if events else NO
+
+    def _as_a_whole(self) -> int:
+        from pipeline.journal import rescue
+        from pipeline.journal.journal import JOURNAL_FILE
+        from pipeline.journal.records import examined_record, written_record
+        from pipeline.labels.reading import open_labels
+        from spatialviz.printing_journal import print_examined, print_written
+
+        where = self.journal.journal or open_labels(self.labels).root / JOURNAL_FILE
+        if self.check:
+            found = rescue.check_journal(where).known()
+            print_json(examined_record(found)) if self.json else print_examined(found)
+            return NO if found.damage else FINE
+        if self.backup is not None:
+            made = found = rescue.back_up(where, self.backup)
+        else:
+            assert self.recover is not None
+            found, made = rescue.recover(where, self.recover)
+        print_json(written_record(found, made)) if self.json else print_written(found, made)
+        return FINE
 
 
 @dataclass(frozen=True)

@@ -140,7 +140,9 @@ class View:
         where: str | Path | None = self.journal
         if where is None and labels.root.resolve().is_relative_to(demo_run().parent.resolve()):
             where = user_data_path("spatialviz", ensure_exists=True) / "demo-journal.sqlite"
-        return JournalPlace(labels, where, self.project)
+        place = JournalPlace(labels, where, self.project)
+        place.check()
+        return place
 
     def _named(self, view: ViewState) -> tuple[str, Path | None]:
         """The dataset and the run to open: those of the command line, else those that the view names."""

@@ -12,6 +12,7 @@ from pipeline.correcting.wording import said_event
 from pipeline.journal.cells import shown_value
 from pipeline.journal.effective import EffectiveLabels
 from pipeline.journal.events import Conflict, Event, Saved
+from pipeline.journal.examining import HELP, Examined
 from pipeline.journal.incoming.importing import ImportReport
 from spatialviz.printing import make_console
 
@@ -85,6 +86,31 @@ def print_import(report: ImportReport, show: int) -> None:
         console.print(Text(f"saved: {len(report.saved.events)} changes, group {report.saved.group}"))
     else:
         console.print("nothing was saved")
+
+
+def print_examined(found: Examined) -> None:
+    """Whether a journal is as it was saved, and what is intact of one that is not."""
+    console = make_console()
+    for line in found.damage:
+        console.print(Text(f"damaged: {line}", "red"))
+    if found.damage:
+        console.print(Text(found.said))
+        console.print(Text(HELP, "yellow"))
+    else:
+        chained = "" if found.chained else "; not chained yet: the next opening does it, and keeps this one beside"
+        console.print(Text(f"{len(found.intact):,} events, all as they were saved{chained}"))
+    console.print(Text(found.place, "dim"))
+
+
+def print_written(found: Examined, made: Examined) -> None:
+    """What is in a copy, or in a new journal."""
+    console = make_console()
+    of = "" if found.events is None else f" of {found.events:,}"
+    console.print(Text(f"{len(made.intact):,}{of} events written and checked"))
+    if found.damage:
+        console.print(Text(f"to go on: --journal {made.place}, or put it in the place of the damaged one, without the "
+                           "-wal and -shm files of that"))  # fmt: skip
+    console.print(Text(f"-> {made.place}", "dim"))
 
 
 def _said(event: Event) -> str:

@@ -116,6 +116,18 @@ def test_a_full_disk_has_no_room_for_a_journal(disk: Path) -> None:
         assert isinstance(journal.append(_edits(0), "ann"), Saved)
 
 
+def test_a_full_disk_is_told_as_one_where_a_journal_is_opened(disk: Path) -> None:
+    with open_journal(disk / JOURNAL_FILE) as journal:
+        assert isinstance(journal.append(_edits(0), "ann"), Saved)
+    ballast = _fill(disk)
+    # SQLite says "disk I/O error" where there is no room for the index of its log.
+    with pytest.raises(InputError, match=r"cannot be opened; got .*disk is full.*free some space"):
+        open_journal(disk / JOURNAL_FILE)
+    ballast.unlink()
+    with open_journal(disk / JOURNAL_FILE) as journal:
+        assert journal.count() == 2
+
+
 def test_a_limit_on_the_size_of_files(tmp_path: Path) -> None:
     """As a quota: needs no root. In a child, for the limit is of a process."""
     pytest.importorskip("resource")

@@ -12,6 +12,7 @@ from concurrent.futures import TimeoutError as NotYet
 from pathlib import Path
 
 import pytest
+from journal_world import work_of
 from postgres_cluster import missing, running_cluster
 from sqlalchemy.exc import DBAPIError
 
@@ -19,9 +20,11 @@ from pipeline.errors import InputError
 from pipeline.journal import connection, postgres
 from pipeline.journal.bench import prove, read_report, write_many
 from pipeline.journal.cells import object_cell, relation_cell
-from pipeline.journal.connection import writing
+from pipeline.journal.connection import reading, writing
 from pipeline.journal.events import Conflict, Edit, NotSaved, Saved
+from pipeline.journal.examining import DamagedJournal
 from pipeline.journal.journal import open_journal
+from pipeline.journal.rescue import back_up, check_journal
 from pipeline.journal.undo import redo, undo
 
 LEFT = relation_cell("scene/0", 1, 2, "left")
@@ -68,6 +71,50 @@ def test_writers_at_once_lose_nothing_and_overwrite_nothing(database: str, tmp_p
     with open_journal(database) as journal:
         ids = [e.id for e in journal.events()]
     assert ids == sorted(ids)
+    found = check_journal(database)
+    assert found.damage == ()
+    assert found.events == len(found.intact) >= 120
+
+
+@pytest.mark.usefixtures("database")
+def test_a_change_in_the_server_is_noticed(tmp_path: Path) -> None:
+    with running_cluster() as url:
+        with open_journal(url, project="kitchen") as journal:
+            for k in range(4):
+                journal.append([Edit(object_cell("f", k, "label"), "mug", "cup")], "ann")
+            with writing(journal.engine) as connection:
+                connection.exec_driver_sql("ALTER TABLE events DISABLE TRIGGER ALL")
+                connection.exec_driver_sql("UPDATE events SET author = 'eve' WHERE id = 2")
+        with pytest.raises(DamagedJournal, match="event 2 is not as it was saved; events 1, 3 to 4 of 4 are intact"):
+            open_journal(url)
+        assert check_journal(url).ranges == ((1, 1), (3, 4))
+        with pytest.raises(InputError, match="pg_dump"):
+            back_up(url, tmp_path / "copy")
+
+
+@pytest.mark.usefixtures("database")
+def test_a_journal_of_the_release_before_is_chained_and_kept() -> None:
+    with running_cluster() as url:
+        with open_journal(url, labels="0123456789abcdef") as journal:
+            work_of(journal, 30)
+            saved = journal.events()
+            # As it was before: no hashes, no head, and a table of Alembic's.
+            with writing(journal.engine) as connection:
+                for statement in (
+                    "CREATE TABLE alembic_version (version_num VARCHAR(32) NOT NULL)",
+                    "INSERT INTO alembic_version VALUES ('0001')",
+                    "ALTER TABLE events DROP COLUMN hash",
+                    "DROP TABLE journal_head",
+                ):
+                    connection.exec_driver_sql(statement)
+        assert not check_journal(url).chained
+        with open_journal(url) as journal:
+            assert journal.events() == saved
+            assert isinstance(journal.append([Edit(LEFT, -1, 1)], "ann"), Saved)
+            with reading(journal.engine) as connection:
+                kept = connection.exec_driver_sql("SELECT count(*) FROM events_before_chain").scalar()
+            assert kept == len(saved)
+        assert check_journal(url).damage == ()
 
 
 def test_a_writer_whose_turn_does_not_come_asks_again(database: str, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -78,18 +125,20 @@ def test_a_writer_whose_turn_does_not_come_asks_again(database: str, monkeypatch
                 done = pool.submit(bob.append, [Edit(LEFT, -1, 1)], "bob")
                 with pytest.raises(NotYet):
                     done.result(0.1)
-            assert isinstance(done.result(5), Saved)
+            assert isinstance(done.result(60), Saved)
         monkeypatch.setattr(connection, "BUSY_S", 0.0)
         with writing(ann.engine), pytest.raises(NotSaved, match="locked by another program"):
             bob.append([Edit(LEFT, 1, 0, 1)], "bob")
 
 
 def test_a_writer_that_says_nothing_loses_its_turn(database: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(postgres, "IDLE_S", 0.05)
+    usual = postgres.IDLE_S
     with open_journal(database, project="idle") as ann, open_journal(database, project="idle") as bob:
 
         def lost() -> None:
+            monkeypatch.setattr(postgres, "IDLE_S", 0.3)
             with writing(ann.engine):
+                monkeypatch.setattr(postgres, "IDLE_S", usual)
                 assert isinstance(bob.append([Edit(LEFT, -1, 1)], "bob"), Saved)
 
         with pytest.raises(DBAPIError):
@@ -103,7 +152,7 @@ def test_what_was_acknowledged_survives_a_killed_writer(database: str, tmp_path:
         there = {e.ulid for e in journal.events()}
     writer = multiprocessing.get_context("spawn").Process(target=write_many, args=(database, "9", 100_000, report))
     writer.start()
-    until = time.monotonic() + 15
+    until = time.monotonic() + 120
     while sum("saved" in entry for entry in read_report(report)) < 30 and time.monotonic() < until:
         time.sleep(0.02)
     os.kill(writer.pid or 0, signal.SIGKILL)

@@ -15,8 +15,8 @@ from pipeline.correcting.label_jobs import LabelJobs
 from pipeline.correcting.unsaved import Unsaved
 from pipeline.errors import InputError
 from pipeline.journal.connection import is_url
+from pipeline.journal.examining import DamagedJournal
 from pipeline.journal.journal import JOURNAL_FILE, Journal, journal_of
-from pipeline.journal.migrations import known_revisions
 from pipeline.labels.reading import Labels
 
 PATIENCE_S = 3.0
@@ -98,6 +98,21 @@ class JournalPlace:
         except NotYet:
             raise InputError("the journal cannot be opened", got="it does not answer yet", path=str(self)) from None
 
+    def check(self) -> None:
+        """Open the journal where there is one; one that cannot be reached now may be later.
+
+        Raises
+        ------
+        DamagedJournal
+            It is not as it was saved.
+        """
+        try:
+            self.to_read()
+        except DamagedJournal:
+            raise
+        except InputError:
+            return
+
     def _open(self) -> Future[Journal]:
         """Open it on a thread of its own, so that a database that says nothing holds nobody up for long."""
         opening: Future[Journal] = Future()
@@ -121,10 +136,6 @@ class JournalPlace:
 
         Thread(target=work, daemon=True, name="journal-open").start()
         return opening
-
-    def prepare(self) -> None:
-        """Load what making a journal takes, and make none: the first edit then takes no longer than the others."""
-        known_revisions()
 
     def close(self) -> None:
         """Let go of the database."""

@@ -26,7 +26,7 @@ GROUP = 3
 """Edits of one action."""
 SHARED = 5
 """Cells that all writers edit."""
-PATIENCE_S = 60.0
+PATIENCE_S = 180.0
 
 
 @dataclass(frozen=True)

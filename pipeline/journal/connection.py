@@ -13,9 +13,19 @@ import sqlalchemy as sa
 from sqlalchemy.exc import DBAPIError, SQLAlchemyError
 
 from pipeline.errors import InputError
-from pipeline.journal.migrations import HEAD, known_revisions, revision_of, upgrade
+from pipeline.journal.chain import FIRST
+from pipeline.journal.examining import examine
 from pipeline.journal.postgres import ask_for_turn, postgres_engine, state_of
-from pipeline.journal.sqlite_file import BUSY_S, READING, check_in_place, sqlite_engine
+from pipeline.journal.schema import VERSION, create, version_of
+from pipeline.journal.sqlite_file import (
+    BUSY_S,
+    READING,
+    can_be_written,
+    check_in_place,
+    plain_reason,
+    sqlite_engine,
+)
+from pipeline.journal.taking_over import believed, take_over
 
 NETWORK_FILE_SYSTEMS = frozenset(
     {"nfs", "nfs3", "nfs4", "cifs", "smb3", "smbfs", "fuse.sshfs", "9p", "lustre", "gpfs", "beegfs", "afs", "ceph",
@@ -56,8 +66,15 @@ def make_engine(where: str | Path) -> sa.Engine:
         PostgreSQL's driver is not installed.
     """
     if not is_url(where):
-        return sqlite_engine(where)
+        return sqlite_engine(where, _come_instead)
     return postgres_engine(str(where))
+
+
+def _come_instead(path: Path) -> None:
+    """Believe a file that has come in the place of a journal that is open."""
+    found = examine(path).believe()
+    if found.version != VERSION:
+        raise InputError("another file stands in the place of the journal", cause="open it anew", path=path)
 
 
 def place_of(engine: sa.Engine) -> str:
@@ -79,13 +96,21 @@ def reading(engine: sa.Engine) -> Iterator[sa.Connection]:
     try:
         with engine.connect().execution_options(**{READING: True}) as connection, connection.begin():
             yield connection
-    except DATABASE_ERRORS as error:
-        raise InputError("the journal cannot be read", got=reason_of(error), path=place_of(engine)) from error
+    except InputError:
+        raise
+    except (*DATABASE_ERRORS, ValueError, TypeError) as error:
+        # Of a file that was whole when it was opened.
+        cause = None if isinstance(error, DATABASE_ERRORS) else "spatialviz journal LABELS --check says what is wrong"
+        place = place_of(engine)
+        raise InputError("the journal cannot be read", got=reason_of(error, place), cause=cause, path=place) from error
 
 
 @contextmanager
 def writing(engine: sa.Engine) -> Iterator[sa.Connection]:
     """A connection whose turn it is to write; when the block ends, what it wrote is on the disk."""
+    file = Path(place_of(engine)) if engine.dialect.name == "sqlite" else None
+    if file is not None and file.exists() and not can_be_written(file):
+        raise sqlite3.OperationalError("attempt to write a readonly database")
     with engine.connect() as connection, _turn(connection):
         yield connection
         if engine.dialect.name == "sqlite":
@@ -104,35 +129,52 @@ def _turn(connection: sa.Connection) -> sa.RootTransaction:
             raise TimeoutError("locked by another program, which goes on writing")
 
 
-def prepare(engine: sa.Engine) -> None:
-    """Make an empty database a journal, or bring an older one up to date.
+def prepare(engine: sa.Engine) -> tuple[str, ...]:
+    """Make an empty database a journal, or chain an older one; what a user should know of it is returned.
+
+    An SQLite file that is there was examined before.
 
     Raises
     ------
     InputError
         It cannot be opened, is of a newer release, or holds something else.
+    DamagedJournal
+        Events of a server, or of an older journal, are not as they were saved.
     """
     place = place_of(engine)
     try:
-        if engine.dialect.name == "sqlite":
+        on_server = engine.dialect.name != "sqlite"
+        writable = on_server or can_be_written(Path(place))
+        if not on_server and writable:
             _use_write_ahead_log(engine)
         with engine.connect().execution_options(**{READING: True}) as connection, connection.begin():
-            found = revision_of(connection)
-        if found == HEAD:
-            return
+            found = version_of(connection)
+            if found == VERSION:
+                if on_server:
+                    believed(connection, place, chain=True)
+                return ()
+        if not writable:
+            if found != 1:
+                raise InputError("no journal can be made", cause="the folder cannot be written", path=place)
+            return (f"{place} can only be read here: its events are checked, and not chained",)
         with writing(engine) as connection:
-            found = revision_of(connection)
-            if found is not None and found not in known_revisions():
+            found = version_of(connection)
+            if found is not None and found > VERSION:
                 raise InputError(
-                    "the journal is of a newer release", got=f"revision {found}", expected=f"at most {HEAD}",
+                    "the journal is of a newer release", got=f"version {found}", expected=f"at most {VERSION}",
                     cause="install the release that wrote it", path=place,
                 )  # fmt: skip
-            if found is None and sa.inspect(connection).has_table("events"):
+            if found == 0:
                 raise InputError("the database holds something else than a journal", path=place)
-            if found != HEAD:
-                upgrade(connection)
+            if found is None:
+                create(connection, FIRST)
+            elif found < VERSION:
+                kept = take_over(connection, place)
+                return (f"{place} is chained now: as the release before left it, it stands in {kept}",)
+        return ()
     except DATABASE_ERRORS as error:
-        raise InputError("the journal cannot be opened", got=reason_of(error), path=place) from error
+        reason = reason_of(error, place)
+        raise InputError("the journal cannot be opened", got=reason, cause=likely_cause(reason), path=place) from error
 
 
 def _use_write_ahead_log(engine: sa.Engine) -> None:
@@ -151,13 +193,14 @@ def _use_write_ahead_log(engine: sa.Engine) -> None:
             connection.close()
 
 
-def reason_of(error: BaseException) -> str:
-    """The database's own words, in one line."""
+def reason_of(error: BaseException, place: str = "") -> str:
+    """The database's own words, in one line; of a full disk plainer ones, where `place` is a file."""
     inner = error.orig if isinstance(error, DBAPIError) and error.orig is not None else error
     said = state_of(inner).get("M") or str(inner)
     if isinstance(inner.__cause__, OSError) and str(inner.__cause__) not in said:
         said = f"{said}: {inner.__cause__}"
-    return next((line.strip() for line in said.splitlines() if line.strip()), type(inner).__name__)
+    said = next((line.strip() for line in said.splitlines() if line.strip()), type(inner).__name__)
+    return said if not place else plain_reason(said, Path(place))
 
 
 def likely_cause(reason: str) -> str | None:

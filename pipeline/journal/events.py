@@ -13,13 +13,13 @@ from pipeline.errors import InputError
 from pipeline.journal.cells import LONGEST_TEXT, Cell, checked, plain_text, shown_value
 
 Action = Literal["edit", "undo", "redo"]
-_CROCKFORD = "0123456789ABCDEFGHJKMNPQRSTVWXYZ"
+CROCKFORD = "0123456789ABCDEFGHJKMNPQRSTVWXYZ"
 
 
 def new_ulid() -> str:
     """26 characters that sort by time of making: 48 bits of milliseconds and 80 random ones (github.com/ulid/spec)."""
     number = (time.time_ns() // 1_000_000) << 80 | int.from_bytes(os.urandom(10), "big")
-    return "".join(_CROCKFORD[(number >> shift) & 31] for shift in range(125, -5, -5))
+    return "".join(CROCKFORD[(number >> shift) & 31] for shift in range(125, -5, -5))
 
 
 @dataclass(frozen=True)

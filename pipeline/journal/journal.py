@@ -15,6 +15,7 @@ from sqlalchemy.exc import IntegrityError
 
 from pipeline.errors import InputError
 from pipeline.journal.cells import LONGEST_NAME, Cell, Kind, plain_text
+from pipeline.journal.chain import CONTENT, Head, chained, link
 from pipeline.journal.connection import (
     DATABASE_ERRORS,
     is_url,
@@ -28,12 +29,15 @@ from pipeline.journal.connection import (
     writing,
 )
 from pipeline.journal.events import Action, Conflict, Edit, Event, NotSaved, Rival, Saved, new_ulid
-from pipeline.journal.schema import EVENTS
+from pipeline.journal.examining import HELP, DamagedJournal, examine
+from pipeline.journal.schema import EVENTS, HEAD
+from pipeline.journal.taking_over import move_head
 from pipeline.labels.profiles import canonical_hash
 from pipeline.labels.reading import Labels
 from pipeline.labels.schema import Manifest
 
 JOURNAL_FILE = "journal.sqlite"
+_CONTENT = tuple(EVENTS.c[name] for name in CONTENT)
 _AT_ONCE = 500
 """Cells asked for in one query: databases bound the number of a query's values."""
 
@@ -136,19 +140,39 @@ class Journal:
                 )
                 if rivals:
                     return Conflict(rivals, tuple(edits))
-                connection.execute(EVENTS.insert(), rows)
-                saved = self._select(connection, EVENTS.c.group == group)
-            return Saved(saved)
+                last = _last(connection)
+                made = chained(last.hash, ({**row, "id": last.last + k} for k, row in enumerate(rows, start=1)))
+                connection.execute(EVENTS.insert(), made)
+                move_head(connection, Head(last.events + len(made), made[-1]["id"], made[-1]["hash"]))
+            return Saved(self._read_back(group, last.hash, [row["hash"] for row in made]))
         except IntegrityError:
             # Writers take turns; a writer that does not, for it is of another program, is caught here.
             heads = self.heads([e.cell for e in edits])
             return Conflict(tuple(Rival(e, heads.get(e.cell)) for e in edits), tuple(edits))
-        except DATABASE_ERRORS as error:
-            reason = reason_of(error)
+        except (*DATABASE_ERRORS, InputError) as error:
+            reason = error.what if isinstance(error, InputError) else reason_of(error, self.place)
+            cause = HELP if isinstance(error, DamagedJournal) else likely_cause(reason)
             raise NotSaved(
                 "the edit could not be saved", edits if action == "edit" else (), group, got=reason,
-                cause=likely_cause(reason), path=self.place,
+                cause=cause, path=self.place,
             ) from error  # fmt: skip
+
+    def _read_back(self, group: str, previous: str, hashes: Sequence[str]) -> tuple[Event, ...]:
+        """An action that was saved, read anew; InputError where it is not what was written."""
+        with reading(self.engine) as connection:
+            if self.engine.dialect.name == "sqlite":
+                # What is kept in memory would say what was written, and not what is there.
+                connection.exec_driver_sql("PRAGMA shrink_memory")
+            wanted = sa.select(EVENTS).where(EVENTS.c.project == self.project, EVENTS.c.group == group)
+            rows = connection.execute(wanted.order_by(EVENTS.c.id)).mappings().all()
+        for row, made in zip(rows, hashes, strict=False):
+            previous = link(previous, dict(row))
+            if not previous == made == row["hash"]:
+                break
+        else:
+            if len(rows) == len(hashes):
+                return tuple(_event(row) for row in rows)
+        raise InputError("what was written cannot be read back: the disk, or the journal, is damaged")
 
     def _row(self, edit: Edit, author: str, action: Action, group: str, undo_of: str | None) -> dict[str, Any]:
         return {
@@ -235,11 +259,25 @@ class Journal:
     def _select(
         self, connection: sa.Connection, *conditions: sa.ColumnElement[bool], last: int | None = None
     ) -> tuple[Event, ...]:
-        query = sa.select(EVENTS).where(EVENTS.c.project == self.project, *conditions)
+        query = sa.select(*_CONTENT).where(EVENTS.c.project == self.project, *conditions)
         if last is None:
             return tuple(_event(row) for row in connection.execute(query.order_by(EVENTS.c.id)).mappings())
         rows = connection.execute(query.order_by(EVENTS.c.id.desc()).limit(last)).mappings()
         return tuple(_event(row) for row in rows)[::-1]
+
+
+_TIP = sa.select(
+    HEAD.c.events, HEAD.c.last, HEAD.c.hash, EVENTS.c.hash.label("kept"),
+    sa.select(sa.func.max(EVENTS.c.id)).scalar_subquery().label("newest"),
+).select_from(HEAD.outerjoin(EVENTS, EVENTS.c.id == HEAD.c.last))  # fmt: skip
+
+
+def _last(connection: sa.Connection) -> Head:
+    """What the next event is chained to; InputError where the journal is not as it was left."""
+    row = connection.execute(_TIP).one_or_none()
+    if row is None or (row.kept, row.newest) != ((row.hash, row.last) if row.events else (None, None)):
+        raise InputError("the journal is damaged: its last event is not the one that was saved last")
+    return Head(row.events, row.last, row.hash)
 
 
 def _event(row: sa.RowMapping) -> Event:
@@ -254,6 +292,8 @@ def _event(row: sa.RowMapping) -> Event:
 def open_journal(where: str | Path, *, project: str = "", labels: str = "", must_exist: bool = False) -> Journal:
     """Open a journal, and make it where there is none.
 
+    All that is in it is checked first. One of the release before is chained, and kept beside as it was.
+
     Parameters
     ----------
     where : str or Path
@@ -267,8 +307,10 @@ def open_journal(where: str | Path, *, project: str = "", labels: str = "", must
     ------
     InputError
         It cannot be opened or made, or was written by a newer release.
+    DamagedJournal
+        It is not as it was saved: what is damaged, which events are intact, and how to go on.
     """
-    warnings = []
+    warnings: list[str] = []
     if not is_url(where):
         path = Path(where).expanduser()
         if path.is_dir() or not path.parent.is_dir():
@@ -282,9 +324,13 @@ def open_journal(where: str | Path, *, project: str = "", labels: str = "", must
                 f"{path} is on a network file system ({kind}): only one machine may write to it; "
                 "for a team use --journal postgresql://..."
             )
+        if any(file.exists() and file.stat().st_size for file in (path, Path(f"{path}-wal"))):
+            examine(path).believe()
+        elif path.exists() and must_exist:
+            raise InputError("the journal is an empty file", cause="put a copy in its place, or remove it", path=path)
     engine = make_engine(where)
     try:
-        prepare(engine)
+        warnings += prepare(engine)
     except BaseException:
         engine.dispose()
         raise

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from pipeline.journal.events import Conflict, Event, Saved
+from pipeline.journal.examining import HELP, Examined
 
 
 def who_and_what(event: Event) -> dict[str, Any]:
@@ -53,3 +54,22 @@ def outcome_record(done: Saved | Conflict | None) -> dict[str, Any]:
         for r in (done.rivals if isinstance(done, Conflict) else ())
     ]
     return {"saved": saved, "conflicts": conflicts}
+
+
+def examined_record(found: Examined) -> dict[str, Any]:
+    """`journal --check --json`: "events" were saved (null where unknown), "ranges" of ids are intact."""
+    return {
+        "journal": found.place,
+        "sound": not found.damage,
+        "chained": found.chained,
+        "events": found.events,
+        "intact": len(found.intact),
+        "ranges": [list(run) for run in found.ranges],
+        "damage": list(found.damage),
+        "help": HELP if found.damage else None,
+    }
+
+
+def written_record(found: Examined, made: Examined) -> dict[str, Any]:
+    """`journal --backup --json` and `--recover --json`: the file that was made, and its events."""
+    return {"journal": found.place, "written": made.place, "events": len(made.intact), "of": found.events}

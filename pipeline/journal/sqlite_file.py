@@ -7,10 +7,15 @@ is none. Either would take edits that nobody finds again.
 
 from __future__ import annotations
 
+import errno
 import os
 import sqlite3
+import tempfile
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from threading import Lock
+from typing import Any, TypeVar
+from weakref import WeakKeyDictionary
 
 import sqlalchemy as sa
 from sqlalchemy import event
@@ -21,19 +26,67 @@ BUSY_S = 60.0
 READING = "spatialviz_reading"
 GONE = "the journal's file is gone"
 _FILE = "spatialviz_file"
+_ROOM = 1 << 17
+"""Bytes that saving an edit may need, for pages of the log and its index."""
 
 
-def sqlite_engine(path: str | Path) -> sa.Engine:
-    """An engine for a file, which is made by the first connection and never again."""
+class _Connection(sqlite3.Connection):
+    """One that is known of while it is open."""
+
+    def close(self) -> None:
+        super().close()
+        _HELD.pop(self, None)
+
+
+_HELD: WeakKeyDictionary[_Connection, tuple[int, int] | None] = WeakKeyDictionary()
+_GUARD = Lock()
+_Found = TypeVar("_Found")
+
+
+def connected(file: Path, mode: str) -> sqlite3.Connection:
+    """A connection to a file; `mode` is that of SQLite's URI."""
+    with _GUARD:
+        connection = sqlite3.connect(
+            f"{file.as_uri()}?mode={mode}", uri=True, timeout=BUSY_S, check_same_thread=False, factory=_Connection
+        )
+        _HELD[connection] = _identity(file)
+    return connection
+
+
+def read_plainly(file: Path, read: Callable[[], _Found]) -> _Found | None:
+    """What `read` finds in a journal's files; None where this process has a connection to them.
+
+    Whoever closes a descriptor of a file lets go of all locks that the process has on it, SQLite's too
+    (sqlite.org/howtocorrupt.html, section 2.2).
+    """
+    with _GUARD:
+        return None if _identity(file) in list(_HELD.values()) else read()
+
+
+def sqlite_engine(path: str | Path, believe: Callable[[Path], object]) -> sa.Engine:
+    """An engine for a file, which is made by the first connection and never again.
+
+    Parameters
+    ----------
+    believe : callable
+        Examines another file that has come in the place of the first one, which was examined before; raises where it
+        is not to be used.
+    """
     file = Path(path).expanduser().absolute()
+    there = file.exists()
+    known = {_identity(file)} if there else set()
     mode = "rwc"
+    if there and not can_be_written(file):
+        # Where it has no log, nobody writes to it.
+        mode = "ro" if Path(f"{file}-wal").exists() else "ro&immutable=1"
 
     def connect() -> sqlite3.Connection:
         nonlocal mode
-        connection = sqlite3.connect(
-            f"{file.as_uri()}?mode={mode}", uri=True, timeout=BUSY_S, check_same_thread=False
-        )
-        mode = "rw"
+        if known and _identity(file) not in known and file.exists():
+            believe(file)
+        connection = connected(file, mode)
+        known.add(_identity(file))
+        mode = "rw" if mode == "rwc" else mode
         return connection
 
     engine = sa.create_engine(
@@ -53,6 +106,26 @@ def sqlite_engine(path: str | Path) -> sa.Engine:
     event.listen(engine, "checkout", check)
     event.listen(engine, "begin", _begin)
     return engine
+
+
+def can_be_written(path: Path) -> bool:
+    """Whether a journal takes events: its log and its index are made beside it."""
+    return os.access(path.parent, os.W_OK) and (not path.exists() or os.access(path, os.W_OK))
+
+
+def plain_reason(said: str, path: Path) -> str:
+    """SQLite's words on a file, and plainer ones where its disk is full: it says "disk I/O error" of that, too."""
+    if said != "disk I/O error":
+        return said
+    try:
+        with tempfile.TemporaryFile(dir=path.parent) as file:
+            file.write(bytes(_ROOM))
+            file.flush()
+            os.fsync(file.fileno())
+    except OSError as error:
+        if error.errno in (errno.ENOSPC, errno.EDQUOT):
+            return f"the disk is full: {error.strerror}"
+    return said
 
 
 def check_in_place(connection: sa.Connection) -> None:

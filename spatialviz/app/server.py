@@ -87,8 +87,6 @@ def start(
     server.scene.configure_default_lights(True, cast_shadow=False)
     server.scene.world_axes.visible = False
     store = FrameStore(sources)
-    for place in (journals or {}).values():
-        threading.Thread(target=place.prepare, daemon=True, name="journal-prepare").start()
     sessions: dict[int, Session] = {}
     lock = threading.Lock()
     first = next(iter(sources))

@@ -1,0 +1,132 @@
+"""What is done with a journal as a whole: it is checked, copied, or what is intact of it is written into a new one."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+from pipeline.errors import InputError
+from pipeline.journal.chain import Row
+from pipeline.journal.connection import (
+    DATABASE_ERRORS,
+    is_url,
+    make_engine,
+    place_of,
+    prepare,
+    reading,
+    reason_of,
+    writing,
+)
+from pipeline.journal.examining import Examined, examine
+from pipeline.journal.schema import VERSION, version_of
+from pipeline.journal.taking_over import copy_whole, examined_server, write_rows
+
+
+def check_journal(where: str | Path) -> Examined:
+    """Examine a journal in full, and change nothing.
+
+    Parameters
+    ----------
+    where : str or Path
+        As `open_journal` takes it.
+
+    Raises
+    ------
+    InputError
+        There is none, or it cannot be opened.
+    """
+    if is_url(where):
+        engine = make_engine(where)
+        try:
+            with reading(engine) as connection:
+                version = version_of(connection)
+                if version is not None and 0 < version <= VERSION:
+                    return examined_server(connection, place_of(engine), chain=version == VERSION)
+        finally:
+            engine.dispose()
+        return Examined(place_of(engine), version, None, (), ()).believe()
+    path = Path(where).expanduser()
+    if not path.is_file():
+        raise InputError("no journal here", path=path)
+    return examine(path)
+
+
+def back_up(where: str | Path, to: Path) -> Examined:
+    """Write a copy of a journal, with what is in its log, and examine it; others may save meanwhile.
+
+    Raises
+    ------
+    InputError
+        It is in a server, the copy's name is taken, or it cannot be written.
+    DamagedJournal
+        The journal is damaged.
+    """
+    path = _file(where, to, "pg_dump copies it")
+    check_journal(path).believe()
+    return _written(to, lambda: copy_whole(path, to))
+
+
+def recover(where: str | Path, to: Path) -> tuple[Examined, Examined]:
+    """Write what is intact of a journal into a new one; the damaged one is not changed.
+
+    An undo or redo is left out where what it takes back is.
+
+    Returns
+    -------
+    damaged, made : Examined
+
+    Raises
+    ------
+    InputError
+        It is in a server, nothing is intact, the new name is taken, or it cannot be written.
+    """
+    path = _file(where, to, "its own backups hold it")
+    found = check_journal(path)
+    rows = _standing(found.intact)
+    if not rows:
+        raise InputError("none of the journal's events can be read", cause="a backup may have them", path=path)
+
+    def write() -> None:
+        part = Path(f"{to}.part")
+        try:
+            engine = make_engine(part)
+            try:
+                prepare(engine)
+                with writing(engine) as connection:
+                    write_rows(connection, rows)
+            finally:
+                engine.dispose()
+            os.replace(part, to)
+        finally:
+            for end in ("", "-wal", "-shm"):
+                Path(f"{part}{end}").unlink(missing_ok=True)
+
+    return found, _written(to, write)
+
+
+def _standing(rows: tuple[Row, ...]) -> tuple[Row, ...]:
+    known: set[str] = set()
+    found = []
+    for row in rows:
+        if row["undo_of"] is None or row["undo_of"] in known:
+            known.add(row["ulid"])
+            found.append(row)
+    return tuple(found)
+
+
+def _file(where: str | Path, to: Path, instead: str) -> Path:
+    if is_url(where):
+        raise InputError("a journal in a server is not copied into a file", cause=instead)
+    if to.exists() or not to.parent.is_dir():
+        what = "there is a file of this name" if to.exists() else "the folder is not there"
+        raise InputError(f"no journal can be written: {what}", path=to)
+    return Path(where).expanduser()
+
+
+def _written(to: Path, write: Callable[[], None]) -> Examined:
+    try:
+        write()
+    except DATABASE_ERRORS as error:
+        raise InputError("the copy cannot be written", got=reason_of(error, str(to)), path=to) from error
+    return examine(to).believe()
