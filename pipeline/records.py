@@ -13,7 +13,7 @@ from pipeline.datasets.survey import FrameReport
 from pipeline.expression import Query
 from pipeline.jobs import FrameRelations
 from pipeline.objects import SceneObject
-from pipeline.ranking import RankedPair
+from pipeline.pair_table import ScoredPair
 from pipeline.relations import PAIRWISE, letter
 from pipeline.viewer import ViewerAxes
 
@@ -77,7 +77,7 @@ def expression_record(query: Query) -> Record:
     return record
 
 
-def pair_record(pair: RankedPair) -> Record:
+def pair_record(pair: ScoredPair) -> Record:
     """One ranked pair; target and reference are places in "proposals"."""
     record: Record = {
         "target": pair.target,
@@ -167,7 +167,7 @@ def why_no_answer(trace: Trace) -> str | None:
     return None
 
 
-def _relations_of_pairs(trace: Trace, pairs: Sequence[RankedPair]) -> Record:
+def _relations_of_pairs(trace: Trace, pairs: Sequence[ScoredPair]) -> Record:
     table = trace.scores
     return {
         f"{p.target},{p.reference}": {

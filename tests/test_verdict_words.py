@@ -8,16 +8,17 @@ import numpy as np
 import pytest
 
 from pipeline.diagnosis.misses import Missed
-from pipeline.diagnosis.verdict import Diagnosis, Stand
+from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.diagnosis.words import explain
 from pipeline.evaluation.cases import Case
-from pipeline.ranking import RankConfig
+from pipeline.pair_table import RankConfig, ScoredPair
 
 CASE = Case("1", "book on a book", "book", "on", "shelf", 0, 1, np.array([0]), np.array([0]), False, 0.1)
-WINNER, RIGHT = Stand(0, 3, 0.6, 0.5, 0.9, -1.3), Stand(1, 2, 0.4, 0.3, 0.8, -2.3)
+WINNER = ScoredPair(0, 3, 0.6, 0.5, 0.9, log_score=-1.3, product=0.27, probability=0.6)
+RIGHT = ScoredPair(1, 2, 0.4, 0.3, 0.8, log_score=-2.3, product=0.096, probability=0.2)
 
 
-def said(verdict: str, winner: Stand | None, right: Stand | None, **more: object) -> str:
+def said(verdict: str, winner: ScoredPair | None, right: ScoredPair | None, **more: object) -> str:
     plain = Diagnosis(verdict, None, False, (), 0, np.full(16, np.nan), winner, right)
     return explain(replace(plain, **more), CASE, RankConfig())  # pyright: ignore[reportArgumentType]
 

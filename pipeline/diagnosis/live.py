@@ -15,7 +15,7 @@ from pipeline.diagnosis.frame_evidence import DEFAULT_CONFIDENCE, FrameEvidence
 from pipeline.diagnosis.oracles import names_of
 from pipeline.diagnosis.repair import Needed, needed_changes
 from pipeline.diagnosis.substitution import Substituted, substitute
-from pipeline.diagnosis.verdict import Diagnosis, Stand, diagnose
+from pipeline.diagnosis.verdict import Diagnosis, diagnose
 from pipeline.diagnosis.words import explain
 from pipeline.evaluation.answering import FrameAnswers
 from pipeline.evaluation.cases import Case, FrameCases, frame_cases, read_cases
@@ -28,6 +28,7 @@ from pipeline.labels.second_opinion import open_second_opinion
 from pipeline.labels.shard import scene_of
 from pipeline.naming import match
 from pipeline.objects import FrameContext, all_objects
+from pipeline.pair_table import ScoredPair
 from pipeline.proposals.annotations import AnnotationDetector
 from pipeline.ranking import RankConfig
 from pipeline.relations import T, U
@@ -227,7 +228,7 @@ def judgement_record(judged: Judgement) -> dict[str, Any]:
             "target": int(truth.numbers[case.target_object]), "reference": int(truth.numbers[case.reference_object]),
             "targets": truth.numbers[case.strict].tolist(), "acceptable": truth.numbers[case.acceptable].tolist(),
         },
-        "winner": _stand_record(d.winner), "right": _stand_record(d.right),
+        "winner": _pair_record(d.winner), "right": _pair_record(d.right),
         "contributions": None if d.contributions is None else {k: round(v, 6) for k, v in d.contributions.items()},
         "margins": {"+".join(names_of(s)) or "none": _rounded(d.margins[s]) for s in (0, 2, 4, 8, 14, 15)},
         "needed": [
@@ -244,11 +245,11 @@ def judgement_record(judged: Judgement) -> dict[str, Any]:
     return record
 
 
-def _stand_record(stand: Stand | None) -> dict[str, Any] | None:
-    if stand is None:
+def _pair_record(pair: ScoredPair | None) -> dict[str, Any] | None:
+    if pair is None:
         return None
-    factors = {name: round(getattr(stand, name), 6) for name in ("p_target", "p_reference", "p_relation", "log_score")}
-    return {"target": stand.target, "reference": stand.reference, **factors}
+    factors = {name: round(getattr(pair, name), 6) for name in ("p_target", "p_reference", "p_relation", "log_score")}
+    return {"target": pair.target, "reference": pair.reference, **factors}
 
 
 def _rounded(value: float | None) -> float | None:

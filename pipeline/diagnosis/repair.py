@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from math import exp, inf
 
 from pipeline.diagnosis.verdict import Diagnosis
-from pipeline.ranking import MIN_RELATION, MIN_SCORE, RankConfig
+from pipeline.pair_table import MIN_RELATION, MIN_SCORE, RankConfig
 
 FACTORS = ("target", "reference", "relation")
 

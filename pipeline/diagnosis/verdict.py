@@ -33,6 +33,7 @@ from pipeline.diagnosis.oracles import CONF, LIFT, SRM, SUBSETS, names_of, size
 from pipeline.diagnosis.substitution import Role, Substituted, substitute
 from pipeline.evaluation.cases import Case
 from pipeline.evaluation.records import HIT
+from pipeline.pair_table import ScoredPair
 from pipeline.proposals.base import Detector
 
 VERDICTS = (
@@ -48,26 +49,6 @@ MARKS = ("BAD_LABEL", "BAD_BOX")
 _FLIPS = (LIFT, SRM, CONF)
 _ALL_FLIPS = LIFT | SRM | CONF
 SAME_MARGIN = 1e-6
-
-
-@dataclass(frozen=True)
-class Stand:
-    """One pair in the score: who it is, its factors, its S.
-
-    Attributes
-    ----------
-    target, reference : int
-        Places in the frame's detections.
-    p_target, p_reference, p_relation : float
-    log_score : float
-    """
-
-    target: int
-    reference: int
-    p_target: float
-    p_reference: float
-    p_relation: float
-    log_score: float
 
 
 @dataclass(frozen=True)
@@ -88,7 +69,7 @@ class Diagnosis:
         Bit s is set where the target is right with the oracles of subset s (`oracles`), on the gold triple.
     margins : (16,) float64
         S of the best acceptable pair less S of the best other one under each subset; NaN without any pair.
-    winner, right : Stand or None
+    winner, right : ScoredPair or None
         The answer, and the best acceptable pair among the candidates.
     false_target, false_reference : bool
         The answer's objects are of no labelled object of the asked class.
@@ -106,8 +87,8 @@ class Diagnosis:
     repair: tuple[str, ...]
     right_with: int
     margins: np.ndarray
-    winner: Stand | None
-    right: Stand | None
+    winner: ScoredPair | None
+    right: ScoredPair | None
     false_target: bool = False
     false_reference: bool = False
     missed: Missed | None = None
@@ -153,7 +134,7 @@ def diagnose(
     """
     found = substitute(evidence, case)
     pair, alone = found.pair(), found.alone()
-    winner = None if pair is None else _stand(found, *pair)
+    winner = None if pair is None else found.plain.pair(int(found.winners[0]))
     place = found.best_acceptable
     target = pair[0] if pair is not None else alone
     overlap = 0.0 if target is None or not parse_ok else float(found.target.overlap[target, case.target_object])
@@ -166,7 +147,7 @@ def diagnose(
         right_with=int((found.right_target << np.arange(SUBSETS)).sum()),
         margins=found.margins,
         winner=winner if parse_ok else None,
-        right=None if place is None else _stand(found, *place),
+        right=None if place is None else found.plain.pair(place[0] * found.covered.shape[1] + place[1]),
         false_target=target is not None and bool(found.target.object[target] < 0),
         false_reference=pair is not None and bool(found.reference.object[pair[1]] < 0),
         pseudo=_pseudo(evidence, found, [p for p in (pair, place) if p is not None]),
@@ -191,11 +172,11 @@ def diagnose(
         return replace(
             diagnosis, verdict="OPM-REF", detail=missed.kind, missed=missed, missed_name=case.reference
         )
-    verdict, detail, repair = _flipped(found, diagnosis, evidence.answers.source.config.rank.relation_weight)
+    verdict, detail, repair = _flipped(found, diagnosis)
     return replace(diagnosis, verdict=verdict, detail=detail, repair=names_of(repair))
 
 
-def _flipped(found: Substituted, diagnosis: Diagnosis, weight: float) -> tuple[str, str | None, int]:
+def _flipped(found: Substituted, diagnosis: Diagnosis) -> tuple[str, str | None, int]:
     """Verdict, detail and repair where an acceptable pair lost."""
     flips = [bit for bit in _FLIPS if found.accepted[bit]]
     if not flips:
@@ -206,7 +187,7 @@ def _flipped(found: Substituted, diagnosis: Diagnosis, weight: float) -> tuple[s
         return "COMPOUND", "+".join(names_of(smallest)), smallest
     chosen = flips[0]
     if len(flips) > 1:
-        margin = {bit: found.decided_margin(bit, weight) for bit in flips}
+        margin = {bit: found.decided_margin(bit) for bit in flips}
         farthest = max(margin.values())
         chosen = next(bit for bit in flips if margin[bit] >= farthest - SAME_MARGIN)
     if chosen == CONF:
@@ -219,17 +200,6 @@ def _smallest(found: Substituted, subsets: range | list[int]) -> int | None:
     """The smallest of these subsets with which an acceptable pair wins; of equal ones that with the largest margin."""
     able = [s for s in subsets if found.accepted[s]]
     return min(able, key=lambda s: (size(s), -found.margins[s], s)) if able else None
-
-
-def _stand(found: Substituted, i: int, j: int) -> Stand:
-    return Stand(
-        int(found.target.places[i]),
-        int(found.reference.places[j]),
-        float(found.target.scores[i]),
-        float(found.reference.scores[j]),
-        float(found.p_relation[0, 0, i, j]),
-        float(found.log_score[0, i, j]),
-    )
 
 
 def _pseudo(evidence: FrameEvidence, found: Substituted, pairs: list[tuple[int, int]]) -> bool:

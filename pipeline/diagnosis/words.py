@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Collection
 
 from pipeline.diagnosis.repair import needed_changes
-from pipeline.diagnosis.verdict import Diagnosis, Stand
+from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.evaluation.cases import Case
 from pipeline.expression import Query
-from pipeline.ranking import RankConfig
+from pipeline.pair_table import RankConfig, ScoredPair
 from pipeline.relations import PHRASE
 
 _MODULE_WORDS = {
@@ -127,7 +127,7 @@ def _flipped(d: Diagnosis, case: Case) -> str:
     return "No true geometry, relation or confidence puts the right pair first: it lost a tie. Verdict: PRM."
 
 
-def _confidences(d: Diagnosis, winner: Stand, right: Stand, case: Case) -> str:
+def _confidences(d: Diagnosis, winner: ScoredPair, right: ScoredPair, case: Case) -> str:
     if d.verdict == "OPM-CONF":
         false = [
             f"{name} ({_p(p)})"

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.ranking import RankedPair
+from pipeline.pair_table import ScoredPair
 from pipeline.records import why_no_answer
 from pipeline.whatif.rerun import Outcome
 
@@ -62,7 +62,7 @@ def what_changed(
     }
 
 
-def _names(outcome: Outcome, pair: RankedPair) -> _Names:
+def _names(outcome: Outcome, pair: ScoredPair) -> _Names:
     keys = outcome.keys
     return (
         keys[pair.target],
@@ -113,7 +113,7 @@ def _object(outcome: Outcome, place: int) -> Record:
     return {"key": outcome.keys[place], "label": outcome.trace.objects[place].label}
 
 
-def _pairs(outcome: Outcome) -> dict[_Names, tuple[int, RankedPair]]:
+def _pairs(outcome: Outcome) -> dict[_Names, tuple[int, ScoredPair]]:
     pairs = () if outcome.trace.ranking is None else outcome.trace.ranking.pairs
     return {_names(outcome, pair): (at, pair) for at, pair in enumerate(pairs, start=1)}
 

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from pipeline.diagnosis.live import Judgement
-from pipeline.evaluation.answering import alone
 from pipeline.lexicon import wording
 from pipeline.lifting import Pixel
 from pipeline.objects import SceneObject
+from pipeline.pair_table import ScoredPair
 from pipeline.palette import DROPPED, RGB, hex_color, palette, second_color
-from pipeline.ranking import RankedPair
+from pipeline.ranking import alone
 from pipeline.records import why_no_answer
 from pipeline.relations import PHRASE, letter
 from pipeline.srm.scorer import RelationScores
@@ -77,7 +77,7 @@ def _alone(state: State) -> str:
     return f'<div class="dim">{said}{safe(state.shown.names[state.shown.place[found]])}</div>'
 
 
-def _sentence(state: State, pair: RankedPair) -> str:
+def _sentence(state: State, pair: ScoredPair) -> str:
     assert state.trace is not None
     colors = palette(state.dark)
     target, reference, *second_reference = state.at(pair)
