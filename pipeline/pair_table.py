@@ -132,7 +132,8 @@ class Side:
 
 def side(index: np.ndarray, scores: np.ndarray, weight: float) -> Side:
     """One place of a pair on which nothing else hangs."""
-    return Side(index, scores, weight * np.log(np.clip(scores, MIN_SCORE, 1 - MIN_SCORE)))
+    # Not np.clip, which costs as much as all the rest.
+    return Side(index, scores, weight * np.log(np.minimum(np.maximum(scores, MIN_SCORE), 1 - MIN_SCORE)))
 
 
 def one_object_twice(places: Sequence[np.ndarray], same: np.ndarray) -> np.ndarray:
@@ -140,6 +141,8 @@ def one_object_twice(places: Sequence[np.ndarray], same: np.ndarray) -> np.ndarr
 
     `places` are indices into `same`, (N, N) bool: pairs that are one and the same object.
     """
+    if len(places) == 2:
+        return same[places[0][:, None], places[1]]
     forbidden = np.zeros([len(p) for p in places], np.bool_)
     for i in range(len(places)):
         for j in range(i):
@@ -221,13 +224,11 @@ class PairTable:
         """One scene of a table with one axis of scenes."""
 
         def own(part: Side) -> Side:
-            scores, log = (values[k] if values.ndim > 1 else values for values in (part.scores, part.log))
-            return replace(part, scores=scores, log=log)
+            return Side(part.index, *(values[k] if values.ndim > 1 else values for values in (part.scores, part.log)))
 
         p = self.p_relation[k] if self.p_relation.ndim == self.log_score.ndim else self.p_relation
-        return replace(
-            self, target=own(self.target), ends=tuple(map(own, self.ends)), p_relation=p, log_score=self.log_score[k]
-        )
+        ends = tuple(own(end) for end in self.ends)
+        return PairTable(own(self.target), ends, p, self.log_score[k], self.sizes, self.config)
 
     def with_relation(self, p: np.ndarray) -> PairTable:
         """The same pairs with other probabilities of the relation, of the same shape."""
@@ -236,11 +237,12 @@ class PairTable:
     @cached_property
     def posterior(self) -> np.ndarray:
         """(B, P) float64: of each scene's pairs; 0 where there is none."""
-        if not self.flat.shape[1]:
-            return np.zeros(self.flat.shape)
-        top = self.flat.max(axis=1, keepdims=True)
-        weight = np.exp(self.flat - np.where(np.isfinite(top), top, 0.0))
-        return weight / np.maximum(weight.sum(axis=1, keepdims=True), np.finfo(float).tiny)
+        top = self.flat.max(axis=1, keepdims=True, initial=-np.inf)
+        top[np.isneginf(top)] = 0
+        weight = np.exp(self.flat - top)
+        total = weight.sum(axis=1, keepdims=True)
+        total[total == 0] = 1
+        return weight / total
 
     @cached_property
     def target_posterior(self) -> np.ndarray:
@@ -253,7 +255,8 @@ class PairTable:
 
     def _ties(self, scene: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, ...]:
         """What decides between pairs of one S, the last first: relation, target's score, its mask, lower places."""
-        i, j, *_ = np.unravel_index(at, self.shape)
+        i, rest = np.divmod(at, math.prod(self.shape[1:]))
+        j = rest // math.prod(self.shape[2:])
         target, reference = self.target.index[i], self.ends[0].index[j]
         p = self.p_relation.reshape(-1, self.flat.shape[1])
         scores = self.target.scores.reshape(-1, self.shape[0])
@@ -290,29 +293,42 @@ class PairTable:
         if self.config.aggregate == "marginal":
             mass = np.where(np.isfinite(flat), self._mass(), -np.inf)
             flat = np.where(mass >= mass.max(axis=1, keepdims=True), flat, -np.inf)
-        steps = np.round(flat / TIE)
-        top = steps.max(axis=1, keepdims=True)
-        near = steps >= top
-        found = np.where(np.isfinite(top[:, 0]), near.argmax(axis=1), -1)
-        several = np.isfinite(top[:, 0]) & (np.count_nonzero(near, axis=1) > 1)
-        if several.any():
-            scene, at = np.nonzero(near & several[:, None])
-            order = np.lexsort((*self._ties(scene, at), scene))
-            heads = order[np.flatnonzero(np.diff(scene[order], prepend=-1))]
-            found[scene[heads]] = at[heads]
+        found, top = flat.argmax(axis=1), flat.max(axis=1, keepdims=True)
+        near = flat >= top - 2 * TIE
+        if top.min(initial=0.0) > -np.inf and np.count_nonzero(near) == len(flat):
+            return found
+        empty = np.isneginf(top[:, 0])
+        found[empty] = -1
+        scene, at = np.nonzero(near & ~empty[:, None])
+        # Of those near the top the ones that round to it, and of these the first by the rules for ties.
+        tied = np.round(flat[scene, at] / TIE) >= np.round(top[scene, 0] / TIE)
+        scene, at = scene[tied], at[tied]
+        order = np.lexsort((*self._ties(scene, at), scene))
+        heads = order[np.flatnonzero(np.diff(scene[order], prepend=-1))]
+        found[scene[heads]] = at[heads]
         return found
 
     def second(self, first: np.ndarray) -> np.ndarray:
         """(B,) int64: the pair that comes after the first; -1 where there is none."""
-        allowed = np.ones(self.flat.shape, np.bool_)
-        allowed[np.arange(len(first)), first] = False
-        return self.first(allowed)
+        others = self.flat > -np.inf
+        others[np.arange(len(first)), first] = False
+        return self.first(others)
+
+    def lead(self, first: int) -> float:
+        """S of the first pair of the only scene less that of the one after it; inf where it is the only one."""
+        scores = self.flat[0]
+        if self.config.aggregate == "max":
+            # The pair after it is the second largest, or in a tie with that.
+            return float(scores[first] - np.partition(scores, -2)[-2]) if len(scores) > 1 else math.inf
+        second = int(self.second(np.array([first]))[0])
+        return math.inf if second < 0 else float(scores[first] - scores[second])
 
     def pair(self, at: int) -> ScoredPair:
         """A pair of the only scene, where one relation of two objects is asked."""
-        i, j, *k = (int(x) for x in np.unravel_index(at, self.shape))
+        i, rest = divmod(at, math.prod(self.shape[1:]))
+        j, *k = (rest,) if len(self.shape) == 2 else divmod(rest, self.shape[2])
         p_target, p_reference = float(self.target.scores[i]), float(self.ends[0].scores[j])
-        p = float(self.p_relation.reshape(-1)[at])
+        p = float(self.p_relation.flat[at])
         second = int(self.ends[1].index[k[0]]) if k else None
         p_second = float(self.ends[1].scores[k[0]]) if k else 1.0
         return ScoredPair(

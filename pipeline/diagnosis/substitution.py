@@ -158,7 +158,7 @@ def _margins(table: PairTable, covered: np.ndarray) -> np.ndarray:
     if table.config.aggregate == "marginal" and len(both):
         a, b = table.first(covered)[both], table.first(~covered)[both]
         i, k = a // covered.shape[1], b // covered.shape[1]
-        mass = np.log(np.maximum(table.target_posterior[both], np.finfo(float).tiny))
+        mass = np.log(np.maximum(table.target_posterior[both], 1e-300))
         every = np.arange(len(both))
         # Pairs of one target are compared by S.
         found[both] = np.where(i == k, flat[both, a] - flat[both, b], mass[every, i] - mass[every, k])
@@ -226,7 +226,7 @@ def substitute(evidence: FrameEvidence, case: Case) -> Substituted:
     a, b = target.shape_of[:, None], reference.shape_of[None, :]
     # LIFT also gives the true masks, and those of two objects are never alike.
     same_lifted = np.where((a >= 0) & (b >= 0) & (a != b), same_box, same)
-    forbidden = np.stack([same, same_lifted])[lift]
+    forbidden = np.where(lift[:, None, None] > 0, same_lifted, same)
     forbidden[unseen, target.found :] = True
     forbidden[unseen, :, reference.found :] = True
     table = pair_table(
@@ -249,17 +249,18 @@ def substitute(evidence: FrameEvidence, case: Case) -> Substituted:
 
 def _side(role: Role, conf: np.ndarray, weight: float) -> Side:
     """A role under every subset; `conf` says which of them give true confidences."""
-    return side(role.places, np.stack([role.scores, given_scores(role)])[conf], weight)
+    both = side(role.places, np.stack([role.scores, given_scores(role)]), weight)
+    return Side(both.index, both.scores[conf], both.log[conf])
 
 
 def _relation(evidence: FrameEvidence, relation: str, target: Role, reference: Role) -> np.ndarray:
     """(2, 2, T, R): without and with LIFT, without and with SRM."""
     table = evidence.probabilities(relation)
-    base = table[np.ix_(target.places, reference.places)]
+    base = table[target.places[:, None], reference.places]
     shaped = [
         np.where(role.shape_of >= 0, evidence.detections + role.shape_of, role.places) for role in (target, reference)
     ]
-    lifted = table[np.ix_(*shaped)]
+    lifted = table[shaped[0][:, None], shaped[1]]
     # Two candidates that are one object stand in no relation to each other.
     lifted = np.where(shaped[0][:, None] == shaped[1][None, :], STATE_PROBABILITY[-1], lifted)
     moved = (target.shape_of >= 0)[:, None] | (reference.shape_of >= 0)[None, :]
@@ -277,5 +278,5 @@ def _relation(evidence: FrameEvidence, relation: str, target: Role, reference: R
         judged |= (a[:, None] == b[None, :]) & (a >= 0)[:, None]
     else:
         judged, told = np.zeros(base.shape, np.bool_), base
-    found = np.stack([np.stack([p, np.where(judged, told, p)]) for p in (base, lifted)])
+    found = np.array([[p, np.where(judged, told, p)] for p in (base, lifted)])
     return np.where(np.isfinite(found), found, MIN_RELATION)

@@ -111,7 +111,7 @@ class FrameAnswers:
         return pair_table(
             side(targets.index, targets.scores, config.target_weight),
             (side(references.index, references.scores, config.reference_weight),),
-            self._scores.of(relation)[np.ix_(*places)],
+            self._scores.of(relation)[places[0][:, None], places[1]],
             one_object_twice(places, self.same),
             self.mask_sizes,
             config,

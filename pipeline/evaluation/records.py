@@ -202,9 +202,8 @@ def _right(row: dict[str, Any], table: PairTable, first: int, covered: np.ndarra
             "right_p_target": right.p_target, "right_p_reference": right.p_reference,
             "right_p_relation": right.p_relation, "right_log_score": right.log_score,
         }  # fmt: skip
-    second = int(table.second(np.array([first]))[0])
-    if second >= 0:
-        row["log_margin"] = float(table.log_score.flat[first] - table.log_score.flat[second])
+    lead = table.lead(first)
+    row["log_margin"] = lead if np.isfinite(lead) else None
 
 
 def _answer(
