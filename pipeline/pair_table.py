@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Literal
 
@@ -271,8 +271,10 @@ class PairTable:
     def order(self) -> np.ndarray:
         """(K,) int64: the pairs of the only scene, best first."""
         at = np.flatnonzero(np.isfinite(self.flat[0]))
+        if not len(at):
+            return at
         keys = [*self._ties(np.zeros_like(at), at), -np.round(self.flat[0, at] / TIE)]
-        if self.config.aggregate == "marginal" and len(at):
+        if self.config.aggregate == "marginal":
             keys.append(-self._mass()[0, at])
         return at[np.lexsort(keys)]
 
@@ -310,8 +312,8 @@ class PairTable:
 
     def second(self, first: np.ndarray) -> np.ndarray:
         """(B,) int64: the pair that comes after the first; -1 where there is none."""
-        others = self.flat > -np.inf
-        others[np.arange(len(first)), first] = False
+        others = np.isfinite(self.flat)
+        others[np.flatnonzero(first >= 0), first[first >= 0]] = False
         return self.first(others)
 
     def lead(self, first: int) -> float:

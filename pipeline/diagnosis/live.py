@@ -13,7 +13,6 @@ from pipeline.ask import Trace
 from pipeline.boxes import Box3D, iou_2d
 from pipeline.diagnosis.frame_evidence import DEFAULT_CONFIDENCE, FrameEvidence
 from pipeline.diagnosis.oracles import names_of
-from pipeline.diagnosis.repair import Needed, needed_changes
 from pipeline.diagnosis.substitution import Substituted, substitute
 from pipeline.diagnosis.verdict import Diagnosis, diagnose
 from pipeline.diagnosis.words import explain
@@ -47,8 +46,6 @@ class Judgement:
     diagnosis : Diagnosis
     said : str
         The verdict in words.
-    needed : tuple of Needed
-        What one factor alone would have to be.
     gold : bool
         The expression was read as meant; else the evidence is that of the gold names, not the trace's own.
     """
@@ -58,7 +55,6 @@ class Judgement:
     evidence: FrameEvidence
     diagnosis: Diagnosis
     said: str
-    needed: tuple[Needed, ...]
     gold: bool = True
 
     def acceptable_pairs(self) -> set[tuple[int, int]]:
@@ -214,9 +210,8 @@ def judge_trace(
     diagnosis = diagnose(
         evidence, case, parse_ok=gold, mark=mark, unfiltered=source.unfiltered_detector
     )
-    config = source.config.rank
-    said = explain(diagnosis, case, config, query=trace.query, unknown=answers.unknown)
-    return Judgement(case, truth, evidence, diagnosis, said, needed_changes(diagnosis, config), gold)
+    said = explain(diagnosis, case, query=trace.query, unknown=answers.unknown)
+    return Judgement(case, truth, evidence, diagnosis, said, gold)
 
 
 def judgement_record(judged: Judgement) -> dict[str, Any]:
@@ -224,6 +219,7 @@ def judgement_record(judged: Judgement) -> dict[str, Any]:
     d, case, truth = judged.diagnosis, judged.case, judged.truth
     record: dict[str, Any] = {
         "verdict": d.verdict, "detail": d.detail, "lucky": d.lucky, "said": judged.said, "repair": list(d.repair),
+        "mends": list(d.mends),
         "truth": {
             "target": int(truth.numbers[case.target_object]), "reference": int(truth.numbers[case.reference_object]),
             "targets": truth.numbers[case.strict].tolist(), "acceptable": truth.numbers[case.acceptable].tolist(),
@@ -234,7 +230,7 @@ def judgement_record(judged: Judgement) -> dict[str, Any]:
         "needed": [
             {"factor": n.factor, "right": round(n.right, 6), "winner": round(n.winner, 6),
              "right_above": _rounded(n.right_above), "winner_below": _rounded(n.winner_below)}
-            for n in judged.needed
+            for n in d.needed
         ],
     }  # fmt: skip
     if d.missed is not None:

@@ -84,7 +84,7 @@ def decomposition_html(judged: Judgement, cast: Cast) -> str:
 
 def _needed(judged: Judgement) -> str:
     lines = []
-    for n in judged.needed:
+    for n in judged.diagnosis.needed:
         ways = []
         if n.right_above is not None:
             ways.append(f"of the right pair above <b>{n.right_above:.3g}</b> (is {n.right:.3g})")

@@ -144,7 +144,7 @@ def _decomposition(state: State, judged: Judgement) -> str:
     weights = (config.target_weight, config.reference_weight, config.relation_weight)
     shares = {name: w * d.contributions[name] for name, w in zip(d.contributions, weights, strict=True)}
     scale = max(1e-9, *(abs(v) for v in shares.values()))
-    needed = {n.factor: n for n in judged.needed}
+    needed = {n.factor: n for n in judged.diagnosis.needed}
     rows = []
     for name, share in shares.items():
         width = 50 * abs(share) / scale
