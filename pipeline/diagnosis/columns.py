@@ -33,8 +33,8 @@ def diagnosis_columns(diagnosis: Diagnosis, said: str, evidence: FrameEvidence, 
     d, missed, facts = diagnosis, diagnosis.missed, evidence.truth.facts
     k = case.target_object
     return {
-        "verdict": d.verdict, "detail": d.detail, "lucky": d.lucky, "said": said, "repair": list(d.repair), "mends": list(d.mends),
-        "right_with": d.right_with,
+        "verdict": d.verdict, "detail": d.detail, "lucky": d.lucky, "said": said, "repair": list(d.repair),
+        "mends": list(d.mends), "right_with": d.right_with,
         "margin": _finite(d.margins[0]), "margin_lift": _finite(d.margins[LIFT]), "margin_srm": _finite(d.margins[SRM]),
         "margin_conf": _finite(d.margins[CONF]),
         "false_target": d.false_target, "false_reference": d.false_reference,

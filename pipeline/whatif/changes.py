@@ -36,9 +36,10 @@ def what_changed(
     dict
         `changed` (the winning pair is another); `before` and `after`, each with
         `target`, `reference`, `second_reference` (objects as {key, label}),
-        the factors `p_target`, `p_reference`, `p_relation`, `product`,
-        `probability`, the `margin` and `log_margin` (null where there is one
-        pair only), `entropy`, `reason` where there is no answer, `verdict`;
+        the factors `p_target`, `p_reference`, `p_relation`, `product`, whether
+        the pair `holds` and by what `relation_probability`, `probability`, the
+        `margin` and `log_margin` (null where there is one pair only),
+        `entropy`, `reason` where there is no answer, `verdict`;
         `factors`: what became of the pair that won before and of the one that
         wins now, as logs {before, after}; `moved`: the pairs with another
         rank, best first after the edit; `candidates`: keys of objects that
@@ -97,6 +98,8 @@ def _answer(outcome: Outcome, verdict: str | None) -> Record:
         "p_target": pair.p_target,
         "p_reference": pair.p_reference,
         "p_relation": pair.p_relation,
+        "holds": pair.holds,
+        "relation_probability": pair.relation_probability,
         "product": pair.product,
         "probability": pair.probability,
         "log_score": pair.log_score,
