@@ -71,7 +71,8 @@ def same_as_the_command_line(page, text: str) -> None:
     assert shown.startswith(said["verdict"]["verdict"]), (shown, said["verdict"])
     assert page.locator(".sv .vline").get_attribute("title") == said["verdict"]["said"]
     heads = page.locator(".sv .heads b").all_inner_texts()
-    assert heads == [probability(said["answer"][k]) for k in ("relation_probability", "product")], (heads, said["answer"])
+    wanted = [probability(said["answer"][k]) for k in ("relation_probability", "product")]
+    assert heads == wanted, (heads, said["answer"])
 
 
 def drive() -> dict:

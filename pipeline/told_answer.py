@@ -108,10 +108,10 @@ def _below(ranking: Ranking, pair: ScoredPair) -> str:
     if pair is not ranking.pairs[0]:
         place = next(k for k, p in enumerate(ranking.pairs, start=1) if p is pair)
         best = probability(ranking.pairs[0].probability)
-        return f"posterior {probability(pair.probability)}, rank {place} of {count} pairs; the answer has {best}"
+        return f"posterior {probability(pair.probability)}, rank {place} of {count}; the answer has {best}"
     tied = np.isfinite(ranking.margin) and abs(ranking.margin) < TIED
-    margin = "a tie with the next" if tied else f"margin {ranking.margin:.2f} to the next"
-    return f"posterior {probability(pair.probability)}, {margin} of {count} pairs"
+    margin = "tied with the next" if tied else f"margin {ranking.margin:.2f}"
+    return f"posterior {probability(pair.probability)}, {margin}, {count} pairs"
 
 
 def link_words(link: Link, name: Callable[[int], str]) -> str:

@@ -186,8 +186,8 @@ def relations_html(answered: Answered, cast: Cast) -> str:
     )
 
 
-def _pair(cast: Cast, target: int, reference: int) -> str:
-    if not all(0 <= place < len(cast.objects) for place in (target, reference)):
+def _pair(cast: Cast, target: int, reference: int | None) -> str:
+    if reference is None or not all(0 <= place < len(cast.objects) for place in (target, reference)):
         return ""
     return f"{escape(cast.name(target))} / {escape(cast.name(reference))}"
 

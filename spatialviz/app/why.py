@@ -7,6 +7,7 @@ import numpy as np
 from pipeline.boxes import iou_2d
 from pipeline.diagnosis.live import Judgement
 from pipeline.diagnosis.oracles import ORACLES
+from pipeline.diagnosis.words import threshold
 from pipeline.palette import VERDICTS as COLORS
 from pipeline.palette import hex_color, palette
 from pipeline.ranking import Candidates
@@ -151,7 +152,8 @@ def _decomposition(state: State, judged: Judgement) -> str:
         side = f"left:50%;width:{width:.1f}%" if share >= 0 else f"right:50%;width:{width:.1f}%"
         color = hex_color(COLORS["SRM"]) if share > 0 else hex_color(COLORS["CORRECT"])
         change = needed.get(name)
-        wanted = "" if change is None or change.right_above is None else f"&gt; {change.right_above:.2f}"
+        above = None if change is None or change.right_above is None else threshold(change.right_above, change.right)
+        wanted = "" if above is None else f"&gt; {above[0]}"
         rows.append(
             f"<tr><td>{name}</td><td class=\"n\">{getattr(d.winner, f'p_{name}'):.2f}</td>"
             f"<td class=\"n\">{getattr(d.right, f'p_{name}'):.2f}</td>"
@@ -178,8 +180,8 @@ def _decomposition(state: State, judged: Judgement) -> str:
     )
 
 
-def _name(state: State, place: int) -> str:
-    at = state.shown.place.get(place)
+def _name(state: State, place: int | None) -> str:
+    at = None if place is None else state.shown.place.get(place)
     return "?" if at is None else state.shown.names[at]
 
 
