@@ -59,7 +59,7 @@ def shown(cell: Cell) -> str:
     if cell is None or (isinstance(cell, float) and math.isnan(cell)):
         return "–"
     if isinstance(cell, Estimate):
-        return cell.formatted().replace("n/a", "–")
+        return cell.formatted()
     return f"{100 * cell:.1f}" if isinstance(cell, float) else str(cell)
 
 
