@@ -139,7 +139,7 @@ def _caption(trace: Trace, width: int, scale: float) -> np.ndarray:
         text += ": no answer"
     else:
         answer = told(trace, lambda place: trace.objects[place].label)
-        text += f": {answer.lead}{', '.join((answer.numbers, *answer.fails))} ({trace.scorer})"
+        text += f": {answer.numbers if answer.holds else answer.sentence('this pair')} ({trace.scorer})"
     strip = np.full((round(26 * scale), width, 3), 24, np.uint8)
     cv2.putText(
         strip,
