@@ -11,7 +11,6 @@ from pipeline.boxes import iou_2d
 from pipeline.diagnosis.frame_evidence import FrameEvidence
 from pipeline.diagnosis.oracles import (
     CONF,
-    EVEN,
     LIFT,
     RECALL,
     RIGHT_SCORE,
@@ -22,7 +21,7 @@ from pipeline.diagnosis.oracles import (
 )
 from pipeline.evaluation.cases import Case
 from pipeline.evaluation.records import HIT
-from pipeline.pair_table import MIN_RELATION, PairTable, Side, one_object_twice, pair_table, side
+from pipeline.pair_table import HOLDS, MIN_RELATION, PairTable, Side, one_object_twice, pair_table, side
 from pipeline.ranking import Candidates
 
 _ALL = np.arange(SUBSETS)
@@ -143,7 +142,7 @@ class Substituted:
         """The margin by what the network decides: a relation above .5 counts as the truth's .99, one below as .01."""
         table = self.table.scene(subset)
         p = table.p_relation
-        decided = np.where(p > EVEN, STATE_PROBABILITY[1], np.where(p < EVEN, STATE_PROBABILITY[-1], p))
+        decided = np.where(p > HOLDS, STATE_PROBABILITY[1], np.where(p < HOLDS, STATE_PROBABILITY[-1], p))
         return float(_margins(table.with_relation(decided), self.covered)[0])
 
 

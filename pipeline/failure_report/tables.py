@@ -92,8 +92,10 @@ def _needed(judged: Judgement) -> str:
             ways.append(f"of the answer below <b>{n.winner_below:.3g}</b> (is {n.winner:.3g})")
         if ways:
             lines.append(f"<li>{n.factor} {', or '.join(ways)}</li>")
-    repair = " and ".join(_MODULE_WORDS[name] for name in judged.diagnosis.repair)
-    mended = f"<li>{repair}</li>" if repair else ""
+    d = judged.diagnosis
+    together = " and ".join(_MODULE_WORDS[name] for name in d.repair)
+    repairs = [_MODULE_WORDS[name] for name in d.mends] or ([together] if together else [])
+    mended = "".join(f"<li>{repair}</li>" for repair in repairs)
     if not lines and not mended:
         return ""
     return f'<h3>Each of these alone makes it right</h3><ul class="needed">{"".join(lines)}{mended}</ul>'

@@ -195,12 +195,14 @@ def _oracles(judged: Judgement) -> str:
         words, hint = ("nothing: as it is", "the pipeline's own answer") if k == 0 else ORACLE_WORDS[name]
         color = hex_color(COLORS["CORRECT"] if right else COLORS["SRM"])
         shown = "–" if not np.isfinite(margin) else f"{margin:+.2f}"
-        repair = " on" if name in d.repair else ""
+        repair = " on" if name in (d.mends or d.repair) else ""
         rows.append(
             f'<tr class="{repair}" title="{safe(hint)}"><td><b>{name}</b></td><td>{words}</td>'
             f'<td style="color:{color}">{"✓ right" if right else "✗ wrong"}</td><td class="n">{shown}</td></tr>'
         )
     repair = f"smallest repair: {' + '.join(d.repair)}" if d.repair else ""
+    if len(d.mends) > 1:
+        repair = f"each alone would do: {', '.join(d.mends)}"
     return (
         heading("With the truth in place of", repair)
         + '<table class="oracles"><tr><th></th><th></th><th>target</th>'
