@@ -290,18 +290,19 @@ class PairTable:
         if not flat.shape[1]:
             return np.full(len(flat), -1, np.int64)
         if allowed is not None:
-            fits = allowed if allowed.shape == flat.shape else np.broadcast_to(allowed, self.log_score.shape)
+            fits = allowed if allowed.size == flat.size else np.broadcast_to(allowed, self.log_score.shape)
             flat = np.where(fits.reshape(flat.shape), flat, -np.inf)
         if self.config.aggregate == "marginal":
             mass = np.where(np.isfinite(flat), self._mass(), -np.inf)
             flat = np.where(mass >= mass.max(axis=1, keepdims=True), flat, -np.inf)
         found, top = flat.argmax(axis=1), flat.max(axis=1, keepdims=True)
-        near = flat >= top - 2 * TIE
-        if top.min(initial=0.0) > -np.inf and np.count_nonzero(near) == len(flat):
+        near = flat > top - 2 * TIE
+        count = np.count_nonzero(near)
+        if count == len(flat) and (count == 1 or near.any(axis=1).all()):
             return found
         empty = np.isneginf(top[:, 0])
         found[empty] = -1
-        scene, at = np.nonzero(near & ~empty[:, None])
+        scene, at = np.nonzero(near)
         # Of those near the top the ones that round to it, and of these the first by the rules for ties.
         tied = np.round(flat[scene, at] / TIE) >= np.round(top[scene, 0] / TIE)
         scene, at = scene[tied], at[tied]

@@ -48,13 +48,16 @@ def needed_changes(table: PairTable, winner: int, right: int) -> tuple[Needed, .
     """
     config, ours, theirs = table.config, table.pair(right), table.pair(winner)
     weights = (config.target_weight, config.reference_weight, config.relation_weight)
+    order = table.order()
+    ahead = np.zeros(table.flat.shape[1], np.bool_)
+    ahead[order[: int(np.flatnonzero(order == right)[0])]] = True
     found = []
     for factor, weight in zip(FACTORS, weights, strict=True):
         if weight <= 0:
             continue
         low, high = (MIN_RELATION, 1.0) if factor == "relation" else (MIN_SCORE, 1 - MIN_SCORE)
         mine, other = (max(getattr(pair, f"p_{factor}"), low) for pair in (ours, theirs))
-        up, down = _least_rise(table, factor, right), _least_fall(table, factor, winner, right)
+        up, down = _least_rise(table, factor, right, ahead), _least_fall(table, factor, winner, right, ahead)
         above, below = mine * exp(min(up / weight, 700.0)), other * exp(-min(down / weight, 700.0))
         found.append(Needed(factor, mine, other, above if above < high else None, below if below >= low else None))
     return tuple(sorted(found, key=lambda n: inf if n.right_above is None else n.right_above - n.right))
@@ -69,34 +72,34 @@ def _touched(table: PairTable, factor: str, pair: int) -> np.ndarray:
     return at // columns == pair // columns if factor == "target" else at % columns == pair % columns
 
 
-def _least_rise(table: PairTable, factor: str, right: int) -> float:
+def _least_rise(table: PairTable, factor: str, right: int, ahead: np.ndarray) -> float:
     """By how much the weighted log factor of the right pair has to rise; inf where that cannot put it first."""
-    low, _ = _bounds(table, _touched(table, factor, right), right)
+    low, _ = _bounds(table, _touched(table, factor, right), right, ahead)
     return log(low) if low < inf else inf
 
 
-def _least_fall(table: PairTable, factor: str, winner: int, right: int) -> float:
+def _least_fall(table: PairTable, factor: str, winner: int, right: int, ahead: np.ndarray) -> float:
     """By how much the weighted log factor of the answer has to fall; inf where that cannot put the right pair first."""
     touched = _touched(table, factor, winner)
     if touched[right]:
         return inf
-    _, high = _bounds(table, touched, right, rising=False)
+    _, high = _bounds(table, touched, right, ahead, rising=False)
     return -log(high) if high > 0 else inf
 
 
-def _bounds(table: PairTable, touched: np.ndarray, right: int, rising: bool = True) -> tuple[float, float]:
+def _bounds(
+    table: PairTable, touched: np.ndarray, right: int, ahead: np.ndarray, rising: bool = True
+) -> tuple[float, float]:
     """Between which factors on the weights (e to the S) of the touched pairs the right pair comes first.
 
-    Rising from 1 the least such factor comes first, inf for none; falling from 1 the greatest comes second, 0 for none.
+    `ahead`, (P,) bool, are the pairs that now come before it. Rising from 1 the least such factor comes first, inf for
+    none; falling from 1 the greatest comes second, 0 for none.
     """
     scores = table.flat[0]
     weight = np.exp(np.minimum(scores - scores[right], 700.0))
     moving, fixed = np.where(touched, weight, 0.0), np.where(touched, 0.0, weight)
     others = np.isfinite(scores) & (np.arange(len(scores)) != right)
     rows = np.arange(len(scores)) // table.shape[1]
-    ahead = np.zeros(len(scores), np.bool_)
-    order = table.order()
-    ahead[order[: int(np.flatnonzero(order == right)[0])]] = True
     if table.config.aggregate == "marginal":
         # Of the pairs only those of its own target are compared with it; targets by the sums of their pairs.
         others &= rows == rows[right]
