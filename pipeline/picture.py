@@ -15,6 +15,7 @@ from pipeline.camera import Camera, project
 from pipeline.errors import InputError
 from pipeline.objects import SceneObject
 from pipeline.palette import ON_DARK, Role
+from pipeline.told_answer import best_pair, told
 
 TINT = 0.45
 
@@ -134,11 +135,11 @@ def _tag(image: np.ndarray, text: str, at: np.ndarray, color: Sequence[int], sca
 
 def _caption(trace: Trace, width: int, scale: float) -> np.ndarray:
     text = str(trace.query.expression)
-    if trace.ranking is None or trace.ranking.degenerate:
+    if best_pair(trace) is None:
         text += ": no answer"
     else:
-        best = trace.ranking.pairs[0]
-        text += f": probability {best.probability:.2f}, relation {best.p_relation:.2f} ({trace.scorer})"
+        answer = told(trace, lambda place: trace.objects[place].label)
+        text += f": {answer.numbers if answer.holds else answer.sentence('this pair')} ({trace.scorer})"
     strip = np.full((round(26 * scale), width, 3), 24, np.uint8)
     cv2.putText(
         strip,

@@ -8,33 +8,27 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
 from pipeline.expression import Attachment, Node, Reading
+from pipeline.pair_table import (
+    MIN_SCORE,
+    Link,
+    PairTable,
+    RankConfig,
+    ScoredPair,
+    Side,
+    attached,
+    one_object_twice,
+    pair_table,
+    side,
+)
 
-MIN_RELATION = 1e-6
-MIN_SCORE = 1e-6
 NON_DEFAULT_PENALTY = 0.1
-TIE = 1e-9
 
 RelationLookup = Callable[[Attachment, np.ndarray, Sequence[np.ndarray]], np.ndarray]
 """(attachment, candidates of the head, candidates of each other end) -> probabilities of every combination."""
-
-
-@dataclass(frozen=True)
-class RankConfig:
-    """Weights of the three log factors, and how references are aggregated.
-
-    `max` takes the best pair, as the paper; `marginal` first takes the target
-    whose pairs together are most probable.
-    """
-
-    target_weight: float = 1.0
-    reference_weight: float = 1.0
-    relation_weight: float = 1.0
-    aggregate: Literal["max", "marginal"] = "max"
 
 
 @dataclass(frozen=True)
@@ -60,72 +54,12 @@ class Candidates:
 
 
 @dataclass(frozen=True)
-class Link:
-    """One relation of the answer: object `a` RELATION object `b` (and `c`, for between), with its probability.
-
-    Where `inverse` is set the relation holds the other way round: "table holding
-    a lamp" has the table as `a`, and says that `b` is on it.
-    """
-
-    relation: str
-    a: int
-    b: int
-    probability: float
-    c: int | None = None
-    inverse: bool = False
-
-
-@dataclass(frozen=True)
-class RankedPair:
-    """One candidate answer.
-
-    Attributes
-    ----------
-    target : int
-    reference : int or None
-        Places in the list of objects; None where no pair was allowed.
-    second_reference : int or None
-        The other end of "between".
-    p_target, p_reference, p_relation : float
-        The three factors.
-    product : float
-        Their product, with the factors of all further relations of the expression.
-    probability : float
-        Posterior over all allowed pairs.
-    log_score : float
-        S, the weighted sum of logs.
-    links : tuple of Link
-        All relations of the expression with the objects that fill them.
-    """
-
-    target: int
-    reference: int | None
-    p_target: float
-    p_reference: float
-    p_relation: float
-    product: float
-    probability: float
-    log_score: float
-    links: tuple[Link, ...] = ()
-    second_reference: int | None = None
-
-    @property
-    def log_factors(self) -> dict[str, float]:
-        """Each factor's contribution to S, unweighted: what a pair loses where."""
-        return {
-            "target": float(np.log(max(self.p_target, MIN_SCORE))),
-            "reference": float(np.log(max(self.p_reference, MIN_SCORE))),
-            "relation": float(np.log(max(self.p_relation, MIN_RELATION))),
-        }
-
-
-@dataclass(frozen=True)
 class Ranking:
     """All allowed pairs, best first.
 
     Attributes
     ----------
-    pairs : tuple of RankedPair
+    pairs : tuple of ScoredPair
     reading : Reading
         The reading of the expression that was taken.
     margin : float
@@ -140,7 +74,7 @@ class Ranking:
         The best S of each reading, in their order; -inf where it has no pair.
     """
 
-    pairs: tuple[RankedPair, ...]
+    pairs: tuple[ScoredPair, ...]
     reading: Reading
     margin: float
     log_margin: float
@@ -174,7 +108,7 @@ def rank(
     """
     config = config or RankConfig()
     solved = [_solve(r.root, candidates, lookup, same, config, config.target_weight) for r in readings]
-    best_of = tuple(float(s.best.max(initial=-np.inf)) for s in solved)
+    best_of = tuple(float(s.side.log.max(initial=-np.inf)) for s in solved)
     chosen = int(
         np.argmax([s - (0.0 if r.is_default else NON_DEFAULT_PENALTY) for r, s in zip(readings, best_of, strict=True)])
     )
@@ -197,21 +131,21 @@ def rank(
 
 @dataclass(frozen=True)
 class _Solved:
-    """A node with the best log score of its subtree for each of its candidates."""
+    """A node: what each candidate adds to S by itself, and with the best of its subtree."""
 
-    candidates: Candidates
     own: np.ndarray
-    best: np.ndarray
+    side: Side
     branches: tuple[_Branch, ...]
 
 
 @dataclass(frozen=True)
 class _Branch:
-    """One attachment: its probability, and its log factor plus the best below, for every combination of ends."""
+    """One attachment: its probability for every combination of ends, and which of these are none."""
 
     attachment: Attachment
     ends: tuple[_Solved, ...]
     probability: np.ndarray
+    forbidden: np.ndarray
     total: np.ndarray
 
 
@@ -224,37 +158,23 @@ def _solve(
     weight: float,
 ) -> _Solved:
     here = candidates[node.label]
-    own = weight * np.log(np.clip(here.scores, MIN_SCORE, 1 - MIN_SCORE))
+    own = side(here.index, here.scores, weight)
     branches = []
-    best = own
+    best = own.log
     for attachment in node.attachments:
         ends = tuple(_solve(n, candidates, lookup, same, config, config.reference_weight) for n in attachment.nodes)
-        places = (here.index, *(e.candidates.index for e in ends))
+        places = (here.index, *(e.side.index for e in ends))
         probability = lookup(attachment, places[0], places[1:])
-        total = config.relation_weight * np.log(np.maximum(probability, MIN_RELATION))
-        for axis, end in enumerate(ends, start=1):
-            total = total + end.best.reshape([-1 if a == axis else 1 for a in range(total.ndim)])
-        forbidden = _one_object_twice(places, same)
+        forbidden = one_object_twice(places, same)
         if len(attachment.nodes) == 2 and attachment.nodes[0] == replace(
             attachment.nodes[1], mention=attachment.nodes[0].mention
         ):
             # "between a mug and a mug": the two ends may be swapped, and one answer would stand twice.
             forbidden |= places[1][:, None] > places[2][None, :]
-        total = np.where(forbidden, -np.inf, total)
-        branches.append(_Branch(attachment, ends, probability, total))
+        total = attached(probability, [e.side for e in ends], forbidden, config)
+        branches.append(_Branch(attachment, ends, probability, forbidden, total))
         best = best + _max_over_ends(total)
-    return _Solved(here, own, best, tuple(branches))
-
-
-def _one_object_twice(places: Sequence[np.ndarray], same: np.ndarray) -> np.ndarray:
-    """Bool array with one axis a place: combinations in which two places are one and the same object."""
-    forbidden = np.zeros([len(p) for p in places], np.bool_)
-    for i in range(len(places)):
-        for j in range(i):
-            shape = [1] * len(places)
-            shape[i], shape[j] = len(places[i]), len(places[j])
-            forbidden |= same[np.ix_(places[j], places[i])].reshape(shape)
-    return forbidden
+    return _Solved(own.log, replace(own, log=best), tuple(branches))
 
 
 def _max_over_ends(total: np.ndarray) -> np.ndarray:
@@ -262,68 +182,39 @@ def _max_over_ends(total: np.ndarray) -> np.ndarray:
     return flat.max(axis=1, initial=-np.inf)
 
 
-def _ranked_pairs(root: _Solved, mask_sizes: np.ndarray, config: RankConfig) -> tuple[RankedPair, ...]:
-    targets, first = root.candidates, root.branches[0]
-    rest = root.own + sum((_max_over_ends(b.total) for b in root.branches[1:]), np.zeros(len(targets.index)))
-    score = rest.reshape([-1] + [1] * (first.total.ndim - 1)) + first.total
-    place = np.argwhere(np.isfinite(score))
-    if not len(place):
-        return ()
-    log_score = score[tuple(place.T)]
-    p_relation = first.probability[tuple(place.T)]
-    references = first.ends[0].candidates
-    i, j = place[:, 0], place[:, 1]
-    target, reference = targets.index[i], references.index[j]
-    weight = np.exp(log_score - log_score.max())
-    posterior = weight / weight.sum()
+def _table(root: _Solved, mask_sizes: np.ndarray, config: RankConfig) -> PairTable:
+    """The pairs of the first relation, each with the best of all that hangs on its ends."""
+    first, *others = root.branches
+    rest = root.own + sum((_max_over_ends(b.total) for b in others), np.zeros(len(root.own)))
+    ends = [e.side for e in first.ends]
+    return pair_table(replace(root.side, log=rest), ends, first.probability, first.forbidden, mask_sizes, config)
 
-    keys = [
-        reference,
-        target,
-        -mask_sizes[target],
-        -targets.scores[i],
-        -p_relation,
-        -np.round(log_score / TIE) * TIE,
-    ]
-    if config.aggregate == "marginal":
-        marginal = np.bincount(i, weights=posterior, minlength=len(targets.index))
-        keys.append(-np.round(marginal[i] / TIE) * TIE)
 
+def _ranked_pairs(root: _Solved, mask_sizes: np.ndarray, config: RankConfig) -> tuple[ScoredPair, ...]:
+    table = _table(root, mask_sizes, config)
     found = []
-    for k in np.lexsort(keys):
-        links, product = _links(root, int(i[k]), tuple(int(x) for x in place[k, 1:]))
-        found.append(
-            RankedPair(
-                target=int(target[k]),
-                reference=int(reference[k]),
-                p_target=float(targets.scores[i[k]]),
-                p_reference=float(references.scores[j[k]]),
-                p_relation=float(p_relation[k]),
-                product=product,
-                probability=float(posterior[k]),
-                log_score=float(log_score[k]),
-                links=links,
-                second_reference=links[0].c,
-            )
-        )
+    for at in table.order().tolist():
+        i, *ends = (int(x) for x in np.unravel_index(at, table.shape))
+        links, product = _links(root, i, tuple(ends))
+        found.append(replace(table.pair(at), product=product, links=links))
     return tuple(found)
 
 
 def _links(solved: _Solved, at: int, first_ends: tuple[int, ...] | None) -> tuple[tuple[Link, ...], float]:
     """All relations below candidate number `at`, each at its best, and the product of all factors."""
     links: list[Link] = []
-    product = float(solved.candidates.scores[at])
+    product = float(solved.side.scores[at])
     for number, branch in enumerate(solved.branches):
         block = branch.total[at]
         best = tuple(int(x) for x in np.unravel_index(int(block.argmax()), block.shape))
         ends = first_ends if number == 0 and first_ends is not None else best
-        objects = [int(e.candidates.index[k]) for e, k in zip(branch.ends, ends, strict=True)]
+        objects = [int(e.side.index[k]) for e, k in zip(branch.ends, ends, strict=True)]
         probability = float(branch.probability[(at, *ends)])
         product *= probability
         links.append(
             Link(
                 branch.attachment.relation,
-                int(solved.candidates.index[at]),
+                int(solved.side.index[at]),
                 objects[0],
                 probability,
                 objects[1] if len(objects) > 1 else None,
@@ -337,19 +228,24 @@ def _links(solved: _Solved, at: int, first_ends: tuple[int, ...] | None) -> tupl
     return tuple(links), product
 
 
-def _targets_alone(targets: Candidates) -> tuple[RankedPair, ...]:
+def alone(candidates: Candidates) -> int | None:
+    """The best target without any relation (OPM only), as a place in the list of objects; None where there is none."""
+    return int(candidates.index[int(np.argmax(candidates.scores))]) if len(candidates.index) else None
+
+
+def _targets_alone(targets: Candidates) -> tuple[ScoredPair, ...]:
     order = np.argsort(-targets.scores, kind="stable")
     total = float(targets.scores.sum()) or 1.0
     return tuple(
-        RankedPair(
+        ScoredPair(
             target=int(targets.index[k]),
             reference=None,
             p_target=float(targets.scores[k]),
             p_reference=0.0,
             p_relation=0.0,
+            log_score=float(np.log(np.clip(targets.scores[k], MIN_SCORE, 1 - MIN_SCORE))),
             product=0.0,
             probability=float(targets.scores[k] / total),
-            log_score=float(np.log(np.clip(targets.scores[k], MIN_SCORE, 1 - MIN_SCORE))),
         )
         for k in order
     )

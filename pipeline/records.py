@@ -13,8 +13,9 @@ from pipeline.datasets.survey import FrameReport
 from pipeline.expression import Query
 from pipeline.jobs import FrameRelations
 from pipeline.objects import SceneObject
-from pipeline.ranking import RankedPair
+from pipeline.pair_table import Link, ScoredPair
 from pipeline.relations import PAIRWISE, letter
+from pipeline.told_answer import best_pair, failing_links
 from pipeline.viewer import ViewerAxes
 
 Record = dict[str, Any]
@@ -77,7 +78,7 @@ def expression_record(query: Query) -> Record:
     return record
 
 
-def pair_record(pair: RankedPair) -> Record:
+def pair_record(pair: ScoredPair) -> Record:
     """One ranked pair; target and reference are places in "proposals"."""
     record: Record = {
         "target": pair.target,
@@ -85,6 +86,8 @@ def pair_record(pair: RankedPair) -> Record:
         "p_target": _probability(pair.p_target),
         "p_reference": _probability(pair.p_reference),
         "p_relation": _probability(pair.p_relation),
+        "relation_probability": _probability(pair.relation_probability),
+        "holds": pair.holds,
         "product": _probability(pair.product),
         "probability": _probability(pair.probability),
         "log_factors": {k: round(v, 6) for k, v in pair.log_factors.items()},
@@ -92,32 +95,43 @@ def pair_record(pair: RankedPair) -> Record:
     if pair.second_reference is not None:
         record["second_reference"] = pair.second_reference
     if len(pair.links) > 1:
-        record["links"] = [
-            {"relation": x.relation, "a": x.a, "b": x.b, "probability": _probability(x.probability)}
-            | ({} if x.c is None else {"c": x.c})
-            | ({"inverse": True} if x.inverse else {})
-            for x in pair.links
-        ]
+        record["links"] = [_link_record(x) for x in pair.links]
     return record
 
 
+def _link_record(link: Link) -> Record:
+    record: Record = {
+        "relation": link.relation, "a": link.a, "b": link.b, "probability": _probability(link.probability),
+    }  # fmt: skip
+    return record | ({} if link.c is None else {"c": link.c}) | ({"inverse": True} if link.inverse else {})
+
+
 def trace_record(trace: Trace) -> Record:
-    """The whole of `ask --json` for one expression on one frame."""
+    """The whole of `ask --json` for one expression on one frame.
+
+    "answer" is the best pair, null without any: "holds" says whether every relation of the expression is at least as
+    probable as not, "relation_probability" is that of the weakest of them, "probability" the posterior over the
+    candidate pairs; where it does not hold, "fails" lists the relations that do not.
+    """
     pairs = () if trace.ranking is None else trace.ranking.pairs
     answer: Record | None = None
-    if pairs and trace.ranking is not None and not trace.ranking.degenerate:
-        best = pairs[0]
+    best = best_pair(trace)
+    if best is not None:
         answer = {
             "target": _role_record(trace, trace.query.expression.target, best.target),
             "reference": None
             if best.reference is None
             else _role_record(trace, trace.asked.nodes[0].label, best.reference),
+            "holds": best.holds,
+            "relation_probability": _probability(best.relation_probability),
             "probability": _probability(best.probability),
             "p_relation": _probability(best.p_relation),
             "product": _probability(best.product),
         }
         if best.second_reference is not None:
             answer["second_reference"] = _role_record(trace, trace.asked.nodes[1].label, best.second_reference)
+        if not best.holds:
+            answer["fails"] = [_link_record(link) for link in failing_links(best)]
     record: Record = {
         "expression": expression_record(trace.query),
         "frame": trace.frame.id,
@@ -167,7 +181,7 @@ def why_no_answer(trace: Trace) -> str | None:
     return None
 
 
-def _relations_of_pairs(trace: Trace, pairs: Sequence[RankedPair]) -> Record:
+def _relations_of_pairs(trace: Trace, pairs: Sequence[ScoredPair]) -> Record:
     table = trace.scores
     return {
         f"{p.target},{p.reference}": {

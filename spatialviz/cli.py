@@ -38,7 +38,12 @@ from spatialviz.source_options import CameraOptions, SourceOptions
 
 @dataclass(frozen=True)
 class Ask:
-    """Answer expressions such as "mug left of the laptop" on a frame."""
+    """Answer expressions such as "mug left of the laptop" on a frame.
+
+    Exit status: 0 where a pair stands in the relation that was asked, 1 where there is none: a name was not found, or
+    the best pair has a probability below .5 and is told as the nearest; 2 for bad usage or input. Of several
+    expressions or frames one that holds is enough for 0.
+    """
 
     dataset: Positional[str]
     """Dataset folder, or "demo"."""
@@ -60,7 +65,7 @@ class Ask:
         from pipeline.labels.reading import open_labels
         from pipeline.overlooked import overlooked
         from pipeline.picture import save_picture
-        from pipeline.records import why_no_answer
+        from pipeline.told_answer import holds
         from spatialviz.printing import print_overlooked, print_trace, print_verdict
 
         if not self.expressions:
@@ -71,7 +76,7 @@ class Ask:
         answered = 0
         source = self.source.open(self.dataset, self.frame, labels)
         for answer in ask_and_judge(source, self.frame, self.expressions, labels, warn_skipped):
-            answered += why_no_answer(answer.trace) is None
+            answered += holds(answer.trace)
             if self.json:
                 print_json(judged_record(answer))
             else:

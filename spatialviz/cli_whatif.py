@@ -19,7 +19,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class WhatIf:
-    """Answer an expression with and without edits: moved boxes, other masks, confidences, thresholds."""
+    """Answer an expression with and without edits: moved boxes, other masks, confidences, thresholds.
+
+    Exit status: 0 where a pair stands in the relation after the edits, 1 where none does, 2 for bad usage or input.
+    """
 
     dataset: Positional[str]
     """Dataset folder, or "demo"."""
@@ -46,7 +49,7 @@ class WhatIf:
         from pipeline.diagnosis.asking import edited_verdicts
         from pipeline.labels.reading import open_labels
         from pipeline.objects import frame_context
-        from pipeline.records import why_no_answer
+        from pipeline.told_answer import holds
         from pipeline.whatif import Baseline, Edits, load_edits, rerun
         from pipeline.whatif.rerun import foreign_keys
         from spatialviz.printing_whatif import print_change
@@ -71,7 +74,7 @@ class WhatIf:
             print_json(record)
         else:
             print_change(record)
-        return FINE if why_no_answer(after.trace) is None else NO
+        return FINE if holds(after.trace) else NO
 
     def _map(self, baseline: Baseline, after: Outcome, edits: Edits) -> dict[str, Any]:
         from pipeline.picture import write_picture

@@ -22,6 +22,7 @@ from pipeline.objects import SceneObject
 from pipeline.overlooked import Overlooked
 from pipeline.records import why_no_answer
 from pipeline.relations import PHRASE, letter
+from pipeline.told_answer import probability, told
 from pipeline.up_words import ASSUMED, DECLARE
 from pipeline.viewer import ViewerAxes
 
@@ -61,23 +62,25 @@ def print_trace(trace: Trace) -> None:
         best = pairs[0]
         assert best.reference is not None
         second = "" if best.second_reference is None else f" and {_at(trace, best.second_reference)}"
+        answer = told(trace, lambda place: _at(trace, place))
         console.print(
             Text.assemble(
+                (answer.lead, "yellow"),
                 (_at(trace, best.target), "bold dark_orange"),
                 f" {phrase} ",
                 (_at(trace, best.reference) + second, "bold dodger_blue2"),
-                f"   relation {best.p_relation:.2f}, probability {best.probability:.3f}, "
-                + ("tied" if len(pairs) > 1 and trace.ranking.margin < 5e-4 else f"margin {trace.ranking.margin:.3f}"),
+                (f"   {answer.numbers}", "bold" if answer.holds else "yellow"),
             )
         )
-        if best.p_relation < 0.5:
-            console.print(Text(f"weak: the relation itself is unlikely ({best.p_relation:.2f})", "yellow"))
+        for failing in answer.fails:
+            console.print(Text(f"does not hold: {failing}", "yellow"))
+        console.print(Text(answer.below, "dim"))
         if len(trace.query.readings) > 1:
             console.print(Text(f"read as: {trace.ranking.reading.description}", "dim"))
         table = Table(box=None, pad_edge=False, header_style="dim")
         for column in ("#", "target", "reference"):
             table.add_column(column)
-        for column in ("P(target)", "P(reference)", f"P({phrase})", "probability"):
+        for column in ("P(target)", "P(reference)", f"P({phrase})", "product", "posterior"):
             table.add_column(column, justify="right")
         for place, pair in enumerate(pairs[:SHOWN_PAIRS], start=1):
             assert pair.reference is not None
@@ -89,6 +92,7 @@ def print_trace(trace: Trace) -> None:
                 f"{pair.p_target:.2f}",
                 f"{pair.p_reference:.2f}",
                 f"{pair.p_relation:.2f}",
+                probability(pair.product),
                 f"{pair.probability:.3f}",
             )
         console.print(table)

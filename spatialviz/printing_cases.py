@@ -10,6 +10,7 @@ from rich.text import Text
 from pipeline.failure_case.answered import Answered
 from pipeline.failure_case.manifest import Expected
 from pipeline.failure_case.suite import Result
+from pipeline.told_answer import NO_SUCH_PAIR
 from spatialviz.printing import make_console
 
 _STYLE = {"same": "green", "updated": "yellow", "changed": "red", "damaged": "red"}
@@ -50,7 +51,8 @@ def in_words(state: Expected) -> str:
         return f"no answer ({state.reason}){verdict}"
     target, reference = state.answer.target, state.answer.reference
     other = "" if reference is None else f" with {reference.label} ({reference.score:.2f})"
-    return f"{target.label} ({target.score:.2f}){other}, relation {state.answer.p_relation:.2f}{verdict}"
+    lead = "" if state.answer.holds in (None, True) else NO_SUCH_PAIR
+    return f"{lead}{target.label} ({target.score:.2f}){other}, relation {state.answer.p_relation:.2f}{verdict}"
 
 
 def print_totals(totals: dict[str, int]) -> None:

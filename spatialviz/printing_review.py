@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from rich.table import Table
 from rich.text import Text
 
+from pipeline.evaluation.tables import shown
 from pipeline.relations import PHRASE
 from spatialviz.printing import make_console
 from spatialviz.printing_eval import print_table
@@ -130,9 +131,8 @@ def print_circle(circle: Circle) -> None:
     console.print(f"{made['events']} events of the journal")
     print_retraining(circle.retraining, circle.network)
     if circle.in_use is not None:
-        before, after = circle.in_use.before.micro_f1, circle.in_use.after.micro_f1
-        new = f"the new one {after.value:.1%}"
-        console.print(f"the network in use: micro-F1 {before.value:.1%} on the same pairs; {new}")
+        before, after = (shown(f.micro_f1) for f in (circle.in_use.before, circle.in_use.after))
+        console.print(f"the network in use: micro-F1 {before} on the same pairs; the new one {after}")
     for title, found in (("the labels alone", circle.mended), ("the new network", circle.replay)):
         if found is not None:
             gain = found.differences[found.measure]

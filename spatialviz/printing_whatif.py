@@ -7,13 +7,15 @@ from typing import Any
 from rich.table import Table
 from rich.text import Text
 
+from pipeline.told_answer import NO_SUCH_PAIR, probability
 from spatialviz.printing import make_console
 
 _ROWS = (
     ("P(target)", "p_target", "{:.3f}"),
     ("P(reference)", "p_reference", "{:.3f}"),
     ("P(relation)", "p_relation", "{:.3f}"),
-    ("probability", "probability", "{:.3f}"),
+    ("product", "product", "{:.3f}"),
+    ("posterior", "probability", "{:.3f}"),
     ("margin", "margin", "{:.3f}"),
 )
 
@@ -37,6 +39,10 @@ def print_change(record: dict[str, Any]) -> None:
     for when, side in zip(("before", "after"), sides, strict=True):
         if "reason" in side:
             console.print(Text(f"{when}: {side['reason']}", "yellow"))
+        elif not side["holds"]:
+            nearest = " with ".join(_object(side[role]) for role in ("target", "reference") if role in side)
+            shown = probability(side["relation_probability"])
+            console.print(Text(f"{when}: {NO_SUCH_PAIR}{nearest}, relation {shown}", "yellow"))
     if record["changed"]:
         console.print(Text("the answer is another", "bold"))
     for move in record["moved"][:5]:

@@ -57,6 +57,24 @@ def test_a_name_that_the_dataset_lacks_is_the_reason_not_to_keep_a_case(tmp_path
     assert not list(tmp_path.iterdir())
 
 
+def test_a_case_of_an_earlier_release_replays_and_another_standing_is_a_change(scored: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "case"
+    shutil.copytree(scored, folder)
+    table = json.loads((folder / MANIFEST).read_text())
+    answer = table["expected"]["answer"]
+    stood = answer["holds"]
+    for name in ("holds", "relation_probability", "fails"):
+        answer.pop(name, None)
+    for pair in table["expected"]["pairs"]:
+        del pair["holds"], pair["relation_probability"]
+    (folder / MANIFEST).write_text(json.dumps(table))
+    assert replay_case(open_case(folder)).same
+    answer["holds"] = not stood
+    (folder / MANIFEST).write_text(json.dumps(table))
+    (change,) = replay_case(open_case(folder)).changes
+    assert "there is no such pair" in change
+
+
 def test_a_missing_network_damages_no_case(scored: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no relation network"):
         list(replay_all([scored], srm=tmp_path / "none.onnx"))

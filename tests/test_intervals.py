@@ -164,7 +164,7 @@ def test_one_cluster_has_no_interval_and_says_so() -> None:
     assert math.isnan(found.high)
     assert "one cluster" in found.note
     assert not found.reliable
-    assert found.formatted() == "75.0 [n/a]"
+    assert found.formatted() == "75.0 [–]"
     # A second scene none of whose rows count does not make two.
     hollow = ratio_estimate([1, 0, 0], [1, 1, 0], ["a", "a", "b"])
     assert (hollow.value, hollow.n, hollow.clusters) == (0.5, 2, 1)
@@ -183,7 +183,7 @@ def test_what_is_undefined_has_no_interval() -> None:
         assert math.isnan(found.value)
         assert math.isnan(found.low)
         assert found.note
-        assert found.formatted() == "n/a"
+        assert found.formatted() == "–"
         assert json.loads(json.dumps(found.record(), allow_nan=False))["value"] is None
     assert rare.value == pytest.approx(6 / 7)
     assert math.isnan(rare.low)

@@ -262,7 +262,10 @@ def test_ranks_of_equals_agree_with_argmax() -> None:
     found = single_label_metrics(p, np.array([1, 0, 1, -1]), ("a", "b", "c"))
     assert (found.top1, found.top2) == (1 / 3, 2 / 3)
     assert np.isnan(found.recall[2])
-    assert found.precision[2] == found.f1[2] == 0
+    assert found.precision[2] == 0
+    # Nothing is it: F1 has no support, and is no part of the macro-F1.
+    assert np.isnan(found.f1[2])
+    assert found.macro_f1 == pytest.approx(found.f1[:2].mean())
     assert np.isnan(found.precision[1])
 
 

@@ -12,7 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.expression import Attachment, Node, Reading
-from pipeline.ranking import MIN_RELATION, NON_DEFAULT_PENALTY, Candidates, RankConfig, RankedPair, Ranking, rank
+from pipeline.pair_table import MIN_RELATION, RankConfig, ScoredPair
+from pipeline.ranking import NON_DEFAULT_PENALTY, Candidates, Ranking, rank
 
 SEEDS = st.integers(0, 2**32 - 1)
 N = 7
@@ -117,7 +118,7 @@ def test_max_product_is_the_best_of_all_assignments(seed: int, config: RankConfi
         assert found.degenerate
         assert found.reading_scores == (-np.inf,)
         return
-    got: dict[tuple[int | None, ...], RankedPair] = {
+    got: dict[tuple[int | None, ...], ScoredPair] = {
         (p.target, p.reference, *([] if p.second_reference is None else [p.second_reference])): p for p in found.pairs
     }
     assert got.keys() == expected.keys()

@@ -2,24 +2,29 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from diagnosis_worlds import world
 
 from pipeline.diagnosis.misses import Missed
-from pipeline.diagnosis.verdict import Diagnosis, Stand
+from pipeline.diagnosis.substitution import substitute
+from pipeline.diagnosis.verdict import Diagnosis, diagnose
 from pipeline.diagnosis.words import explain
 from pipeline.evaluation.cases import Case
-from pipeline.ranking import RankConfig
+from pipeline.pair_table import ScoredPair
 
 CASE = Case("1", "book on a book", "book", "on", "shelf", 0, 1, np.array([0]), np.array([0]), False, 0.1)
-WINNER, RIGHT = Stand(0, 3, 0.6, 0.5, 0.9, -1.3), Stand(1, 2, 0.4, 0.3, 0.8, -2.3)
+WINNER = ScoredPair(0, 3, 0.6, 0.5, 0.9, log_score=-1.3, product=0.27, probability=0.6)
+RIGHT = ScoredPair(1, 2, 0.4, 0.3, 0.8, log_score=-2.3, product=0.096, probability=0.2)
 
 
-def said(verdict: str, winner: Stand | None, right: Stand | None, **more: object) -> str:
+def said(verdict: str, winner: ScoredPair | None, right: ScoredPair | None, **more: object) -> str:
     plain = Diagnosis(verdict, None, False, (), 0, np.full(16, np.nan), winner, right)
-    return explain(replace(plain, **more), CASE, RankConfig())  # pyright: ignore[reportArgumentType]
+    return explain(replace(plain, **more), CASE)  # pyright: ignore[reportArgumentType]
 
 
 def test_a_degenerate_answer_is_told_from_none() -> None:
@@ -61,5 +66,55 @@ def test_luck_says_no_more_than_that_the_reference_matches_none() -> None:
 def test_a_name_that_the_detector_does_not_know_is_not_called_unseen() -> None:
     plain = Diagnosis("OPM-TARGET", "ABSENT", False, ("RECALL",), 0, np.full(16, np.nan), None, None)
     found = replace(plain, missed=Missed("ABSENT", 0.0), missed_name="book")
-    assert explain(found, CASE, RankConfig(), unknown={"book": "?"}) == "The detector does not know the name “book”."
-    assert explain(found, CASE, RankConfig(), unknown={"shelf": "?"}).startswith("The detector did not see the right")
+    assert explain(found, CASE, unknown={"book": "?"}) == "The detector does not know the name “book”."
+    assert explain(found, CASE, unknown={"shelf": "?"}).startswith("The detector did not see the right")
+
+
+def test_no_sentence_has_an_empty_clause_or_a_number_that_does_not_change() -> None:
+    seen = set()
+    for seed in range(3000):
+        evidence, case = world(seed)
+        rng = np.random.default_rng(seed)
+        table = evidence.probabilities("left")
+        # As networks have them: most are next to 0 or to 1, and differ in the fifth digit.
+        sharp = 1 / (1 + np.exp(-rng.normal(0, 8, table.shape)))
+        table[:] = np.where(np.isnan(table), np.nan, sharp)
+        d = evidence.detections
+        vars(evidence.answers)["_scores"] = SimpleNamespace(of=lambda relation, t=table[:d, :d]: t)
+        found = diagnose(evidence, case, parse_ok=True)
+        text = explain(found, case)
+        seen.add(found.verdict)
+        assert not re.search(r"gave ;|and ;|  |\(\)| ,|^[a-z]", text), text
+        for now, before in re.findall(r"([\d.]+\d) (?:instead of|to) ([\d.]+\d)", text):
+            assert now != before, text
+        for mended in found.mends:
+            words = {"LIFT": "geometry", "SRM": "relations", "CONF": "confidences"}[mended]
+            assert words in text, text
+    assert seen >= {"LIFT", "SRM", "PRM", "OPM-CONF"}
+
+
+def test_an_answer_that_the_labels_call_right_and_do_not_list_makes_the_label_suspect() -> None:
+    seen = 0
+    for seed in range(600):
+        evidence, case = world(seed)
+        plain = diagnose(evidence, case, parse_ok=True)
+        if plain.detail != "AMBIGUOUS" or plain.winner is None:
+            continue
+        found = substitute(evidence, case)
+        pair = found.pair()
+        if pair is None or not found.covered[pair]:
+            continue
+        listed = np.array([case.target_object])
+        unlisted = replace(case, strict=listed, acceptable=listed)
+        d = diagnose(evidence, unlisted, parse_ok=True)
+        assert (d.verdict, d.detail) == ("LABEL", "SUSPECT")
+        assert "suspect" in explain(d, unlisted)
+        assert diagnose(evidence, unlisted, parse_ok=True, mark="BAD_BOX").detail == "BAD_BOX"
+        seen += 1
+    assert seen > 10
+
+
+def test_two_repairs_that_would_do_are_both_named() -> None:
+    text = said("OPM-CONF", WINNER, RIGHT, false_target=True, repair=("CONF",), mends=("LIFT", "CONF"))
+    assert "With true confidences the right pair wins." in text
+    assert "True geometry alone would do too." in text

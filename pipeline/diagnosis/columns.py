@@ -15,16 +15,17 @@ if TYPE_CHECKING:
 
 DIAGNOSIS_COLUMNS: dict[str, str] = {
     "verdict": "string", "detail": "string", "lucky": "bool", "said": "string", "repair": "strings",
-    "right_with": "int32",
+    "mends": "strings", "right_with": "int32",
     "margin": "float32", "margin_lift": "float32", "margin_srm": "float32", "margin_conf": "float32",
     "false_target": "bool", "false_reference": "bool",
     "missed_name": "string", "missed_overlap": "float32", "missed_score": "float32", "missed_rank": "int32",
     "object_size": "float32", "object_distance": "float32", "object_occluded": "float32", "object_pixels": "int32",
 }  # fmt: skip
-"""`verdict` and the rest of `pipeline.diagnosis.verdict.Diagnosis`; `said` is it in words. `right_with` has bit s set
-where the target is right with subset s of the oracles (RECALL 1, LIFT 2, SRM 4, CONF 8). `margin…` is S of the best
-acceptable pair less S of the best other one, as it is and with one oracle. `object_…` is the labelled target: longest
-edge of its box and distance in metres, occluded share of its border, pixels of its mask."""
+"""`verdict` and the rest of `pipeline.diagnosis.verdict.Diagnosis`; `said` is it in words; `mends` names each oracle
+that alone would do. `right_with` has bit s set where the target is right with subset s of the oracles (RECALL 1, LIFT
+2, SRM 4, CONF 8). `margin…` is S of the best acceptable pair less S of the best other one, as it is and with one
+oracle. `object_…` is the labelled target: longest edge of its box and distance in metres, occluded share of its border,
+pixels of its mask."""
 
 
 def diagnosis_columns(diagnosis: Diagnosis, said: str, evidence: FrameEvidence, case: Case) -> dict[str, Any]:
@@ -33,7 +34,7 @@ def diagnosis_columns(diagnosis: Diagnosis, said: str, evidence: FrameEvidence, 
     k = case.target_object
     return {
         "verdict": d.verdict, "detail": d.detail, "lucky": d.lucky, "said": said, "repair": list(d.repair),
-        "right_with": d.right_with,
+        "mends": list(d.mends), "right_with": d.right_with,
         "margin": _finite(d.margins[0]), "margin_lift": _finite(d.margins[LIFT]), "margin_srm": _finite(d.margins[SRM]),
         "margin_conf": _finite(d.margins[CONF]),
         "false_target": d.false_target, "false_reference": d.false_reference,

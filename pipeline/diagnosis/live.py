@@ -14,9 +14,8 @@ from pipeline.boxes import Box3D, iou_2d
 from pipeline.datasets.base import scene_of
 from pipeline.diagnosis.frame_evidence import DEFAULT_CONFIDENCE, FrameEvidence
 from pipeline.diagnosis.oracles import names_of
-from pipeline.diagnosis.repair import Needed, needed_changes
 from pipeline.diagnosis.substitution import Substituted, substitute
-from pipeline.diagnosis.verdict import Diagnosis, Stand, diagnose
+from pipeline.diagnosis.verdict import Diagnosis, diagnose
 from pipeline.diagnosis.words import explain
 from pipeline.evaluation.answering import FrameAnswers
 from pipeline.evaluation.cases import Case, FrameCases, frame_cases, read_cases
@@ -28,6 +27,7 @@ from pipeline.labels.reading import Labels
 from pipeline.labels.second_opinion import open_second_opinion
 from pipeline.naming import match
 from pipeline.objects import FrameContext, all_objects
+from pipeline.pair_table import ScoredPair
 from pipeline.proposals.annotations import AnnotationDetector
 from pipeline.ranking import RankConfig
 from pipeline.relations import T, U
@@ -46,8 +46,6 @@ class Judgement:
     diagnosis : Diagnosis
     said : str
         The verdict in words.
-    needed : tuple of Needed
-        What one factor alone would have to be.
     gold : bool
         The expression was read as meant; else the evidence is that of the gold names, not the trace's own.
     """
@@ -57,7 +55,6 @@ class Judgement:
     evidence: FrameEvidence
     diagnosis: Diagnosis
     said: str
-    needed: tuple[Needed, ...]
     gold: bool = True
 
     def acceptable_pairs(self) -> set[tuple[int, int]]:
@@ -213,9 +210,8 @@ def judge_trace(
     diagnosis = diagnose(
         evidence, case, parse_ok=gold, mark=mark, unfiltered=source.unfiltered_detector
     )
-    config = source.config.rank
-    said = explain(diagnosis, case, config, query=trace.query, unknown=answers.unknown)
-    return Judgement(case, truth, evidence, diagnosis, said, needed_changes(diagnosis, config), gold)
+    said = explain(diagnosis, case, query=trace.query, unknown=answers.unknown)
+    return Judgement(case, truth, evidence, diagnosis, said, gold)
 
 
 def judgement_record(judged: Judgement) -> dict[str, Any]:
@@ -223,17 +219,18 @@ def judgement_record(judged: Judgement) -> dict[str, Any]:
     d, case, truth = judged.diagnosis, judged.case, judged.truth
     record: dict[str, Any] = {
         "verdict": d.verdict, "detail": d.detail, "lucky": d.lucky, "said": judged.said, "repair": list(d.repair),
+        "mends": list(d.mends),
         "truth": {
             "target": int(truth.numbers[case.target_object]), "reference": int(truth.numbers[case.reference_object]),
             "targets": truth.numbers[case.strict].tolist(), "acceptable": truth.numbers[case.acceptable].tolist(),
         },
-        "winner": _stand_record(d.winner), "right": _stand_record(d.right),
+        "winner": _pair_record(d.winner), "right": _pair_record(d.right),
         "contributions": None if d.contributions is None else {k: round(v, 6) for k, v in d.contributions.items()},
         "margins": {"+".join(names_of(s)) or "none": _rounded(d.margins[s]) for s in (0, 2, 4, 8, 14, 15)},
         "needed": [
             {"factor": n.factor, "right": round(n.right, 6), "winner": round(n.winner, 6),
              "right_above": _rounded(n.right_above), "winner_below": _rounded(n.winner_below)}
-            for n in judged.needed
+            for n in d.needed
         ],
     }  # fmt: skip
     if d.missed is not None:
@@ -244,11 +241,11 @@ def judgement_record(judged: Judgement) -> dict[str, Any]:
     return record
 
 
-def _stand_record(stand: Stand | None) -> dict[str, Any] | None:
-    if stand is None:
+def _pair_record(pair: ScoredPair | None) -> dict[str, Any] | None:
+    if pair is None:
         return None
-    factors = {name: round(getattr(stand, name), 6) for name in ("p_target", "p_reference", "p_relation", "log_score")}
-    return {"target": stand.target, "reference": stand.reference, **factors}
+    factors = {name: round(getattr(pair, name), 6) for name in ("p_target", "p_reference", "p_relation", "log_score")}
+    return {"target": pair.target, "reference": pair.reference, **factors}
 
 
 def _rounded(value: float | None) -> float | None:

@@ -26,8 +26,6 @@ RECALL, LIFT, SRM, CONF = (1 << k for k in range(4))
 SUBSETS = 16
 STATE_PROBABILITY = {1: 0.99, 0: 0.50, -1: 0.01}
 RIGHT_SCORE, WRONG_SCORE = 0.99, 0.01
-EVEN = 0.5
-"""A relation more probable than this counts as decided for true, a less probable one for false: see `verdict`."""
 
 
 def names_of(subset: int) -> tuple[str, ...]:

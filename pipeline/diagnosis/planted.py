@@ -14,7 +14,8 @@ PRM          the relation weighs .005 instead of 1 (weights), or the acceptable 
              their class .99, so that confidences overrule it (scores)
 PARSE        other words: the two names swapped (swapped), the opposite relation (relation), no relation (unreadable)
 LABEL        another acceptable target is the labelled one (another); the labelled object is confused with one that is
-             not acceptable (wrong), or its box is off (box), and a person marked it
+             not acceptable (wrong), or its box is off (box), and a person marked it; the expression lists only one that
+             is not acceptable by the labels' own relations, and nobody marked it (listed)
 
 A fault causes a failure where the clean pipeline answers with the labelled target and the broken one does not answer
 with an acceptable target; a fault of the label where it does not answer with the labelled one. (An answer that moves
@@ -64,7 +65,7 @@ KINDS: dict[str, tuple[str, ...]] = {
     "OPM-CONF": ("target", "reference"),
     "PRM": ("weights", "scores"),
     "PARSE": ("swapped", "relation", "unreadable"),
-    "LABEL": ("another", "wrong", "box"),
+    "LABEL": ("another", "wrong", "box", "listed"),
 }
 """Verdict that must name the fault -> the ways in which it is planted."""
 LOW, LEAST, CONFIDENT = 0.1, 0.3, 0.97
@@ -321,11 +322,15 @@ def _mislabelled(
             return None
         other = min(others.tolist(), key=lambda o: share(seed, truth.frame, case.id, o))
         return Planted(source, context, truth, replace(case, target_object=int(other)))
-    if kind == "wrong":
+    if kind in ("wrong", "listed"):
         others = np.flatnonzero(truth.alike[k] & ~np.isin(np.arange(len(truth.labels)), case.acceptable))
         if not len(others):
             return None
         other = min(others.tolist(), key=lambda o: share(seed, truth.frame, case.id, o))
+        if kind == "listed":
+            only = np.array([other])
+            listed = replace(case, target_object=int(other), strict=only, acceptable=only)
+            return Planted(source, context, truth, listed)
         states = truth.states[case.relation].copy()
         states[[k, other]] = states[[other, k]]
         truth = replace(truth, states={**truth.states, case.relation: states})

@@ -11,7 +11,6 @@ from pipeline.boxes import iou_2d
 from pipeline.diagnosis.frame_evidence import FrameEvidence
 from pipeline.diagnosis.oracles import (
     CONF,
-    EVEN,
     LIFT,
     RECALL,
     RIGHT_SCORE,
@@ -22,7 +21,8 @@ from pipeline.diagnosis.oracles import (
 )
 from pipeline.evaluation.cases import Case
 from pipeline.evaluation.records import HIT
-from pipeline.ranking import MIN_RELATION, MIN_SCORE, TIE, Candidates
+from pipeline.pair_table import HOLDS, MIN_RELATION, PairTable, Side, one_object_twice, pair_table, side
+from pipeline.ranking import Candidates
 
 _ALL = np.arange(SUBSETS)
 
@@ -61,8 +61,8 @@ class Substituted:
     Attributes
     ----------
     target, reference : Role
-    log_score : (16, T, R) float64
-        S under each subset; -inf where a pair is not there or is one thing.
+    table : PairTable
+        One scene a subset; no pair is there whose objects are one thing, or have not been recalled.
     p_relation : (2, 2, T, R) float64
         Without and with LIFT, without and with SRM.
     covered : (T, R) bool
@@ -73,55 +73,31 @@ class Substituted:
 
     target: Role
     reference: Role
-    log_score: np.ndarray
+    table: PairTable
     p_relation: np.ndarray
     covered: np.ndarray
     right: np.ndarray
-    mask_sizes: np.ndarray
+
+    @property
+    def log_score(self) -> np.ndarray:
+        """(16, T, R) float64: S under each subset; -inf where there is no pair."""
+        return self.table.log_score
+
+    @cached_property
+    def plain(self) -> PairTable:
+        """The pairs without any oracle, as they were ranked."""
+        return self.table.scene(0)
 
     @cached_property
     def winners(self) -> np.ndarray:
         """(16,) int64: the winning pair under each subset as i * R + j; -1 where there is no pair."""
-        if not self.covered.size:
-            return np.full(SUBSETS, -1, np.int64)
-        return self._tops(self.log_score.reshape(SUBSETS, -1))
+        return self.table.first()
 
     @cached_property
     def best_acceptable(self) -> tuple[int, int] | None:
         """The acceptable pair among the candidates that stands highest, by the ranking's order, without any oracle."""
-        if not self.covered.size:
-            return None
-        at = int(self._tops(np.where(self.covered, self.log_score[0], -np.inf).reshape(1, -1))[0])
+        at = int(self.plain.first(self.covered)[0])
         return None if at < 0 else divmod(at, self.covered.shape[1])
-
-    def _tops(self, flat: np.ndarray) -> np.ndarray:
-        """(S,) int64: the first place by the ranking's order of each row of scores, that of subset s; -1 for none."""
-        top = flat.max(axis=1)
-        near = np.round(flat / TIE) >= np.round(top / TIE)[:, None]
-        found = np.where(np.isfinite(top), flat.argmax(axis=1), -1)
-        for subset in np.flatnonzero((near.sum(axis=1) > 1) & np.isfinite(top)):
-            found[subset] = self._first(int(subset), np.flatnonzero(near[subset]))
-        return found
-
-    def _first(self, subset: int, tied: np.ndarray) -> int:
-        """The tied pair that the ranking's rules put first: relation, target score, mask, lower places."""
-        i, j = np.divmod(tied, self.covered.shape[1])
-        lift, srm = int(bool(subset & LIFT)), int(bool(subset & SRM))
-        targets, references = self.target.places[i], self.reference.places[j]
-        keys = zip(
-            (-self.p_relation[lift, srm, i, j]).tolist(),
-            (-self._target_scores(subset)[i]).tolist(),
-            (-self.mask_sizes[targets]).tolist(),
-            targets.tolist(),
-            references.tolist(),
-            tied.tolist(),
-            strict=True,
-        )
-        # A handful of pairs: plain tuples are compared sooner than arrays are sorted.
-        return min(keys)[-1]
-
-    def _target_scores(self, subset: int) -> np.ndarray:
-        return given_scores(self.target) if subset & CONF else self.target.scores
 
     def pair(self, subset: int = 0) -> tuple[int, int] | None:
         """The winner under a subset as places in the two roles."""
@@ -151,29 +127,40 @@ class Substituted:
         t, r = ((len(x.places) if subset & RECALL else x.found) for x in (self.target, self.reference))
         if self.winners[subset] >= 0 or not t or not r:
             return None
-        return int(np.argmax(self._target_scores(subset)[:t]))
+        return int(np.argmax(self.table.target.scores[subset, :t]))
 
     @cached_property
     def margins(self) -> np.ndarray:
-        """(16,) float64: S of the best acceptable pair less S of the best other pair; -inf, inf where one lacks."""
-        return _margins(self.log_score, self.covered)
+        """(16,) float64: how far the best acceptable pair stands above the best other one; -inf, inf where one lacks.
 
-    def decided_margin(self, subset: int, relation_weight: float) -> float:
+        Their difference in S; where the probabilities of a target's pairs are summed up and the two have different
+        targets, that of the logs of these sums.
+        """
+        return _margins(self.table, self.covered)
+
+    def decided_margin(self, subset: int) -> float:
         """The margin by what the network decides: a relation above .5 counts as the truth's .99, one below as .01."""
-        lift, srm = int(bool(subset & LIFT)), int(bool(subset & SRM))
-        p = self.p_relation[lift, srm]
-        decided = np.where(p > EVEN, STATE_PROBABILITY[1], np.where(p < EVEN, STATE_PROBABILITY[-1], p))
-        shift = relation_weight * (np.log(decided) - np.log(np.maximum(p, MIN_RELATION)))
-        return float(_margins((self.log_score[subset] + shift)[None], self.covered)[0])
+        table = self.table.scene(subset)
+        p = table.p_relation
+        decided = np.where(p > HOLDS, STATE_PROBABILITY[1], np.where(p < HOLDS, STATE_PROBABILITY[-1], p))
+        return float(_margins(table.with_relation(decided), self.covered)[0])
 
 
-def _margins(log_score: np.ndarray, covered: np.ndarray) -> np.ndarray:
-    flat, right = log_score.reshape(len(log_score), -1), covered.ravel()
+def _margins(table: PairTable, covered: np.ndarray) -> np.ndarray:
+    flat, right = table.flat, covered.ravel()
     best = np.where(right, flat, -np.inf).max(axis=1, initial=-np.inf)
     other = np.where(right, -np.inf, flat).max(axis=1, initial=-np.inf)
     found = np.full(len(flat), np.nan)
     either = np.isfinite(best) | np.isfinite(other)
     found[either] = best[either] - other[either]
+    both = np.flatnonzero(np.isfinite(best) & np.isfinite(other))
+    if table.config.aggregate == "marginal" and len(both):
+        a, b = table.first(covered)[both], table.first(~covered)[both]
+        i, k = a // covered.shape[1], b // covered.shape[1]
+        mass = np.log(np.maximum(table.target_posterior[both], 1e-300))
+        every = np.arange(len(both))
+        # Pairs of one target are compared by S.
+        found[both] = np.where(i == k, flat[both, a] - flat[both, b], mass[every, i] - mass[every, k])
     return found
 
 
@@ -230,43 +217,49 @@ def substitute(evidence: FrameEvidence, case: Case) -> Substituted:
     hits, ends = ((role.overlap >= HIT).astype(np.int32) for role in (target, reference))
     p = _relation(evidence, case.relation, target, reference)
     config = answers.source.config.rank
-    own, other = (
-        np.log(np.clip(np.stack([role.scores, given_scores(role)]), MIN_SCORE, 1 - MIN_SCORE))
-        for role in (target, reference)
-    )
     lift, srm, conf = (((_ALL & bit) > 0).astype(int) for bit in (LIFT, SRM, CONF))
-    # In the order in which the ranking adds them, so that S is the same to the last bit.
-    score = config.target_weight * own[conf][:, :, None] + (
-        config.relation_weight * np.log(np.maximum(p[lift, srm], MIN_RELATION))
-        + config.reference_weight * other[conf][:, None, :]
+    unseen = (_ALL & RECALL) == 0
+    same, same_box = (
+        one_object_twice((target.places, reference.places), table) for table in (evidence.same, evidence.same_box)
     )
-    same, same_box = (table[np.ix_(target.places, reference.places)] for table in (evidence.same, evidence.same_box))
     a, b = target.shape_of[:, None], reference.shape_of[None, :]
     # LIFT also gives the true masks, and those of two objects are never alike.
     same_lifted = np.where((a >= 0) & (b >= 0) & (a != b), same_box, same)
-    score[np.stack([same, same_lifted])[lift]] = -np.inf
-    unseen = (_ALL & RECALL) == 0
-    score[unseen, target.found :] = -np.inf
-    score[unseen, :, reference.found :] = -np.inf
+    forbidden = np.where(lift[:, None, None] > 0, same_lifted, same)
+    forbidden[unseen, target.found :] = True
+    forbidden[unseen, :, reference.found :] = True
+    table = pair_table(
+        _side(target, conf, config.target_weight),
+        (_side(reference, conf, config.reference_weight),),
+        p[lift, srm],
+        forbidden,
+        evidence.mask_sizes,
+        config,
+    )
     return Substituted(
         target=target,
         reference=reference,
-        log_score=score,
+        table=table,
         p_relation=p,
         covered=(hits @ pairs @ ends.T) > 0,
         right=np.asarray(hits[:, case.acceptable].any(axis=1)),
-        mask_sizes=evidence.mask_sizes,
     )
+
+
+def _side(role: Role, conf: np.ndarray, weight: float) -> Side:
+    """A role under every subset; `conf` says which of them give true confidences."""
+    both = side(role.places, np.stack([role.scores, given_scores(role)]), weight)
+    return Side(both.index, both.scores[conf], both.log[conf])
 
 
 def _relation(evidence: FrameEvidence, relation: str, target: Role, reference: Role) -> np.ndarray:
     """(2, 2, T, R): without and with LIFT, without and with SRM."""
     table = evidence.probabilities(relation)
-    base = table[np.ix_(target.places, reference.places)]
+    base = table[target.places[:, None], reference.places]
     shaped = [
         np.where(role.shape_of >= 0, evidence.detections + role.shape_of, role.places) for role in (target, reference)
     ]
-    lifted = table[np.ix_(*shaped)]
+    lifted = table[shaped[0][:, None], shaped[1]]
     # Two candidates that are one object stand in no relation to each other.
     lifted = np.where(shaped[0][:, None] == shaped[1][None, :], STATE_PROBABILITY[-1], lifted)
     moved = (target.shape_of >= 0)[:, None] | (reference.shape_of >= 0)[None, :]
@@ -284,5 +277,5 @@ def _relation(evidence: FrameEvidence, relation: str, target: Role, reference: R
         judged |= (a[:, None] == b[None, :]) & (a >= 0)[:, None]
     else:
         judged, told = np.zeros(base.shape, np.bool_), base
-    found = np.stack([np.stack([p, np.where(judged, told, p)]) for p in (base, lifted)])
+    found = np.array([[p, np.where(judged, told, p)] for p in (base, lifted)])
     return np.where(np.isfinite(found), found, MIN_RELATION)

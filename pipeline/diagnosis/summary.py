@@ -219,7 +219,8 @@ def verdict_table(systems: Mapping[str, RunSummary]) -> Table:
         tuple(rows),
         "Percent of expressions. Each has one verdict, so that these sum to 100; rows after a colon are part of the "
         "verdict before it. CORRECT: the labelled target; LUCKY: with a pair of which the expression is not true; "
-        f"LABEL: AMBIGUOUS is another right answer. Brackets: 95 % bootstrap intervals over {found[0].unit}s.",
+        "LABEL: AMBIGUOUS is another right answer, SUSPECT one that only the labels' relations call right. "
+        f"Brackets: 95 % bootstrap intervals over {found[0].unit}s.",
     )
 
 

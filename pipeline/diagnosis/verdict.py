@@ -2,7 +2,9 @@
 
 CORRECT      the answer's target overlaps the labelled one by half (LUCKY where the pair is not an acceptable one)
 PARSE        the parsed triple is not the gold triple
-LABEL        AMBIGUOUS: the answer is another acceptable target; BAD_LABEL, BAD_BOX: a person marked the label
+LABEL        AMBIGUOUS: the answer is another acceptable target; BAD_LABEL, BAD_BOX: a person marked the label;
+             SUSPECT: the labels' own relations say of the answer that it is, or may be, right, and the expression does
+             not list it
 OPM-TARGET   no candidate overlaps an acceptable target: RANK, THRESHOLD, LOCALISATION or ABSENT (`misses`)
 OPM-REF      no candidate pair is an acceptable one
 LIFT, SRM, OPM-CONF, PRM, COMPOUND
@@ -30,9 +32,11 @@ import numpy as np
 from pipeline.diagnosis.frame_evidence import FrameEvidence
 from pipeline.diagnosis.misses import Missed, why_missed
 from pipeline.diagnosis.oracles import CONF, LIFT, SRM, SUBSETS, names_of, size
+from pipeline.diagnosis.repair import Needed, needed_changes
 from pipeline.diagnosis.substitution import Role, Substituted, substitute
 from pipeline.evaluation.cases import Case
 from pipeline.evaluation.records import HIT
+from pipeline.pair_table import ScoredPair
 from pipeline.proposals.base import Detector
 
 VERDICTS = (
@@ -51,26 +55,6 @@ SAME_MARGIN = 1e-6
 
 
 @dataclass(frozen=True)
-class Stand:
-    """One pair in the score: who it is, its factors, its S.
-
-    Attributes
-    ----------
-    target, reference : int
-        Places in the frame's detections.
-    p_target, p_reference, p_relation : float
-    log_score : float
-    """
-
-    target: int
-    reference: int
-    p_target: float
-    p_reference: float
-    p_relation: float
-    log_score: float
-
-
-@dataclass(frozen=True)
 class Diagnosis:
     """What failed and what would mend it.
 
@@ -79,16 +63,19 @@ class Diagnosis:
     verdict : str
         One of VERDICTS.
     detail : str or None
-        AMBIGUOUS, BAD_LABEL, BAD_BOX; RANK, THRESHOLD, LOCALISATION, ABSENT; DEGENERATE; the oracles of COMPOUND.
+        AMBIGUOUS, BAD_LABEL, BAD_BOX, SUSPECT; RANK, THRESHOLD, LOCALISATION, ABSENT; DEGENERATE; the oracles of
+        COMPOUND.
     lucky : bool
         Right, but with a pair that is not acceptable.
     repair : tuple of str
         The smallest set of oracles with which an acceptable pair wins; empty where none is needed or none helps.
+    mends : tuple of str
+        Where an acceptable pair stood among the candidates and lost: every oracle that alone makes one win.
     right_with : int
         Bit s is set where the target is right with the oracles of subset s (`oracles`), on the gold triple.
     margins : (16,) float64
         S of the best acceptable pair less S of the best other one under each subset; NaN without any pair.
-    winner, right : Stand or None
+    winner, right : ScoredPair or None
         The answer, and the best acceptable pair among the candidates.
     false_target, false_reference : bool
         The answer's objects are of no labelled object of the asked class.
@@ -96,6 +83,8 @@ class Diagnosis:
         With OPM-TARGET and OPM-REF.
     missed_name : str or None
         The class name of which the right object is missing.
+    needed : tuple of Needed
+        What one factor alone would have to be for the best acceptable pair to win; empty where one wins.
     pseudo : bool
         LIFT's truth was the box of the label for an object of either pair: the dataset has no pixels of it.
     """
@@ -106,13 +95,15 @@ class Diagnosis:
     repair: tuple[str, ...]
     right_with: int
     margins: np.ndarray
-    winner: Stand | None
-    right: Stand | None
+    winner: ScoredPair | None
+    right: ScoredPair | None
     false_target: bool = False
     false_reference: bool = False
     missed: Missed | None = None
     missed_name: str | None = None
     pseudo: bool = False
+    mends: tuple[str, ...] = ()
+    needed: tuple[Needed, ...] = ()
 
     @property
     def correct(self) -> bool:
@@ -153,11 +144,13 @@ def diagnose(
     """
     found = substitute(evidence, case)
     pair, alone = found.pair(), found.alone()
-    winner = None if pair is None else _stand(found, *pair)
+    winner = None if pair is None else found.plain.pair(int(found.winners[0]))
     place = found.best_acceptable
     target = pair[0] if pair is not None else alone
     overlap = 0.0 if target is None or not parse_ok else float(found.target.overlap[target, case.target_object])
     flip = _smallest(found, range(1, SUBSETS))
+    right = None if place is None else place[0] * found.covered.shape[1] + place[1]
+    lost = pair is not None and right is not None and not found.covered[pair]
     diagnosis = Diagnosis(
         verdict="",
         detail=None,
@@ -166,9 +159,10 @@ def diagnose(
         right_with=int((found.right_target << np.arange(SUBSETS)).sum()),
         margins=found.margins,
         winner=winner if parse_ok else None,
-        right=None if place is None else _stand(found, *place),
+        right=None if right is None else found.plain.pair(right),
         false_target=target is not None and bool(found.target.object[target] < 0),
         false_reference=pair is not None and bool(found.reference.object[pair[1]] < 0),
+        needed=needed_changes(found.plain, int(found.winners[0]), right) if lost and right is not None else (),
         pseudo=_pseudo(evidence, found, [p for p in (pair, place) if p is not None]),
     )
     if overlap >= HIT:
@@ -180,6 +174,8 @@ def diagnose(
         return replace(diagnosis, verdict="LABEL", detail="AMBIGUOUS", repair=())
     if mark is not None:
         return replace(diagnosis, verdict="LABEL", detail=mark, repair=())
+    if pair is not None and found.covered[pair]:
+        return replace(diagnosis, verdict="LABEL", detail="SUSPECT", repair=())
     if not found.right[: found.target.found].any():
         missed = _missed(evidence, case.target, case.acceptable, unfiltered)
         return replace(diagnosis, verdict="OPM-TARGET", detail=missed.kind, missed=missed, missed_name=case.target)
@@ -191,13 +187,14 @@ def diagnose(
         return replace(
             diagnosis, verdict="OPM-REF", detail=missed.kind, missed=missed, missed_name=case.reference
         )
-    verdict, detail, repair = _flipped(found, diagnosis, evidence.answers.source.config.rank.relation_weight)
-    return replace(diagnosis, verdict=verdict, detail=detail, repair=names_of(repair))
-
-
-def _flipped(found: Substituted, diagnosis: Diagnosis, weight: float) -> tuple[str, str | None, int]:
-    """Verdict, detail and repair where an acceptable pair lost."""
     flips = [bit for bit in _FLIPS if found.accepted[bit]]
+    verdict, detail, repair = _flipped(found, diagnosis, flips)
+    mends = tuple(name for bit in flips for name in names_of(bit))
+    return replace(diagnosis, verdict=verdict, detail=detail, repair=names_of(repair), mends=mends)
+
+
+def _flipped(found: Substituted, diagnosis: Diagnosis, flips: list[int]) -> tuple[str, str | None, int]:
+    """Verdict, detail and repair where an acceptable pair lost; `flips` are the oracles that alone mend it."""
     if not flips:
         several = [s for s in range(SUBSETS) if not s & ~_ALL_FLIPS and size(s) > 1]
         smallest = _smallest(found, several)
@@ -206,7 +203,7 @@ def _flipped(found: Substituted, diagnosis: Diagnosis, weight: float) -> tuple[s
         return "COMPOUND", "+".join(names_of(smallest)), smallest
     chosen = flips[0]
     if len(flips) > 1:
-        margin = {bit: found.decided_margin(bit, weight) for bit in flips}
+        margin = {bit: found.decided_margin(bit) for bit in flips}
         farthest = max(margin.values())
         chosen = next(bit for bit in flips if margin[bit] >= farthest - SAME_MARGIN)
     if chosen == CONF:
@@ -219,17 +216,6 @@ def _smallest(found: Substituted, subsets: range | list[int]) -> int | None:
     """The smallest of these subsets with which an acceptable pair wins; of equal ones that with the largest margin."""
     able = [s for s in subsets if found.accepted[s]]
     return min(able, key=lambda s: (size(s), -found.margins[s], s)) if able else None
-
-
-def _stand(found: Substituted, i: int, j: int) -> Stand:
-    return Stand(
-        int(found.target.places[i]),
-        int(found.reference.places[j]),
-        float(found.target.scores[i]),
-        float(found.reference.scores[j]),
-        float(found.p_relation[0, 0, i, j]),
-        float(found.log_score[0, i, j]),
-    )
 
 
 def _pseudo(evidence: FrameEvidence, found: Substituted, pairs: list[tuple[int, int]]) -> bool:

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
-from pipeline.diagnosis.repair import needed_changes
-from pipeline.diagnosis.verdict import Diagnosis, Stand
+from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.evaluation.cases import Case
 from pipeline.expression import Query
-from pipeline.ranking import RankConfig
+from pipeline.pair_table import HOLDS, ScoredPair
 from pipeline.relations import PHRASE
 
 _MODULE_WORDS = {
@@ -19,7 +18,6 @@ _MODULE_WORDS = {
 def explain(
     diagnosis: Diagnosis,
     case: Case,
-    config: RankConfig,
     *,
     query: Query | None = None,
     problem: str | None = None,
@@ -31,7 +29,6 @@ def explain(
     ----------
     diagnosis : Diagnosis
     case : Case
-    config : RankConfig
     query : Query, optional
         What the parser read.
     problem : str, optional
@@ -47,7 +44,7 @@ def explain(
         return _label(diagnosis, case)
     if diagnosis.verdict in ("OPM-TARGET", "OPM-REF"):
         return _missed(diagnosis, unknown)
-    return f"{_flipped(diagnosis, case)} {_smallest_change(diagnosis, config)}".strip()
+    return " ".join(filter(None, (_flipped(diagnosis, case), _others(diagnosis), _smallest_change(diagnosis))))
 
 
 def _correct(d: Diagnosis, case: Case) -> str:
@@ -73,6 +70,12 @@ def _label(d: Diagnosis, case: Case) -> str:
         return (
             f"The answer is another {case.target} of which the expression is, or may be, true; "
             f"it has {len(case.acceptable)} right answers, and the label names one."
+        )
+    if d.detail == "SUSPECT":
+        relation = PHRASE[case.relation]
+        return (
+            f"The labels' own relations say of the answer that it is, or may be, a {case.target} {relation} the "
+            f"{case.reference}, and the expression does not list it: the label is suspect."
         )
     what = "its box" if d.detail == "BAD_BOX" else "what it says"
     return f"A person marked this label as wrong in {what}; the answer may well be right."
@@ -108,18 +111,12 @@ def _flipped(d: Diagnosis, case: Case) -> str:
             else f"The right {case.target} and {case.reference}"
         )
         return f"{first} count as one thing. {_repaired(d) if d.repair else ''}".strip() + f" Verdict: {d.verdict}."
-    relation = PHRASE[case.relation]
+    said = _relation(winner.p_relation, right.p_relation, case)
     if d.verdict == "LIFT":
         boxed = " (of some objects the label's box)" if d.pseudo else ""
-        return (
-            f"A 3D box is off: for “{relation}” the right pair had {_p(right.p_relation)} and the answer "
-            f"{_p(winner.p_relation)}. With true geometry{boxed} the right pair wins. Verdict: LIFT."
-        )
+        return f"A 3D box is off: {said}. With true geometry{boxed} the right pair wins. Verdict: LIFT."
     if d.verdict == "SRM":
-        return (
-            f"For “{relation}” the answer had {_p(winner.p_relation)} and the right pair "
-            f"{_p(right.p_relation)}. With the labelled relations the right pair wins. Verdict: SRM."
-        )
+        return f"{said[0].upper()}{said[1:]}. With the labelled relations the right pair wins. Verdict: SRM."
     if d.verdict in ("OPM-CONF", "PRM") and d.detail != "DEGENERATE":
         return _confidences(d, winner, right, case)
     if d.verdict == "COMPOUND":
@@ -127,7 +124,7 @@ def _flipped(d: Diagnosis, case: Case) -> str:
     return "No true geometry, relation or confidence puts the right pair first: it lost a tie. Verdict: PRM."
 
 
-def _confidences(d: Diagnosis, winner: Stand, right: Stand, case: Case) -> str:
+def _confidences(d: Diagnosis, winner: ScoredPair, right: ScoredPair, case: Case) -> str:
     if d.verdict == "OPM-CONF":
         false = [
             f"{name} ({_p(p)})"
@@ -142,20 +139,51 @@ def _confidences(d: Diagnosis, winner: Stand, right: Stand, case: Case) -> str:
             f"The answer's {' and '.join(false)} {what}; the right pair had {_p(right.p_target)} and "
             f"{_p(right.p_reference)}. With true confidences the right pair wins. Verdict: OPM-CONF."
         )
-    parts = [
-        f"the wrong {name} {_p(ours)} and the right one {_p(theirs)}"
-        for name, mine, other, ours, theirs in (
-            (case.target, winner.target, right.target, winner.p_target, right.p_target),
-            (case.reference, winner.reference, right.reference, winner.p_reference, right.p_reference),
-        )
-        if mine != other
-    ]
+    parts = []
+    for name, mine, other, ours, theirs in (
+        (case.target, winner.target, right.target, winner.p_target, right.p_target),
+        (case.reference, winner.reference, right.reference, winner.p_reference, right.p_reference),
+    ):
+        if mine != other:
+            wrong, good = apart(ours, theirs)
+            parts.append(f"the wrong {name} {wrong} and the right one {good}")
+    first, second = apart(*sorted((winner.p_relation, right.p_relation), reverse=True))
     favoured = "the right pair" if right.p_relation >= winner.p_relation else "the answer"
-    first, second = sorted((winner.p_relation, right.p_relation), reverse=True)
-    return (
-        f"The detector gave {' and '.join(parts)}; the relation favoured {favoured} {_p(first)} to {_p(second)}. "
-        "With equal confidences the answer is right. Verdict: PRM."
+    relation = (
+        f"for the relation they are equal ({first})"
+        if first == second
+        else f"the relation favoured {favoured} {first} to {second}"
     )
+    said = "; ".join([*(f"the detector gave {' and '.join(parts)}" for _ in parts[:1]), relation])
+    return f"{said[0].upper()}{said[1:]}. With equal confidences the answer is right. Verdict: PRM."
+
+
+def _relation(winner: float, right: float, case: Case) -> str:
+    """What the relation gave to the answer and to the right pair, and whether either stands in it."""
+    ours, theirs = apart(winner, right)
+    both = f"both the answer and the right pair {ours}"
+    given = both if ours == theirs else f"the answer {ours} and the right pair {theirs}"
+    neither = ", so that neither stands in it" if max(winner, right) < HOLDS else ""
+    return f"“{PHRASE[case.relation]}” gave {given}{neither}"
+
+
+def apart(*values: float) -> tuple[str, ...]:
+    """Probabilities with two digits, or with as many more as tell them apart."""
+    for digits in range(2, 10):
+        shown = tuple(f"{value:.{digits}f}" for value in values)
+        if len(set(shown)) == len(set(values)):
+            return shown
+    return tuple(f"{value:.2f}" for value in values)
+
+
+def threshold(value: float, now: float) -> tuple[str, str]:
+    """What a factor has to pass, with so many digits that it is another number than it is now, and neither 0 nor 1."""
+    shown = is_now = ""
+    for digits in range(2, 10):
+        shown, is_now = f"{value:.{digits}f}", f"{now:.{digits}f}"
+        if shown != is_now and 0 < float(shown) < 1:
+            break
+    return shown, f"{now:.2f}" if abs(now - value) >= 0.01 else is_now
 
 
 def _repaired(d: Diagnosis) -> str:
@@ -165,14 +193,37 @@ def _repaired(d: Diagnosis) -> str:
     return f"It takes {' and '.join(_MODULE_WORDS[name] for name in d.repair)}{together}."
 
 
-def _smallest_change(d: Diagnosis, config: RankConfig) -> str:
-    for change in needed_changes(d, config):
-        if change.right_above is not None:
-            name = {"relation": "relation", "target": "target score", "reference": "reference score"}[change.factor]
-            digits = 2 if change.right_above - change.right >= 0.01 else 4
-            above, now = f"{change.right_above:.{digits}f}", f"{change.right:.{digits}f}"
-            return f"Smallest change: its {name} above {above} instead of {now}."
-    return ""
+def _others(d: Diagnosis) -> str:
+    """The other oracles that alone would have done as well."""
+    others = [name for name in d.mends if name not in d.repair]
+    if not others:
+        return ""
+    words = " or ".join(_MODULE_WORDS[name] for name in others)
+    return f"{words[0].upper()}{words[1:]} alone would do too."
+
+
+def _smallest_change(d: Diagnosis) -> str:
+    """The smallest change of one factor that would put the right pair first, or that there is none."""
+    names = {"relation": "relation", "target": "target score", "reference": "reference score"}
+    for change in d.needed:
+        if change.right_above is None:
+            continue
+        above, now = threshold(change.right_above, change.right)
+        if change.right_above < 0.01 and change.right < 0.005 and change.factor != "reference":
+            # Two pairs that are both next to 0: what is enough says more than what is just enough.
+            return f"A {names[change.factor]} of 0.01 instead of {change.right:.2f} would put the right pair first."
+        return f"Smallest change: its {names[change.factor]} above " + (
+            f"{above}, which is a tie." if above == now else f"{above} instead of {now}."
+        )
+    if not d.needed:
+        return ""
+    falls = [n for n in d.needed if n.winner_below is not None]
+    if not falls:
+        return "No change of one factor alone would put the right pair first."
+    least = min(falls, key=lambda n: n.winner - (n.winner_below or 0.0))
+    below, now = threshold(least.winner_below or 0.0, least.winner)
+    what = f"Smallest change: the answer's {names[least.factor]} below {below}"
+    return f"{what}, which is a tie." if below == now else f"{what} instead of {now}."
 
 
 def _p(value: float | None) -> str:

@@ -5,7 +5,7 @@
 sure they are `intervals`, `relation_intervals`, `grounding_intervals` (clustered
 bootstrap) and `significance` (McNemar's exact test).
 
-A figure without a meaning is NaN and never 0: precision where nothing was said
-to hold, recall and average precision where nothing holds, F1 where neither
-(scikit-learn's zero_division=nan); means go over what is defined.
+A figure without support is NaN and never 0: precision where nothing was said
+to hold, recall, average precision and F1 where nothing holds; means go over
+what is defined.
 """

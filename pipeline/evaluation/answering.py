@@ -7,7 +7,6 @@ expressions of a frame is computed once.
 from __future__ import annotations
 
 from collections.abc import Collection, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -16,59 +15,11 @@ from pipeline.errors import InputError
 from pipeline.evaluation.stage_clock import StageClock
 from pipeline.jobs import Source
 from pipeline.objects import FrameContext, SceneObject, same_object
+from pipeline.pair_table import PairTable, one_object_twice, pair_table, side
 from pipeline.proposals.base import Proposals
-from pipeline.ranking import MIN_RELATION, MIN_SCORE, TIE, Candidates
+from pipeline.ranking import Candidates
 from pipeline.relations import PAIRWISE
 from pipeline.srm.scorer import RelationScores
-
-
-@dataclass(frozen=True)
-class Pair:
-    """A target and a reference among the candidates, with the factors of their score.
-
-    Attributes
-    ----------
-    target, reference : int
-        Places in the frame's objects as detected.
-    p_target, p_reference, p_relation : float
-    log_score : float
-        S of the ranking.
-    """
-
-    target: int
-    reference: int
-    p_target: float
-    p_reference: float
-    p_relation: float
-    log_score: float
-
-
-@dataclass(frozen=True)
-class Scored:
-    """All candidate pairs of one expression.
-
-    Attributes
-    ----------
-    targets, references : Candidates
-    p_relation, log_score : (T, R) float64
-        -inf where the two are one thing.
-    """
-
-    targets: Candidates
-    references: Candidates
-    p_relation: np.ndarray
-    log_score: np.ndarray
-
-    def pair(self, i: int, j: int) -> Pair:
-        """Candidate target i with candidate reference j."""
-        return Pair(
-            int(self.targets.index[i]),
-            int(self.references.index[j]),
-            float(self.targets.scores[i]),
-            float(self.references.scores[j]),
-            float(self.p_relation[i, j]),
-            float(self.log_score[i, j]),
-        )
 
 
 class FrameAnswers:
@@ -150,38 +101,18 @@ class FrameAnswers:
         """(D, D) float64: P("a RELATION b") of all detections; None where nothing was detected."""
         return None if self._scores is None else self._scores.of(relation)
 
-    def score(self, target: str, relation: str, reference: str) -> Scored | None:
+    def score(self, target: str, relation: str, reference: str) -> PairTable | None:
         """All candidate pairs of an expression; None where a class was not found."""
         targets, references = self.candidates[target], self.candidates[reference]
         if self._scores is None or not len(targets.index) or not len(references.index):
             return None
         config = self.source.config.rank
-        p = self._scores.of(relation)[np.ix_(targets.index, references.index)]
-        own, other = (np.log(np.clip(c.scores, MIN_SCORE, 1 - MIN_SCORE)) for c in (targets, references))
-        # In the order in which the ranking adds them, so that S is the same to the last bit.
-        relation_and_reference = (
-            config.relation_weight * np.log(np.maximum(p, MIN_RELATION)) + config.reference_weight * other[None, :]
+        places = targets.index, references.index
+        return pair_table(
+            side(targets.index, targets.scores, config.target_weight),
+            (side(references.index, references.scores, config.reference_weight),),
+            self._scores.of(relation)[places[0][:, None], places[1]],
+            one_object_twice(places, self.same),
+            self.mask_sizes,
+            config,
         )
-        log_score = config.target_weight * own[:, None] + relation_and_reference
-        log_score[self.same[np.ix_(targets.index, references.index)]] = -np.inf
-        return Scored(targets, references, p, log_score)
-
-    def best(self, scored: Scored, allowed: np.ndarray | None = None) -> tuple[int, int] | None:
-        """The first pair by the ranking's order; of the allowed ones ((T, R) bool) where they are given."""
-        score = scored.log_score if allowed is None else np.where(allowed, scored.log_score, -np.inf)
-        top = score.max(initial=-np.inf)
-        if not np.isfinite(top):
-            return None
-        # Scores within the rounding of a tie of the winner compete by the tie rules.
-        i, j = np.nonzero(np.round(score / TIE) >= np.round(top / TIE))
-        if len(i) > 1:
-            targets, references = scored.targets.index[i], scored.references.index[j]
-            keys = (references, targets, -self.mask_sizes[targets], -scored.targets.scores[i], -scored.p_relation[i, j])
-            first = np.lexsort(keys)[0]
-            i, j = i[first : first + 1], j[first : first + 1]
-        return int(i[0]), int(j[0])
-
-
-def alone(candidates: Candidates) -> int | None:
-    """The best target without any relation (OPM only), as a place in the frame's objects."""
-    return int(candidates.index[int(np.argmax(candidates.scores))]) if len(candidates.index) else None

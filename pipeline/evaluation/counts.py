@@ -14,9 +14,9 @@ def ratio(part: Any, whole: Any) -> np.ndarray:
 
 
 def f1_of(tp: Any, fp: Any, fn: Any) -> np.ndarray:
-    """F1 = 2 tp / (2 tp + fp + fn); NaN where nothing holds and nothing was said to hold."""
-    doubled = 2.0 * np.asarray(tp, np.float64)
-    return ratio(doubled, doubled + fp + fn)
+    """F1 = 2 tp / (2 tp + fp + fn); NaN where nothing holds (tp + fn = 0), whatever was said: it has no support."""
+    doubled, support = 2.0 * np.asarray(tp, np.float64), np.asarray(tp, np.float64) + fn
+    return ratio(doubled, np.where(support > 0, doubled + fp + fn, 0.0))
 
 
 def mean_of_defined(values: np.ndarray) -> np.ndarray:

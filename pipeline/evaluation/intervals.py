@@ -85,19 +85,19 @@ class Estimate:
         return math.isfinite(self.low) and math.isfinite(self.high) and self.clusters >= FEWEST_CLUSTERS
 
     def formatted(self, scale: float = 100.0, decimals: int = 1, signed: bool = False) -> str:
-        """"62.7 [59.9, 65.4]"; "62.7 [n/a]" without an interval, "n/a" without a value.
+        """"62.7 [59.9, 65.4]"; "62.7 [–]" without an interval, "–" without a value.
 
         `signed` writes a plus before what is positive: for differences.
         """
         if not math.isfinite(self.value):
-            return "n/a"
+            return "–"
 
         def text(x: float) -> str:
             shown = round(x * scale, decimals) + 0.0  # Adding zero turns -0.0 into 0.0.
             return f"{shown:{'+' if signed and shown else ''}.{decimals}f}"
 
         if not (math.isfinite(self.low) and math.isfinite(self.high)):
-            return f"{text(self.value)} [n/a]"
+            return f"{text(self.value)} [–]"
         return f"{text(self.value)} [{text(self.low)}, {text(self.high)}]"
 
     def record(self) -> dict[str, Any]:

@@ -10,9 +10,11 @@ import numpy as np
 from pipeline.boxes import iou_2d
 from pipeline.diagnosis.columns import DIAGNOSIS_COLUMNS
 from pipeline.errors import InputError
-from pipeline.evaluation.answering import FrameAnswers, Pair, Scored, alone
+from pipeline.evaluation.answering import FrameAnswers
 from pipeline.evaluation.cases import Case, FrameCases
 from pipeline.expression import Query, parse
+from pipeline.pair_table import PairTable, ScoredPair
+from pipeline.ranking import alone
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -131,17 +133,16 @@ def record(
     pairs = truth.acceptable_pairs(case)
     _opm(row, case, answers, overlap)
     covered = _coverage(row, case, pairs, answers, overlap >= HIT)
-    winner = place = target = None
+    winner = target = None
     with answers.clock.stage("rank"):
-        scored = answers.score(case.target, case.relation, case.reference) if gold else None
-        if scored is not None:
-            place = answers.best(scored)
-    if scored is not None and place is not None:
-        winner = scored.pair(*place)
+        table = answers.score(case.target, case.relation, case.reference) if gold else None
+        first = -1 if table is None else int(table.first()[0])
+    if table is not None and first >= 0:
+        winner = table.pair(first)
         target = winner.target
-        _right(row, scored, winner, covered, answers)
-    elif scored is not None:
-        target = alone(scored.targets)
+        _right(row, table, first, covered)
+    elif table is not None:
+        target = alone(answers.candidates[case.target])
     row["degenerate"] = winner is None and target is not None
     _answer(row, case, truth, answers, target, overlap)
     if winner is not None:
@@ -192,18 +193,17 @@ def _rank(scores: np.ndarray, right: np.ndarray) -> int | None:
     return int(np.flatnonzero(right[order])[0]) + 1
 
 
-def _right(row: dict[str, Any], scored: Scored, winner: Pair, covered: np.ndarray, answers: FrameAnswers) -> None:
+def _right(row: dict[str, Any], table: PairTable, first: int, covered: np.ndarray) -> None:
     """The best acceptable pair that stood among the candidates, and how far ahead the winner was."""
-    place = answers.best(scored, covered)
-    if place is not None:
-        right = scored.pair(*place)
+    at = int(table.first(covered)[0])
+    if at >= 0:
+        right = table.pair(at)
         row |= {
             "right_p_target": right.p_target, "right_p_reference": right.p_reference,
             "right_p_relation": right.p_relation, "right_log_score": right.log_score,
         }  # fmt: skip
-    others = scored.log_score[np.isfinite(scored.log_score)]
-    if len(others) > 1:
-        row["log_margin"] = winner.log_score - float(np.partition(others, -2)[-2])
+    lead = table.lead(first)
+    row["log_margin"] = lead if np.isfinite(lead) else None
 
 
 def _answer(
@@ -237,12 +237,13 @@ def _winner(
     row: dict[str, Any],
     case: Case,
     truth: FrameCases,
-    winner: Pair,
+    winner: ScoredPair,
     answers: FrameAnswers,
     pairs: np.ndarray,
     overlap: np.ndarray,
 ) -> None:
     """The pair that answers."""
+    assert winner.reference is not None
     both = overlap[[winner.target, winner.reference]]
     hits = both >= HIT
     a, b = matched(both, truth.alike[[case.target_object, case.reference_object]])

@@ -186,7 +186,6 @@ class Evaluator:
         said = explain(
             diagnosis,
             case,
-            self.source.config.rank,
             query=self._parsed[case.text][0],
             problem=row["problem"],
             unknown=evidence.answers.unknown,

@@ -28,7 +28,7 @@ class SingleLabelMetrics:
     confusion : (R, R) int64
         Pairs by true relation (row) and most probable one (column).
     precision, recall, f1 : (R,) float64
-        NaN where undefined: precision of what is never said, recall of what never holds, F1 of what is neither.
+        NaN without support: precision of what is never said, recall and F1 of what never holds.
     top1, top2 : float
         Share of pairs whose true relation is the most probable, is among the two most probable.
     macro_f1 : float

@@ -105,7 +105,7 @@ def shown(cell: Cell, decimals: int = 1, fraction: bool = False) -> str:
     if cell is None or (isinstance(cell, float) and math.isnan(cell)):
         return "–"
     if isinstance(cell, Estimate):
-        return (cell.formatted(1.0, 2) if fraction else cell.formatted()).replace("n/a", "–")
+        return cell.formatted(1.0, 2) if fraction else cell.formatted()
     if not isinstance(cell, float):
         return str(cell)
     return f"{cell:.2f}" if fraction else f"{100 * cell:.{decimals}f}"

@@ -120,8 +120,8 @@ def _unasked(
     evidence = FrameEvidence(truth, answers, DEFAULT_CONFIDENCE, (case,))
     gold = query is not None and is_gold(query, case)
     diagnosis = diagnose(evidence, case, parse_ok=gold, mark=mark, unfiltered=source.unfiltered_detector)
-    said = explain(diagnosis, case, source.config.rank, query=query, problem=unread or problem, unknown=answers.unknown)
-    return Judgement(case, truth, evidence, diagnosis, said, ())
+    said = explain(diagnosis, case, query=query, problem=unread or problem, unknown=answers.unknown)
+    return Judgement(case, truth, evidence, diagnosis, said)
 
 
 def answer_record(answered: Answered) -> dict[str, Any]:

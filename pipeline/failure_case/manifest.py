@@ -129,6 +129,8 @@ class ExpectedAnswer(BaseModel):
     probability: FiniteFloat
     p_relation: FiniteFloat
     product: FiniteFloat
+    holds: bool | None = None
+    """None in a case of an earlier release."""
 
 
 class ExpectedJudgement(BaseModel):

@@ -1,6 +1,6 @@
 """Running kept cases again: has the answer changed, by object and by verdict?
 
-What decides is the target, the reference and the verdict. Probabilities that
+What decides is the target, the reference, whether they stand in the relation, and the verdict. Probabilities that
 move by more than a tolerance, and another detail of the same verdict, are warnings.
 """
 
@@ -137,6 +137,9 @@ def _compare(before: Expected, after: Expected, tolerance: float, live: bool) ->
                 changes.append(f"{role.replace('_', ' ')}: {_named(one)} -> {_named(other)}")
             elif one is not None:
                 warnings += _moved(f"score of the {role.replace('_', ' ')}", one.score, other.score, tolerance)
+        if a.holds is not None and a.holds != b.holds:
+            stands = ("there is no such pair", "the pair stands in the relation")
+            changes.append(f"{stands[a.holds]} ({a.p_relation:.2f}) -> {stands[bool(b.holds)]} ({b.p_relation:.2f})")
         for what in ("p_relation", "product", "probability"):
             warnings += _moved(what, getattr(a, what), getattr(b, what), tolerance)
     one, other = before.judgement, after.judgement

@@ -77,8 +77,8 @@ def cast_of(answered: Answered) -> Cast:
         evidence, case = judged.evidence, judged.case
         # Another parse than the gold triple is judged by detections of its own.
         if evidence.answers.objects is objects:
-            stand = judged.diagnosis.right
-            right = None if stand is None else (stand.target, stand.reference)
+            pair = judged.diagnosis.right
+            right = None if pair is None or pair.reference is None else (pair.target, pair.reference)
             labelled = {place: int(k) for place, k in enumerate(evidence.match) if k >= 0}
         ends: tuple[tuple[Role, int], ...] = (("target", case.target_object), ("reference", case.reference_object))
         for role, k in ends:

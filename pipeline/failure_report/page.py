@@ -22,6 +22,7 @@ from pipeline.labels.whole_files import temporary_beside, write_synced
 from pipeline.lexicon import wording
 from pipeline.objects import FrameContext
 from pipeline.records import why_no_answer
+from pipeline.told_answer import best_pair, told
 
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data: blob:; frame-src 'self' data: blob:; " \
          "script-src 'unsafe-inline' 'unsafe-eval' 'wasm-unsafe-eval' blob: data:; worker-src blob: data:; " \
@@ -48,7 +49,7 @@ def failure_page(
     judged = answered.judgement
     title = f"{answered.text} · {subject.frame}"
     body = [
-        _header(answered, subject),
+        _header(answered, subject, cast),
         modules_html(answered),
         _views(answered, context, cast, scene),
         '<div class="columns">',
@@ -102,7 +103,7 @@ def headline(answered: Answered) -> str:
     )
 
 
-def _header(answered: Answered, subject: Subject) -> str:
+def _header(answered: Answered, subject: Subject, cast: Cast) -> str:
     judged = answered.judgement
     if judged is None:
         chip = '<span class="verdict none">NO VERDICT</span>'
@@ -115,8 +116,21 @@ def _header(answered: Answered, subject: Subject) -> str:
     return (
         f'<header><div class="eyebrow">{chip}<span class="asked-for">{_expression(answered)}</span>'
         f"<span>{escape(subject.dataset)} · frame {escape(subject.frame)}</span></div>"
-        f"<h1>{escape(first)}</h1>{lead}</header>"
+        f"<h1>{escape(first)}</h1>{lead}{_answer(answered, cast)}</header>"
     )
+
+
+def _answer(answered: Answered, cast: Cast) -> str:
+    """The answer in words, with the numbers at its top."""
+    trace = answered.trace
+    best = None if trace is None else best_pair(trace)
+    if trace is None or best is None or best.reference is None:
+        return ""
+    second = "" if best.second_reference is None else f" and {cast.name(best.second_reference)}"
+    phrase = wording(trace.asked.relation, inverse=trace.asked.inverse)
+    answer = told(trace, cast.name)
+    said = answer.sentence(f"{cast.name(best.target)} {phrase} {cast.name(best.reference)}{second}")
+    return f'<p class="lead">Answer: {escape(said)}. <span class="quiet">{escape(answer.below)}</span></p>'
 
 
 def _expression(answered: Answered) -> str:

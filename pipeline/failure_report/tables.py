@@ -84,7 +84,7 @@ def decomposition_html(judged: Judgement, cast: Cast) -> str:
 
 def _needed(judged: Judgement) -> str:
     lines = []
-    for n in judged.needed:
+    for n in judged.diagnosis.needed:
         ways = []
         if n.right_above is not None:
             ways.append(f"of the right pair above <b>{n.right_above:.3g}</b> (is {n.right:.3g})")
@@ -92,8 +92,10 @@ def _needed(judged: Judgement) -> str:
             ways.append(f"of the answer below <b>{n.winner_below:.3g}</b> (is {n.winner:.3g})")
         if ways:
             lines.append(f"<li>{n.factor} {', or '.join(ways)}</li>")
-    repair = " and ".join(_MODULE_WORDS[name] for name in judged.diagnosis.repair)
-    mended = f"<li>{repair}</li>" if repair else ""
+    d = judged.diagnosis
+    together = " and ".join(_MODULE_WORDS[name] for name in d.repair)
+    repairs = [_MODULE_WORDS[name] for name in d.mends] or ([together] if together else [])
+    mended = "".join(f"<li>{repair}</li>" for repair in repairs)
     if not lines and not mended:
         return ""
     return f'<h3>Each of these alone makes it right</h3><ul class="needed">{"".join(lines)}{mended}</ul>'
@@ -186,8 +188,8 @@ def relations_html(answered: Answered, cast: Cast) -> str:
     )
 
 
-def _pair(cast: Cast, target: int, reference: int) -> str:
-    if not all(0 <= place < len(cast.objects) for place in (target, reference)):
+def _pair(cast: Cast, target: int, reference: int | None) -> str:
+    if reference is None or not all(0 <= place < len(cast.objects) for place in (target, reference)):
         return ""
     return f"{escape(cast.name(target))} / {escape(cast.name(reference))}"
 

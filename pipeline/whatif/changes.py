@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.ranking import RankedPair
+from pipeline.pair_table import ScoredPair
 from pipeline.records import why_no_answer
 from pipeline.whatif.rerun import Outcome
 
@@ -36,9 +36,10 @@ def what_changed(
     dict
         `changed` (the winning pair is another); `before` and `after`, each with
         `target`, `reference`, `second_reference` (objects as {key, label}),
-        the factors `p_target`, `p_reference`, `p_relation`, `product`,
-        `probability`, the `margin` and `log_margin` (null where there is one
-        pair only), `entropy`, `reason` where there is no answer, `verdict`;
+        the factors `p_target`, `p_reference`, `p_relation`, `product`, whether
+        the pair `holds` and by what `relation_probability`, `probability`, the
+        `margin` and `log_margin` (null where there is one pair only),
+        `entropy`, `reason` where there is no answer, `verdict`;
         `factors`: what became of the pair that won before and of the one that
         wins now, as logs {before, after}; `moved`: the pairs with another
         rank, best first after the edit; `candidates`: keys of objects that
@@ -62,7 +63,7 @@ def what_changed(
     }
 
 
-def _names(outcome: Outcome, pair: RankedPair) -> _Names:
+def _names(outcome: Outcome, pair: ScoredPair) -> _Names:
     keys = outcome.keys
     return (
         keys[pair.target],
@@ -97,6 +98,8 @@ def _answer(outcome: Outcome, verdict: str | None) -> Record:
         "p_target": pair.p_target,
         "p_reference": pair.p_reference,
         "p_relation": pair.p_relation,
+        "holds": pair.holds,
+        "relation_probability": pair.relation_probability,
         "product": pair.product,
         "probability": pair.probability,
         "log_score": pair.log_score,
@@ -113,7 +116,7 @@ def _object(outcome: Outcome, place: int) -> Record:
     return {"key": outcome.keys[place], "label": outcome.trace.objects[place].label}
 
 
-def _pairs(outcome: Outcome) -> dict[_Names, tuple[int, RankedPair]]:
+def _pairs(outcome: Outcome) -> dict[_Names, tuple[int, ScoredPair]]:
     pairs = () if outcome.trace.ranking is None else outcome.trace.ranking.pairs
     return {_names(outcome, pair): (at, pair) for at, pair in enumerate(pairs, start=1)}
 

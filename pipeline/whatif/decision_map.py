@@ -17,7 +17,8 @@ from pipeline.contact import enclosed_share, surface_heights
 from pipeline.errors import InputError
 from pipeline.expression import Node
 from pipeline.objects import SceneObject
-from pipeline.ranking import MIN_RELATION, MIN_SCORE, TIE, Candidates, RankConfig, rank
+from pipeline.pair_table import PairTable, RankConfig, one_object_twice, pair_table, side
+from pipeline.ranking import rank
 from pipeline.relations import DIRECTIONAL, PAIRWISE, Profile, measure_pairs, measured_states
 from pipeline.srm.model import OnnxScorer
 from pipeline.srm.scorer import RuleScorer, stacked_extents
@@ -243,12 +244,13 @@ def _vectorised(
     table = trace.scores.of(attachment.relation)
     if attachment.inverse:
         table = table.T
-    base = table[np.ix_(targets.index, references.index)]
-    own, other = (
-        weight * np.log(np.clip(c.scores, MIN_SCORE, 1 - MIN_SCORE))
-        for c, weight in ((targets, config.target_weight), (references, config.reference_weight))
+    places = targets.index, references.index
+    base = table[np.ix_(*places)]
+    ends = (
+        side(targets.index, targets.scores, config.target_weight),
+        side(references.index, references.scores, config.reference_weight),
     )
-    forbidden = baseline.same(outcome.trace.objects)[np.ix_(targets.index, references.index)]
+    forbidden = one_object_twice(places, baseline.same(trace.objects))
     sizes = np.array([o.lifted.quality.mask_pixels for o in trace.objects])
     forth, back = (1, 0) if attachment.inverse else (0, 1)
     found = []
@@ -260,60 +262,23 @@ def _vectorised(
                 if (target == moved) != (reference == moved):
                     a, way = (reference, forth) if target == moved else (target, back)
                     p[:, i, j] = pairs[a][at, way, column]
-        score = own[None, :, None] + (config.relation_weight * np.log(np.maximum(p, MIN_RELATION)) + other[None, None])
-        score[:, forbidden] = -np.inf
-        found.append(_best(score, p, targets, references, sizes, config))
+        found.append(_winners(pair_table(ends[0], ends[1:], p, forbidden, sizes, config)))
     winner, reference, margin = (np.concatenate([part[k] for part in found]) for k in range(3))
     return winner, reference, margin
 
 
-def _best(
-    score: np.ndarray,
-    p: np.ndarray,
-    targets: Candidates,
-    references: Candidates,
-    sizes: np.ndarray,
-    config: RankConfig,
-) -> _Found:
-    """Winner, its reference and the margin of each cell, from scores (C, T, R)."""
-    count, rows, columns = score.shape
-    flat = score.reshape(count, -1)
-    target = np.repeat(targets.index, columns)
-    reference = np.tile(references.index, rows)
-    top = flat.max(axis=1, keepdims=True)
-    any_pair = np.isfinite(top[:, 0])
-    weight = np.exp(flat - np.where(np.isfinite(top), top, 0.0))
-    posterior = weight / np.maximum(weight.sum(axis=1, keepdims=True), 1e-300)
-    steps = [
-        np.round(flat / TIE),
-        p.reshape(count, -1),
-        np.broadcast_to(np.repeat(targets.scores, columns), flat.shape),
-        np.broadcast_to(sizes[target], flat.shape),
-        np.broadcast_to(-target, flat.shape),
-        np.broadcast_to(-reference, flat.shape),
-    ]
-    if config.aggregate == "marginal":
-        marginal = posterior.reshape(count, rows, columns).sum(axis=2)
-        steps.insert(0, np.round(np.repeat(marginal, columns, axis=1) / TIE))
-    every, allowed = np.arange(count), np.isfinite(flat)
-    first = _first(allowed, steps)
-    left = allowed.copy()
-    left[every, first] = False
-    second = _first(left, steps)
-    runner_up = np.where(left.any(axis=1), posterior[every, second], 0.0)
+def _winners(table: PairTable) -> _Found:
+    """Winner, its reference and the margin of each cell."""
+    first = table.first()
+    second = table.second(first)
+    every, found = np.arange(len(first)), first >= 0
+    i, j = np.unravel_index(np.maximum(first, 0), table.shape)
+    runner_up = np.where(second >= 0, table.posterior[every, second], 0.0)
     return (
-        np.where(any_pair, target[first], -1),
-        np.where(any_pair, reference[first], -1),
-        np.where(any_pair, posterior[every, first] - runner_up, 0.0),
+        np.where(found, table.target.index[i], -1),
+        np.where(found, table.ends[0].index[j], -1),
+        np.where(found, table.posterior[every, first] - runner_up, 0.0),
     )
-
-
-def _first(alive: np.ndarray, steps: list[np.ndarray]) -> np.ndarray:
-    """(C,) the pair that is largest in the first step, of these in the second, and so on."""
-    for step in steps:
-        best = np.where(alive, step, -np.inf).max(axis=1, keepdims=True)
-        alive = alive & (step >= best)
-    return alive.argmax(axis=1)
 
 
 def _one_by_one(

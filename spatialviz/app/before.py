@@ -5,6 +5,7 @@ from __future__ import annotations
 from pipeline.diagnosis.live import Judgement
 from pipeline.palette import hex_color, palette
 from pipeline.records import why_no_answer
+from pipeline.told_answer import probability
 from pipeline.whatif.edit_list import each_edit
 from spatialviz.app.failures import verdict_chip
 from spatialviz.app.state import State
@@ -29,7 +30,8 @@ def before_html(state: State) -> str:
         names = [safe(state.named(edited.before.keys[i])) for i in (best.target, *ends)]
         references = " ".join(f"{dot(colors['reference'])}{name}" for name in names[1:])
         said = f"{dot(colors['target'])}{names[0]} {references}"
-        p = f'<b>{best.probability:.2f}</b>'
+        said = said if best.holds else f'<span class="dim">no such pair; nearest</span> {said}'
+        p = f'<b title="P(relation)">{probability(best.relation_probability)}</b>'
     verdict = ""
     if isinstance(edited.judged, Judgement):
         verdict = verdict_chip(edited.judged.diagnosis.verdict)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from pipeline.diagnosis.live import Judgement
-from pipeline.ranking import RankedPair
+from pipeline.pair_table import ScoredPair
 from pipeline.whatif import Outcome
 
 _Names = tuple[str | None, ...]
@@ -30,12 +30,12 @@ class Edited:
     judged: Judgement | str | None
     seconds: float
 
-    def rank_before(self, pair: RankedPair) -> int | None:
+    def rank_before(self, pair: ScoredPair) -> int | None:
         """The place that a pair of the answer had, from 1; None where it was no candidate."""
         found = self._ranked.get(_named(self.after, pair))
         return None if found is None else found[0]
 
-    def pair_before(self, pair: RankedPair) -> RankedPair | None:
+    def pair_before(self, pair: ScoredPair) -> ScoredPair | None:
         """A pair of the answer as it was."""
         found = self._ranked.get(_named(self.after, pair))
         return None if found is None else found[1]
@@ -49,7 +49,7 @@ class Edited:
         return float(scores.of(relation)[places[0], places[1]])
 
     @cached_property
-    def _ranked(self) -> dict[_Names, tuple[int, RankedPair]]:
+    def _ranked(self) -> dict[_Names, tuple[int, ScoredPair]]:
         ranking = self.before.trace.ranking
         pairs = () if ranking is None else ranking.pairs
         return {_named(self.before, pair): (at, pair) for at, pair in enumerate(pairs, start=1)}
@@ -59,6 +59,6 @@ class Edited:
         return {key: at for at, key in enumerate(self.before.keys)}
 
 
-def _named(outcome: Outcome, pair: RankedPair) -> _Names:
+def _named(outcome: Outcome, pair: ScoredPair) -> _Names:
     ends = (pair.target, pair.reference, pair.second_reference)
     return tuple(None if i is None else outcome.keys[i] for i in ends)

@@ -14,7 +14,7 @@ from spatialviz.app.text import BAD, note, panel, safe
 MEANING = {
     "CORRECT": "the answer is the labelled target",
     "PARSE": "the expression was read as something else",
-    "LABEL": "the answer is right, too, or the label was marked as wrong",
+    "LABEL": "the answer is right, too, or the label is wrong, as a person or its own relations say",
     "OPM-TARGET": "no candidate is a right target",
     "OPM-REF": "no candidate pair is a right one",
     "LIFT": "a 3D box is off",

@@ -8,6 +8,7 @@ from dataclasses import asdict
 from pipeline.ask import Trace
 from pipeline.diagnosis.live import Judgement
 from pipeline.diagnosis.verdict import MODULE_OF
+from pipeline.pair_table import HOLDS
 from pipeline.palette import DROPPED, VERDICTS, hex_color, palette
 from pipeline.records import why_no_answer
 from spatialviz.app.beside_html import layers_html
@@ -161,8 +162,8 @@ def _modules(state: State) -> list[tuple[str, str, str, str]]:
     cost = ms("lift") if trace.timings.get("lift", 0.0) > 1e-4 else "kept"
     lift = ("LIFT", DOUBT if doubts else GOOD, cost, "; ".join(doubts) or f"{len(trace.objects)} objects lifted")
     chosen = state.chosen
-    weak = chosen is not None and chosen.p_relation < 0.5
-    doubtful = chosen is not None and abs(chosen.p_relation - 0.5) < 0.1
+    weak = chosen is not None and not chosen.holds
+    doubtful = chosen is not None and abs(chosen.relation_probability - HOLDS) < 0.1
     srm_hint = f"relations by {trace.scorer}"
     if chosen is not None:
         srm_hint += f"; the asked relation has {chosen.p_relation:.2f} for the chosen pair"

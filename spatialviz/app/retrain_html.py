@@ -68,7 +68,8 @@ def _figures(training: Training) -> str:
         rows.append(f'<tr class="{"sum" if name == "all" else ""}"><td>{title}</td>{cells}</tr>')
     right, wrong = trained["became_right"]["cells"], trained["became_wrong"]["cells"]
     gain = trained["gain"]["micro_f1"]
-    interval = f"[{gain['low'] * 100:+.1f}, {gain['high'] * 100:+.1f}]"
+    ends = (gain["low"], gain["high"])
+    interval = "–" if None in ends else f"[{ends[0] * 100:+.1f}, {ends[1] * 100:+.1f}]"
     return (
         f'<div class="dim">{events} events · F1 on {held["pairs"]} held-out pairs of {held["frames"]} frames · '
         f"{training.seconds:.0f} s</div>"
@@ -148,7 +149,7 @@ def _install(training: Training) -> str:
     in_use = record["in_use"]
     if in_use is not None:
         now, new = (in_use[k]["micro_f1"]["value"] for k in ("before", "after"))
-        if new < now:
+        if None not in (now, new) and new < now:
             said = f"The network in use has {now * 100:.1f} on these pairs, more than the new one ({new * 100:.1f})."
             said += "".join(f" {caveat.removeprefix('before: ')}." for caveat in in_use.get("caveats", ()))
             warning = note(said, DOUBT)

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from pipeline.diagnosis.live import Judgement
-from pipeline.evaluation.answering import alone
 from pipeline.lexicon import wording
 from pipeline.lifting import Pixel
 from pipeline.objects import SceneObject
+from pipeline.pair_table import ScoredPair
 from pipeline.palette import DROPPED, RGB, hex_color, palette, second_color
-from pipeline.ranking import RankedPair
+from pipeline.ranking import alone
 from pipeline.records import why_no_answer
 from pipeline.relations import PHRASE, letter
 from pipeline.srm.scorer import RelationScores
+from pipeline.told_answer import probability, told
 from spatialviz.app.before import before_html, changed
 from spatialviz.app.beside_html import hollow, second_name
 from spatialviz.app.state import State
@@ -24,7 +25,7 @@ KEPT: RGB = (53, 169, 107)
 
 
 def answer_html(state: State, can_ask: bool = True) -> str:
-    """The answer in one line, its probability, and what to doubt about it."""
+    """The answer in one line, the relation's probability and the product, and below them the posterior."""
     trace = state.trace
     if state.error or state.problem:
         return panel('<div class="dim" style="padding:.7em 0">No answer: see the message at the left.</div>')
@@ -47,23 +48,15 @@ def answer_html(state: State, can_ask: bool = True) -> str:
         )
     best, chosen = state.ranked[0], state.chosen
     pair = chosen or best
-    parts = [level_html(state), before, _sentence(state, pair), verdict_line(state)]
-    assert trace.ranking is not None
-    place = state.ranked.index(pair) + 1
-    if place == 1:
-        tied = trace.ranking.margin < 0.005
-        more = "a tie with the runner-up" if tied else f"margin {trace.ranking.margin:.2f} to the runner-up"
-    else:
-        more = f"rank {place}; the answer has {best.probability:.2f}"
-    count = len(state.ranked)
-    summary = f"relation {pair.p_relation:.2f} · "
-    summary += f"{more} · {count} pairs" if count > 1 else "the only candidate pair"
-    marks = up_chip(state) + mend_button(state)
-    parts.append(f'<div class="under"><span class="dim" title="{summary}">{summary}</span>{marks}</div>')
-    if best.p_relation < 0.5 and place == 1 and not isinstance(state.judged, Judgement):
-        parts.append(
-            note(f"The best there is, but the relation itself is unlikely ({best.p_relation:.2f}).", DOUBT)
-        )
+    answer = told(trace, lambda place: state.shown.names[state.shown.place[place]], pair)
+    # Of the answer itself it is said that there is none; another pair that was clicked is only looked at.
+    absent = note(_capital(answer.lead.strip()), DOUBT) if pair is best and answer.lead else ""
+    numbers = f'<div class="dim">{safe("; ".join((answer.numbers, *answer.fails)))}</div>' if answer.fails else ""
+    below = f'<span class="dim" title="{safe(answer.below)}">{safe(answer.below)}</span>'
+    parts = [
+        level_html(state), before, absent, _sentence(state, pair), _headline(pair), numbers, verdict_line(state),
+        f'<div class="under">{below}{up_chip(state)}{mend_button(state)}</div>',
+    ]  # fmt: skip
     return panel(*parts)
 
 
@@ -81,7 +74,7 @@ def _alone(state: State) -> str:
     return f'<div class="dim">{said}{safe(state.shown.names[state.shown.place[found]])}</div>'
 
 
-def _sentence(state: State, pair: RankedPair) -> str:
+def _sentence(state: State, pair: ScoredPair) -> str:
     assert state.trace is not None
     colors = palette(state.dark)
     target, reference, *second_reference = state.at(pair)
@@ -92,8 +85,24 @@ def _sentence(state: State, pair: RankedPair) -> str:
     return (
         f'<div class="big" style="flex-wrap:wrap">{_name(colors["target"], state.shown.names[target])}'
         f' <span class="dim">{phrase}</span> {_name(colors["reference"], state.shown.names[reference])}{second}'
-        f'<span class="p">{pair.probability:.2f}</span></div>'
+        "</div>"
     )
+
+
+def _headline(pair: ScoredPair) -> str:
+    """The two numbers at the top: that the pair stands in the relation, and the product of all factors."""
+    weakest = "weakest relation" if len(pair.links) > 1 else "relation"
+    doubt = "" if pair.holds else f' style="color:{DOUBT}"'
+    return (
+        f'<div class="heads"><span title="the probability of the {weakest}">P({weakest}) '
+        f'<b{doubt}>{probability(pair.relation_probability)}</b></span>'
+        '<span title="P(target) · P(reference) · P(relation)">product '
+        f"<b>{probability(pair.product)}</b></span></div>"
+    )
+
+
+def _capital(text: str) -> str:
+    return text[:1].upper() + text[1:]
 
 
 def _name(color: RGB, name: str) -> str:
@@ -113,7 +122,8 @@ def answer_in_words(state: State) -> str:
     if reason is not None or state.pair is None:
         return f"“{state.text}”: {reason} ({total:.0f} ms)"
     names = ", ".join(state.shown.names[i] for i in state.pair)
-    return f"“{state.text}”: {names}, probability {state.ranked[0].probability:.2f} ({total:.0f} ms)"
+    answer = told(trace, lambda place: state.shown.names[state.shown.place[place]])
+    return f"“{state.text}”: {answer.sentence(names)} ({total:.0f} ms)"
 
 
 def pairs_html(state: State) -> str:

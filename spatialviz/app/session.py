@@ -20,9 +20,9 @@ from pipeline.evaluation.run_folder import Run
 from pipeline.jobs import Source
 from pipeline.labels.reading import Labels
 from pipeline.ranking import RankConfig
-from pipeline.records import why_no_answer
 from pipeline.relations import PHRASE
 from pipeline.suggestions import suggest_expressions
+from pipeline.told_answer import holds
 from pipeline.whatif.state import ViewState
 from spatialviz.app import bottom, left, right
 from spatialviz.app.beside import BesideLayer
@@ -299,7 +299,7 @@ class Session:
             trace = self._source().ask(loaded.context, text)
         except InputError:
             return False
-        return why_no_answer(trace) is None
+        return holds(trace)
 
     def _sync_frame_box(self, frame_id: str) -> None:
         if frame_id not in self.page.frame.options:

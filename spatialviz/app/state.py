@@ -11,8 +11,8 @@ from pipeline.ask import Trace
 from pipeline.boxes import iou_2d
 from pipeline.diagnosis.live import Judgement
 from pipeline.objects import SceneObject
+from pipeline.pair_table import ScoredPair
 from pipeline.palette import Role
-from pipeline.ranking import RankedPair
 from pipeline.whatif import Edits
 from spatialviz.app.edited import Edited
 from spatialviz.app.frames import LoadedFrame
@@ -69,7 +69,7 @@ class OtherAnswer:
     error: str = ""
 
     @property
-    def best(self) -> RankedPair | None:
+    def best(self) -> ScoredPair | None:
         """Its best pair."""
         if self.trace is None or self.trace.ranking is None or self.trace.ranking.degenerate:
             return None
@@ -186,19 +186,19 @@ class State:
         return ids.get(key, key)
 
     @property
-    def ranked(self) -> tuple[RankedPair, ...]:
+    def ranked(self) -> tuple[ScoredPair, ...]:
         """The ranked pairs that have a reference."""
         if self.trace is None or self.trace.ranking is None or self.trace.ranking.degenerate:
             return ()
         return self.trace.ranking.pairs
 
-    def at(self, pair: RankedPair) -> tuple[int, ...]:
+    def at(self, pair: ScoredPair) -> tuple[int, ...]:
         """A ranked pair as places in `shown.objects`: target, reference and, with "between", the other end."""
         ends = (pair.target, pair.reference, pair.second_reference)
         return tuple(self.shown.place[i] for i in ends if i is not None)
 
     @property
-    def chosen(self) -> RankedPair | None:
+    def chosen(self) -> ScoredPair | None:
         """The ranked pair that is chosen."""
         return next((p for p in self.ranked if self.at(p) == self.pair), None)
 

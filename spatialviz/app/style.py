@@ -74,6 +74,8 @@ CSS = """<style>
 .sv .bar .s{font-size:10px;color:var(--mantine-color-dimmed);text-align:center}
 .sv .big{display:flex;align-items:center;font-size:15px;gap:6px;padding:.35em 0 .1em}
 .sv .big .p{margin-left:auto;font-size:19px;font-weight:650}
+.sv .heads{display:flex;gap:1.1em;align-items:baseline;padding-bottom:.15em}
+.sv .heads b{font-size:19px;font-weight:650;margin-left:2px}
 .sv .name{display:inline-flex;align-items:center;min-width:0;max-width:100%}
 .sv .name b{min-width:0;overflow:hidden;text-overflow:ellipsis;white-space:nowrap}
 .sv .thumb{width:34px;height:34px;object-fit:cover;border-radius:4px;display:block;background:var(--mantine-color-default-hover)}

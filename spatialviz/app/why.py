@@ -7,6 +7,7 @@ import numpy as np
 from pipeline.boxes import iou_2d
 from pipeline.diagnosis.live import Judgement
 from pipeline.diagnosis.oracles import ORACLES
+from pipeline.diagnosis.words import threshold
 from pipeline.palette import VERDICTS as COLORS
 from pipeline.palette import hex_color, palette
 from pipeline.ranking import Candidates
@@ -144,14 +145,15 @@ def _decomposition(state: State, judged: Judgement) -> str:
     weights = (config.target_weight, config.reference_weight, config.relation_weight)
     shares = {name: w * d.contributions[name] for name, w in zip(d.contributions, weights, strict=True)}
     scale = max(1e-9, *(abs(v) for v in shares.values()))
-    needed = {n.factor: n for n in judged.needed}
+    needed = {n.factor: n for n in judged.diagnosis.needed}
     rows = []
     for name, share in shares.items():
         width = 50 * abs(share) / scale
         side = f"left:50%;width:{width:.1f}%" if share >= 0 else f"right:50%;width:{width:.1f}%"
         color = hex_color(COLORS["SRM"]) if share > 0 else hex_color(COLORS["CORRECT"])
         change = needed.get(name)
-        wanted = "" if change is None or change.right_above is None else f"&gt; {change.right_above:.2f}"
+        above = None if change is None or change.right_above is None else threshold(change.right_above, change.right)
+        wanted = "" if above is None else f"&gt; {above[0]}"
         rows.append(
             f"<tr><td>{name}</td><td class=\"n\">{getattr(d.winner, f'p_{name}'):.2f}</td>"
             f"<td class=\"n\">{getattr(d.right, f'p_{name}'):.2f}</td>"
@@ -178,8 +180,8 @@ def _decomposition(state: State, judged: Judgement) -> str:
     )
 
 
-def _name(state: State, place: int) -> str:
-    at = state.shown.place.get(place)
+def _name(state: State, place: int | None) -> str:
+    at = None if place is None else state.shown.place.get(place)
     return "?" if at is None else state.shown.names[at]
 
 
@@ -193,12 +195,14 @@ def _oracles(judged: Judgement) -> str:
         words, hint = ("nothing: as it is", "the pipeline's own answer") if k == 0 else ORACLE_WORDS[name]
         color = hex_color(COLORS["CORRECT"] if right else COLORS["SRM"])
         shown = "–" if not np.isfinite(margin) else f"{margin:+.2f}"
-        repair = " on" if name in d.repair else ""
+        repair = " on" if name in (d.mends or d.repair) else ""
         rows.append(
             f'<tr class="{repair}" title="{safe(hint)}"><td><b>{name}</b></td><td>{words}</td>'
             f'<td style="color:{color}">{"✓ right" if right else "✗ wrong"}</td><td class="n">{shown}</td></tr>'
         )
     repair = f"smallest repair: {' + '.join(d.repair)}" if d.repair else ""
+    if len(d.mends) > 1:
+        repair = f"each alone would do: {', '.join(d.mends)}"
     return (
         heading("With the truth in place of", repair)
         + '<table class="oracles"><tr><th></th><th></th><th>target</th>'

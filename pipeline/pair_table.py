@@ -1,0 +1,347 @@
+"""PRM's arithmetic: the score of every candidate pair, which pairs are none, and which of them comes first.
+
+S = target_weight log P(target) + reference_weight log P(reference) + relation_weight log P(relation). The ranking, an
+evaluation, a diagnosis and a decision map all build this table, with as many axes of scenes in front as they need.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+
+MIN_RELATION = 1e-6
+MIN_SCORE = 1e-6
+TIE = 1e-9
+"""Scores, and sums of posteriors, that differ by less are a tie."""
+HOLDS = 0.5
+"""A pair stands in a relation where its probability is at least this."""
+
+
+@dataclass(frozen=True)
+class RankConfig:
+    """Weights of the three log factors, and how references are aggregated.
+
+    `max` takes the best pair, as the paper; `marginal` first takes the target
+    whose pairs together are most probable.
+    """
+
+    target_weight: float = 1.0
+    reference_weight: float = 1.0
+    relation_weight: float = 1.0
+    aggregate: Literal["max", "marginal"] = "max"
+
+
+@dataclass(frozen=True)
+class Link:
+    """One relation of the answer: object `a` RELATION object `b` (and `c`, for between), with its probability.
+
+    Where `inverse` is set the relation holds the other way round: "table holding
+    a lamp" has the table as `a`, and says that `b` is on it.
+    """
+
+    relation: str
+    a: int
+    b: int
+    probability: float
+    c: int | None = None
+    inverse: bool = False
+
+
+@dataclass(frozen=True)
+class ScoredPair:
+    """One candidate answer.
+
+    Attributes
+    ----------
+    target : int
+    reference : int or None
+        Places in the list of objects; None where no pair was allowed.
+    p_target, p_reference, p_relation : float
+        The three factors.
+    log_score : float
+        S, the weighted sum of logs.
+    product : float
+        Of the factors, with those of all further relations of the expression.
+    probability : float
+        Posterior over all allowed pairs.
+    links : tuple of Link
+        All relations of the expression with the objects that fill them; empty where only the one was asked.
+    second_reference : int or None
+        The other end of "between".
+    """
+
+    target: int
+    reference: int | None
+    p_target: float
+    p_reference: float
+    p_relation: float
+    log_score: float
+    product: float
+    probability: float
+    links: tuple[Link, ...] = ()
+    second_reference: int | None = None
+
+    @property
+    def weakest(self) -> Link | None:
+        """The least probable relation of the answer; None where its links are not kept."""
+        return min(self.links, key=lambda link: link.probability, default=None)
+
+    @property
+    def relation_probability(self) -> float:
+        """That the pair stands in what was asked: of several relations, the probability of the weakest."""
+        return self.p_relation if self.weakest is None else self.weakest.probability
+
+    @property
+    def holds(self) -> bool:
+        """The pair stands in every relation of the expression, as far as the scorer says."""
+        return self.reference is not None and self.relation_probability >= HOLDS
+
+    @property
+    def log_factors(self) -> dict[str, float]:
+        """Each factor's contribution to S, unweighted: what a pair loses where."""
+        return {
+            "target": float(np.log(max(self.p_target, MIN_SCORE))),
+            "reference": float(np.log(max(self.p_reference, MIN_SCORE))),
+            "relation": float(np.log(max(self.p_relation, MIN_RELATION))),
+        }
+
+
+@dataclass(frozen=True, eq=False)
+class Side:
+    """What may fill one place of a pair.
+
+    Attributes
+    ----------
+    index : (K,) int64
+        Places in the list of objects.
+    scores : (..., K) float64
+        P(x | name), 0..1.
+    log : (..., K) float64
+        What each adds to S: its own weighted log score, and the best of everything that hangs on it.
+    """
+
+    index: np.ndarray
+    scores: np.ndarray
+    log: np.ndarray
+
+
+def side(index: np.ndarray, scores: np.ndarray, weight: float) -> Side:
+    """One place of a pair on which nothing else hangs."""
+    # Not np.clip, which costs as much as all the rest.
+    return Side(index, scores, weight * np.log(np.minimum(np.maximum(scores, MIN_SCORE), 1 - MIN_SCORE)))
+
+
+def one_object_twice(places: Sequence[np.ndarray], same: np.ndarray) -> np.ndarray:
+    """Bool array with one axis a place: combinations in which two places are one and the same object.
+
+    `places` are indices into `same`, (N, N) bool: pairs that are one and the same object.
+    """
+    if len(places) == 2:
+        return same[places[0][:, None], places[1]]
+    forbidden = np.zeros([len(p) for p in places], np.bool_)
+    for i in range(len(places)):
+        for j in range(i):
+            shape = [1] * len(places)
+            shape[i], shape[j] = len(places[i]), len(places[j])
+            forbidden |= same[np.ix_(places[j], places[i])].reshape(shape)
+    return forbidden
+
+
+def attached(p: np.ndarray, ends: Sequence[Side], forbidden: np.ndarray, config: RankConfig) -> np.ndarray:
+    """(..., T, R) or (..., T, R, R): what a relation and its ends add to S; -inf where that is forbidden."""
+    total = config.relation_weight * np.log(np.maximum(p, MIN_RELATION))
+    for axis, end in enumerate(ends, start=1):
+        total = total + _along(end.log, axis, 1 + len(ends))
+    return np.where(forbidden, -np.inf, total)
+
+
+def pair_table(
+    target: Side, ends: Sequence[Side], p: np.ndarray, forbidden: np.ndarray, sizes: np.ndarray, config: RankConfig
+) -> PairTable:
+    """The score of all pairs, of one scene or of many at once.
+
+    Parameters
+    ----------
+    target : Side
+    ends : sequence of Side
+        The reference; with "between" both.
+    p : (..., T, R) or (..., T, R, R) float64
+        Probability of the relation.
+    forbidden : bool, of that shape or one that fits it
+        No pairs: see `one_object_twice`.
+    sizes : (N,) int64
+        Pixels of the mask of every object; the larger target wins a tie.
+    config : RankConfig
+    """
+    # The same order of sums everywhere, so that S is the same to the last bit.
+    log_score = _along(target.log, 0, 1 + len(ends)) + attached(p, ends, forbidden, config)
+    return PairTable(target, tuple(ends), p, log_score, sizes, config)
+
+
+def _along(values: np.ndarray, axis: int, axes: int) -> np.ndarray:
+    """(..., K) laid along one of the last `axes` axes."""
+    return values.reshape(values.shape[:-1] + tuple(values.shape[-1] if a == axis else 1 for a in range(axes)))
+
+
+@dataclass(frozen=True, eq=False)
+class PairTable:
+    """All pairs of a question. Pairs are counted through: the place of one is that in its scene's flattened table.
+
+    Attributes
+    ----------
+    target : Side
+    ends : tuple of Side
+    p_relation, log_score : (..., T, R) or (..., T, R, R) float64
+        S is -inf where there is no pair.
+    sizes : (N,) int64
+    config : RankConfig
+    """
+
+    target: Side
+    ends: tuple[Side, ...]
+    p_relation: np.ndarray
+    log_score: np.ndarray
+    sizes: np.ndarray
+    config: RankConfig
+
+    @cached_property
+    def shape(self) -> tuple[int, ...]:
+        """(T, R) or (T, R, R)."""
+        return self.log_score.shape[-1 - len(self.ends) :]
+
+    @cached_property
+    def flat(self) -> np.ndarray:
+        """(B, P) float64: S, scene by scene."""
+        scenes = self.log_score.shape[: self.log_score.ndim - len(self.shape)]
+        return self.log_score.reshape(math.prod(scenes), math.prod(self.shape))
+
+    def scene(self, k: int) -> PairTable:
+        """One scene of a table with one axis of scenes."""
+
+        def own(part: Side) -> Side:
+            return Side(part.index, *(values[k] if values.ndim > 1 else values for values in (part.scores, part.log)))
+
+        p = self.p_relation[k] if self.p_relation.ndim == self.log_score.ndim else self.p_relation
+        ends = tuple(own(end) for end in self.ends)
+        return PairTable(own(self.target), ends, p, self.log_score[k], self.sizes, self.config)
+
+    def with_relation(self, p: np.ndarray) -> PairTable:
+        """The same pairs with other probabilities of the relation, of the same shape."""
+        return pair_table(self.target, self.ends, p, np.isneginf(self.log_score), self.sizes, self.config)
+
+    @cached_property
+    def posterior(self) -> np.ndarray:
+        """(B, P) float64: of each scene's pairs; 0 where there is none."""
+        top = self.flat.max(axis=1, keepdims=True, initial=-np.inf)
+        top[np.isneginf(top)] = 0
+        weight = np.exp(self.flat - top)
+        total = weight.sum(axis=1, keepdims=True)
+        total[total == 0] = 1
+        return weight / total
+
+    @cached_property
+    def target_posterior(self) -> np.ndarray:
+        """(B, T) float64: of all pairs of a target together."""
+        return self.posterior.reshape(len(self.flat), self.shape[0], -1).sum(axis=2)
+
+    def _mass(self) -> np.ndarray:
+        """(B, P) float64: what `marginal` compares first, in steps of a tie."""
+        return np.repeat(np.round(self.target_posterior / TIE), self.flat.shape[1] // self.shape[0], axis=1)
+
+    def _ties(self, scene: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, ...]:
+        """What decides between pairs of one S, the last first: relation, target's score, its mask, lower places."""
+        i, rest = np.divmod(at, math.prod(self.shape[1:]))
+        j = rest // math.prod(self.shape[2:])
+        target, reference = self.target.index[i], self.ends[0].index[j]
+        p = self.p_relation.reshape(-1, self.flat.shape[1])
+        scores = self.target.scores.reshape(-1, self.shape[0])
+        return (
+            reference,
+            target,
+            -self.sizes[target],
+            -scores[scene if len(scores) > 1 else 0, i],
+            -p[scene if len(p) > 1 else 0, at],
+        )
+
+    def order(self) -> np.ndarray:
+        """(K,) int64: the pairs of the only scene, best first."""
+        at = np.flatnonzero(np.isfinite(self.flat[0]))
+        if not len(at):
+            return at
+        keys = [*self._ties(np.zeros_like(at), at), -np.round(self.flat[0, at] / TIE)]
+        if self.config.aggregate == "marginal":
+            keys.append(-self._mass()[0, at])
+        return at[np.lexsort(keys)]
+
+    def first(self, allowed: np.ndarray | None = None) -> np.ndarray:
+        """(B,) int64: the pair that comes first in each scene, as in `order`; -1 where there is none.
+
+        Parameters
+        ----------
+        allowed : bool, (B, P) or of a shape that fits the table, optional
+            The first of these.
+        """
+        flat = self.flat
+        if not flat.shape[1]:
+            return np.full(len(flat), -1, np.int64)
+        if allowed is not None:
+            fits = allowed if allowed.size == flat.size else np.broadcast_to(allowed, self.log_score.shape)
+            flat = np.where(fits.reshape(flat.shape), flat, -np.inf)
+        if self.config.aggregate == "marginal":
+            mass = np.where(np.isfinite(flat), self._mass(), -np.inf)
+            flat = np.where(mass >= mass.max(axis=1, keepdims=True), flat, -np.inf)
+        found, top = flat.argmax(axis=1), flat.max(axis=1, keepdims=True)
+        near = flat > top - 2 * TIE
+        count = np.count_nonzero(near)
+        if count == len(flat) and (count == 1 or near.any(axis=1).all()):
+            return found
+        empty = np.isneginf(top[:, 0])
+        found[empty] = -1
+        scene, at = np.nonzero(near)
+        # Of those near the top the ones that round to it, and of these the first by the rules for ties.
+        tied = np.round(flat[scene, at] / TIE) >= np.round(top[scene, 0] / TIE)
+        scene, at = scene[tied], at[tied]
+        order = np.lexsort((*self._ties(scene, at), scene))
+        heads = order[np.flatnonzero(np.diff(scene[order], prepend=-1))]
+        found[scene[heads]] = at[heads]
+        return found
+
+    def second(self, first: np.ndarray) -> np.ndarray:
+        """(B,) int64: the pair that comes after the first; -1 where there is none."""
+        others = np.isfinite(self.flat)
+        others[np.flatnonzero(first >= 0), first[first >= 0]] = False
+        return self.first(others)
+
+    def lead(self, first: int) -> float:
+        """S of the first pair of the only scene less that of the one after it; inf where it is the only one."""
+        scores = self.flat[0]
+        if self.config.aggregate == "max":
+            # The pair after it is the second largest, or in a tie with that.
+            return float(scores[first] - np.partition(scores, -2)[-2]) if len(scores) > 1 else math.inf
+        second = int(self.second(np.array([first]))[0])
+        return math.inf if second < 0 else float(scores[first] - scores[second])
+
+    def pair(self, at: int) -> ScoredPair:
+        """A pair of the only scene, where one relation of two objects is asked."""
+        i, rest = divmod(at, math.prod(self.shape[1:]))
+        j, *k = (rest,) if len(self.shape) == 2 else divmod(rest, self.shape[2])
+        p_target, p_reference = float(self.target.scores[i]), float(self.ends[0].scores[j])
+        p = float(self.p_relation.flat[at])
+        second = int(self.ends[1].index[k[0]]) if k else None
+        p_second = float(self.ends[1].scores[k[0]]) if k else 1.0
+        return ScoredPair(
+            target=int(self.target.index[i]),
+            reference=int(self.ends[0].index[j]),
+            p_target=p_target,
+            p_reference=p_reference,
+            p_relation=p,
+            log_score=float(self.flat[0, at]),
+            product=p_target * p * p_reference * p_second,
+            probability=float(self.posterior[0, at]),
+            second_reference=second,
+        )
