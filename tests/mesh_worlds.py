@@ -1,4 +1,4 @@
-"""Rooms and table tops of a third maker, for measuring only: trimesh's primitives, a pattern camera's errors, bad masks.
+"""Rooms and table tops of a third maker, for measuring: trimesh's primitives, a pattern camera's errors, bad masks.
 
 No network learns from them or is calibrated on them. Objects are meshes in a world with z up, metres.
 """
@@ -233,7 +233,7 @@ class _World:
                 return
             place, yaw, (height, a, b), base = self.places[int(rng.integers(len(self.places)))]
             u, v = rng.uniform(-a, a), rng.uniform(-b, b)
-            at = place + (np.cos(yaw) * u - np.sin(yaw) * v, np.sin(yaw) * u + np.cos(yaw) * v, height)
+            at = place + np.array([np.cos(yaw) * u - np.sin(yaw) * v, np.sin(yaw) * u + np.cos(yaw) * v, height])
             mesh = self.put(SMALL[int(rng.integers(len(SMALL)))](rng), at, rng.uniform(0, 6.28), base)
             if mesh is None:
                 continue
@@ -305,7 +305,7 @@ def _camera(regime: Regime, place: np.ndarray, rng: Rng, width: int, height: int
     if regime.close:
         heading = rng.uniform(0, 2 * np.pi)
         ahead = np.array([np.cos(pitch) * np.cos(heading), np.cos(pitch) * np.sin(heading), -np.sin(pitch)])
-        eye = place + (*rng.uniform(-0.15, 0.15, 2), 0) - rng.uniform(*regime.height) * ahead
+        eye = place + np.array([*rng.uniform(-0.15, 0.15, 2), 0]) - rng.uniform(*regime.height) * ahead
     else:
         eye = np.array([*rng.uniform(0.25, place - 0.25), rng.uniform(*regime.height)])
         gap = place * rng.uniform(0.25, 0.75, 2) - eye[:2]

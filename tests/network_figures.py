@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 from box_worlds import box_world
 from mesh_worlds import mesh_world
-from other_makers import FIGURES, REGIMES, Seen, figures, tallied
+from other_makers import FIGURES, FLIPS, REGIMES, Seen, figures, tallied
 
 from pipeline.evaluation.intervals import bootstrap
 from pipeline.labels.config import LabelConfig
@@ -70,9 +70,10 @@ def main(path: Path, count: int) -> None:
             for k, name in enumerate((network.name, "rule")):
                 sums = np.array([row[k] for row in rows])
                 found = bootstrap(sums, np.arange(len(sums)), figures)
-                cells = [e.formatted(1, 4 if "flips" not in what else 2) for what, e in zip(FIGURES, found, strict=True)]
+                cells = [e.formatted(1, 2 if what == FLIPS else 4) for what, e in zip(FIGURES, found, strict=True)]
                 print(f"| {maker} | {regime} | {int(sums[:, 13].sum()):,} | {name} | {' | '.join(cells)} |", flush=True)
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else shipped_network(), int(sys.argv[2]) if len(sys.argv) > 2 else WORLDS)
+    given = sys.argv[1:]
+    main(Path(given[0]) if given else shipped_network(), int(given[1]) if len(given) > 1 else WORLDS)

@@ -20,7 +20,7 @@ Extents = tuple[np.ndarray, np.ndarray]
 
 @dataclass(frozen=True)
 class Regime:
-    """Where cameras are: metres above the floor (of `close` ones, metres from the table's middle), degrees down, roll."""
+    """Where cameras are: metres above the floor (`close`: from the table's middle), degrees down, degrees of roll."""
 
     height: tuple[float, float]
     pitch: tuple[float, float]
@@ -93,7 +93,8 @@ def _hits(yes: np.ndarray, truth: np.ndarray, among: np.ndarray) -> tuple[int, i
     return tuple(int((among & cells).sum()) for cells in (yes & holds, yes & ~holds, ~yes & holds))  # pyright: ignore
 
 
-FIGURES = ("micro-F1", "above/below F1", "ECE", "above/below F1 of labels", "flips in 1,000", "decided")
+FLIPS = "flips in 1,000"
+FIGURES = ("micro-F1", "above/below F1", "ECE", "above/below F1 of labels", FLIPS, "decided")
 
 
 def figures(sums: np.ndarray) -> np.ndarray:

@@ -34,7 +34,7 @@ Progress = Callable[[str, int, int], None]
 class RoomConfig:
     """The rooms to learn from."""
 
-    rooms: int = 300
+    rooms: int = 200
     views: int = 3
     width: int = 480
     height: int = 360

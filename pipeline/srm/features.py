@@ -1,4 +1,4 @@
-"""What the network is given of a pair: the feature contracts `rel26`, `rel14`, `paper30`, `canon30`, `geom2d8` and `+lang`.
+"""What the network is given of a pair: the contracts `rel26`, `rel14`, `paper30`, `canon30`, `geom2d8` and `+lang`.
 
 Each contract first describes every object by a row of numbers, then every
 ordered pair by a row made from two of them, all pairs at once. `+lang` after

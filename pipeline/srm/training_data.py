@@ -21,7 +21,7 @@ import numpy as np
 
 from pipeline.camera import Camera
 from pipeline.errors import InputError
-from pipeline.lifting import LiftedObject, depth_edges, lift
+from pipeline.lifting import LiftedObject, lift
 from pipeline.relations import directional_states
 from pipeline.srm.appearance import Appearance
 from pipeline.srm.features import FEATURES
@@ -355,8 +355,8 @@ def _roughened(mask: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     shift = np.array([[1, 0, x], [0, 1, y]], np.float64)
     # What the border cuts goes on behind it.
     size = (mask.shape[1], mask.shape[0])
-    moved = cv2.warpAffine(changed.view(np.uint8), shift, size, flags=cv2.INTER_NEAREST, borderMode=cv2.BORDER_REPLICATE)
-    return moved.view(np.bool_)
+    how = {"flags": cv2.INTER_NEAREST, "borderMode": cv2.BORDER_REPLICATE}
+    return cv2.warpAffine(changed.view(np.uint8), shift, size, **how).view(np.bool_)
 
 
 def _tight_box(mask: np.ndarray) -> tuple[int, int, int, int]:

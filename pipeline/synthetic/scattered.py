@@ -13,7 +13,7 @@ import numpy as np
 from pipeline.synthetic import decor as c
 from pipeline.synthetic import furniture as f
 from pipeline.synthetic import objects as o
-from pipeline.synthetic.layout import Focus, Layout, Room, overlaps, part_boxes
+from pipeline.synthetic.layout import Layout, Room, overlaps, part_boxes
 from pipeline.synthetic.model import Material, Model, Part, Surface, assemble, rgb
 from pipeline.synthetic.palettes import PALETTES, Palette
 from pipeline.synthetic.shapes import ball, block, cylinder, lathe
@@ -51,8 +51,7 @@ def make_scattered(seed: int) -> Room:
     sun = np.array([0.0, 0.0, 1.0])
     kind = TABLE_TOP if table_top else SCATTERED
     shell = _plain_shell(room.width, room.depth, room.height)
-    focuses: tuple[Focus, ...] = ()
-    return Room(seed, kind, room.width, room.depth, room.height, shell, tuple(room.instances), focuses, sun, (0, 0, 0, 0))
+    return Room(seed, kind, room.width, room.depth, room.height, shell, tuple(room.instances), (), sun, (0, 0, 0, 0))
 
 
 def _furnish_table(room: Layout, p: Palette) -> None:
@@ -110,7 +109,7 @@ def _company(room: Layout, p: Palette, of: int | None) -> None:
 
 
 def _side(room: Layout, of: int) -> tuple[np.ndarray, float, np.ndarray]:
-    """A side of a thing: its direction outwards (3,), the turn of what faces it, and half extents (across, outwards)."""
+    """A side of a thing: its direction (3,), the turn of what stands before it, half extents (across, outwards)."""
     base, quarter = room.instances[of], int(room.rng.integers(4))
     half = base.model.size[:2] / 2
     turn = base.yaw + quarter * np.pi / 2
@@ -147,7 +146,8 @@ def _lean(room: Layout, on: int) -> None:
     across = np.array([-outwards[1], outwards[0], 0.0])
     away = half[1] + float(model.size[1]) / 2 - sunk
     place = base.position + outwards * away + across * rng.uniform(-0.5, 0.5) * half[0]
-    others = [part_boxes(i.model, i.position, i.yaw) for k, i in enumerate(room.instances) if k not in (on, base.support)]
+    apart = [i for k, i in enumerate(room.instances) if k not in (on, base.support)]
+    others = [part_boxes(i.model, i.position, i.yaw) for i in apart]
     own = part_boxes(model, place, turn)
     if not others or not overlaps(own, np.concatenate(others)).any():
         room.add(model, place, turn, base.support)

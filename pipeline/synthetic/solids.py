@@ -1,6 +1,6 @@
 """Rooms of another make, to calibrate on: solids met by rays in closed form, with another sensor's errors.
 
-Nothing of the furnished or scattered rooms is used: neither meshes, nor a ray caster, nor cameras, nor noise, nor masks.
+Nothing of the furnished or scattered rooms is used: neither meshes nor ray caster nor cameras nor noise nor masks.
 A network's probabilities are fitted here, because on rooms of its own training it is surer than anywhere else.
 """
 
@@ -16,6 +16,8 @@ from pipeline.camera import Camera
 from pipeline.synthetic.views import camera_at
 
 Rng = np.random.Generator
+
+_CORNERS = np.array([(x, y, z) for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], float)
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +45,22 @@ class Solid:
         if self.kind == "ball":
             return np.sqrt(np.square(along).sum(axis=1))
         return np.hypot(along[:, 0], along[:, 1]) + np.abs(along[:, 2]) / 2
+
+    def window(self, camera: Camera) -> tuple[slice, slice]:
+        """Rows and columns of the image outside of which the solid cannot be seen."""
+        T = camera.T_world_camera
+        assert T is not None
+        half = {"box": (0.5, 0.5, 0.5), "cylinder": (1, 1, 0.5), "ball": (1, 1, 1)}[self.kind]
+        corners = (_CORNERS * half @ self.A.T + self.t - T[:3, 3]) @ T[:3, :3]
+        if corners[:, 2].max() <= 0:
+            return slice(0, 0), slice(0, 0)
+        if corners[:, 2].min() < 0.05:
+            return slice(0, camera.height), slice(0, camera.width)
+        x = camera.fx * corners[:, 0] / corners[:, 2] + camera.cx
+        y = camera.fy * corners[:, 1] / corners[:, 2] + camera.cy
+        low = np.clip(np.floor([y.min(), x.min()]), 0, (camera.height, camera.width)).astype(int)
+        high = np.clip(np.ceil([y.max(), x.max()]) + 1, 0, (camera.height, camera.width)).astype(int)
+        return slice(low[0], high[0]), slice(low[1], high[1])
 
     def met(self, origin: np.ndarray, directions: np.ndarray) -> np.ndarray:
         """(N,) ray parameter at which each ray enters the solid, inf where it does not."""
@@ -164,17 +182,17 @@ def solid_view(seed: int, number: int, width: int = 320, height: int = 240, leas
     assert T is not None
     v, u = np.mgrid[:height, :width]
     local = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(u)], axis=-1)
-    rays = local.reshape(-1, 3) @ T[:3, :3].T
+    rays = local @ T[:3, :3].T
     with np.errstate(divide="ignore", invalid="ignore"):
-        floor = -T[2, 3] / rays[:, 2]
-    depth, owner = np.where(floor > 0, floor, np.inf), np.full(len(rays), -1)
+        floor = -T[2, 3] / rays[..., 2]
+    depth, owner = np.where(floor > 0, floor, np.inf), np.full(floor.shape, -1)
     for k, thing in enumerate(things):
         for part in thing:
-            met = part.met(T[:3, 3], rays)
-            nearer = met < depth
-            depth[nearer], owner[nearer] = met[nearer], k
-    owner = np.where(np.isfinite(depth), owner, -1).reshape(height, width)
-    depth = np.where(np.isfinite(depth), depth, 0).reshape(height, width)
+            here = part.window(camera)
+            met = part.met(T[:3, 3], rays[here].reshape(-1, 3)).reshape(depth[here].shape)
+            nearer = met < depth[here]
+            depth[here][nearer], owner[here][nearer] = met[nearer], k
+    depth = np.where(np.isfinite(depth), depth, 0)
     seen = [k for k in range(len(things)) if (owner == k).sum() >= least_pixels]
     masks = tuple(_outlined(owner == k, rng) for k in seen)
     return SolidView(_sensed(depth, camera, rng), masks, camera, tuple(things[k] for k in seen))
@@ -263,7 +281,7 @@ def _camera(rng: Rng, things: list[Thing], close: bool, width: int, height: int)
 
 
 def _sensed(depth: np.ndarray, camera: Camera, rng: Rng) -> np.ndarray:
-    """A stereo camera's depth: an error of disparity that neighbours share, steps of it, smeared edges, lost patches."""
+    """As a stereo camera gives it: an error of disparity that neighbours share, steps, smeared edges, lost patches."""
     product = camera.fx * 2 * rng.uniform(0.05, 0.1)
     shared = cv2.GaussianBlur(rng.standard_normal(depth.shape), (0, 0), 2.0) * rng.uniform(0.1, 0.6)
     disparity = product / np.maximum(depth, 0.1) + shared + rng.normal(0, 0.05, depth.shape)
