@@ -34,8 +34,8 @@ Progress = Callable[[str, int, int], None]
 class RoomConfig:
     """The rooms to learn from."""
 
-    rooms: int = 200
-    views: int = 3
+    rooms: int = 150
+    views: int = 4
     width: int = 480
     height: int = 360
     seed: int = 0

@@ -25,10 +25,9 @@ from pipeline.lifting import LiftedObject, lift
 from pipeline.relations import directional_states
 from pipeline.srm.appearance import Appearance
 from pipeline.srm.features import FEATURES
-from pipeline.synthetic import Instance, Room, choose_views, exact_view, make_room
+from pipeline.synthetic import Instance, Room, choose_views, make_room, sense_view
 from pipeline.synthetic.roaming import roaming_cameras
 from pipeline.synthetic.scattered import make_scattered
-from pipeline.synthetic.sensor import sense
 from pipeline.synthetic.solids import solid_view
 from pipeline.threads import threads_in_children
 from pipeline.viewer import ViewerAxes, viewer_axes
@@ -53,10 +52,10 @@ Maker = Literal["furnished", "varied", "scattered", "solids"]
 """furnished: the rooms and cameras of `spatialviz render`. varied: those rooms, cameras, noise and masks of every kind.
 scattered: `synthetic.scattered`, likewise. solids: `synthetic.solids`."""
 
-SCATTERED_A_ROOM = 2
-"""Scattered rooms for each furnished one: they show fewer things each."""
+SCATTERED_A_ROOM = 1
+"""Scattered rooms for each furnished one."""
 
-SOLIDS_A_PART = 3
+SOLIDS_A_PART = 2
 """Rooms of solids for each furnished one that is kept for calibration."""
 
 SCALES = (0.2, 2.0)
@@ -208,7 +207,7 @@ def make_split(
     workers: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> Split:
-    """Samples of `rooms` furnished rooms, split by room, and of as many scattered ones and a third as many of solids.
+    """Samples of `rooms` furnished rooms, split by room, and of as many scattered ones and a fifth as many of solids.
 
     Trained on are varied views of the furnished and the scattered rooms, calibrated on the solids, measured on
     furnished rooms as `spatialviz render` shows them. `progress` is called with (rooms done, rooms in all); for the
@@ -283,8 +282,7 @@ def view_samples(room: Room, camera: Camera, rng: np.random.Generator, *, rough:
     `rough` is for learning: other sensors and worse segmenters now and then.
     """
     assert camera.up is not None
-    exact, instances = exact_view(room, camera)
-    depth = sense(exact, rng)
+    depth, instances = sense_view(room, camera, rng)
     if rough and rng.random() < STEREO_SHARE:
         depth = _in_steps(depth, rng)
     viewer = viewer_axes(camera.up)
