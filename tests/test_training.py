@@ -22,7 +22,7 @@ from pipeline.srm.onnx_file import save_onnx, write_onnx
 from pipeline.srm.train import TrainConfig, require_training, train_srm
 from pipeline.srm.training_data import (
     SCATTERED_A_ROOM,
-    SOLIDS_A_PART,
+    SOLIDS_A_VIEW,
     FrameSamples,
     degraded,
     iterate_pairs,
@@ -141,10 +141,10 @@ def test_rooms_are_split_from_rooms() -> None:
 def test_progress_counts_all_rooms() -> None:
     seen = []
     split = make_split(1, 3, views=1, width=64, height=48, progress=lambda done, of: seen.append((done, of)))
-    total = 2 + 3 * SCATTERED_A_ROOM + SOLIDS_A_PART
+    total = 3 + 3 * SCATTERED_A_ROOM
     assert seen == [(k, total) for k in range(1, total + 1)]
     assert len(split.test) == 1
-    assert len(split.calibration) == SOLIDS_A_PART
+    assert len(split.calibration) == SOLIDS_A_VIEW
     assert len(split.train) > 1
 
 

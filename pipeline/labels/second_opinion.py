@@ -25,7 +25,7 @@ NONE, TRAINED = "none", "trained"
 
 LEAST_OF_T, MOST_OF_F = 0.7, 0.2
 """The network agrees with T from this probability on, and with F up to that one. Chosen on rooms of solids
-(`synthetic.solids`), where its probabilities are calibrated: less than two cells in 1,000 are then T for F or F for T."""
+(`synthetic.solids`), where its probabilities are calibrated: fewer than two cells in 1,000 are then flipped."""
 
 
 def open_second_opinion(name: str) -> OnnxScorer | None:

@@ -55,8 +55,8 @@ scattered: `synthetic.scattered`, likewise. solids: `synthetic.solids`."""
 SCATTERED_A_ROOM = 1
 """Scattered rooms for each furnished one."""
 
-SOLIDS_A_PART = 2
-"""Rooms of solids for each furnished one that is kept for calibration."""
+SOLIDS_A_VIEW = 2
+"""Rooms of solids, each seen once, for each view that a room to calibrate on would have."""
 
 SCALES = (0.2, 2.0)
 """Each training view is used a second time as a scene of another size: table tops are small rooms."""
@@ -180,6 +180,8 @@ def make_samples(
 def room_seeds(seed: int, rooms: int) -> tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...]]:
     """Room seeds for training (7 in 10), calibration (1 in 10) and test (2 in 10), at least one each.
 
+    Rooms of different makers have the same seeds and nothing else in common.
+
     Raises
     ------
     InputError
@@ -207,18 +209,17 @@ def make_split(
     workers: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> Split:
-    """Samples of `rooms` furnished rooms, split by room, and of as many scattered ones and a fifth as many of solids.
+    """Samples of `rooms` rooms, split by room, and of as many scattered ones.
 
-    Trained on are varied views of the furnished and the scattered rooms, calibrated on the solids, measured on
-    furnished rooms as `spatialviz render` shows them. `progress` is called with (rooms done, rooms in all); for the
-    rest see `make_samples`.
+    Trained on are varied views of furnished rooms and of the scattered ones; calibrated on rooms of solids; measured
+    on furnished rooms as `spatialviz render` shows them. `progress` is called with (rooms done, rooms in all); for
+    the rest see `make_samples`.
     """
     train, calibration, test = room_seeds(seed, rooms)
-    first = train[0]
     jobs: list[tuple[Sequence[int], Maker]] = [
         (train, "varied"),
-        (range(first, first + SCATTERED_A_ROOM * rooms), "scattered"),
-        (range(first, first + SOLIDS_A_PART * len(calibration)), "solids"),
+        (range(train[0], train[0] + SCATTERED_A_ROOM * rooms), "scattered"),
+        (calibration, "solids"),
         (test, "furnished"),
     ]
     total, done, parts = sum(len(seeds) for seeds, _ in jobs), 0, []
@@ -241,7 +242,7 @@ def _room_samples(job: tuple[int, int, int, int, Maker]) -> tuple[FrameSamples, 
     seed, views, width, height, maker = job
     rng = np.random.default_rng([seed, 17])
     if maker == "solids":
-        return tuple(_solid_samples(seed, k, width, height) for k in range(views))
+        return tuple(_solid_samples(seed, k, width, height) for k in range(SOLIDS_A_VIEW * views))
     if maker == "scattered":
         room = make_scattered(seed)
         return tuple(view_samples(room, c, rng, rough=True) for c in roaming_cameras(room, views, rng, width, height))

@@ -172,11 +172,10 @@ class SolidView:
 
 
 def solid_view(seed: int, number: int, width: int = 320, height: int = 240, least_pixels: int = 200) -> SolidView:
-    """View `number` of the room of this seed; equal arguments give equal views."""
-    rng = np.random.default_rng([seed, 37])
+    """View `number` of this seed, each of a room of its own; equal arguments give equal views."""
+    rng = np.random.default_rng([seed, 37, number])
     close = rng.random() < 0.35
     things = _table_top(rng) if close else _room(rng)
-    rng = np.random.default_rng([seed, 41, number])
     camera = _camera(rng, things, close, width, height)
     T = camera.T_world_camera
     assert T is not None
