@@ -23,7 +23,7 @@ from pipeline.viewer import ViewerAxes
 
 NONE, TRAINED = "none", "trained"
 
-LEAST_OF_T, MOST_OF_F = 0.7, 0.2
+LEAST_OF_T, MOST_OF_F = 0.8, 0.2
 """The network agrees with T from this probability on, and with F up to that one. Chosen on rooms of solids
 (`synthetic.solids`), where its probabilities are calibrated: fewer than two cells in 1,000 are then flipped."""
 

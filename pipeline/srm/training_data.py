@@ -52,8 +52,8 @@ Maker = Literal["furnished", "varied", "scattered", "solids"]
 """furnished: the rooms and cameras of `spatialviz render`. varied: those rooms, cameras, noise and masks of every kind.
 scattered: `synthetic.scattered`, likewise. solids: `synthetic.solids`."""
 
-SCATTERED_A_ROOM = 1
-"""Scattered rooms for each furnished one."""
+SCATTERED_A_ROOM = 2
+"""Scattered rooms for each furnished one: they teach more of other makers' rooms than furnished ones do."""
 
 SOLIDS_A_VIEW = 2
 """Rooms of solids, each seen once, for each view that a room to calibrate on would have."""
@@ -209,15 +209,16 @@ def make_split(
     workers: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> Split:
-    """Samples of `rooms` rooms, split by room, and of as many scattered ones.
+    """Samples of `rooms` rooms, split by room, and of twice as many scattered ones.
 
-    Trained on are varied views of furnished rooms and of the scattered ones; calibrated on rooms of solids; measured
-    on furnished rooms as `spatialviz render` shows them. `progress` is called with (rooms done, rooms in all); for
-    the rest see `make_samples`.
+    Trained on are varied views of furnished rooms and of the scattered ones, and every second furnished room as
+    `spatialviz render` shows it; calibrated on rooms of solids; measured on furnished rooms as rendered.
+    `progress` is called with (rooms done, rooms in all); for the rest see `make_samples`.
     """
     train, calibration, test = room_seeds(seed, rooms)
     jobs: list[tuple[Sequence[int], Maker]] = [
         (train, "varied"),
+        (train[::2], "furnished"),
         (range(train[0], train[0] + SCATTERED_A_ROOM * rooms), "scattered"),
         (calibration, "solids"),
         (test, "furnished"),
@@ -234,8 +235,8 @@ def make_split(
         )
         parts.append(made)
         done += len(seeds)
-    furnished, scattered, solids, measured = parts
-    return Split((*furnished, *scattered), solids, measured)
+    *learnt, solids, measured = parts
+    return Split(tuple(frame for part in learnt for frame in part), solids, measured)
 
 
 def _room_samples(job: tuple[int, int, int, int, Maker]) -> tuple[FrameSamples, ...]:
