@@ -39,7 +39,9 @@ def _rod(r: float, h: float, x: float = 0, y: float = 0, z: float = 0) -> Mesh:
 
 
 def _joined(*meshes: Mesh) -> Mesh:
-    return trimesh.util.concatenate(list(meshes))
+    found = trimesh.util.concatenate(list(meshes))
+    assert isinstance(found, Mesh)
+    return found
 
 
 def _turned(mesh: Mesh, angle: float, axis: tuple[float, float, float] = (0, 0, 1)) -> Mesh:
@@ -212,7 +214,7 @@ class _World:
         self.meshes: list[Mesh] = []
         self.places: list[tuple[np.ndarray, float, Top, int]] = []
 
-    def put(self, made: Made, at: Sequence[float], yaw: float, inside: int = -1) -> Mesh | None:
+    def put(self, made: Made, at: Sequence[float] | np.ndarray, yaw: float, inside: int = -1) -> Mesh | None:
         mesh, tops = made
         mesh = _turned(mesh.copy(), yaw)
         mesh.apply_translation(at)

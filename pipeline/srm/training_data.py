@@ -52,6 +52,9 @@ Maker = Literal["furnished", "varied", "scattered", "solids"]
 """furnished: the rooms and cameras of `spatialviz render`. varied: those rooms, cameras, noise and masks of every kind.
 scattered: `synthetic.scattered`, likewise. solids: `synthetic.solids`."""
 
+Job = tuple[int, int, int, int, Maker]
+"""Seed, views, width, height and maker of a room."""
+
 SCATTERED_A_ROOM = 2
 """Scattered rooms for each furnished one: they teach more of other makers' rooms than furnished ones do."""
 
@@ -157,7 +160,7 @@ def make_samples(
     """
     if views < 1 or workers < 1 or min(width, height) < 16:
         raise InputError("views and workers must be at least 1, a side at least 16 pixels")
-    jobs = [(seed, views, width, height, maker) for seed in seeds]
+    jobs: list[Job] = [(seed, views, width, height, maker) for seed in seeds]
     tell = progress or (lambda done: None)
     if min(workers, len(jobs)) <= 1:
         found = []
@@ -239,7 +242,7 @@ def make_split(
     return Split(tuple(frame for part in learnt for frame in part), solids, measured)
 
 
-def _room_samples(job: tuple[int, int, int, int, Maker]) -> tuple[FrameSamples, ...]:
+def _room_samples(job: Job) -> tuple[FrameSamples, ...]:
     seed, views, width, height, maker = job
     rng = np.random.default_rng([seed, 17])
     if maker == "solids":
@@ -355,8 +358,8 @@ def _roughened(mask: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     shift = np.array([[1, 0, x], [0, 1, y]], np.float64)
     # What the border cuts goes on behind it.
     size = (mask.shape[1], mask.shape[0])
-    how = {"flags": cv2.INTER_NEAREST, "borderMode": cv2.BORDER_REPLICATE}
-    return cv2.warpAffine(changed.view(np.uint8), shift, size, **how).view(np.bool_)
+    plain, nearest = changed.view(np.uint8), cv2.INTER_NEAREST
+    return cv2.warpAffine(plain, shift, size, flags=nearest, borderMode=cv2.BORDER_REPLICATE).view(np.bool_)
 
 
 def _tight_box(mask: np.ndarray) -> tuple[int, int, int, int]:
