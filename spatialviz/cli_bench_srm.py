@@ -20,7 +20,7 @@ class BenchSrm:
     """Views of each room."""
     pairs: tuple[int, ...] = (1000, 0)
     """Numbers of pairs to learn from; 0 for all."""
-    features: tuple[Literal["2d", "3d", "canon", "rel14"], ...] = ("2d", "3d", "rel14")
+    features: tuple[Literal["2d", "3d", "canon", "rel14", "rel26"], ...] = ("2d", "3d", "rel14")
     """What the networks are given of a pair."""
     networks: int = 3
     """Networks of each kind, each with its own seed and its own draw of pairs."""

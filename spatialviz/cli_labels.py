@@ -112,7 +112,7 @@ class Label:
     profile: Literal["viewer-cone-v1", "semantic-abstraction-published", "given"] = "viewer-cone-v1"
     """The rules that decide them; given: no rule of ours, what the dataset's own expressions say."""
     second_opinion: str = "trained"
-    """trained | none | an ONNX file: a network that makes labels doubtful where it says the opposite."""
+    """trained | none | an ONNX file: a network that makes labels doubtful where it does not agree."""
     style: Literal["varied", "plain", "semantic-abstraction"] = "varied"
     """How sentences are worded."""
     box: Literal["gravity", "pca"] = "gravity"

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from pipeline.review.items import ItemKey, State
     from pipeline.review.reviewed import Reviewed
 
-Features = Literal["2d", "3d", "canon", "rel14"]
+Features = Literal["2d", "3d", "canon", "rel14", "rel26"]
 
 
 @dataclass(frozen=True)

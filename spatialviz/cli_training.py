@@ -27,9 +27,10 @@ class Train:
     """Labels folder of `spatialviz label`; or the word "rooms", for rooms rendered on the spot."""
     out: Path
     """ONNX file to write; its card goes beside it as JSON, and the class vectors of +lang as .vectors.npz."""
-    features: Literal["2d", "2d+lang", "3d", "3d+lang", "canon", "rel14", "rel14+lang"] = "rel14"
-    """What the network is given of a pair: 2D boxes | the paper's PCA boxes | these, canonical | relative extents;
-    +lang adds the vectors of both class names."""
+    features: Literal["2d", "2d+lang", "3d", "3d+lang", "canon", "rel14", "rel14+lang", "rel26"] | None = None
+    """What the network is given of a pair: 2D boxes | the paper's PCA boxes | these, canonical | relative extents |
+    these, with sizes, places and cuts by the border; +lang adds the vectors of both class names. Default: rel14 on
+    labels, rel26 on rooms."""
     vocabulary: Literal["avd", "semantic-abstraction"] = "avd"
     """avd: six relations that may hold together (binary cross entropy, U masked); semantic-abstraction: six of which
     one fits (cross entropy; the class prior is divided out in ranking)."""
@@ -48,9 +49,9 @@ class Train:
     pairs: int | None = None
     """Learn from at most so many pairs, drawn at random. Default: all."""
     rooms: int | None = None
-    """Rooms in all, 300: 7 in 10 to learn from, 1 to calibrate, 2 to measure."""
+    """Rooms, 150: 7 in 10 to learn from, 1 to calibrate, 2 to measure; and as many scattered ones to learn from."""
     views: int | None = None
-    """Views of each room, 3."""
+    """Views of each room, 4."""
     width: int | None = None
     """Of the rooms' views, 480 pixels."""
     height: int | None = None
@@ -77,8 +78,9 @@ class Train:
         from pipeline.srm.features import CLI_FEATURES
         from pipeline.srm.train import TrainConfig
 
+        features = self.features or ("rel26" if self.labels == ROOMS else "rel14")
         return TrainConfig(
-            CLI_FEATURES[self.features], self.vocabulary, batch=self.batch, epochs=self.epochs, seed=self.seed
+            CLI_FEATURES[features], self.vocabulary, batch=self.batch, epochs=self.epochs, seed=self.seed
         )
 
     def _on_labels(self) -> dict:

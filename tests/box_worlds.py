@@ -8,16 +8,13 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+from other_makers import MIN_PIXELS, USUAL, Extents, Regime, seen_objects
 from scenes import Plane, camera_of, cast, up_of, upright
 
 from pipeline.boxes import Box3D
 from pipeline.camera import Camera
-from pipeline.lifting import LiftedObject, depth_edges, lift
+from pipeline.lifting import LiftedObject
 from pipeline.viewer import ViewerAxes, viewer_axes
-
-MIN_PIXELS, MIN_POINTS = 200, 16
-
-Extents = tuple[np.ndarray, np.ndarray]
 
 
 def random_boxes(rng: np.random.Generator, floor: float) -> list[Box3D]:
@@ -55,33 +52,32 @@ def _add(boxes: list[Box3D], box: Box3D) -> None:
 
 
 def box_world(
-    seed: int, width: int = 320, height: int = 240
+    seed: int, width: int = 320, height: int = 240, regime: Regime | None = None
 ) -> tuple[list[LiftedObject], list[Extents], ViewerAxes, np.ndarray, Camera]:
     """What is seen of one world, and the exact extents of the same objects along (right, up, forward).
 
     The last two are the noisy depth and the camera, with its up vector.
     """
     rng = np.random.default_rng([seed, 99])
-    floor = rng.uniform(0.9, 1.7)
-    viewer = viewer_axes(up_of(rng.uniform(0, 35), rng.uniform(-5, 5)))
+    given = regime or USUAL
+    floor = rng.uniform(*given.height)
+    viewer = viewer_axes(up_of(rng.uniform(*given.pitch), rng.uniform(-given.roll, given.roll)))
     camera = camera_of(width, height, rng.uniform(0.75, 1.05) * width).with_up(viewer.up, "declared")
     planes = [Plane((0, 1, 0), floor), Plane((0, 0, 1), 5.5)]
     seen = cast(camera, random_boxes(rng, floor), planes, viewer)
     depth = _noisy(seen.depth, rng)
-    edges = depth_edges(depth)
-    found, exact = [], []
+    masks, exact = [], []
     for k, box in enumerate(seen.boxes):
         mask = seen.ids == k
         if mask.sum() < MIN_PIXELS:
             continue
         if rng.random() < 0.5:
             mask = cv2.dilate(mask.view(np.uint8), np.ones((3, 3), np.uint8)).view(np.bool_)
-        (item,) = lift(depth, camera, [mask], viewer, edges=edges)
-        if item.quality.points >= MIN_POINTS:
-            corners = box.corners @ viewer.matrix.T
-            found.append(item)
-            exact.append((corners.min(axis=0), corners.max(axis=0)))
-    return found, exact, viewer, depth, camera
+        corners = box.corners @ viewer.matrix.T
+        masks.append(mask)
+        exact.append((corners.min(axis=0), corners.max(axis=0)))
+    found = seen_objects(depth, camera, masks, exact)
+    return found.objects, found.exact, found.viewer, depth, camera
 
 
 def _noisy(depth: np.ndarray, rng: np.random.Generator) -> np.ndarray:

@@ -305,7 +305,7 @@ def test_the_demo_answers_its_own_question() -> None:
     (trace,) = ask_frames(source, 0, [DEMO_EXPRESSION])
     assert trace.ranking is not None
     assert trace.ranking.pairs[0].p_relation > 0.9
-    assert trace.scorer == "rel14"
+    assert trace.scorer == "rel26"
     assert demo_path().is_dir()
 
 

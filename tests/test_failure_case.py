@@ -158,6 +158,7 @@ def test_an_older_case_without_an_up_vector_takes_that_of_its_answer(tmp_path: P
     (folder / MANIFEST).write_text(json.dumps(table))
     viewer = open_case(folder).context.viewer
     assert viewer.up_source == "plane"
+    assert camera.up is not None
     np.testing.assert_allclose(viewer.up, camera.up, atol=1e-5)
 
 

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 from box_worlds import box_world
+from other_makers import FIGURES, FLIPS, REGIMES, figures, tallied
 from scenes import frame_of, upright
 from waiting import wait_until
 
@@ -25,7 +26,7 @@ from pipeline.frame import Annotation, Frame
 from pipeline.jobs import open_source
 from pipeline.labels.config import LabelConfig, SelectConfig
 from pipeline.labels.job import label_dataset
-from pipeline.labels.labelling import FrameLabels, judge_objects, label_objects
+from pipeline.labels.labelling import FrameLabels, in_doubt, judge_objects, label_objects
 from pipeline.labels.merge import merge_labels
 from pipeline.labels.noun_phrase import readable
 from pipeline.labels.occlusion import occluded_share
@@ -37,10 +38,13 @@ from pipeline.labels.second_opinion import doubted, open_second_opinion
 from pipeline.labels.shard import label_shard, open_labeller
 from pipeline.labels.store import Store
 from pipeline.labels.tables import PART_TABLES, content_hash, read_table, validate_rows
+from pipeline.lifting import LiftedObject
 from pipeline.naming import same_class
 from pipeline.objects import FrameContext, all_objects
 from pipeline.proposals.annotations import AnnotationDetector
 from pipeline.relations import DIRECTIONAL, INVERSE, PAIRWISE, directional_states
+from pipeline.srm.model import OnnxScorer
+from pipeline.viewer import ViewerAxes
 
 DEMO = SourceSpec("demo")
 FRAMES = 6
@@ -437,6 +441,31 @@ def test_labels_of_rooms_of_another_maker_agree_with_exact_geometry(
     # Doubt is no way out: nearly all that is decidable is decided.
     assert (decided.sum() / (truth != 0).sum()) > 0.92
     assert ((said > 0) & (truth > 0)).sum() / (truth > 0).sum() > 0.9
+
+
+@pytest.mark.parametrize("regime", ["low", "usual", "high"])
+def test_labels_hold_from_low_and_from_high(regime: str) -> None:
+    network = open_second_opinion("trained")
+    assert network is not None
+    rows = []
+    for seed in range(12):
+        objects, exact, viewer, *_ = box_world(seed, 400, 300, REGIMES[regime])
+        if len(objects) < 2:
+            continue
+        truth = directional_states(np.array([e[0] for e in exact]), np.array([e[1] for e in exact]))
+        labels = judge_list_of(objects, viewer, network)
+        rows.append(tallied(network.of_pairs(objects, viewer), labels, truth))
+    found = dict(zip(FIGURES, figures(np.sum(rows, axis=0)[None])[0], strict=True))
+    assert found["above/below F1 of labels"] >= 0.97
+    assert found[FLIPS] < 3
+    assert found["decided"] > 0.9
+
+
+def judge_list_of(objects: list[LiftedObject], viewer: ViewerAxes, network: OnnxScorer) -> np.ndarray:
+    rules = in_doubt(
+        judge_objects(objects, viewer, LabelConfig()), np.array([o.quality.fallback for o in objects], np.bool_)
+    )
+    return doubted(rules, network, objects, viewer).states[..., :6]
 
 
 def test_the_second_opinion_only_ever_doubts(worlds: list[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> None:

@@ -17,7 +17,13 @@ from pipeline.srm.trained_on import TrainedOn
 if TYPE_CHECKING:
     from pipeline.labels.reading import Labels
 
-PAPER_NAMES = {"geom2d8": "2D-Geom", "paper30": "3D-Geom", "canon30": "3D-Geom, canonical", "rel14": "relative extents"}
+PAPER_NAMES = {
+    "geom2d8": "2D-Geom",
+    "paper30": "3D-Geom",
+    "canon30": "3D-Geom, canonical",
+    "rel14": "relative extents",
+    "rel26": "relative extents, places and cuts",
+}
 Geometry = Literal["lifted", "stored"]
 
 

@@ -173,19 +173,18 @@ def compare_with(
 ) -> Retraining | None:
     """A network that is in use beside a new one, on the pairs that the new one has not seen; see `Retraining`.
 
-    None where the two are not fed the same, or do not judge the same relations.
+    None where the two do not judge the same relations, or either knows class names.
     """
     new = OnnxScorer(network)
     contract = current.contract
-    same = (contract.features, contract.output, contract.vocabulary) == (
-        new.contract.features, new.contract.output, new.contract.vocabulary,
-    )  # fmt: skip
-    if not same:
+    same = (contract.output, contract.vocabulary) == (new.contract.output, new.contract.vocabulary)
+    if not same or any(c.language is not None for c in (contract, new.contract)):
         return None
     was, now = (read_label_data(x, config.train.features, contract.vocabulary) for x in (before, after))
+    fed = now if contract.features == now.features else read_label_data(after, contract.features, contract.vocabulary)
     plan = shared_split(was, now, config)
     cards = ({**card, "file": str(current.name)}, card)
-    found = compare_networks(current, new, was, now, plan, cards, config.bootstrap)
+    found = compare_networks(current, new, was, now, plan, cards, config.bootstrap, fed_before=fed)
     share = scorer_share(makers_of(after.manifest), current.path.stem, current)
     return found if share is None else replace(found, caveats=(f"before: {share.sentence}",))
 

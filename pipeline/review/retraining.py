@@ -9,7 +9,7 @@ from __future__ import annotations
 import json
 import os
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -245,6 +245,13 @@ def shared_split(was: LabelData, now: LabelData, config: RetrainConfig) -> Split
     return plan
 
 
+def _rows_of(frames: Sequence[LabelledFrame], data: LabelData) -> list[np.ndarray]:
+    """The rows of the same objects of the same frames out of other data; NaN for one that it does not have."""
+    known = {(f.key.frame, int(n)): row for f in data.frames for n, row in zip(f.objects, f.rows, strict=True)}
+    unknown = np.full(data.frames[0].rows.shape[1], np.nan)
+    return [np.stack([known.get((f.key.frame, int(n)), unknown) for n in f.objects]) for f in frames]
+
+
 def compare_networks(
     before: OnnxScorer,
     after: OnnxScorer,
@@ -253,12 +260,20 @@ def compare_networks(
     plan: SplitPlan,
     cards: tuple[dict[str, Any], dict[str, Any]],
     config: BootstrapConfig | None = None,
+    fed_before: LabelData | None = None,
 ) -> Retraining:
-    """Both networks on the frames of `now` that the plan holds out; see `Retraining`."""
+    """Both networks on the frames of `now` that the plan holds out; see `Retraining`.
+
+    `fed_before` is `now` as the network before is fed it, where that is something else.
+    """
     own = plan.for_frames([f.key for f in now.frames])
     test = [now.frames[k] for k in own.places(TEST)]
     truth = stacked([f.states for f in test])
-    p = [stacked([scorer.probabilities(f.rows) for f in test]) for scorer in (before, after)]
+    rows = _rows_of(test, fed_before or now), [f.rows for f in test]
+    p = [
+        stacked([scorer.probabilities(r) for r in fed])
+        for scorer, fed in zip((before, after), rows, strict=True)
+    ]
     scenes = {f.key.scene for f in test}
     names = [f.key.scene if len(scenes) > 1 else f.key.frame for f in test]
     clusters = np.repeat(np.array(names, np.str_), [len(f.rows) * (len(f.rows) - 1) for f in test])

@@ -23,7 +23,7 @@ from pipeline.srm.model import OnnxScorer
 from pipeline.srm.onnx_file import save_onnx
 from pipeline.srm.scorer import rule_probabilities
 from pipeline.srm.train import TrainConfig, check_room_config, require_training, train_srm
-from pipeline.srm.training_data import SCALES, FrameSamples, make_split, room_seeds, with_other_sizes
+from pipeline.srm.training_data import SCALES, SCATTERED_A_ROOM, FrameSamples, make_split, room_seeds, with_other_sizes
 from pipeline.threads import one_thread
 
 Progress = Callable[[str, int, int], None]
@@ -34,8 +34,8 @@ Progress = Callable[[str, int, int], None]
 class RoomConfig:
     """The rooms to learn from."""
 
-    rooms: int = 300
-    views: int = 3
+    rooms: int = 150
+    views: int = 4
     width: int = 480
     height: int = 360
     seed: int = 0
@@ -151,12 +151,11 @@ def held_out_figures(scorer: OnnxScorer, plain: OnnxScorer, frames: Sequence[Fra
 
 
 def _room_ranges(rooms: RoomConfig) -> dict[str, list[int]]:
-    """First and last room seed of each part."""
-    parts = room_seeds(rooms.seed, rooms.rooms)
-    return {
-        f"{name}_rooms": [part[0], part[-1]]
-        for name, part in zip(("train", "calibration", "test"), parts, strict=True)
-    }
+    """First and last room seed of each part; calibrated on are rooms of solids, measured on furnished ones."""
+    train, calibration, test = room_seeds(rooms.seed, rooms.rooms)
+    scattered = [train[0], train[0] + SCATTERED_A_ROOM * rooms.rooms - 1]
+    parts = {"train": train, "calibration": calibration, "test": test}
+    return {**{f"{name}_rooms": [part[0], part[-1]] for name, part in parts.items()}, "scattered_rooms": scattered}
 
 
 def _command(out: Path, rooms: RoomConfig, config: TrainConfig) -> str:

@@ -1,4 +1,4 @@
-"""What the network is given of a pair: the feature contracts `rel14`, `paper30`, `canon30`, `geom2d8` and `+lang`.
+"""What the network is given of a pair: the contracts `rel26`, `rel14`, `paper30`, `canon30`, `geom2d8` and `+lang`.
 
 Each contract first describes every object by a row of numbers, then every
 ordered pair by a row made from two of them, all pairs at once. `+lang` after
@@ -17,6 +17,7 @@ from pipeline.boxes import Box3D
 from pipeline.errors import InputError
 from pipeline.fitting import pca_box
 from pipeline.lifting import LiftedObject
+from pipeline.pair_measures import Profile
 from pipeline.relations import measure_pairs
 from pipeline.srm.appearance import Appearance
 from pipeline.viewer import ViewerAxes
@@ -31,6 +32,7 @@ CLI_FEATURES = {
     "3d+lang": "paper30+lang",
     "canon": "canon30",
     "rel14": "rel14",
+    "rel26": "rel26",
     "rel14+lang": "rel14+lang",
 }
 """Contracts by the names that the command line gives them: the paper's 2D-Geom, 3D-Geom and so on."""
@@ -206,6 +208,25 @@ def pair_relative(rows: np.ndarray) -> np.ndarray:
     )
 
 
+def describe_viewed_extents(
+    objects: Sequence[LiftedObject], viewer: ViewerAxes, appearance: Appearance | None = None
+) -> np.ndarray:
+    """(N, 7): the extents, and 1 where the image border cuts the object, else 0."""
+    cut = np.array([[float(o.quality.touches_border)] for o in objects]).reshape(-1, 1)
+    return np.concatenate([describe_extents(objects, viewer), cut], axis=1)
+
+
+def pair_viewed(rows: np.ndarray) -> np.ndarray:
+    """`rel26`: `rel14`, and of a and of b where it is seen from the camera, how large, and whether the border cuts it.
+
+    A camera sees the near side and, from above, the top: what is hidden of a thing depends on where it stands.
+    """
+    lo, hi = rows[..., :3], rows[..., 3:6]
+    center, extent = (lo + hi) / 2, np.maximum(hi - lo, Profile().min_extent)
+    own = np.concatenate([center[..., :2], np.log(extent), rows[..., 6:]], axis=-1)
+    return np.concatenate([pair_relative(rows[..., :6]), pair_side_by_side(own)], axis=-1)
+
+
 def pair_side_by_side(rows: np.ndarray) -> np.ndarray:
     """The row of a, then the row of b: (N, K) -> (N, N, 2K)."""
     *batch, n, k = rows.shape
@@ -226,9 +247,15 @@ _RELATIVE_COLUMNS = (
     "forward_a",
     "forward_b",
 )
+_VIEWED_COLUMNS = _RELATIVE_COLUMNS + tuple(
+    f"{what}_{which}"
+    for which in ("a", "b")
+    for what in ("right", "up", "log_size_right", "log_size_up", "log_size_forward", "cut")
+)
 
 FEATURES: dict[str, FeatureSet] = {
     "rel14": FeatureSet("rel14", _RELATIVE_COLUMNS, describe_extents, pair_relative, tuple(range(6))),
+    "rel26": FeatureSet("rel26", _VIEWED_COLUMNS, describe_viewed_extents, pair_viewed, tuple(range(6))),
     "paper30": FeatureSet("paper30", _box_columns(), describe_raw_boxes, pair_side_by_side, _BOX_LENGTHS),
     "canon30": FeatureSet("canon30", _box_columns(), describe_level_boxes, pair_side_by_side, _BOX_LENGTHS),
     "geom2d8": FeatureSet("geom2d8", _FLAT_COLUMNS, describe_boxes_2d, pair_side_by_side, (), boxes=True),

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
 _LENGTHS = {"bbox": 4, "lo": 3, "hi": 3, "pca_center": 3, "pca_R": 9, "pca_size": 3, "center": 3, "R": 9, "size": 3}
 GEOMETRY_COLUMNS: dict[str, tuple[str, ...]] = {
     "rel14": ("lo", "hi"),
+    "rel26": ("lo", "hi", "touches_border"),
     "geom2d8": ("bbox",),
     "paper30": ("pca_center", "pca_R", "pca_size", "center", "R", "size"),
     "canon30": ("pca_center", "pca_R", "pca_size", "center", "R", "size"),
@@ -260,6 +261,9 @@ def object_rows(features: str, objects: dict[str, np.ndarray], mine: slice, fram
     """(N, K) float64 description of the objects; see `features`."""
     if features == "rel14":
         return np.concatenate([objects["lo"][mine], objects["hi"][mine]], axis=1)
+    if features == "rel26":
+        cut = objects["touches_border"][mine].astype(np.float64)[:, None]
+        return np.concatenate([objects["lo"][mine], objects["hi"][mine], cut], axis=1)
     if features == "geom2d8":
         return rows_2d(objects["bbox"][mine], frame["width"], frame["height"])
     parts = [objects[f"pca_{name}"][mine] for name in ("center", "R", "size")]

@@ -4,23 +4,31 @@ The labels are the rule profile on the exact extents of the whole objects; the
 features come from noisy depth through masks that are a little wrong. The
 network therefore has to learn more than the rule: what a thing is like behind
 the part of it that is seen.
+
+It learns from furnished rooms and from scattered ones, seen by cameras of every
+kind; its probabilities are fitted on rooms of solids, which another program
+makes and sees.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Literal
 
 import cv2
 import numpy as np
 
 from pipeline.camera import Camera
 from pipeline.errors import InputError
-from pipeline.lifting import LiftedObject, depth_edges, lift
+from pipeline.lifting import LiftedObject, lift
 from pipeline.relations import directional_states
 from pipeline.srm.appearance import Appearance
 from pipeline.srm.features import FEATURES
 from pipeline.synthetic import Instance, Room, choose_views, make_room, sense_view
+from pipeline.synthetic.roaming import roaming_cameras
+from pipeline.synthetic.scattered import make_scattered
+from pipeline.synthetic.solids import solid_view
 from pipeline.threads import threads_in_children
 from pipeline.viewer import ViewerAxes, viewer_axes
 
@@ -33,6 +41,25 @@ MIN_PIXELS = 200
 MIN_POINTS = 16
 MASK_ERROR_PIXELS = (-2, 3)
 """Masks are eroded by up to 2 or dilated by up to 3 pixels."""
+
+ROUGH_MASK_PIXELS, ROUGH_SHIFT_PIXELS = (-4, 4), 2
+"""Of the rooms that are learnt from: also shifted, each way by up to this."""
+
+STEREO_SHARE = 0.5
+"""So many of the views that are learnt from have a stereo camera's steps of disparity added to their noise."""
+
+Maker = Literal["furnished", "varied", "scattered", "solids"]
+"""furnished: the rooms and cameras of `spatialviz render`. varied: those rooms, cameras, noise and masks of every kind.
+scattered: `synthetic.scattered`, likewise. solids: `synthetic.solids`."""
+
+Job = tuple[int, int, int, int, Maker]
+"""Seed, views, width, height and maker of a room."""
+
+SCATTERED_A_ROOM = 2
+"""Scattered rooms for each furnished one: they teach more of other makers' rooms than furnished ones do."""
+
+SOLIDS_A_VIEW = 2
+"""Rooms of solids, each seen once, for each view that a room to calibrate on would have."""
 
 SCALES = (0.2, 2.0)
 """Each training view is used a second time as a scene of another size: table tops are small rooms."""
@@ -103,7 +130,7 @@ def make_samples(
     views: int = 3,
     width: int = 480,
     height: int = 360,
-    varied: bool = False,
+    maker: Maker = "furnished",
     workers: int = 1,
     progress: Callable[[int], None] | None = None,
 ) -> tuple[FrameSamples, ...]:
@@ -117,8 +144,8 @@ def make_samples(
         Views of each room.
     width, height : int
         Pixels.
-    varied : bool
-        Turn, tilt, raise and zoom each camera at random, beyond what `choose_views` does.
+    maker : str
+        See `Maker`.
     workers : int
         Processes; they are spawned. The samples do not depend on their number.
     progress : callable, optional
@@ -133,7 +160,7 @@ def make_samples(
     """
     if views < 1 or workers < 1 or min(width, height) < 16:
         raise InputError("views and workers must be at least 1, a side at least 16 pixels")
-    jobs = [(seed, views, width, height, varied) for seed in seeds]
+    jobs: list[Job] = [(seed, views, width, height, maker) for seed in seeds]
     tell = progress or (lambda done: None)
     if min(workers, len(jobs)) <= 1:
         found = []
@@ -155,6 +182,8 @@ def make_samples(
 
 def room_seeds(seed: int, rooms: int) -> tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...]]:
     """Room seeds for training (7 in 10), calibration (1 in 10) and test (2 in 10), at least one each.
+
+    Rooms of different makers have the same seeds and nothing else in common.
 
     Raises
     ------
@@ -183,34 +212,59 @@ def make_split(
     workers: int = 1,
     progress: Callable[[int, int], None] | None = None,
 ) -> Split:
-    """Samples of `rooms` rooms, split by room. The cameras of the training rooms are the varied ones.
+    """Samples of `rooms` rooms, split by room, and of twice as many scattered ones.
 
+    Trained on are varied views of furnished rooms and of the scattered ones, and every second furnished room as
+    `spatialviz render` shows it; calibrated on rooms of solids; measured on furnished rooms as rendered.
     `progress` is called with (rooms done, rooms in all); for the rest see `make_samples`.
     """
-    parts, done = [], 0
-    for seeds, varied in zip(room_seeds(seed, rooms), (True, False, False), strict=True):
+    train, calibration, test = room_seeds(seed, rooms)
+    jobs: list[tuple[Sequence[int], Maker]] = [
+        (train, "varied"),
+        (train[::2], "furnished"),
+        (range(train[0], train[0] + SCATTERED_A_ROOM * rooms), "scattered"),
+        (calibration, "solids"),
+        (test, "furnished"),
+    ]
+    total, done, parts = sum(len(seeds) for seeds, _ in jobs), 0, []
+    for seeds, maker in jobs:
 
         def tell(count: int, before: int = done) -> None:
             if progress is not None:
-                progress(before + count, rooms)
+                progress(before + count, total)
 
-        parts.append(
-            make_samples(
-                seeds, views=views, width=width, height=height, varied=varied, workers=workers, progress=tell
-            )
+        made = make_samples(
+            seeds, views=views, width=width, height=height, maker=maker, workers=workers, progress=tell
         )
+        parts.append(made)
         done += len(seeds)
-    return Split(*parts)
+    *learnt, solids, measured = parts
+    return Split(tuple(frame for part in learnt for frame in part), solids, measured)
 
 
-def _room_samples(job: tuple[int, int, int, int, bool]) -> tuple[FrameSamples, ...]:
-    seed, views, width, height, varied = job
-    room = make_room(seed)
+def _room_samples(job: Job) -> tuple[FrameSamples, ...]:
+    seed, views, width, height, maker = job
     rng = np.random.default_rng([seed, 17])
-    cameras = choose_views(room, views, np.random.default_rng([seed, 11]), width, height)
-    if varied:
+    if maker == "solids":
+        return tuple(_solid_samples(seed, k, width, height) for k in range(SOLIDS_A_VIEW * views))
+    if maker == "scattered":
+        room = make_scattered(seed)
+        return tuple(view_samples(room, c, rng, rough=True) for c in roaming_cameras(room, views, rng, width, height))
+    room = make_room(seed)
+    usual = 1 if maker == "varied" else views
+    cameras = choose_views(room, usual, np.random.default_rng([seed, 11]), width, height)
+    if maker == "varied":
         cameras = [varied_camera(camera, rng) for camera in cameras]
-    return tuple(view_samples(room, camera, rng) for camera in cameras)
+        cameras += roaming_cameras(room, views - usual, rng, width, height)
+    return tuple(view_samples(room, camera, rng, rough=maker == "varied") for camera in cameras)
+
+
+def _solid_samples(seed: int, number: int, width: int, height: int) -> FrameSamples:
+    view = solid_view(seed, number, width, height, MIN_PIXELS)
+    assert view.camera.up is not None
+    viewer = viewer_axes(view.camera.up)
+    exact = [(lo, hi) for lo, hi in view.exact(viewer.matrix)]
+    return _seen_samples(seed, view.depth, view.camera, view.masks, exact)
 
 
 def varied_camera(camera: Camera, rng: np.random.Generator) -> Camera:
@@ -227,23 +281,47 @@ def varied_camera(camera: Camera, rng: np.random.Generator) -> Camera:
     return replace(camera, K=K, T_world_camera=T, up=T[:3, :3].T @ np.array([0.0, 0.0, 1.0]))
 
 
-def view_samples(room: Room, camera: Camera, rng: np.random.Generator) -> FrameSamples:
-    """One view as a sensor and a segmenter give it; the camera has a pose and knows what is up."""
+def view_samples(room: Room, camera: Camera, rng: np.random.Generator, *, rough: bool = False) -> FrameSamples:
+    """One view as a sensor and a segmenter give it; the camera has a pose and knows what is up.
+
+    `rough` is for learning: other sensors and worse segmenters now and then.
+    """
     assert camera.up is not None
     depth, instances = sense_view(room, camera, rng)
+    if rough and rng.random() < STEREO_SHARE:
+        depth = _in_steps(depth, rng)
     viewer = viewer_axes(camera.up)
-    edges = depth_edges(depth)
-    numbers, lifted, boxes = [], [], []
-    for number in np.flatnonzero(np.bincount(instances[instances >= 0], minlength=1) >= MIN_PIXELS):
-        mask = degraded(instances == number, rng)
-        (item,) = lift(depth, camera, [mask], viewer, edges=edges)
-        if item.quality.points >= MIN_POINTS:
-            numbers.append(int(number))
-            lifted.append(item)
-            boxes.append(_tight_box(mask))
-    seen = Appearance(np.array(boxes, np.float64).reshape(-1, 4), ("",) * len(boxes), camera.width, camera.height)
-    exact = [_exact_extents(room.instances[n], camera, viewer) for n in numbers]
-    return samples_of(room.seed, lifted, viewer, exact, seen)
+    numbers = np.flatnonzero(np.bincount(instances[instances >= 0], minlength=1) >= MIN_PIXELS)
+    spoilt = _roughened if rough else degraded
+    masks = [spoilt(instances == number, rng) for number in numbers]
+    return _seen_samples(
+        room.seed, depth, camera, masks, [_exact_extents(room.instances[n], camera, viewer) for n in numbers]
+    )
+
+
+def _seen_samples(
+    room: int,
+    depth: np.ndarray,
+    camera: Camera,
+    masks: Sequence[np.ndarray],
+    exact: Sequence[tuple[np.ndarray, np.ndarray]],
+) -> FrameSamples:
+    """The samples of what these masks show of things with these exact extents."""
+    assert camera.up is not None
+    viewer = viewer_axes(camera.up)
+    lifted = lift(depth, camera, masks, viewer, boxes=False)
+    kept = [k for k, item in enumerate(lifted) if item.quality.points >= MIN_POINTS]
+    boxes = np.array([_tight_box(masks[k]) for k in kept], np.float64).reshape(-1, 4)
+    seen = Appearance(boxes, ("",) * len(kept), camera.width, camera.height)
+    return samples_of(room, [lifted[k] for k in kept], viewer, [exact[k] for k in kept], seen)
+
+
+def _in_steps(depth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """The depth as a stereo camera would give it: an error of disparity, and steps of it."""
+    product, step = rng.uniform(30, 60), float(rng.choice([4, 8, 16]))
+    disparity = product / np.maximum(depth, 0.1) + rng.normal(0, rng.uniform(0.02, 0.15), depth.shape)
+    stepped = product / np.maximum(np.round(disparity * step) / step, 0.5)
+    return np.where(depth > 0, stepped, 0).astype(np.float32)
 
 
 def samples_of(
@@ -260,15 +338,28 @@ def samples_of(
     return FrameSamples(room, rows, extents[:, :3], extents[:, 3:], whole[:, 0], whole[:, 1])
 
 
-def degraded(mask: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def degraded(
+    mask: np.ndarray, rng: np.random.Generator, error: tuple[int, int] = MASK_ERROR_PIXELS
+) -> np.ndarray:
     """A mask ((H, W) bool) as a segmenter would give it: a little too small, or a little too large."""
-    pixels = int(rng.integers(MASK_ERROR_PIXELS[0], MASK_ERROR_PIXELS[1] + 1))
+    pixels = int(rng.integers(error[0], error[1] + 1))
     if pixels == 0:
         return mask
     kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * abs(pixels) + 1,) * 2)
     changed = (cv2.dilate if pixels > 0 else cv2.erode)(mask.view(np.uint8), kernel).view(np.bool_)
     # A thin thing would vanish; a segmenter that finds it finds something.
     return changed if changed.sum() >= MIN_PIXELS // 2 else mask
+
+
+def _roughened(mask: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """A worse mask: of a larger error, and shifted."""
+    changed = degraded(mask, rng, ROUGH_MASK_PIXELS)
+    x, y = rng.integers(-ROUGH_SHIFT_PIXELS, ROUGH_SHIFT_PIXELS + 1, 2)
+    shift = np.array([[1, 0, x], [0, 1, y]], np.float64)
+    # What the border cuts goes on behind it.
+    size = (mask.shape[1], mask.shape[0])
+    plain, nearest = changed.view(np.uint8), cv2.INTER_NEAREST
+    return cv2.warpAffine(plain, shift, size, flags=nearest, borderMode=cv2.BORDER_REPLICATE).view(np.bool_)
 
 
 def _tight_box(mask: np.ndarray) -> tuple[int, int, int, int]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from typing import Any
 
 import numpy as np
@@ -43,9 +43,9 @@ class Scene:
 
     Attributes
     ----------
-    corner_normals : (F, 3, 3) float32
-        World normal at each corner, smoothed over round surfaces.
-    face_normals : (F, 3) float32
+    vertices : (V, 3) float64
+        World.
+    faces : (F, 3) int
     face_part : (F,) int32
     part_instance : (P,) int32
         -1 for the shell.
@@ -57,8 +57,8 @@ class Scene:
     """
 
     room: Room
-    corner_normals: np.ndarray
-    face_normals: np.ndarray
+    vertices: np.ndarray
+    faces: np.ndarray
     face_part: np.ndarray
     part_instance: np.ndarray
     part_R: np.ndarray
@@ -67,6 +67,14 @@ class Scene:
     part_high: np.ndarray
     materials: tuple[Material, ...]
     tracer: Tracer
+
+    @cached_property
+    def normals(self) -> tuple[np.ndarray, np.ndarray]:
+        """(F, 3, 3) float32 world normal at each corner, smoothed over round surfaces, and (F, 3) float32 of each face.
+
+        Only colour needs them, and they cost as much as the rest of a scene.
+        """
+        return _normals(self.vertices, self.faces)
 
     def trace(self, origins: np.ndarray, directions: np.ndarray) -> Hits:
         """First hits of rays, both (N, 3) in the world."""
@@ -141,11 +149,9 @@ def build_scene(room: Room) -> Scene:
         materials.append(part.material)
         start += len(world)
     mesh = np.concatenate(vertices), np.concatenate(faces)
-    normals, flats = _normals(*mesh)
     return Scene(
         room,
-        normals,
-        flats,
+        *mesh,
         np.concatenate(face_part),
         np.array(owner, dtype=np.int32),
         np.array(turns, dtype=np.float32),

@@ -83,12 +83,12 @@ def resolve(scene: Scene, hits: Hits, origin: np.ndarray, directions: np.ndarray
     hit = hits.face >= 0
     face = np.where(hit, hits.face, 0)
     # Sheets are seen from both sides: the normal looks back at the viewer.
-    flat = scene.face_normals.take(face, axis=0)
+    flat = scene.normals[1].take(face, axis=0)
     away = np.where(np.einsum("ij,ij->i", flat, directions) > 0, np.float32(-1), np.float32(1))[:, None]
     flat *= away
     normal = flat
     if round_off:
-        corner = scene.corner_normals.reshape(-1, 9).take(face, axis=0)
+        corner = scene.normals[0].reshape(-1, 9).take(face, axis=0)
         u, v = hits.u[:, None], hits.v[:, None]
         normal = (1 - u - v) * corner[:, :3] + u * corner[:, 3:6] + v * corner[:, 6:]
         normal *= away / np.maximum(np.sqrt(np.einsum("ij,ij->i", normal, normal)), 1e-9)[:, None]

@@ -192,7 +192,7 @@ def relations_html(state: State) -> str:
 
 
 def _scored_by(scores: RelationScores, scorer: str) -> str:
-    """The scorer, and what the relations it has nothing for are scored by: "rel14; on, in, near by rule"."""
+    """The scorer, and what the relations it has nothing for are scored by: "rel26; on, in, near by rule"."""
     others: dict[str, list[str]] = {}
     for relation in scores.relations:
         if scores.scored_by[relation] != scorer:

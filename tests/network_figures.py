@@ -1,0 +1,78 @@
+"""The figures of a relation network, and of labels that it has a second opinion on, on rooms of other makers.
+
+    python tests/network_figures.py [WORLDS] [NETWORK.onnx ...]
+
+prints the table of `assets/srm/README.md`: for each maker and each kind of camera so many worlds, with 95 % bootstrap
+intervals over them.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import numpy as np
+from box_worlds import box_world
+from mesh_worlds import mesh_world
+from other_makers import FIGURES, FLIPS, REGIMES, Seen, figures, tallied
+
+from pipeline.evaluation.intervals import bootstrap
+from pipeline.labels.config import LabelConfig
+from pipeline.labels.labelling import in_doubt, judge_objects
+from pipeline.labels.second_opinion import doubted
+from pipeline.relations import DIRECTIONAL, directional_states
+from pipeline.srm import shipped_network
+from pipeline.srm.model import OnnxScorer
+from pipeline.srm.scorer import RuleScorer, rule_probabilities
+
+FEWEST_OBJECTS = 5
+WORLDS = 60
+
+
+def worlds(maker: str, regime: str, count: int) -> Iterator[Seen]:
+    """Views with at least FEWEST_OBJECTS objects, out of so many worlds."""
+    for seed in range(count):
+        if maker == "boxes":
+            found = Seen(*box_world(seed, 400, 300, REGIMES[regime])[:3])
+        else:
+            found = mesh_world(seed, REGIMES[regime])
+        if found is not None and len(found.objects) >= FEWEST_OBJECTS:
+            yield found
+
+
+def tallies(networks: Sequence[OnnxScorer], seen: Seen) -> list[np.ndarray]:
+    """`tallied` of each network with labels that it has a second opinion on, and of the bare rule."""
+    config = LabelConfig()
+    lo, hi = (np.array([e[k] for e in seen.exact]) for k in (0, 1))
+    truth = directional_states(lo, hi)
+    rules = judge_objects(seen.objects, seen.viewer, config)
+    rules = in_doubt(rules, np.array([o.quality.fallback for o in seen.objects], np.bool_))
+    found = []
+    for network in networks:
+        labels = doubted(rules, network, seen.objects, seen.viewer).states[..., :6]
+        found.append(tallied(network.of_pairs(seen.objects, seen.viewer), labels, truth))
+    bare = rule_probabilities(RuleScorer().score(seen.objects, seen.viewer, relations=DIRECTIONAL).states)
+    return [*found, tallied(bare, rules.states[..., :6], truth)]
+
+
+def main(count: int, paths: Sequence[Path]) -> None:
+    """Print the table."""
+    networks = [OnnxScorer(path) for path in paths]
+    print(f"| rooms | cameras | pairs | scorer | {' | '.join(FIGURES)} |")
+    print("|---" * (4 + len(FIGURES)) + "|")
+    for maker in ("boxes", "meshes"):
+        for regime in REGIMES:
+            if maker == "boxes" and REGIMES[regime].close:
+                continue
+            rows = np.array([tallies(networks, seen) for seen in worlds(maker, regime, count)])
+            for k, name in enumerate([*(path.stem for path in paths), "rule"]):
+                found = bootstrap(rows[:, k], np.arange(len(rows)), figures)
+                cells = [e.formatted(1, 2 if what == FLIPS else 4) for what, e in zip(FIGURES, found, strict=True)]
+                pairs = f"{int(rows[:, k, 13].sum()):,}"
+                print("|", " | ".join([maker, regime, pairs, name, *cells]), "|", flush=True)
+
+
+if __name__ == "__main__":
+    given = sys.argv[1:]
+    main(int(given[0]) if given else WORLDS, [Path(name) for name in given[1:]] or [shipped_network()])
