@@ -12,6 +12,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from waiting import LONG_S
+
 OWNER = "postgres"
 
 
@@ -75,7 +77,7 @@ class Cluster:
 
 def _run(folder: Path, *command: str) -> None:
     log = folder / "log"
-    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=60, check=False)
+    done = subprocess.run(command, cwd=folder, capture_output=True, text=True, timeout=LONG_S, check=False)
     said = log.read_text(errors="replace") if log.exists() else ""
     assert done.returncode == 0, done.stdout + done.stderr + said
 

@@ -19,6 +19,7 @@ from typing import Any
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from waiting import LONG_S, wait_until
 
 from pipeline.errors import InputError
 from pipeline.journal.bench import prove, read_report, write_many
@@ -316,9 +317,7 @@ def test_what_was_acknowledged_survives_a_killed_writer(tmp_path: Path) -> None:
     place, report = str(tmp_path / JOURNAL_FILE), tmp_path / "told.jsonl"
     writer = multiprocessing.get_context("spawn").Process(target=write_many, args=(place, "0", 100_000, report))
     writer.start()
-    until = time.monotonic() + 120
-    while len(read_report(report)) < 30 and time.monotonic() < until:
-        time.sleep(0.02)
+    wait_until(lambda: len(read_report(report)) >= 30)
     os.kill(writer.pid or 0, signal.SIGKILL)
     writer.join()
     told = [entry["saved"] for entry in read_report(report) if "saved" in entry]
@@ -374,7 +373,7 @@ except InputError as error:
     print("InputError", error)
 """
     done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False,
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=LONG_S, check=False,
         env={**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parent.parent)},
     )  # fmt: skip
     assert "Traceback" not in done.stderr, done.stderr

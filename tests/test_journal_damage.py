@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 from journal_world import work_of
+from waiting import LONG_S
 
 from pipeline.journal import log_file
 from pipeline.journal.cells import object_cell
@@ -162,7 +163,9 @@ def test_who_looks_at_a_journal_leaves_the_writers_turn_alone(tmp_path: Path) ->
     program = f"import sqlite3; sqlite3.connect({str(path)!r}, timeout=0).execute('BEGIN IMMEDIATE')"
 
     def another() -> str:
-        done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=120, check=False)
+        done = subprocess.run(
+            [sys.executable, "-c", program], capture_output=True, text=True, timeout=LONG_S, check=False
+        )
         return done.stderr
 
     with open_journal(path) as journal:

@@ -13,6 +13,7 @@ from pathlib import Path
 
 import pytest
 from postgres_cluster import missing, started_cluster
+from waiting import LONG_S
 
 from pipeline.errors import InputError
 from pipeline.journal.cells import object_cell
@@ -146,7 +147,7 @@ print(number, error)
 """
     here = Path(__file__).resolve().parent
     done = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=False,
+        [sys.executable, "-c", program], capture_output=True, text=True, timeout=LONG_S, check=False,
         env={**os.environ, "PYTHONPATH": f"{here}{os.pathsep}{here.parent}"},
     )  # fmt: skip
     assert done.returncode == 0, done.stdout + done.stderr

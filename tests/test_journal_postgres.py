@@ -5,7 +5,6 @@ from __future__ import annotations
 import multiprocessing
 import os
 import signal
-import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from concurrent.futures import TimeoutError as NotYet
@@ -15,6 +14,7 @@ import pytest
 from journal_world import work_of
 from postgres_cluster import missing, running_cluster
 from sqlalchemy.exc import DBAPIError
+from waiting import wait_until
 
 from pipeline.errors import InputError
 from pipeline.journal import connection, postgres
@@ -152,9 +152,7 @@ def test_what_was_acknowledged_survives_a_killed_writer(database: str, tmp_path:
         there = {e.ulid for e in journal.events()}
     writer = multiprocessing.get_context("spawn").Process(target=write_many, args=(database, "9", 100_000, report))
     writer.start()
-    until = time.monotonic() + 120
-    while sum("saved" in entry for entry in read_report(report)) < 30 and time.monotonic() < until:
-        time.sleep(0.02)
+    wait_until(lambda: sum("saved" in entry for entry in read_report(report)) >= 30)
     os.kill(writer.pid or 0, signal.SIGKILL)
     writer.join()
     told = [entry["saved"] for entry in read_report(report) if "saved" in entry]

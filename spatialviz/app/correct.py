@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import viser
 
@@ -18,32 +18,11 @@ from pipeline.journal.cells import LONGEST_NAME, plain_text, relation_cell
 from pipeline.journal.edits import Edits, judge_relation, set_relation, settle
 from pipeline.journal.effective_frame import EffectiveFrame
 from pipeline.journal.events import Conflict, Event, Saved
-from pipeline.review.items import ItemKey
-from spatialviz.app.label_view import LabelView
+from spatialviz.app.label_view import LabelView, Wanted
 from spatialviz.app.layout import Page
 from spatialviz.app.place import Place
 from spatialviz.app.review_html import pair_html, review_head_html
 from spatialviz.app.state import Shown, State
-
-
-@dataclass(frozen=True)
-class Wanted:
-    """What of the labels is to be looked at.
-
-    Attributes
-    ----------
-    frame : str
-    objects : tuple of int
-        Numbers: of one object, or of a pair.
-    relation : str or None
-    item : ItemKey or None
-        The item of the review queue that it is.
-    """
-
-    frame: str
-    objects: tuple[int, ...] = ()
-    relation: str | None = None
-    item: ItemKey | None = None
 
 
 class Correct:

@@ -13,6 +13,26 @@ from pipeline.review.items import ItemKey
 
 
 @dataclass(frozen=True)
+class Wanted:
+    """What of the labels is to be looked at.
+
+    Attributes
+    ----------
+    frame : str
+    objects : tuple of int
+        Numbers: of one object, or of a pair.
+    relation : str or None
+    item : ItemKey or None
+        The item of the review queue that it is.
+    """
+
+    frame: str
+    objects: tuple[int, ...] = ()
+    relation: str | None = None
+    item: ItemKey | None = None
+
+
+@dataclass(frozen=True)
 class LabelView:
     """The labels of the frame that is shown.
 

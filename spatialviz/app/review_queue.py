@@ -22,10 +22,11 @@ from pipeline.review.items import ItemKey
 from pipeline.review.ordering import BLOCK
 from pipeline.review.queue_job import QueueJob, second_setup
 from pipeline.review.worklist import Worklist
-from spatialviz.app.correct import Correct, Wanted
+from spatialviz.app.correct import Correct
 from spatialviz.app.dialog import Dialog
 from spatialviz.app.frames import FrameStore
 from spatialviz.app.keys import KEYS_OF_ONE
+from spatialviz.app.label_view import Wanted
 from spatialviz.app.layout import Page
 from spatialviz.app.queue_html import KINDS, Asked, item_html, queue_html
 from spatialviz.app.review_html import doubt_html

@@ -52,10 +52,10 @@ def answer_html(state: State, can_ask: bool = True) -> str:
     # Of the answer itself it is said that there is none; another pair that was clicked is only looked at.
     absent = note(_capital(answer.lead.strip()), DOUBT) if pair is best and answer.lead else ""
     numbers = f'<div class="dim">{safe("; ".join((answer.numbers, *answer.fails)))}</div>' if answer.fails else ""
-    below = f'<span class="dim" title="{safe(answer.below)}">{safe(answer.below)}</span>'
+    below = f'<div class="dim">{safe(answer.below)}</div>'
     parts = [
-        level_html(state), before, absent, _sentence(state, pair), _headline(pair), numbers, verdict_line(state),
-        f'<div class="under">{below}{up_chip(state)}{mend_button(state)}</div>',
+        level_html(state), before, absent, _sentence(state, pair), _headline(pair), numbers, below, verdict_line(state),
+        f'<div class="under"><span></span>{up_chip(state)}{mend_button(state)}</div>',
     ]  # fmt: skip
     return panel(*parts)
 

@@ -1,4 +1,4 @@
-"""What a client has selected: by a row, a word, a pixel of the picture, or a click in the scene."""
+"""What a client has selected, an object or a pair: by a row, a word, a pixel of the picture, a click in the scene."""
 
 from __future__ import annotations
 
@@ -44,6 +44,8 @@ class Selection:
             "chip": self.select_role,
             "image": self.select_at,
             "focus": lambda _: self.focus(),
+            "pair": lambda place: self.choose_pair(int(place)),
+            "next-pair": lambda step: self.step_pair(int(step)),
         }
 
     def select(self, i: int) -> None:
@@ -107,6 +109,23 @@ class Selection:
     def _select_other(self, found: int | None) -> None:
         if found is not None and found != self._state().selected:
             self.select(found)
+
+    def choose_pair(self, place: int) -> None:
+        """Choose a ranked pair by its place; the target is selected."""
+        state = self._state()
+        if not 0 <= place < len(state.ranked):
+            return  # A click on a row that a newer answer has replaced.
+        pair = state.at(state.ranked[place])
+        self._take(replace(state, pair=pair, selected=pair[0], second=None))
+        self._draw()
+
+    def step_pair(self, step: int) -> None:
+        """Choose the next ranked pair, or the one before."""
+        state = self._state()
+        if state.ranked:
+            pairs = [state.at(p) for p in state.ranked]
+            at = pairs.index(state.pair) if state.pair in pairs else 0
+            self.choose_pair((at + step) % len(pairs))
 
     def focus(self) -> None:
         """Look at the selected object."""

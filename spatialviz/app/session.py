@@ -163,8 +163,6 @@ class Session:
         kind, _, argument = message.partition(":")
         number = int(argument) if argument.lstrip("-").isdecimal() else -1
         handlers: dict[str, Callable[[], None]] = {
-            "pair": lambda: self._choose_pair(number),
-            "next-pair": lambda: self._step_pair(number),
             "relation": lambda: self._ask_relation(number),
             "try": lambda: self._ask(self._suggestions[number]) if 0 <= number < len(self._suggestions) else None,
             "ask": lambda: self._ask(argument),
@@ -366,20 +364,6 @@ class Session:
         if trace.asked.inverse:
             first, second = second, first
         self._ask(f"{first} {PHRASE[trace.scores.relations[number]]} the {second}")
-
-    def _choose_pair(self, place: int) -> None:
-        if not 0 <= place < len(self.state.ranked):
-            return  # A click on a row that a newer answer has replaced.
-        pair = self.state.at(self.state.ranked[place])
-        self.state = replace(self.state, pair=pair, selected=pair[0], second=None)
-        self._draw()
-
-    def _step_pair(self, step: int) -> None:
-        ranked = self.state.ranked
-        if ranked:
-            places = [self.state.at(p) for p in ranked]
-            at = places.index(self.state.pair) if self.state.pair in places else 0
-            self._choose_pair((at + step) % len(ranked))
 
     def _clear(self) -> None:
         loaded = self.state.loaded
