@@ -912,7 +912,7 @@ def test_a_survey_reports_and_goes_on(tmp_path: Path) -> None:
     assert fine.depth_valid == np.mean(depth > 0)
     assert fine.median_depth == pytest.approx(np.median(depth[depth > 0]))
     assert fine.has_pose
-    assert fine.up_source is None
+    assert fine.up_source == "assumed"
 
 
 def test_an_open_dataset_can_be_sent_to_another_process(tmp_path: Path) -> None:

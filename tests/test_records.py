@@ -43,12 +43,14 @@ def test_an_answer_has_the_documented_keys(row: Frame) -> None:
     assert record["frame"] == "scene/0"
     assert set(record["expression"]) == {"text", "target", "relation", "reference"}
     assert (record["expression"]["target"], record["expression"]["relation"]) == ("mug", "left")
-    assert set(record["answer"]) == {"target", "reference", "probability", "p_relation", "product"}
+    answer = {"target", "reference", "probability", "p_relation", "product", "holds", "relation_probability"}
+    assert set(record["answer"]) == answer
     assert set(record["answer"]["target"]) == set(record["answer"]["reference"]) == OBJECT_KEYS
     assert record["answer"]["target"]["label"] == "mug"
     for pair in record["pairs"]:
         assert set(pair) == {
             "target", "reference", "p_target", "p_reference", "p_relation", "product", "probability", "log_factors",
+            "holds", "relation_probability",
         }  # fmt: skip
     assert all(set(p) == OBJECT_KEYS | {"index"} for p in record["proposals"])
     assert set(record["timings_ms"]) == {"parse", "frame", "opm", "lift", "srm", "prm"}

@@ -24,7 +24,8 @@ def row_hash(seed: int, *parts: object) -> int:
 def same_names(labels: Sequence[str]) -> np.ndarray:
     """(N, N) bool: objects whose class names mean the same."""
     names = list(dict.fromkeys(labels))
-    alike = np.array([[a == b or same_class(a, b) for b in names] for a in names], np.bool_).reshape(len(names), -1)
+    alike = np.array([[a == b or same_class(a, b) for b in names] for a in names], np.bool_)
+    alike = alike.reshape(len(names), len(names))
     place = np.array([names.index(label) for label in labels], np.int64)
     return alike[np.ix_(place, place)]
 

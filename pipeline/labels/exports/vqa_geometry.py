@@ -15,8 +15,6 @@ from typing import Any
 
 import numpy as np
 import xxhash
-from scipy.ndimage import distance_transform_edt
-from scipy.spatial import KDTree
 
 from pipeline.boxes import Box3D
 from pipeline.camera import Camera, lift_pixels
@@ -147,6 +145,8 @@ def seen_whole(row: Mapping[str, Any], config: VqaConfig) -> bool:
 
 def gap_between(a: Figures, b: Figures) -> float | None:
     """Metres between the nearest raw points of two objects; None where one of them is not seen whole."""
+    from scipy.spatial import KDTree
+
     if not len(a.points) or not len(b.points):
         return None
     return float(KDTree(a.points).query(b.points)[0].min())
@@ -193,6 +193,8 @@ class _Raw:
 
     def _continues(self, z: np.ndarray, kept: np.ndarray) -> np.ndarray:
         """(h, w) bool: pixels that lie on from the nearest kept one at no more than 45 degrees and a step."""
+        from scipy.ndimage import distance_transform_edt
+
         away, (row, column) = distance_transform_edt(~kept, return_indices=True)  # pyright: ignore[reportGeneralTypeIssues]
         of = z[row, column]
         step = np.maximum(self.config.edge, self.config.edge_relative * of)
