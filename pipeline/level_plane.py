@@ -176,7 +176,8 @@ def _of_one_side(surface: _Surface, kind: Literal["floor", "ceiling"]) -> list[U
         up, offset, share = fitted
         if kind == "ceiling" and np.mean(np.abs(voters @ up.astype(np.float32)) < _UPRIGHT) < LEAST_WALL:
             continue
-        told = kind == "ceiling" or _pitch_deg(up) < WALL_AHEAD_DEG or _has_other_levels(surface, up, offset)
+        steep = bool(_pitch_deg(up) >= WALL_AHEAD_DEG)
+        told = kind == "ceiling" or not steep or _has_other_levels(surface, up, offset)
         found.append(UpHypothesis(up, kind, share, _explained(voters, up), told))
     return found
 
