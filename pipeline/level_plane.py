@@ -38,9 +38,21 @@ LEAST_WALL = 0.05
 """A ceiling counts only where walls are seen with it: alone, it may as well be a wall seen from above."""
 WALLS_STEEP_DEG, WALLS_HIGH_DEG = 45.0, 10.0
 """Up is where two walls meet only while the camera looks down by no more than this, and up by no more."""
+WALLS_EXPLAIN = 0.9
+"""And while no less of what is flat goes with it: else one of the two is rather a board that leans."""
+WALL_AHEAD_DEG = 55.0
+"""A plane that is seen from above as steeply as this may as well be a wall that the camera looks up at. The two are
+alike in everything but that a floor and a table-top have other level surfaces above or below them."""
+HIGHEST_CAMERA_M = 2.7
+"""And but that no one holds a camera higher above a floor."""
+OTHER_LEVEL_SHARE, TALLEST_M = 0.003, 1.5
+"""So much of the surface is other levels where there are any; a level so much higher is none that things make."""
 MIN_SCORE = 0.15
 MIN_LEAD = 2.0
 """The best hypothesis must be so many times as good as the best that contradicts it."""
+
+FAR_FROM_LEVEL_DEG = 45.0
+"""A surface that was called level and is so far off the frame's level planes is worth a note: a wall was meant?"""
 
 NEAREST_M, FARTHEST_M = 0.15, 10.0
 GRID_BLOCKS = 12_000
@@ -65,12 +77,16 @@ class UpHypothesis:
         Share of the surface seen that lies in the plane; of walls, what speaks for the less seen direction.
     explained : float
         Share of the flat surface that is level or upright under it, in either way.
+    told : bool
+        False for a plane seen so steeply that nothing tells it from a wall which the camera looks up at. It decides
+        nothing, but contradicts.
     """
 
     up: np.ndarray
     kind: Literal["floor", "ceiling", "walls"]
     share: float
     explained: float
+    told: bool = True
 
     @property
     def score(self) -> float:
@@ -108,7 +124,7 @@ def level_plane(depth: np.ndarray, camera: Camera) -> np.ndarray | None:
 
 def decided(found: Sequence[UpHypothesis]) -> UpHypothesis | None:
     """The best of a frame's hypotheses (best first), None where it is weak or another contradicts it."""
-    if not found or found[0].score < MIN_SCORE:
+    if not found or found[0].score < MIN_SCORE or not found[0].told:
         return None
     best = found[0]
     others = (h.score for h in found[1:] if h.up @ best.up < np.cos(np.deg2rad(APART_DEG)))
@@ -157,11 +173,23 @@ def _of_one_side(surface: _Surface, kind: Literal["floor", "ceiling"]) -> list[U
         support[candidates @ candidates[best] > same] = 0
         if fitted is None or _ease(fitted[0][None])[0] == 0 or any(fitted[0] @ h.up > same for h in found):
             continue
-        up, share = fitted
+        up, offset, share = fitted
         if kind == "ceiling" and np.mean(np.abs(voters @ up.astype(np.float32)) < _UPRIGHT) < LEAST_WALL:
             continue
-        found.append(UpHypothesis(up, kind, share, _explained(voters, up)))
+        steep = bool(_pitch_deg(up) >= WALL_AHEAD_DEG)
+        told = kind == "ceiling" or not steep or _has_other_levels(surface, up, offset)
+        found.append(UpHypothesis(up, kind, share, _explained(voters, up), told))
     return found
+
+
+def _has_other_levels(surface: _Surface, up: np.ndarray, offset: float) -> bool:
+    """Whether anything else is level above or below a plane that a camera is held over."""
+    if -offset > HIGHEST_CAMERA_M:
+        return False
+    height = surface.points @ up - offset
+    level = surface.flat & (surface.normals @ up > np.cos(np.deg2rad(1.5 * PARALLEL_DEG)))
+    level &= (np.abs(height) > np.maximum(0.02, 3 * _tolerance(surface.points))) & (height < TALLEST_M)
+    return bool(level.mean() > OTHER_LEVEL_SHARE)
 
 
 def _of_walls(surface: _Surface) -> list[UpHypothesis]:
@@ -173,11 +201,11 @@ def _of_walls(surface: _Surface) -> list[UpHypothesis]:
         if len(upright) < MIN_POINTS:
             return []
         up, spread = _least_seen(upright)
-    pitch = np.rad2deg(np.arcsin(np.clip(-up[2], -1, 1)))
-    if not -WALLS_HIGH_DEG < pitch < WALLS_STEEP_DEG or _ease(up[None])[0] == 0:
+    explained = _explained(normals, up)
+    if not -WALLS_HIGH_DEG < _pitch_deg(up) < WALLS_STEEP_DEG or _ease(up[None])[0] == 0 or explained < WALLS_EXPLAIN:
         return []
     share = spread / len(normals) * float(surface.flat.mean())
-    return [UpHypothesis(up, "walls", share, _explained(normals, up))] if share > LEAST_SHARE else []
+    return [UpHypothesis(up, "walls", share, explained)] if share > LEAST_SHARE else []
 
 
 def _least_seen(normals: np.ndarray) -> tuple[np.ndarray, float]:
@@ -194,11 +222,24 @@ def _explained(normals: np.ndarray, up: np.ndarray) -> float:
 
 def _ease(up: np.ndarray) -> np.ndarray:
     """0..1 of each up vector ((N, 3)): how common it is to hold a camera so; 0 is never."""
-    pitch = np.rad2deg(np.arcsin(np.clip(-up[:, 2], -1, 1)))
-    roll = np.abs(np.rad2deg(np.arctan2(up[:, 0], -up[:, 1])))
+    pitch, roll = _pitch_deg(up), np.abs(_roll_deg(up))
     beyond = np.maximum(pitch - EASY_STEEP_DEG, 0) + np.maximum(-pitch - EASY_HIGH_DEG, 0)
     held = np.exp(-0.5 * (np.maximum(roll - EASY_ROLL_DEG, 0) / 8) ** 2 - beyond / 12)
     return np.where((pitch < STEEPEST_DEG) & (pitch > -HIGHEST_DEG) & (roll < MAX_ROLL_DEG), held, 0.0)
+
+
+def _pitch_deg(up: np.ndarray) -> np.ndarray:
+    """How far a camera of this up vector ((..., 3)) looks down."""
+    return np.rad2deg(np.arcsin(np.clip(-up[..., 2], -1, 1)))
+
+
+def _roll_deg(up: np.ndarray) -> np.ndarray:
+    return np.rad2deg(np.arctan2(up[..., 0], -up[..., 1]))
+
+
+def _tolerance(points: np.ndarray) -> np.ndarray:
+    """(N,) metres within which points ((N, 3)) lie in a plane."""
+    return 0.008 + 0.006 * points[:, 2] ** 2
 
 
 def _surface(depth: np.ndarray, camera: Camera) -> _Surface:
@@ -221,10 +262,10 @@ def _surface(depth: np.ndarray, camera: Camera) -> _Surface:
     return _Surface(lift_pixels(z[v, u], blocks, v, u), normals[v, u], known[v, u])
 
 
-def _fitted(surface: _Surface, direction: np.ndarray, sign: np.float32) -> tuple[np.ndarray, float] | None:
-    """The largest plane of about this normal: its unit normal and its share of the points; None where too small."""
+def _fitted(surface: _Surface, direction: np.ndarray, sign: np.float32) -> tuple[np.ndarray, float, float] | None:
+    """The largest plane of about this normal: unit normal, offset along it, share of the points; None if too small."""
     points = surface.points
-    tolerance = 0.008 + 0.006 * points[:, 2] ** 2
+    tolerance = _tolerance(points)
     cosine = surface.normals @ direction * sign
     near = surface.flat & (cosine > np.cos(np.deg2rad(PARALLEL_DEG)))
     heights = np.sort(points[near] @ direction)
@@ -243,7 +284,7 @@ def _fitted(surface: _Surface, direction: np.ndarray, sign: np.float32) -> tuple
         offset = float(centre @ normal)
     if sign * offset > 0:
         return None  # Not on the side it would be seen from.
-    return normal, float(inside.sum() / len(points))
+    return normal, offset, float(inside.sum() / len(points))
 
 
 def _plane_of(cloud: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -302,3 +343,10 @@ def level_normal_at(depth: np.ndarray, camera: Camera, u: int, v: int) -> np.nda
         normal = normal if normal @ centre < 0 else -normal
         offset = float(centre @ normal)
     return normal
+
+
+def far_from_level(depth: np.ndarray, camera: Camera, up: np.ndarray) -> float | None:
+    """By how many degrees an up vector contradicts the one that the level planes of a frame give; None where not."""
+    own = level_plane(depth, camera)
+    angle = 0.0 if own is None else float(np.rad2deg(np.arccos(np.clip(own @ up / np.linalg.norm(up), -1, 1))))
+    return angle if angle > FAR_FROM_LEVEL_DEG else None

@@ -53,8 +53,9 @@ Voter = tuple[str, np.ndarray, tuple[UpHypothesis, ...]]
 
 def vote(scene: str, voters: Sequence[Voter]) -> SceneVote:
     """The direction of the world for which the hypotheses of the frames speak most, each frame once."""
-    ups = [np.stack([R @ h.up for h in found]) if found else np.zeros((0, 3)) for _, R, found in voters]
-    scores = [np.array([h.score for h in found]) for _, _, found in voters]
+    told = [[h for h in found if h.told] for _, _, found in voters]
+    ups = [np.array([R @ h.up for h in found]).reshape(-1, 3) for (_, R, _), found in zip(voters, told, strict=True)]
+    scores = [np.array([h.score for h in found]) for found in told]
     voting = sum(bool((s >= MIN_SCORE).any()) for s in scores)
     if voting < MIN_AGREEING:
         return SceneVote(scene, None, 0, voting)

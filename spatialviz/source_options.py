@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -188,8 +189,13 @@ class SourceOptions(CameraOptions):
 
     def open(self, dataset: str, frame: str | None = None, labels: Labels | None = None) -> Source:
         """The dataset with its models; `frame` is the one that is asked, `labels` judge what is answered."""
+        from pipeline.datasets.given_up import told_doubts
         from pipeline.jobs import open_source
         from pipeline.labels.pictures import labelled_up
 
         options = self.options(frame)
-        return open_source(dataset, **(options if labels is None else labelled_up(labels.manifest, options)))
+        source = open_source(dataset, **(options if labels is None else labelled_up(labels.manifest, options)))
+        if self.level_at is not None:
+            for frame_id, doubt in told_doubts(source.dataset).items():
+                print(f"spatialviz: frame {frame_id}: {doubt}", file=sys.stderr)
+        return source

@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.datasets import Dataset, open_dataset, read_settings, survey, write_settings
-from pipeline.datasets.given_up import told_up, with_frame_up
+from pipeline.datasets.given_up import told_doubts, told_up, with_frame_up
 from pipeline.datasets.up_text import GivenUp, parse_level_at
 from pipeline.demo import demo_path
 from pipeline.errors import InputError
@@ -195,6 +195,18 @@ def test_a_level_surface_is_carried_by_the_poses(tmp_path: Path, poses: bool) ->
     assert up_of(level, "2").tolist() == [0, -1, 0]
     other = level.load("1").camera
     assert degrees(other.up, up) < 0.5  # its own frame keeps what was told of it
+
+
+def test_an_up_that_contradicts_the_planes_of_its_frame_is_doubted_and_stands(tmp_path: Path) -> None:
+    up = np.array([0.1, -0.6, -0.79])
+    level_views(tmp_path, up / np.linalg.norm(up))
+    known = opened(tmp_path, level_at="1:30,30")
+    assert told_doubts(known) == {}
+    wrong = with_frame_up(known, "1", (0.0, -0.79, 0.6))
+    (doubt,) = told_doubts(wrong).values()
+    assert "degrees off the level planes" in doubt
+    assert wrong.load("1").notes == (*known.load("1").notes, doubt)
+    np.testing.assert_allclose(up_of(wrong, "1"), np.array([0, -0.79, 0.6]) / np.hypot(0.79, 0.6))
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,8 @@ from hypothesis import strategies as st
 from journal_world import FRAME, an_expression, half_of, saved, widest
 
 from pipeline.boxes import Box3D
+from pipeline.datasets import Dataset
+from pipeline.datasets.given_up import with_frame_up
 from pipeline.errors import InputError
 from pipeline.journal import edits
 from pipeline.journal.cells import Cell, box_of, object_cell, relation_cell, same_value
@@ -49,6 +51,21 @@ def test_lifting_anew_without_a_correction_changes_nothing(full_corrector: Corre
         assert {k: v for k, v in row.items() if not same_value(v, auto.objects[number][k])} == {}
     np.testing.assert_array_equal(pairs.states, auto.pairs.states)
     np.testing.assert_allclose(pairs.margins, auto.pairs.margins, atol=1e-6)
+
+
+def test_what_is_lifted_anew_keeps_the_up_that_its_frame_was_labelled_with(
+    demo_labels: Labels, demo_dataset: Dataset, full_corrector: Corrector, journal: Journal
+) -> None:
+    tilted = Corrector(demo_labels, with_frame_up(demo_dataset, FRAME, (0.6, -0.8, 0.0)))
+    assert tilted.relifter is not None
+    assert full_corrector.relifter is not None
+    context, known = tilted.relifter.context(FRAME), full_corrector.relifter.context(FRAME)
+    np.testing.assert_array_equal(context.viewer.up, known.viewer.up)
+    assert context.viewer.up_source == full_corrector.frame(FRAME, journal).row["up_source"]
+    frame = full_corrector.frame(FRAME, journal)
+    saved(journal, edits.set_mask(frame, widest(frame), half_of(frame, widest(frame))[0]))
+    there, here = tilted.frame(FRAME, journal).tables(), full_corrector.frame(FRAME, journal).tables()
+    assert all(there[name].equals(here[name]) for name in TABLES)
 
 
 def test_a_relation_takes_its_inverse_and_what_it_rules_out_with_it(

@@ -12,7 +12,15 @@ from test_viewer import noisy
 
 from pipeline.camera import Camera
 from pipeline.errors import InputError
-from pipeline.level_plane import MIN_SCORE, decided, level_normal_at, level_plane, up_hypotheses
+from pipeline.level_plane import (
+    MIN_SCORE,
+    WALL_AHEAD_DEG,
+    decided,
+    far_from_level,
+    level_normal_at,
+    level_plane,
+    up_hypotheses,
+)
 from pipeline.synthetic import camera_at, make_room, sense_view
 from pipeline.viewer import resolve_up, viewer_axes
 
@@ -37,13 +45,14 @@ def test_an_up_that_is_claimed_is_right_at_any_pitch(
     found = level_plane(depth, CAMERA)
     floor = (seen.ids == len(seen.boxes)).mean()
     if found is None:
-        assert floor < 0.05
+        # Seen steeply, a bare floor may as well be a wall that is looked up at.
+        assert floor < 0.05 or (pitch > WALL_AHEAD_DEG - 1 and not any(h.told for h in up_hypotheses(depth, CAMERA)))
     else:
         assert angle_deg(found, up) < 5
 
 
 @settings(max_examples=10, deadline=None, suppress_health_check=[HealthCheck.too_slow])
-@given(st.floats(5, 70), st.floats(-12, 12), st.integers(0, 20))
+@given(st.floats(5, WALL_AHEAD_DEG - 1), st.floats(-12, 12), st.integers(0, 20))
 def test_a_mirrored_picture_mirrors_up(pitch: float, roll: float, seed: int) -> None:
     depth, up, _ = world(pitch, roll, 1.4, seed=seed)
     here, there = level_plane(depth, CAMERA), level_plane(np.ascontiguousarray(depth[:, ::-1]), CAMERA)
@@ -61,6 +70,29 @@ def test_a_wall_alone_is_no_floor(heading: float, pitch: float, roll: float) -> 
     seen = cast(CAMERA, [], [Plane((np.sin(a), 0, np.cos(a)), 1.5)], viewer_axes(up_of(pitch, roll)))
     assert level_plane(noisy(seen.depth), CAMERA) is None
     assert resolve_up(noisy(seen.depth), CAMERA).up_source == "assumed"
+
+
+@pytest.mark.parametrize("ceiling", [True, False])
+@pytest.mark.parametrize("pitch", [-32.0, -25.0, -17.0])
+def test_a_wall_that_is_looked_up_at_is_no_floor(pitch: float, ceiling: bool) -> None:
+    viewer = viewer_axes(up_of(pitch, 3))
+    planes = [Plane((0, 0, 1), 2.2), *([Plane((0, -1, 0), 1.0)] if ceiling else [])]
+    depth = noisy(cast(CAMERA, [], planes, viewer).depth)
+    found, hypotheses = level_plane(depth, CAMERA), up_hypotheses(depth, CAMERA)
+    assert any(h.kind == "floor" and h.score > MIN_SCORE and not h.told for h in hypotheses), "the case says nothing"
+    assert found is None or angle_deg(found, viewer.up) < 2
+
+
+@pytest.mark.parametrize("pitch", [58.0, 66.0, 73.0])
+def test_a_floor_that_is_looked_down_at_steeply_is_told_by_what_stands_on_it(pitch: float) -> None:
+    viewer = viewer_axes(up_of(pitch, 6))
+    ahead = 2.0 / np.tan(np.deg2rad(pitch))
+    stool = upright((0.2, 1.8, ahead), (0.4, 0.4, 0.4), 30)
+    bare, seen = (cast(CAMERA, things, [Plane((0, 1, 0), 2.0)], viewer).depth for things in ([], [stool]))
+    assert level_plane(noisy(bare), CAMERA) is None
+    found = level_plane(noisy(seen), CAMERA)
+    assert found is not None
+    assert angle_deg(found, viewer.up) < 2
 
 
 @pytest.mark.parametrize("pitch", [-20.0, -10.0, 0.0])
@@ -87,7 +119,8 @@ def test_a_sloping_board_among_walls_is_no_floor(offset: float) -> None:
 @pytest.mark.parametrize("pitch", [10.0, 50.0, 75.0])
 def test_a_table_top_that_fills_the_picture_gives_up(pitch: float) -> None:
     viewer = viewer_axes(up_of(pitch, -7))
-    things = [upright((x, 0.42, 0.5), (0.08, 0.16, 0.08), 20 * x) for x in (-0.3, 0.0, 0.25)]
+    ahead = min(0.5, 0.5 / np.tan(np.deg2rad(pitch)))
+    things = [upright((x, 0.44, ahead), (0.08, 0.12, 0.08), 20 * x) for x in (-0.2, 0.0, 0.15)]
     seen = cast(CAMERA, things, [Plane((0, 1, 0), 0.5)], viewer)
     found = level_plane(noisy(seen.depth), CAMERA)
     assert found is not None
@@ -133,6 +166,16 @@ def test_the_surface_at_a_pixel_gives_its_normal(pitch: float) -> None:
     floor = np.argwhere(seen.ids == 1)
     v, u = floor[len(floor) * 3 // 4]
     assert angle_deg(level_normal_at(noisy(seen.depth), CAMERA, int(u), int(v)), viewer.up) < 1
+
+
+def test_a_wall_that_is_called_level_is_doubted() -> None:
+    depth, up, seen = world(25, 5, 1.4)
+    on_wall = np.argwhere((seen.ids == len(seen.boxes) + 1) & (depth > 0))
+    v, u = on_wall[len(on_wall) // 2]
+    wall = level_normal_at(depth, CAMERA, int(u), int(v))
+    off = far_from_level(depth, CAMERA, wall)
+    assert off == pytest.approx(90, abs=3)
+    assert far_from_level(depth, CAMERA, up) is None
 
 
 def test_a_pixel_that_names_no_plane_is_refused_in_one_line() -> None:

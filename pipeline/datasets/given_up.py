@@ -97,8 +97,11 @@ class UpGiven:
         camera, settings = frame.camera, self.settings
         pose, up = camera.T_world_camera, self.up
         scene_up = self._scene_up.get(scene_of(self.inner, frame.id)) if self.frame_up else None
+        notes = frame.notes
         if frame.id in self.frame_up:
             camera = camera.with_up(np.asarray(self.frame_up[frame.id]), "given")
+            doubt = self.doubt(frame)
+            notes = notes if doubt is None else (*notes, doubt)
         elif pose is not None and scene_up is not None:
             camera = camera.with_up(pose[:3, :3].T @ scene_up, "given")
         elif up is not None and up.frame == "camera":
@@ -107,7 +110,6 @@ class UpGiven:
             camera = camera.with_up(pose[:3, :3].T @ np.asarray(up.vector), "given")
         elif settings.world_up is not None and pose is not None:
             camera = camera.with_up(pose[:3, :3].T @ np.asarray(settings.world_up), "declared")
-        notes = frame.notes
         if camera is frame.camera:
             if camera.up is None and (up is not None or settings.world_up is not None):
                 said = f"up {up}" if up is not None else "world_up"
@@ -115,6 +117,13 @@ class UpGiven:
         elif settings.up is not None and settings.up.frame is None:
             notes = (*notes, f"up {settings.up} is taken as {up}")
         return replace(frame, camera=camera, notes=notes)
+
+    def doubt(self, frame: Frame) -> str | None:
+        """What speaks against the up that was told of a frame."""
+        from pipeline.level_plane import far_from_level
+
+        off = far_from_level(frame.depth, frame.camera, np.asarray(self.frame_up[frame.id]))
+        return None if off is None else f"the up that was told is {off:.0f} degrees off the level planes of the frame"
 
 
 def with_given_up(dataset: Dataset, settings: Settings, level_at: str | None = None) -> Dataset:
@@ -154,3 +163,11 @@ def with_frame_up(dataset: Dataset, frame_id: str, up: Vector) -> UpGiven:
 def told_up(dataset: Dataset) -> tuple[GivenUp | None, dict[str, Vector]]:
     """What was told of the whole dataset, and of single frames, for `write_settings`."""
     return (dataset.up, dataset.frame_up) if isinstance(dataset, UpGiven) else (None, {})
+
+
+def told_doubts(dataset: Dataset) -> dict[str, str]:
+    """{frame: what speaks against the up that was told of it}; see `level_plane.far_from_level`."""
+    if not isinstance(dataset, UpGiven):
+        return {}
+    found = ((frame_id, dataset.doubt(dataset.inner.load(frame_id))) for frame_id in dataset.frame_up)
+    return {frame_id: doubt for frame_id, doubt in found if doubt is not None}

@@ -17,7 +17,7 @@ from pipeline.journal.events import Event
 from pipeline.journal.frame_rows import FrameIndex
 from pipeline.journal.journal import Journal
 from pipeline.journal.origins import provenance_schema
-from pipeline.journal.relifting import Relifter
+from pipeline.journal.relifting import Relifter, labelled_ups
 from pipeline.journal.replay import Unapplied, all_gone, by_cell
 from pipeline.journal.setting import Setting, setting_of
 from pipeline.labels.reading import Labels
@@ -53,7 +53,7 @@ class Corrector:
         self.labels, self.dataset = labels, dataset
         self.setting: Setting = setting_of(labels)
         self.index = FrameIndex({name: getattr(labels, name) for name in TABLES})
-        self.relifter = None if dataset is None else Relifter(dataset, self.setting)
+        self.relifter = None if dataset is None else Relifter(dataset, self.setting, labelled_ups(labels.frames))
         self._kept: OrderedDict[tuple[str, tuple[str, ...]], EffectiveFrame] = OrderedDict()
         self._lock = threading.RLock()
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pipeline.camera import UpSource
 from pipeline.datasets import Dataset
 from pipeline.journal.cells import box_of
 from pipeline.journal.frame_rows import FrameRows, Pairs
@@ -21,9 +22,19 @@ from pipeline.proposals.annotations import box_mask
 from pipeline.run_length import decode_run_length
 from pipeline.srm.model import OnnxScorer
 
+if TYPE_CHECKING:
+    import pyarrow as pa
+
 Row = dict[str, Any]
+LabelledUp = tuple[tuple[float, ...], UpSource]
 FRAMES_KEPT = 4
 """Frames that stay loaded: who corrects one goes on correcting it."""
+
+
+def labelled_ups(frames: pa.Table) -> dict[str, LabelledUp]:
+    """The up vectors of the table `frames`, by frame, where there is one."""
+    columns = (frames.column(name).to_pylist() for name in ("frame", "up", "up_source"))
+    return {name: (tuple(up), source or "assumed") for name, up, source in zip(*columns, strict=True) if up and any(up)}
 
 
 @dataclass
@@ -34,10 +45,14 @@ class Relifter:
     ----------
     dataset : Dataset
     setting : Setting
+    ups : mapping of str to (tuple of float, str)
+        The up vector (camera frame) that each frame was labelled with, and how it was known: what follows from a
+        correction is judged in the same level frame, whatever would be found now.
     """
 
     dataset: Dataset
     setting: Setting
+    ups: Mapping[str, LabelledUp]
     _contexts: OrderedDict[str, FrameContext] = field(default_factory=OrderedDict, repr=False)
     _lifted: dict[tuple[str, str, str], LiftedObject] = field(default_factory=dict, repr=False)
     _network: OnnxScorer | None = field(default=None, repr=False)
@@ -45,7 +60,11 @@ class Relifter:
     def context(self, frame: str) -> FrameContext:
         """A frame of the dataset, ready to lift from; raises as `Dataset.load`."""
         if frame not in self._contexts:
-            self._contexts[frame] = frame_context(self.dataset, self.dataset.load(frame), self.setting.config.lift)
+            loaded = self.dataset.load(frame)
+            if frame in self.ups:
+                up, source = self.ups[frame]
+                loaded = replace(loaded, camera=loaded.camera.with_up(np.array(up), source))
+            self._contexts[frame] = frame_context(self.dataset, loaded, self.setting.config.lift)
             while len(self._contexts) > FRAMES_KEPT:
                 gone, _ = self._contexts.popitem(last=False)
                 self._lifted = {key: value for key, value in self._lifted.items() if key[0] != gone}
@@ -112,5 +131,3 @@ class Relifter:
                 mask_source=source, edges=context.edges,
             )  # fmt: skip
         return self._lifted[key]
-
-
