@@ -327,8 +327,8 @@ def open_journal(where: str | Path, *, project: str = "", labels: str = "", must
         if is_empty(path):
             if must_exist:
                 raise empty_file(path)
-            warnings.append(f"{path} was an empty file, and a new journal begins in it: if edits were there, stop now "
-                            "and put a copy in its place")  # fmt: skip
+            warnings.append(f"{path} was an empty file, and a new journal begins in it: if edits were there, "
+                            "put a copy in its place")  # fmt: skip
         elif path.exists():
             examine(path).believe()
     engine = make_engine(where)
