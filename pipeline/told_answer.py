@@ -27,7 +27,7 @@ class ToldAnswer:
     holds : bool
         Every relation of the answer has a probability of at least a half.
     lead : str
-        What stands before the pair: nothing, or that there is no such pair.
+        What stands before the pair: nothing, that there is no such pair, or that a pair of less confidence is one.
     numbers : str
         The relation's probability (of several the weakest's) and the product of all factors.
     below : str
@@ -84,20 +84,23 @@ def told(trace: Trace, name: Callable[[int], str], pair: ScoredPair | None = Non
     fails = tuple(f"{link_words(link, name)} {probability(link.probability)}" for link in failing_links(pair))
     return ToldAnswer(
         holds=pair.holds,
-        lead=_lead(pair),
+        lead=_lead(ranking, pair),
         numbers=f"{what} {probability(pair.relation_probability)}, product {probability(pair.product)}",
         below=_below(ranking, pair),
         fails=fails if several else (),
     )
 
 
-def _lead(pair: ScoredPair) -> str:
+def _lead(ranking: Ranking, pair: ScoredPair) -> str:
     if pair.holds:
         return ""
     weakest = pair.weakest
     if weakest is not None and weakest.relation in SUPERLATIVES:
         # There always is a closest one; the detector's scores overruled it.
         return f"another is the {weakest.relation}; best by all scores is "
+    standing = next((place for place, p in enumerate(ranking.pairs, start=1) if p.holds), None)
+    if standing is not None:
+        return f"pair {standing} stands in it with a smaller product; best by all scores is "
     return NO_SUCH_PAIR
 
 

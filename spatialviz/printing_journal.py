@@ -12,7 +12,7 @@ from pipeline.correcting.wording import said_event
 from pipeline.journal.cells import shown_value
 from pipeline.journal.effective import EffectiveLabels
 from pipeline.journal.events import Conflict, Event, Saved
-from pipeline.journal.examining import HELP, Examined
+from pipeline.journal.examining import Examined
 from pipeline.journal.incoming.importing import ImportReport
 from spatialviz.printing import make_console
 
@@ -95,7 +95,7 @@ def print_examined(found: Examined) -> None:
         console.print(Text(f"damaged: {line}", "red"))
     if found.damage:
         console.print(Text(found.said))
-        console.print(Text(HELP, "yellow"))
+        console.print(Text(found.help or "", "yellow"))
     else:
         chained = "" if found.chained else "; not chained yet: the next opening does it, and keeps this one beside"
         console.print(Text(f"{len(found.intact):,} events, all as they were saved{chained}"))
@@ -107,6 +107,9 @@ def print_written(found: Examined, made: Examined) -> None:
     console = make_console()
     of = "" if found.events is None else f" of {found.events:,}"
     console.print(Text(f"{len(made.intact):,}{of} events written and checked"))
+    left = len(found.intact) - len(made.intact)
+    if found.damage and left:
+        console.print(Text(f"{left:,} intact ones are left out: they take back what is not intact", "yellow"))
     if found.damage:
         console.print(Text(f"to go on: --journal {made.place}, or put it in the place of the damaged one, without the "
                            "-wal and -shm files of that"))  # fmt: skip

@@ -302,3 +302,27 @@ def refused(open_it: Callable[[], object]) -> None:
     with pytest.raises(InputError) as error:
         open_it()
     assert len(str(error.value).splitlines()) == 1
+
+
+def test_an_empty_file_is_neither_checked_as_sound_nor_begun_without_a_word(tmp_path: Path) -> None:
+    path = tmp_path / JOURNAL_FILE
+    path.write_bytes(b"")
+    refused(lambda: check_journal(path))
+    with open_journal(path) as journal:
+        assert "was an empty file" in " ".join(journal.warnings)
+    with open_journal(path) as journal:
+        assert journal.warnings == ()
+
+
+def test_help_never_names_a_recovery_that_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / JOURNAL_FILE
+    with open_journal(path) as journal:
+        journal.append([EDIT], "ann")
+        undo(journal, "ann")
+    tampered(path, "UPDATE events SET reason = 'x' WHERE id = 1")
+    found = check_journal(path)
+    assert (found.ranges, found.standing) == (((2, 2),), ())
+    assert "--recover" not in str(found.help)
+    with pytest.raises(InputError, match="take back others") as error:
+        recover(path, tmp_path / "new.sqlite")
+    assert "can be read" not in str(error.value)

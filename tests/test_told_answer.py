@@ -106,6 +106,16 @@ def test_where_the_closest_lost_by_its_score_no_one_is_told_that_there_is_none()
     assert answer.lead == "another is the closest; best by all scores is "
 
 
+def test_no_pair_is_denied_that_stands_below_the_best() -> None:
+    weak, standing = links(0.1), replace(links(0.9), product=0.01)
+    for pairs, lead in (
+        ((weak, links(0.2)), NO_SUCH_PAIR),
+        ((weak, links(0.2), standing), "pair 3 stands in it with a smaller product; best by all scores is "),
+    ):
+        trace: Any = SimpleNamespace(ranking=SimpleNamespace(pairs=pairs, margin=0.5))
+        assert told(trace, str).lead == lead
+
+
 @pytest.mark.parametrize(
     ("value", "text"),
     [(0.0, "0.00"), (1.0, "1.00"), (0.5, "0.50"), (0.005, "0.01"), (0.0049, "0.005"), (0.00042, "0.0004"),

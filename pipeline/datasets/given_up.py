@@ -68,17 +68,20 @@ class UpGiven:
         said = self.settings.up
         if said is None or said.frame is not None:
             return said
-        return replace(said, frame="world" if self._posed() else "camera")
+        return replace(said, frame="world" if self.posed else "camera")
 
-    def _posed(self) -> bool:
-        ids = self.inner.frame_ids
+    @cached_property
+    def posed(self) -> bool | None:
+        """Whether a frame that was looked at has a pose; None where none of them can be read."""
+        ids, found = self.inner.frame_ids, None
         for place in np.linspace(0, len(ids) - 1, min(LOOKED_AT, len(ids))).astype(int):
             try:
-                if self.inner.load(ids[place]).camera.T_world_camera is not None:
-                    return True
+                found = self.inner.load(ids[place]).camera.T_world_camera is not None
             except InputError:
                 continue
-        return False
+            if found:
+                return True
+        return found
 
     @cached_property
     def _scene_up(self) -> dict[str, np.ndarray]:
@@ -137,7 +140,7 @@ def with_given_up(dataset: Dataset, settings: Settings, level_at: str | None = N
     Raises
     ------
     InputError
-        There is no such frame, or no surface at the pixel.
+        There is no such frame, no surface at the pixel, or up is told of the world and no frame has a pose in it.
     """
     frame_up = dict(settings.frame_up)
     if level_at is not None:
@@ -150,7 +153,11 @@ def with_given_up(dataset: Dataset, settings: Settings, level_at: str | None = N
         frame_up[frame.id] = (x, y, z)
     if settings.up is None and settings.world_up is None and not frame_up:
         return dataset
-    return UpGiven(dataset, settings, frame_up)
+    told = UpGiven(dataset, settings, frame_up)
+    if settings.up is not None and settings.up.frame == "world" and told.posed is False:
+        raise InputError("up is told of the world, and no frame has a pose in it", got=settings.up,
+                         expected="camera:X,Y,Z, or --level-at U,V", path=dataset.root)  # fmt: skip
+    return told
 
 
 def with_frame_up(dataset: Dataset, frame_id: str, up: Vector) -> UpGiven:

@@ -31,10 +31,9 @@ _ERRORS = (sqlite3.Error, UnicodeError)
 """The second where SQLite's message quotes what is no UTF-8."""
 _SHOWN = 3
 """Pieces of damage that one line tells."""
-HELP = (
-    "it was not changed: keep a copy of it with its -wal file; spatialviz journal LABELS --recover NEW.sqlite "
-    "writes what is intact into a new journal"
-)
+_KEPT = "it was not changed: keep a copy of it with its -wal file; "
+_RECOVER = f"{_KEPT}spatialviz journal LABELS --recover NEW.sqlite writes what is intact into a new journal"
+_BACKUP = f"{_KEPT}none of it can be written into a new journal: put a backup in its place, or begin anew without it"
 
 
 class DamagedJournal(InputError):
@@ -44,7 +43,7 @@ class DamagedJournal(InputError):
         said = "; ".join(examined.damage[:_SHOWN])
         if len(examined.damage) > _SHOWN:
             said += f"; and {len(examined.damage) - _SHOWN} more"
-        super().__init__(f"the journal is damaged: {said}; {examined.said}", cause=HELP, path=examined.place)
+        super().__init__(f"the journal is damaged: {said}; {examined.said}", cause=examined.help, path=examined.place)
         self.examined = examined
 
 
@@ -90,6 +89,22 @@ class Examined:
         return f"events {', '.join(runs)}{of} are intact"
 
     @property
+    def standing(self) -> tuple[Row, ...]:
+        """The intact events without those that take back what is not intact: what a new journal can hold."""
+        known: set[str] = set()
+        found = []
+        for row in self.intact:
+            if row["undo_of"] is None or row["undo_of"] in known:
+                known.add(row["ulid"])
+                found.append(row)
+        return tuple(found)
+
+    @property
+    def help(self) -> str | None:
+        """How to go on with a damaged one; None with one that is not."""
+        return None if not self.damage else _RECOVER if self.standing else _BACKUP
+
+    @property
     def chained(self) -> bool:
         return self.version is not None and self.version > 1
 
@@ -123,6 +138,16 @@ class Examined:
         if self.version == 0:
             raise InputError("the database holds something else than a journal", path=self.place)
         return self
+
+
+def is_empty(path: Path) -> bool:
+    """Whether the file is there, and neither it nor its log holds a byte."""
+    return path.exists() and not any(f.exists() and f.stat().st_size for f in (path, Path(f"{path}-wal")))
+
+
+def empty_file(path: Path) -> InputError:
+    """The error of a file that `is_empty`."""
+    return InputError("the journal is an empty file", cause="put a copy in its place, or remove it", path=path)
 
 
 def examine(path: Path) -> Examined:

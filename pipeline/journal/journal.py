@@ -29,7 +29,7 @@ from pipeline.journal.connection import (
     writing,
 )
 from pipeline.journal.events import Action, Conflict, Edit, Event, NotSaved, Rival, Saved, new_ulid
-from pipeline.journal.examining import HELP, DamagedJournal, examine
+from pipeline.journal.examining import DamagedJournal, empty_file, examine, is_empty
 from pipeline.journal.schema import EVENTS, HEAD
 from pipeline.journal.taking_over import move_head
 from pipeline.labels.profiles import canonical_hash
@@ -151,7 +151,7 @@ class Journal:
             return Conflict(tuple(Rival(e, heads.get(e.cell)) for e in edits), tuple(edits))
         except (*DATABASE_ERRORS, InputError) as error:
             reason = error.what if isinstance(error, InputError) else reason_of(error, self.place)
-            cause = HELP if isinstance(error, DamagedJournal) else likely_cause(reason)
+            cause = error.examined.help if isinstance(error, DamagedJournal) else likely_cause(reason)
             raise NotSaved(
                 "the edit could not be saved", edits if action == "edit" else (), group, got=reason,
                 cause=cause, path=self.place,
@@ -324,10 +324,13 @@ def open_journal(where: str | Path, *, project: str = "", labels: str = "", must
                 f"{path} is on a network file system ({kind}): only one machine may write to it; "
                 "for a team use --journal postgresql://..."
             )
-        if any(file.exists() and file.stat().st_size for file in (path, Path(f"{path}-wal"))):
+        if is_empty(path):
+            if must_exist:
+                raise empty_file(path)
+            warnings.append(f"{path} was an empty file, and a new journal begins in it: if edits were there, "
+                            "put a copy in its place")  # fmt: skip
+        elif path.exists():
             examine(path).believe()
-        elif path.exists() and must_exist:
-            raise InputError("the journal is an empty file", cause="put a copy in its place, or remove it", path=path)
     engine = make_engine(where)
     try:
         warnings += prepare(engine)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from pipeline.journal.events import Conflict, Event, Saved
-from pipeline.journal.examining import HELP, Examined
+from pipeline.journal.examining import Examined
 
 
 def who_and_what(event: Event) -> dict[str, Any]:
@@ -66,7 +66,7 @@ def examined_record(found: Examined) -> dict[str, Any]:
         "intact": len(found.intact),
         "ranges": [list(run) for run in found.ranges],
         "damage": list(found.damage),
-        "help": HELP if found.damage else None,
+        "help": found.help,
     }
 
 

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 from pipeline.errors import InputError
-from pipeline.journal.chain import Row
 from pipeline.journal.connection import (
     DATABASE_ERRORS,
     is_url,
@@ -18,7 +17,7 @@ from pipeline.journal.connection import (
     reason_of,
     writing,
 )
-from pipeline.journal.examining import Examined, examine
+from pipeline.journal.examining import Examined, empty_file, examine, is_empty
 from pipeline.journal.schema import VERSION, version_of
 from pipeline.journal.taking_over import copy_whole, examined_server, write_rows
 
@@ -49,6 +48,8 @@ def check_journal(where: str | Path) -> Examined:
     path = Path(where).expanduser()
     if not path.is_file():
         raise InputError("no journal here", path=path)
+    if is_empty(path):
+        raise empty_file(path)
     return examine(path)
 
 
@@ -83,9 +84,10 @@ def recover(where: str | Path, to: Path) -> tuple[Examined, Examined]:
     """
     path = _file(where, to, "its own backups hold it")
     found = check_journal(path)
-    rows = _standing(found.intact)
+    rows = found.standing
     if not rows:
-        raise InputError("none of the journal's events can be read", cause="a backup may have them", path=path)
+        what = "those of its events that are intact take back others, which are not" if found.intact else found.said
+        raise InputError(f"nothing of the journal can be recovered: {what}", cause="a backup may have it", path=path)
 
     def write() -> None:
         part = Path(f"{to}.part")
@@ -103,16 +105,6 @@ def recover(where: str | Path, to: Path) -> tuple[Examined, Examined]:
                 Path(f"{part}{end}").unlink(missing_ok=True)
 
     return found, _written(to, write)
-
-
-def _standing(rows: tuple[Row, ...]) -> tuple[Row, ...]:
-    known: set[str] = set()
-    found = []
-    for row in rows:
-        if row["undo_of"] is None or row["undo_of"] in known:
-            known.add(row["ulid"])
-            found.append(row)
-    return tuple(found)
 
 
 def _file(where: str | Path, to: Path, instead: str) -> Path:
