@@ -118,3 +118,12 @@ def test_two_repairs_that_would_do_are_both_named() -> None:
     text = said("OPM-CONF", WINNER, RIGHT, false_target=True, repair=("CONF",), mends=("LIFT", "CONF"))
     assert "With true confidences the right pair wins." in text
     assert "True geometry alone would do too." in text
+
+
+def test_a_right_pair_whose_relation_is_not_believed_is_told_as_the_nearest() -> None:
+    weak = replace(RIGHT, p_relation=0.1)
+    for verdict in ("OPM-CONF", "PRM"):
+        assert "nearest" not in said(verdict, WINNER, RIGHT, false_target=True)
+        assert ". Below 0.50 it is told" in said(verdict, WINNER, weak, false_target=True)
+    assert said("CORRECT", WINNER, WINNER) == "Right: relation 0.90."
+    assert said("CORRECT", weak, weak) == "Right: relation 0.10. Below 0.50 it is told as the nearest pair only."

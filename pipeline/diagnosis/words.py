@@ -49,7 +49,7 @@ def explain(
 
 def _correct(d: Diagnosis, case: Case) -> str:
     if not d.lucky:
-        return "Right." if d.winner is None else f"Right: relation {_p(d.winner.p_relation)}."
+        return "Right." if d.winner is None else f"Right: relation {_p(d.winner.p_relation)}.{_nearest(d.winner)}"
     if d.winner is None:
         return f"The right {case.target}, but alone: all candidates of the two names count as one thing. Luck."
     return f"The right {case.target}, but its {case.reference} matches none of which the expression is true: luck."
@@ -137,7 +137,7 @@ def _confidences(d: Diagnosis, winner: ScoredPair, right: ScoredPair, case: Case
         what = "are false positives" if len(false) > 1 else "is a false positive"
         return (
             f"The answer's {' and '.join(false)} {what}; the right pair had {_p(right.p_target)} and "
-            f"{_p(right.p_reference)}. With true confidences the right pair wins. Verdict: OPM-CONF."
+            f"{_p(right.p_reference)}. With true confidences the right pair wins.{_nearest(right)} Verdict: OPM-CONF."
         )
     parts = []
     for name, mine, other, ours, theirs in (
@@ -155,7 +155,7 @@ def _confidences(d: Diagnosis, winner: ScoredPair, right: ScoredPair, case: Case
         else f"the relation favoured {favoured} {first} to {second}"
     )
     said = "; ".join([*(f"the detector gave {' and '.join(parts)}" for _ in parts[:1]), relation])
-    return f"{said[0].upper()}{said[1:]}. With equal confidences the answer is right. Verdict: PRM."
+    return f"{said[0].upper()}{said[1:]}. With equal confidences the answer is right.{_nearest(right)} Verdict: PRM."
 
 
 def _relation(winner: float, right: float, case: Case) -> str:
@@ -165,6 +165,11 @@ def _relation(winner: float, right: float, case: Case) -> str:
     given = both if ours == theirs else f"the answer {ours} and the right pair {theirs}"
     neither = ", so that neither stands in it" if max(winner, right) < HOLDS else ""
     return f"“{PHRASE[case.relation]}” gave {given}{neither}"
+
+
+def _nearest(pair: ScoredPair) -> str:
+    """How a right pair is told whose relation is not believed; empty where it is."""
+    return "" if pair.p_relation >= HOLDS else f" Below {HOLDS:.2f} it is told as the nearest pair only."
 
 
 def apart(*values: float) -> tuple[str, ...]:
