@@ -69,7 +69,7 @@ def pair_html(state: State) -> str:
     if card.why_none:
         return panel(head, note(f"Takes part in no relation: {card.why_none}"))
     item = view.item
-    if item is not None and (item.a, item.b) != (card.a, card.b):
+    if item is not None and item.kind == "relation" and (item.a, item.b) != (card.a, card.b):
         # What is looked at beside the open item is settled by a click on its row.
         head += '<div class="dim">Only looked at: the keys act on the open item.</div>'
     return panel(head, "".join(_line(card, line, line.relation == view.relation) for line in card.lines))
