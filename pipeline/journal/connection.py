@@ -8,6 +8,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import sqlalchemy as sa
 from sqlalchemy.exc import DBAPIError, SQLAlchemyError
@@ -147,7 +148,9 @@ def prepare(engine: sa.Engine) -> tuple[str, ...]:
         writable = on_server or can_be_written(Path(place))
         if not on_server and writable:
             _use_write_ahead_log(engine)
-        with engine.connect().execution_options(**{READING: True}) as connection, connection.begin():
+        # Head and events of one moment: on a server others go on writing while they are read.
+        snapshot: dict[str, Any] = {"isolation_level": "REPEATABLE READ"} if on_server else {}
+        with engine.connect().execution_options(**{READING: True}, **snapshot) as connection, connection.begin():
             found = version_of(connection)
             if found == VERSION:
                 if on_server:
