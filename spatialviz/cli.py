@@ -15,7 +15,7 @@ import tyro
 from tyro.conf import OmitArgPrefixes, Positional, subcommand
 
 from pipeline import __version__
-from pipeline.errors import InputError, MissingExtra
+from pipeline.system.errors import InputError, MissingExtra
 from spatialviz.cli_agree import Agree
 from spatialviz.cli_bench_srm import BenchSrm
 from spatialviz.cli_cases import Replay, Report, SaveCase
@@ -60,13 +60,13 @@ class Ask:
     """Labels that say what is true. Default: the frame's annotations."""
 
     def run(self) -> int:
+        from pipeline.answering.overlooked import overlooked
+        from pipeline.answering.source import ALL_FRAMES
+        from pipeline.answering.told_answer import holds
         from pipeline.diagnosis.asking import ask_and_judge, judged_record
-        from pipeline.jobs import ALL_FRAMES
         from pipeline.labels.reading import open_labels
-        from pipeline.overlooked import overlooked
-        from pipeline.picture import save_picture
-        from pipeline.told_answer import holds
         from spatialviz.printing import print_overlooked, print_trace, print_verdict
+        from spatialviz.report.picture import save_picture
 
         if not self.expressions:
             raise InputError("an expression is missing", expected='for example "mug left of the laptop"')
@@ -104,9 +104,9 @@ class Relations:
     """Print one JSON object for each ordered pair."""
 
     def run(self) -> int:
-        from pipeline.jobs import relate_frames
-        from pipeline.records import relation_records
-        from pipeline.relations import VOCABULARIES
+        from pipeline.answering.json_records import relation_records
+        from pipeline.answering.source import relate_frames
+        from pipeline.relations.relations import VOCABULARIES
         from spatialviz.printing import print_relations
 
         relations = VOCABULARIES[self.vocabulary]
@@ -136,10 +136,10 @@ class Frames:
     """Keep --intrinsics, --depth-scale, --up and --level-at in spatialviz.toml beside the data."""
 
     def run(self) -> int:
+        from pipeline.answering.json_records import frame_record
+        from pipeline.answering.source import open_source
         from pipeline.datasets import SurveyCounts, summarise, survey, write_settings
         from pipeline.datasets.given_up import told_up
-        from pipeline.jobs import open_source
-        from pipeline.records import frame_record
         from spatialviz.printing import print_frames
         from spatialviz.printing_statistics import print_summary
 
@@ -182,7 +182,7 @@ class Render:
     """Rooms rendered at once, each by a process of its own. The files do not depend on it."""
 
     def run(self) -> int:
-        from pipeline.synthetic import render_dataset
+        from pipeline.datasets.synthetic import render_dataset
         from spatialviz.printing import progress_bar
 
         with progress_bar("rendering", self.rooms * self.views) as advance:
@@ -218,9 +218,9 @@ class Context:
     """Print one JSON object."""
 
     def run(self) -> int:
-        from pipeline.context import export_mesh, fuse_context
+        from pipeline.answering.source import open_source
         from pipeline.datasets import resolve_frame
-        from pipeline.jobs import open_source
+        from pipeline.datasets.fused_mesh import export_mesh, fuse_context
 
         dataset = open_source(self.dataset, **self.camera.camera(self.frame)).dataset
         frame = dataset.load(resolve_frame(dataset, self.frame))
@@ -247,7 +247,7 @@ class Bench:
     """Print one JSON object."""
 
     def run(self) -> int:
-        from pipeline.bench import bench_source
+        from pipeline.answering.bench import bench_source
         from spatialviz.printing import print_bench
 
         record = bench_source(self.source.open(self.dataset), repeat=self.repeat)

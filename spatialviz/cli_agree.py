@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 from tyro.conf import OmitArgPrefixes, Positional
 
-from pipeline.errors import InputError
+from pipeline.system.errors import InputError
 from spatialviz.cli_detect import DetectorOptions
 from spatialviz.exits import FINE, NO
 from spatialviz.options import print_json, warn_skipped
@@ -34,10 +34,10 @@ class Agree:
     """Print one JSON object for each frame, then one of all."""
 
     def run(self) -> int:
-        from pipeline.agreeing import agree_frames
-        from pipeline.agreement_records import agreement_record
-        from pipeline.jobs import ALL_FRAMES
-        from pipeline.proposals.agreement_figures import figures
+        from pipeline.answering.agreement.agreement_figures import figures
+        from pipeline.answering.agreement.frames import agree_frames
+        from pipeline.answering.agreement.records import agreement_record
+        from pipeline.answering.source import ALL_FRAMES
         from spatialviz.printing import rate_bar
         from spatialviz.printing_agreement import print_agreement, print_frame_agreement
 

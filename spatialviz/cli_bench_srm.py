@@ -38,9 +38,9 @@ class BenchSrm:
     """Print one JSON object."""
 
     def run(self) -> int:
-        from pipeline.srm.ablation import AblationConfig, compare_features
-        from pipeline.srm.features import CLI_FEATURES
-        from pipeline.srm.train import TrainConfig
+        from pipeline.relations.features import CLI_FEATURES
+        from pipeline.training.ablation import AblationConfig, compare_features
+        from pipeline.training.train import TrainConfig
         from spatialviz.printing import progress_bars
         from spatialviz.printing_eval import print_table, table_record
 

@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING
 
 from tyro.conf import OmitArgPrefixes, Positional
 
-from pipeline.errors import InputError
+from pipeline.system.errors import InputError
 from spatialviz.exits import BAD, FINE, NO
 from spatialviz.options import print_json
 from spatialviz.source_options import SourceOptions
 
 if TYPE_CHECKING:
-    from pipeline.evaluation.cases import FrameCases
-    from pipeline.jobs import Source
-    from pipeline.objects import FrameContext
+    from pipeline.answering.objects import FrameContext
+    from pipeline.answering.source import Source
+    from pipeline.labels.cases import FrameCases
 
 
 def truth_of(source: Source, context: FrameContext, labels: Path | None) -> FrameCases | None:
@@ -52,14 +52,14 @@ class SaveCase:
     """Print one JSON object."""
 
     def run(self) -> int:
-        from pipeline.failure_case import answer_record, save_case
+        from pipeline.diagnosis.cases import answer_record, save_case
         from spatialviz.printing_cases import print_saved
 
         source = self.source.open(self.dataset, self.frame)
         context = _one_context(source, self.frame)
         edits = None
         if self.edits is not None:
-            from pipeline.whatif import edits_record, load_edits
+            from pipeline.diagnosis.whatif import edits_record, load_edits
 
             edits = edits_record(load_edits(self.edits))
         now = save_case(
@@ -74,7 +74,7 @@ class SaveCase:
 
 
 def _one_context(source: Source, frame: str) -> FrameContext:
-    from pipeline.jobs import ALL_FRAMES, contexts
+    from pipeline.answering.source import ALL_FRAMES, contexts
 
     if frame == ALL_FRAMES:
         raise InputError("one frame is needed", got="all")
@@ -105,8 +105,8 @@ class Replay:
     """Print one JSON object for each case, and one of totals."""
 
     def run(self) -> int:
-        from pipeline.failure_case import find_cases
-        from pipeline.failure_case.suite import replay_all
+        from pipeline.diagnosis.cases import find_cases
+        from pipeline.diagnosis.cases.suite import replay_all
         from spatialviz.printing_cases import print_replay, print_totals, replay_record, totals_record
 
         if not self.cases:
@@ -155,9 +155,9 @@ class Report:
 
     def run(self) -> int:
         from pipeline.datasets.saved_case import MANIFEST
-        from pipeline.failure_case import answer, open_case
-        from pipeline.failure_report import Subject, failure_page, write_page
-        from spatialviz.report_scene import scene_html
+        from pipeline.diagnosis.cases import answer, open_case
+        from spatialviz.report import Subject, failure_page, write_page
+        from spatialviz.report.scene import scene_html
 
         if self.out.is_dir() or (self.out.exists() and not self.overwrite):
             raise InputError("the report would replace a file", expected="--overwrite", path=self.out)

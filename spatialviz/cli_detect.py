@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional
 
-from pipeline.execution import Provider
+from pipeline.system.execution import Provider
 from spatialviz.exits import FINE, NO
 from spatialviz.options import print_json, warn_skipped
 from spatialviz.source_options import CameraOptions, fusing
 
 if TYPE_CHECKING:
-    from pipeline.jobs import Source
+    from pipeline.answering.source import Source
 
 
 @dataclass(frozen=True)
@@ -53,9 +53,9 @@ class DetectorOptions(CameraOptions):
 
     def open(self, dataset: str, also: str | None = None) -> tuple[Source, tuple[str, ...]]:
         """The dataset with the detector (and `also` another beside it), and the frames that are meant."""
-        from pipeline.ask import AskConfig
-        from pipeline.execution import use_execution
-        from pipeline.jobs import frame_range, open_source
+        from pipeline.answering.ask import AskConfig
+        from pipeline.answering.source import frame_range, open_source
+        from pipeline.system.execution import use_execution
 
         use_execution(self.provider, self.verbose)
         source = open_source(
@@ -91,7 +91,7 @@ class Detect:
     """Print one JSON object."""
 
     def run(self) -> int:
-        from pipeline.proposals.recording import record_detections
+        from pipeline.answering.recording import record_detections
         from spatialviz.printing import rate_bar
 
         source, frame_ids = self.source.open(self.dataset)

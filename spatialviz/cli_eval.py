@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional
 
-from pipeline.errors import InputError
+from pipeline.system.errors import InputError
 from spatialviz.exits import FINE, NO
 from spatialviz.options import print_json
 from spatialviz.source_options import SourceOptions

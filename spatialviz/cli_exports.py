@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional
 
-from pipeline.errors import InputError
+from pipeline.system.errors import InputError
 from spatialviz.cli_journal import DatasetOptions, JournalOptions
 from spatialviz.exits import BAD, FINE, NO
 from spatialviz.options import print_json
 
 if TYPE_CHECKING:
+    from pipeline.corrections.journal.journal import Journal
     from pipeline.datasets import Dataset
-    from pipeline.journal.journal import Journal
     from pipeline.labels.reading import Labels
 
 
@@ -86,10 +86,10 @@ class Export:
         if not self.corrected:
             yield automatic
             return
-        from pipeline.journal.materialise import materialise
+        from pipeline.corrections.journal.materialise import materialise
         from pipeline.labels.exports.exporting import MARK
         from pipeline.labels.reading import open_labels
-        from pipeline.staging import check_target
+        from pipeline.system.staging import check_target
 
         if automatic.manifest.corrections is not None:
             raise InputError("these labels are corrected already", cause="leave --corrected out", path=self.labels)
@@ -165,7 +165,7 @@ class Import:
     """Print one JSON object."""
 
     def run(self) -> int:
-        from pipeline.journal.incoming.importing import ImportConfig, import_corrections, import_record
+        from pipeline.corrections.journal.incoming.importing import ImportConfig, import_corrections, import_record
         from pipeline.labels.reading import open_labels
         from spatialviz.printing_journal import print_import
 
@@ -198,8 +198,8 @@ class Import:
     @contextmanager
     def _journal(self, labels: Labels) -> Iterator[Journal | None]:
         """The journal; a dry run makes none where there is none."""
-        from pipeline.journal.connection import is_url
-        from pipeline.journal.journal import JOURNAL_FILE
+        from pipeline.corrections.journal.connection import is_url
+        from pipeline.corrections.journal.journal import JOURNAL_FILE
 
         said = self.journal.journal
         missing = not (said is not None and is_url(said)) and not Path(said or labels.root / JOURNAL_FILE).exists()

@@ -11,15 +11,15 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
-from pipeline.errors import InputError
+from pipeline.system.errors import InputError
 from spatialviz.exits import FINE, NO
 from spatialviz.options import print_json
 from spatialviz.source_options import CameraOptions
 
 if TYPE_CHECKING:
+    from pipeline.corrections.journal.events import Conflict, Saved
+    from pipeline.corrections.journal.journal import Journal
     from pipeline.datasets import Dataset
-    from pipeline.journal.events import Conflict, Saved
-    from pipeline.journal.journal import Journal
     from pipeline.labels.reading import Labels
 
 
@@ -33,7 +33,7 @@ class JournalOptions:
     """Whose corrections, where several datasets share a database. Default: the name of the dataset's folder."""
 
     def open(self, labels: Labels, *, must_exist: bool = False) -> Journal:
-        from pipeline.journal.journal import journal_of
+        from pipeline.corrections.journal.journal import journal_of
 
         opened = journal_of(labels, self.journal, project=self.project, must_exist=must_exist)
         for warning in opened.warnings:
@@ -92,7 +92,7 @@ class ShowJournal:
     """Print one JSON object for each event; of the check, the copy or the new journal, one."""
 
     def run(self) -> int:
-        from pipeline.journal.records import event_record
+        from pipeline.corrections.journal.records import event_record
         from pipeline.labels.reading import open_labels
         from spatialviz.printing_journal import print_events
 
@@ -117,9 +117,9 @@ class ShowJournal:
         return FINE if events else NO
 
     def _as_a_whole(self) -> int:
-        from pipeline.journal import rescue
-        from pipeline.journal.journal import JOURNAL_FILE
-        from pipeline.journal.records import examined_record, written_record
+        from pipeline.corrections.journal import rescue
+        from pipeline.corrections.journal.journal import JOURNAL_FILE
+        from pipeline.corrections.journal.records import examined_record, written_record
         from pipeline.labels.reading import open_labels
         from spatialviz.printing_journal import print_examined, print_written
 
@@ -159,9 +159,9 @@ class Correct:
     """Print one JSON object."""
 
     def run(self) -> int:
-        from pipeline.journal.batch import apply_actions, read_actions
-        from pipeline.journal.batch_shapes import needs_pictures
-        from pipeline.journal.effective import Corrector
+        from pipeline.corrections.journal.batch import apply_actions, read_actions
+        from pipeline.corrections.journal.batch_shapes import needs_pictures
+        from pipeline.corrections.journal.effective import Corrector
         from pipeline.labels.reading import open_labels
 
         labels = open_labels(self.labels)
@@ -200,7 +200,7 @@ class Undo(_OfPerson):
     """Take back a person's newest action; exit status 1 where there is none, or somebody built upon it."""
 
     def run(self) -> int:
-        from pipeline.journal.undo import undo
+        from pipeline.corrections.journal.undo import undo
 
         return self._take(undo, "taken back")
 
@@ -210,7 +210,7 @@ class Redo(_OfPerson):
     """Bring back what a person took back last; exit status as of undo."""
 
     def run(self) -> int:
-        from pipeline.journal.undo import redo
+        from pipeline.corrections.journal.undo import redo
 
         return self._take(redo, "brought back")
 
@@ -231,7 +231,7 @@ class Effective:
     """Print the manifest's part on corrections."""
 
     def run(self) -> int:
-        from pipeline.journal.materialise import materialise
+        from pipeline.corrections.journal.materialise import materialise
         from pipeline.labels.reading import open_labels
         from spatialviz.printing_journal import print_effective
 
@@ -248,7 +248,7 @@ class Effective:
 @contextmanager
 def _told_how_to_try_again() -> Iterator[None]:
     """A database that could not answer may have saved all the same: the next try says which one it repeats."""
-    from pipeline.journal.events import NotSaved
+    from pipeline.corrections.journal.events import NotSaved
 
     try:
         yield
@@ -258,7 +258,7 @@ def _told_how_to_try_again() -> Iterator[None]:
 
 
 def _told(done: Saved | Conflict | None, verb: str, json: bool) -> int:
-    from pipeline.journal.records import outcome_record
+    from pipeline.corrections.journal.records import outcome_record
     from spatialviz.printing_journal import print_outcome
 
     if json:

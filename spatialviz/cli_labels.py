@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional
 
-from pipeline.execution import Provider
+from pipeline.system.execution import Provider
 from spatialviz.exits import FINE, NO
 from spatialviz.options import print_json, task_of
 from spatialviz.source_options import CameraOptions, fusing
@@ -51,8 +51,8 @@ class LabelSource(CameraOptions):
 
     def spec(self, dataset: str) -> SourceSpec:
         """The same as the core takes it."""
-        from pipeline.execution import use_execution
         from pipeline.labels.plan import SourceSpec
+        from pipeline.system.execution import use_execution
 
         use_execution(self.provider, self.verbose)
         options: dict[str, Any] = {
@@ -137,9 +137,9 @@ class Label:
     """Print one JSON object: counts, seconds, hashes."""
 
     def run(self) -> int:
+        from pipeline.geometry.lifting import LiftConfig
         from pipeline.labels.config import LabelConfig
         from pipeline.labels.job import label_dataset
-        from pipeline.lifting import LiftConfig
         from spatialviz.printing import rate_bar
         from spatialviz.printing_labels import label_record, print_labelled
 
@@ -222,12 +222,12 @@ class Check:
     """Print one JSON object for each finding, and one with the statistics."""
 
     def run(self) -> int:
-        from pipeline.errors import InputError, MissingExtra
         from pipeline.labels.check import check_labels, finding_record
         from pipeline.labels.makers import makers_of
         from pipeline.labels.reading import open_labels
         from pipeline.labels.report import check_report_folder, need_matplotlib, write_report
         from pipeline.labels.statistics import label_statistics
+        from pipeline.system.errors import InputError, MissingExtra
         from spatialviz.printing_findings import print_findings
         from spatialviz.printing_statistics import print_statistics
 
@@ -280,7 +280,7 @@ class BenchLabel:
     """Print one JSON object."""
 
     def run(self) -> int:
-        from pipeline.labels.bench import bench_labels
+        from pipeline.evaluation.labels_bench import bench_labels
         from spatialviz.printing_labels import print_label_bench
 
         record = bench_labels(

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from tyro.conf import OmitArgPrefixes, Positional
 
-from pipeline.errors import InputError
+from pipeline.system.errors import InputError
 from spatialviz.cli_detect import DetectorOptions
 from spatialviz.exits import FINE, NO
 from spatialviz.options import print_json
@@ -23,7 +23,7 @@ class Models:
     """Print one JSON object."""
 
     def run(self) -> int:
-        from pipeline.proposals.model_catalogue import adapters, describe_file, look_around
+        from pipeline.answering.model_catalogue import adapters, describe_file, look_around
         from spatialviz.printing_models import catalogue_record, file_record, print_catalogue, print_file
 
         if not self.files:
@@ -55,7 +55,7 @@ class BenchDetect:
     """Print one JSON object."""
 
     def run(self) -> int:
-        from pipeline.proposals.endurance import run_endurance
+        from pipeline.answering.endurance import run_endurance
         from spatialviz.printing import rate_bar
         from spatialviz.printing_models import print_endurance
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
-from pipeline.errors import InputError, MissingExtra
+from pipeline.system.errors import InputError, MissingExtra
 from spatialviz.cli_journal import DatasetOptions, JournalOptions
 from spatialviz.exits import FINE, NO
 from spatialviz.options import print_json, warn_skipped
@@ -21,10 +21,10 @@ from spatialviz.source_options import SecondDetectorOptions
 if TYPE_CHECKING:
     import pyarrow as pa
 
+    from pipeline.corrections.review.evidence import ItemEvidence
+    from pipeline.corrections.review.items import ItemKey, State
+    from pipeline.corrections.review.reviewed import Reviewed
     from pipeline.labels.reading import Labels
-    from pipeline.review.evidence import ItemEvidence
-    from pipeline.review.items import ItemKey, State
-    from pipeline.review.reviewed import Reviewed
 
 Features = Literal["2d", "3d", "canon", "rel14", "rel26"]
 
@@ -75,13 +75,13 @@ class Review:
     """Print one JSON object an item."""
 
     def run(self) -> int:
-        from pipeline.journal.setting import setting_of
+        from pipeline.corrections.journal.setting import setting_of
+        from pipeline.corrections.review.agreement import pair_agreements
+        from pipeline.corrections.review.cells import read_cells
+        from pipeline.corrections.review.progress import review_progress
+        from pipeline.corrections.review.reviewed import states_on_labels, without_gone
+        from pipeline.corrections.review.worklist import write_queue
         from pipeline.labels.reading import open_labels
-        from pipeline.review.agreement import pair_agreements
-        from pipeline.review.cells import read_cells
-        from pipeline.review.progress import review_progress
-        from pipeline.review.reviewed import states_on_labels, without_gone
-        from pipeline.review.worklist import write_queue
         from spatialviz.printing_review import print_agreement, print_progress, print_queue
 
         self._check()
@@ -126,8 +126,8 @@ class Review:
             raise InputError("--queue is a queue that was made before", cause="leave out --queue, or the other options")
 
     def _reviewed(self, labels: Labels, folder: Path) -> Reviewed:
-        from pipeline.journal.journal import JOURNAL_FILE
-        from pipeline.review.reviewed import Reviewed, reviewed_labels
+        from pipeline.corrections.journal.journal import JOURNAL_FILE
+        from pipeline.corrections.review.reviewed import Reviewed, reviewed_labels
 
         named = self.journal.journal is not None
         if not named and not (labels.root / JOURNAL_FILE).exists():
@@ -136,13 +136,13 @@ class Review:
             return reviewed_labels(labels, journal, folder, self.source.open(labels))
 
     def _queue(self, reviewed: Reviewed, labels: Labels) -> pa.Table:
+        from pipeline.corrections.review.out_of_fold import EPOCHS, REVIEWED, DoubtConfig
+        from pipeline.corrections.review.queue import QueueConfig, review_queue
+        from pipeline.corrections.review.reviewed import automatic_version
+        from pipeline.corrections.review.worklist import read_queue
         from pipeline.labels.reading import open_labels
-        from pipeline.review.out_of_fold import EPOCHS, REVIEWED, DoubtConfig
-        from pipeline.review.queue import QueueConfig, review_queue
-        from pipeline.review.reviewed import automatic_version
-        from pipeline.review.worklist import read_queue
-        from pipeline.srm.features import CLI_FEATURES
-        from pipeline.srm.train import TrainConfig, need_torch
+        from pipeline.relations.features import CLI_FEATURES
+        from pipeline.training.train import TrainConfig, need_torch
         from spatialviz.printing import progress_bars
 
         if self.queue is not None:
@@ -167,8 +167,8 @@ class Review:
     def _seen(
         self, labels: Labels, automatic: Labels, advance: Callable[[str, int, int], None]
     ) -> tuple[ItemEvidence, ...]:
-        from pipeline.naming import Synonyms
-        from pipeline.review.detector_evidence import detector_evidence
+        from pipeline.corrections.review.detector_evidence import detector_evidence
+        from pipeline.language.naming import Synonyms
 
         setup = self.second.setup()
         if setup is None:
@@ -186,8 +186,8 @@ class Review:
         return found.items
 
     def _shown(self, queue: pa.Table, reviewed: Reviewed, states: dict[ItemKey, State]) -> pa.Table:
-        from pipeline.review.items import left_to_review, with_states
-        from pipeline.review.second_opinions import left_for
+        from pipeline.corrections.review.items import left_to_review, with_states
+        from pipeline.corrections.review.second_opinions import left_for
 
         if self.author is not None:
             return left_for(
@@ -231,11 +231,11 @@ class Retrain:
     """Print one JSON object."""
 
     def run(self) -> int:
+        from pipeline.corrections.review.circle import CircleJob, run_circle
+        from pipeline.corrections.review.retraining import RetrainConfig, retrain
         from pipeline.labels.reading import open_labels
-        from pipeline.review.circle import CircleJob, run_circle
-        from pipeline.review.retraining import RetrainConfig, retrain
-        from pipeline.srm.features import CLI_FEATURES
-        from pipeline.srm.train import TrainConfig
+        from pipeline.relations.features import CLI_FEATURES
+        from pipeline.training.train import TrainConfig
         from spatialviz.printing import progress_bars
         from spatialviz.printing_review import print_circle, print_retraining
 
@@ -287,7 +287,7 @@ class Install:
     """Print one JSON object."""
 
     def run(self) -> int:
-        from pipeline.srm.installed import install_network
+        from pipeline.relations.installed import install_network
 
         done = install_network(self.network, self.name, overwrite=self.overwrite)
         if self.json:
@@ -330,9 +330,9 @@ class BenchReview:
     """Print one JSON object."""
 
     def run(self) -> int:
-        from pipeline.review.bench import ReviewBenchConfig, bench_review
-        from pipeline.review.out_of_fold import EPOCHS, REVIEWED, DoubtConfig
-        from pipeline.srm.train import TrainConfig
+        from pipeline.corrections.review.bench import ReviewBenchConfig, bench_review
+        from pipeline.corrections.review.out_of_fold import EPOCHS, REVIEWED, DoubtConfig
+        from pipeline.training.train import TrainConfig
         from spatialviz.printing import progress_bars
         from spatialviz.printing_review import print_review_bench
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 
 from tyro.conf import Positional
 
-from pipeline.errors import InputError
+from pipeline.system.errors import InputError
 from spatialviz.exits import FINE, NO
 from spatialviz.options import print_json
 
@@ -32,7 +32,7 @@ class Query:
     """Print CSV."""
 
     def run(self) -> int:
-        from pipeline.diagnosis.run_database import open_run
+        from pipeline.evaluation.run_database import open_run
         from spatialviz.printing_runs import print_answer, print_csv, print_rows
 
         if self.json and self.csv:
@@ -66,10 +66,10 @@ class Failures:
     """Print one JSON object."""
 
     def run(self) -> int:
-        from pipeline.diagnosis.search import find_failures
-        from pipeline.diagnosis.slices import dimension_named, slice_by
-        from pipeline.diagnosis.summary import need_verdicts, summarise_run
         from pipeline.evaluation.compare import read_records
+        from pipeline.evaluation.search import find_failures
+        from pipeline.evaluation.slices import dimension_named, slice_by
+        from pipeline.evaluation.summary import need_verdicts, summarise_run
         from spatialviz.printing_runs import failures_record, print_failures
 
         if self.limit < 0:
@@ -102,7 +102,7 @@ class Tables:
 
     def run(self) -> int:
         from pipeline.evaluation.paper_run import tables_of_run
-        from pipeline.evaluation.tables import latex, markdown
+        from pipeline.metrics.tables import latex, markdown
         from spatialviz.printing_eval import print_table, rows_record, table_record
 
         if self.json and self.format != "text":
@@ -123,13 +123,13 @@ MOST_ROWS = 15
 
 def _shares_of(run: Path) -> tuple[Share, ...]:
     """What the run shares with what made its labels, of whatever release it is."""
-    from pipeline.diagnosis.run_database import labels_of, manifest_of
+    from pipeline.evaluation.run_database import labels_of, manifest_of
     from pipeline.evaluation.shared_makers import shares_of_run
 
     return shares_of_run(manifest_of(run), labels_of(run))
 
 
 def _name_of(run: Path) -> str:
-    from pipeline.diagnosis.run_database import manifest_of
+    from pipeline.evaluation.run_database import manifest_of
 
     return str(manifest_of(run).get("name") or run.name)

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from tyro.conf import OmitArgPrefixes, Positional
 
-from pipeline.errors import InputError
+from pipeline.system.errors import InputError
 from spatialviz.cli_journal import DatasetOptions, JournalOptions
 from spatialviz.exits import FINE, NO
 from spatialviz.options import print_json
@@ -33,12 +33,12 @@ class Show:
     """Print one JSON object for each object, or one for the pair."""
 
     def run(self) -> int:
-        from pipeline.correcting.box_edits import support_of
-        from pipeline.correcting.cards import pair_card
-        from pipeline.correcting.journal_place import JournalPlace
-        from pipeline.correcting.object_card import object_card
+        from pipeline.corrections.box_edits import support_of
+        from pipeline.corrections.cards import pair_card
+        from pipeline.corrections.journal.effective import Corrector
+        from pipeline.corrections.journal_place import JournalPlace
+        from pipeline.corrections.object_card import object_card
         from pipeline.datasets.base import named_frame
-        from pipeline.journal.effective import Corrector
         from pipeline.labels.reading import open_labels
         from spatialviz.printing_show import print_objects, print_pair, print_support
 

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Literal
 
 from tyro.conf import Positional
 
-from pipeline.errors import InputError
+from pipeline.system.errors import InputError
 from spatialviz.exits import FINE
 from spatialviz.options import print_json
 
 if TYPE_CHECKING:
-    from pipeline.srm.train import TrainConfig
+    from pipeline.training.train import TrainConfig
 
 ROOMS = "rooms"
 
@@ -75,8 +75,8 @@ class Train:
         return FINE
 
     def _config(self) -> TrainConfig:
-        from pipeline.srm.features import CLI_FEATURES
-        from pipeline.srm.train import TrainConfig
+        from pipeline.relations.features import CLI_FEATURES
+        from pipeline.training.train import TrainConfig
 
         features = self.features or ("rel26" if self.labels == ROOMS else "rel14")
         return TrainConfig(
@@ -84,7 +84,7 @@ class Train:
         )
 
     def _on_labels(self) -> dict:
-        from pipeline.srm.label_training import LabelTraining, train_on_labels
+        from pipeline.training.label_training import LabelTraining, train_on_labels
         from spatialviz.printing_training import epoch_bar
 
         self._refuse("the word rooms", ("rooms", "views", "width", "height"))
@@ -94,7 +94,7 @@ class Train:
             return train_on_labels(job, self.out, tell)
 
     def _on_rooms(self) -> dict:
-        from pipeline.srm.card import RoomConfig, train_on_rooms
+        from pipeline.training.card import RoomConfig, train_on_rooms
         from spatialviz.printing import progress_bars
 
         self._refuse("a labels folder", ("vectors", "split", "pairs", "normalised"))

@@ -9,18 +9,18 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import OmitArgPrefixes, Positional, arg
 
-from pipeline.errors import InputError
+from pipeline.system.errors import InputError
 from spatialviz.exits import FINE
 from spatialviz.source_options import SourceOptions
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from pipeline.correcting.journal_place import JournalPlace
+    from pipeline.answering.source import Source
+    from pipeline.corrections.journal_place import JournalPlace
+    from pipeline.diagnosis.whatif.state import ViewState
     from pipeline.evaluation.run_folder import Run
-    from pipeline.jobs import Source
     from pipeline.labels.reading import Labels
-    from pipeline.whatif.state import ViewState
 
 
 @dataclass(frozen=True)
@@ -60,12 +60,12 @@ class View:
     """Open the page in the default browser."""
 
     def run(self) -> int:
-        from pipeline.demo import DEMO_NAME, demo_run
+        from pipeline.answering.source import open_sources
+        from pipeline.datasets.demo import DEMO_NAME, demo_run
+        from pipeline.diagnosis.whatif.state import decode
         from pipeline.evaluation.run_folder import open_run
-        from pipeline.jobs import open_sources
         from pipeline.labels.pictures import labelled_up
         from pipeline.labels.reading import open_labels
-        from pipeline.whatif.state import decode
         from spatialviz.app.server import serve
 
         if self.author is not None and not self.author.strip():
@@ -123,7 +123,7 @@ class View:
 
     def _with_second(self, run: Run) -> Source:
         """The run's source, with the second detector beside its own."""
-        from pipeline.jobs import open_source
+        from pipeline.answering.source import open_source
 
         if self.also is None:
             return run.source
@@ -134,8 +134,8 @@ class View:
         """Where corrections are kept; those of the built-in demo with the user's own data, not in the installation."""
         from platformdirs import user_data_path
 
-        from pipeline.correcting.journal_place import JournalPlace
-        from pipeline.demo import demo_run
+        from pipeline.corrections.journal_place import JournalPlace
+        from pipeline.datasets.demo import demo_run
 
         where: str | Path | None = self.journal
         if where is None and labels.root.resolve().is_relative_to(demo_run().parent.resolve()):
@@ -146,7 +146,7 @@ class View:
 
     def _named(self, view: ViewState) -> tuple[str, Path | None]:
         """The dataset and the run to open: those of the command line, else those that the view names."""
-        from pipeline.demo import DEMO_NAME
+        from pipeline.datasets.demo import DEMO_NAME
         from pipeline.evaluation.run_folder import RUN_FILE
 
         if self.run_folder is not None or self.dataset != DEMO_NAME:
@@ -165,7 +165,7 @@ class View:
 
     def _words(self, dataset: str, folder: Path | None) -> list[str]:
         """The command line that opens this page again; without a password."""
-        from pipeline.correcting.journal_place import journal_words
+        from pipeline.corrections.journal_place import journal_words
 
         words = ["view"]
         if folder is None or self.dataset != "demo":

@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 from tyro.conf import OmitArgPrefixes, Positional
 
-from pipeline.errors import InputError
+from pipeline.system.errors import InputError
 from spatialviz.exits import FINE, NO
 from spatialviz.options import print_json
 from spatialviz.source_options import SourceOptions
 
 if TYPE_CHECKING:
-    from pipeline.whatif import Baseline, Edits, Outcome
+    from pipeline.diagnosis.whatif import Baseline, Edits, Outcome
 
 
 @dataclass(frozen=True)
@@ -45,13 +45,13 @@ class WhatIf:
     """Print one JSON object."""
 
     def run(self) -> int:
+        from pipeline.answering.objects import frame_context
+        from pipeline.answering.told_answer import holds
         from pipeline.datasets import resolve_frame
         from pipeline.diagnosis.asking import edited_verdicts
+        from pipeline.diagnosis.whatif import Baseline, Edits, load_edits, rerun
+        from pipeline.diagnosis.whatif.rerun import foreign_keys
         from pipeline.labels.reading import open_labels
-        from pipeline.objects import frame_context
-        from pipeline.told_answer import holds
-        from pipeline.whatif import Baseline, Edits, load_edits, rerun
-        from pipeline.whatif.rerun import foreign_keys
         from spatialviz.printing_whatif import print_change
 
         edits = Edits() if self.edits is None else load_edits(self.edits)
@@ -77,9 +77,9 @@ class WhatIf:
         return FINE if holds(after.trace) else NO
 
     def _map(self, baseline: Baseline, after: Outcome, edits: Edits) -> dict[str, Any]:
-        from pipeline.picture import write_picture
-        from pipeline.whatif.decision_map import decision_map, map_record
-        from pipeline.whatif.map_picture import map_picture
+        from pipeline.diagnosis.whatif.decision_map import decision_map, map_record
+        from pipeline.diagnosis.whatif.map_picture import map_picture
+        from spatialviz.report.picture import write_picture
 
         assert self.decision_map is not None
         ranking = after.trace.ranking
@@ -93,9 +93,9 @@ def whatif_record(
     baseline: Baseline, after: Outcome, edits: Edits, verdicts: tuple[str | None, str | None] | None = None
 ) -> dict[str, Any]:
     """The whole of `whatif --json`."""
-    from pipeline.relations import PAIRWISE, Profile
-    from pipeline.whatif import edits_record, what_changed
-    from pipeline.whatif.placement import place_in_region
+    from pipeline.diagnosis.whatif import edits_record, what_changed
+    from pipeline.diagnosis.whatif.placement import place_in_region
+    from pipeline.relations.relations import PAIRWISE, Profile
 
     trace = after.trace
     record: dict[str, Any] = {

@@ -7,8 +7,8 @@ import sys
 import warnings
 from typing import TextIO
 
-from pipeline.errors import InputError
-from pipeline.execution import ProviderWarning
+from pipeline.system.errors import InputError
+from pipeline.system.execution import ProviderWarning
 
 
 def print_json(record: dict) -> None:

@@ -13,18 +13,18 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 from rich.text import Text
 
-from pipeline.ask import Trace
+from pipeline.answering.ask import Trace
+from pipeline.answering.json_records import why_no_answer
+from pipeline.answering.objects import SceneObject
+from pipeline.answering.overlooked import Overlooked
+from pipeline.answering.source import FrameRelations
+from pipeline.answering.told_answer import probability, told
 from pipeline.datasets import Dataset, FrameReport
+from pipeline.datasets.up_words import ASSUMED, DECLARE
 from pipeline.diagnosis.asking import JudgedAnswer
-from pipeline.jobs import FrameRelations
-from pipeline.lexicon import wording
-from pipeline.objects import SceneObject
-from pipeline.overlooked import Overlooked
-from pipeline.records import why_no_answer
-from pipeline.relations import PHRASE, letter
-from pipeline.told_answer import probability, told
-from pipeline.up_words import ASSUMED, DECLARE
-from pipeline.viewer import ViewerAxes
+from pipeline.geometry.viewer import ViewerAxes
+from pipeline.language.lexicon import wording
+from pipeline.relations.relations import PHRASE, letter
 
 SHOWN_PAIRS = 5
 

@@ -7,8 +7,8 @@ from collections.abc import Sequence
 from rich.table import Table
 from rich.text import Text
 
-from pipeline.proposals.agreement import FrameAgreement
-from pipeline.proposals.agreement_figures import AgreementFigures
+from pipeline.answering.agreement.agreement import FrameAgreement
+from pipeline.answering.agreement.agreement_figures import AgreementFigures
 from spatialviz.printing import make_console
 
 SHOWN_NAMES = 8

@@ -7,10 +7,10 @@ from typing import Any
 
 from rich.text import Text
 
-from pipeline.failure_case.answered import Answered
-from pipeline.failure_case.manifest import Expected
-from pipeline.failure_case.suite import Result
-from pipeline.told_answer import NO_SUCH_PAIR
+from pipeline.answering.told_answer import NO_SUCH_PAIR
+from pipeline.diagnosis.cases.answered import Answered
+from pipeline.diagnosis.cases.manifest import Expected
+from pipeline.diagnosis.cases.suite import Result
 from spatialviz.printing import make_console
 
 _STYLE = {"same": "green", "updated": "yellow", "changed": "red", "damaged": "red"}

@@ -11,9 +11,9 @@ from rich.text import Text
 
 from pipeline.diagnosis.verdict import VERDICTS
 from pipeline.evaluation.compare import Comparison
-from pipeline.evaluation.intervals import Estimate
 from pipeline.evaluation.job import RunReport
-from pipeline.evaluation.tables import Cell, Table, with_heads
+from pipeline.metrics.intervals import Estimate
+from pipeline.metrics.tables import Cell, Table, with_heads
 from spatialviz.printing import make_console
 
 NAME_WIDTH = 32

@@ -8,12 +8,12 @@ from pathlib import Path
 from rich.table import Table
 from rich.text import Text
 
-from pipeline.correcting.wording import said_event
-from pipeline.journal.cells import shown_value
-from pipeline.journal.effective import EffectiveLabels
-from pipeline.journal.events import Conflict, Event, Saved
-from pipeline.journal.examining import Examined
-from pipeline.journal.incoming.importing import ImportReport
+from pipeline.corrections.journal.cells import shown_value
+from pipeline.corrections.journal.effective import EffectiveLabels
+from pipeline.corrections.journal.events import Conflict, Event, Saved
+from pipeline.corrections.journal.examining import Examined
+from pipeline.corrections.journal.incoming.importing import ImportReport
+from pipeline.corrections.wording import said_event
 from spatialviz.printing import make_console
 
 

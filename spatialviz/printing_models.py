@@ -9,12 +9,12 @@ from typing import Any
 
 from rich.text import Text
 
-from pipeline.execution import ACCELERATORS
+from pipeline.answering.endurance import Endurance
+from pipeline.answering.model_catalogue import Adapter, FileReport, Here, is_fetched
 from pipeline.proposals.contracts import Contract
-from pipeline.proposals.endurance import Endurance
-from pipeline.proposals.known_models import KnownModel
 from pipeline.proposals.mismatch import BOXES, shapes
-from pipeline.proposals.model_catalogue import Adapter, FileReport, Here, is_fetched
+from pipeline.system.execution import ACCELERATORS
+from pipeline.system.known_models import KnownModel
 from spatialviz.printing import make_console
 
 

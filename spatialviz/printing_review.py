@@ -9,17 +9,17 @@ from typing import TYPE_CHECKING, Any
 from rich.table import Table
 from rich.text import Text
 
-from pipeline.evaluation.tables import shown
-from pipeline.relations import PHRASE
+from pipeline.metrics.tables import shown
+from pipeline.relations.relations import PHRASE
 from spatialviz.printing import make_console
 from spatialviz.printing_eval import print_table
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-    from pipeline.review.agreement import PairAgreement
-    from pipeline.review.circle import Circle
-    from pipeline.review.retraining import Retraining
+    from pipeline.corrections.review.agreement import PairAgreement
+    from pipeline.corrections.review.circle import Circle
+    from pipeline.corrections.review.retraining import Retraining
 
 SHOWN_CELLS = 5
 
@@ -86,7 +86,7 @@ def print_agreement(pairs: Sequence[PairAgreement], limit: int) -> None:
 
 def print_progress(record: dict[str, Any]) -> None:
     """How many items are in each state, by kind and by reviewer, and what is left."""
-    from pipeline.review.items import STATES
+    from pipeline.corrections.review.items import STATES
 
     console = make_console()
     table = Table(box=None, pad_edge=False, header_style="dim")

@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 from rich.table import Table as RichTable
 from rich.text import Text
 
-from pipeline.diagnosis.run_database import Answer
-from pipeline.diagnosis.slices import Slices, slice_table
-from pipeline.diagnosis.summary import RunSummary, oracle_table, verdict_table
+from pipeline.evaluation.run_database import Answer
 from pipeline.evaluation.shared_makers import Share, with_caveats
+from pipeline.evaluation.slices import Slices, slice_table
+from pipeline.evaluation.summary import RunSummary, oracle_table, verdict_table
 from spatialviz.options import print_json
 from spatialviz.printing import make_console
 from spatialviz.printing_eval import rich_table

@@ -7,12 +7,12 @@ from collections.abc import Sequence
 from rich.table import Table
 from rich.text import Text
 
-from pipeline.correcting.box_edits import support_name
-from pipeline.correcting.cards import PairCard
-from pipeline.correcting.object_card import ObjectCard
-from pipeline.correcting.support import Support
-from pipeline.journal.effective_frame import EffectiveFrame
-from pipeline.relations import PHRASE, letter
+from pipeline.corrections.box_edits import support_name
+from pipeline.corrections.cards import PairCard
+from pipeline.corrections.journal.effective_frame import EffectiveFrame
+from pipeline.corrections.object_card import ObjectCard
+from pipeline.corrections.support import Support
+from pipeline.relations.relations import PHRASE, letter
 from spatialviz.printing import make_console
 
 

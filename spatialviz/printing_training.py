@@ -15,7 +15,7 @@ from rich.table import Table
 from spatialviz.printing import make_console
 
 if TYPE_CHECKING:
-    from pipeline.srm.train import Epoch
+    from pipeline.training.train import Epoch
 
 BARS = "▁▂▃▄▅▆▇█"
 

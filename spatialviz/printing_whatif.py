@@ -7,7 +7,7 @@ from typing import Any
 from rich.table import Table
 from rich.text import Text
 
-from pipeline.told_answer import NO_SUCH_PAIR, probability
+from pipeline.answering.told_answer import NO_SUCH_PAIR, probability
 from spatialviz.printing import make_console
 
 _ROWS = (

@@ -7,12 +7,12 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from pipeline.errors import InputError
-from pipeline.execution import Provider
+from pipeline.system.errors import InputError
+from pipeline.system.execution import Provider
 from spatialviz.options import four_numbers
 
 if TYPE_CHECKING:
-    from pipeline.jobs import Source
+    from pipeline.answering.source import Source
     from pipeline.labels.reading import Labels
     from pipeline.proposals.detector_setup import DetectorSetup
     from pipeline.proposals.score_calibration import ScoreCalibration
@@ -31,7 +31,7 @@ def read_calibration(path: Path | None, forced: bool = False) -> ScoreCalibratio
 
 
 def fusing(fuse: tuple[str, ...], fusion: str) -> dict[str, Any]:
-    """Detectors to be fused as arguments of `pipeline.jobs.open_source`; none where there is nothing to fuse."""
+    """Detectors to be fused as arguments of `answering.source.open_source`; none where there is nothing to fuse."""
     return {"fuse": fuse, "fusion": fusion} if fuse else {}
 
 
@@ -68,8 +68,8 @@ class SecondDetectorOptions:
 
     def setup(self) -> DetectorSetup | None:
         """What it is made from; None where none is asked."""
-        from pipeline.execution import use_execution
         from pipeline.proposals.detector_setup import DetectorSetup
+        from pipeline.system.execution import use_execution
 
         if self.detector is None:
             return None
@@ -152,10 +152,10 @@ class SourceOptions(CameraOptions):
     """Show ONNX Runtime's own messages."""
 
     def options(self, frame: str | None = None) -> dict[str, Any]:
-        """The same as arguments of `pipeline.jobs.open_source`; `frame` is the one that is asked."""
-        from pipeline.ask import AskConfig
-        from pipeline.execution import use_execution
-        from pipeline.lifting import LiftConfig
+        """The same as arguments of `answering.source.open_source`; `frame` is the one that is asked."""
+        from pipeline.answering.ask import AskConfig
+        from pipeline.geometry.lifting import LiftConfig
+        from pipeline.system.execution import use_execution
 
         use_execution(self.provider, self.verbose)
         return {
@@ -189,8 +189,8 @@ class SourceOptions(CameraOptions):
 
     def open(self, dataset: str, frame: str | None = None, labels: Labels | None = None) -> Source:
         """The dataset with its models; `frame` is the one that is asked, `labels` judge what is answered."""
+        from pipeline.answering.source import open_source
         from pipeline.datasets.given_up import told_doubts
-        from pipeline.jobs import open_source
         from pipeline.labels.pictures import labelled_up
 
         options = self.options(frame)

@@ -1,6 +1,6 @@
 """Rooms of another maker: boxes of random size on a floor, on tables and in the air, seen by noisy rays.
 
-Nothing of it is shared with `pipeline.synthetic`: neither the geometry, nor the
+Nothing of it is shared with `pipeline.datasets.synthetic`: neither the geometry, nor the
 cameras, nor the sensor's errors.
 """
 
@@ -11,10 +11,10 @@ import numpy as np
 from other_makers import MIN_PIXELS, USUAL, Extents, Regime, seen_objects
 from scenes import Plane, camera_of, cast, up_of, upright
 
-from pipeline.boxes import Box3D
-from pipeline.camera import Camera
-from pipeline.lifting import LiftedObject
-from pipeline.viewer import ViewerAxes, viewer_axes
+from pipeline.geometry.boxes import Box3D
+from pipeline.geometry.camera import Camera
+from pipeline.geometry.lifting import LiftedObject
+from pipeline.geometry.viewer import ViewerAxes, viewer_axes
 
 
 def random_boxes(rng: np.random.Generator, floor: float) -> list[Box3D]:

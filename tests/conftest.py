@@ -14,11 +14,11 @@ from hypothesis import settings
 if TYPE_CHECKING:
     from chat_server import ChatServer, Clock, Make
 
+    from pipeline.corrections.journal.effective import Corrector
+    from pipeline.corrections.journal.journal import Journal
     from pipeline.datasets import Dataset
-    from pipeline.journal.effective import Corrector
-    from pipeline.journal.journal import Journal
+    from pipeline.evaluation.vlm import ChatClient
     from pipeline.labels.reading import Labels
-    from pipeline.vlm import ChatClient
 
 ROOT = Path(__file__).resolve().parent.parent
 
@@ -58,7 +58,7 @@ def demo_labels(label_sets: dict[str, Labels]) -> Labels:
 @pytest.fixture(scope="session")
 def bare_corrector(demo_labels: Labels) -> Corrector:
     """Corrections of the demo's labels, without the pictures."""
-    from pipeline.journal.effective import Corrector
+    from pipeline.corrections.journal.effective import Corrector
 
     return Corrector(demo_labels)
 
@@ -66,7 +66,7 @@ def bare_corrector(demo_labels: Labels) -> Corrector:
 @pytest.fixture(scope="session")
 def demo_dataset() -> Dataset:
     """The built-in dataset."""
-    from pipeline.jobs import open_source
+    from pipeline.answering.source import open_source
 
     return open_source("demo", srm="rule").dataset
 
@@ -74,7 +74,7 @@ def demo_dataset() -> Dataset:
 @pytest.fixture(scope="session")
 def full_corrector(demo_labels: Labels, demo_dataset: Dataset) -> Corrector:
     """Corrections of the demo's labels, with the pictures."""
-    from pipeline.journal.effective import Corrector
+    from pipeline.corrections.journal.effective import Corrector
 
     return Corrector(demo_labels, demo_dataset)
 
@@ -82,7 +82,7 @@ def full_corrector(demo_labels: Labels, demo_dataset: Dataset) -> Corrector:
 @pytest.fixture
 def journal(demo_labels: Labels, tmp_path: Path) -> Iterator[Journal]:
     """An empty journal of the demo's labels."""
-    from pipeline.journal.journal import journal_of
+    from pipeline.corrections.journal.journal import journal_of
 
     with journal_of(demo_labels, tmp_path / "j.sqlite") as opened:
         yield opened
@@ -122,7 +122,7 @@ def client_of(server: ChatServer, clock: Clock, tmp_path: Path, monkeypatch: pyt
     """Makes clients of that server, with a cache of their own."""
     from chat_server import MODELS
 
-    from pipeline.vlm import KEY_VARIABLE, ChatClient
+    from pipeline.evaluation.vlm import KEY_VARIABLE, ChatClient
 
     monkeypatch.delenv(KEY_VARIABLE, raising=False)
 

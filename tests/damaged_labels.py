@@ -13,7 +13,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from scenes import frame_of, upright
 
-from pipeline.frame import Frame
+from pipeline.answering.objects import FrameContext, all_objects
+from pipeline.geometry.frame import Frame
 from pipeline.labels.config import LabelConfig
 from pipeline.labels.labelling import label_objects
 from pipeline.labels.merge import merge_labels
@@ -23,7 +24,6 @@ from pipeline.labels.schema import TABLES
 from pipeline.labels.shard import shard_tables
 from pipeline.labels.store import Store
 from pipeline.labels.tables import arrow_schema
-from pipeline.objects import FrameContext, all_objects
 from pipeline.proposals.annotations import AnnotationDetector
 
 Tables = dict[str, list[dict[str, Any]]]

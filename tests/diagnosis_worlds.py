@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.boxes import iou_2d
+from pipeline.answering.answering import FrameAnswers
+from pipeline.answering.ranking import Candidates, RankConfig
+from pipeline.answering.stage_clock import StageClock
 from pipeline.diagnosis.frame_evidence import FrameEvidence
-from pipeline.evaluation.answering import FrameAnswers
-from pipeline.evaluation.cases import Case, FrameCases
-from pipeline.evaluation.stage_clock import StageClock
+from pipeline.geometry.boxes import iou_2d
+from pipeline.labels.cases import Case, FrameCases
 from pipeline.proposals.base import Proposals, no_proposals
-from pipeline.ranking import Candidates, RankConfig
-from pipeline.relations import U
+from pipeline.relations.relations import U
 
 SIDE, STEP = 10.0, 40.0
 SHIFTS = (0.0, 2.0, 6.0, 15.0)

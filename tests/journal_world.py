@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.journal.cells import Cell, object_cell, relation_cell
-from pipeline.journal.effective_frame import EffectiveFrame
-from pipeline.journal.events import Edit, Event, Saved
-from pipeline.journal.journal import Journal
-from pipeline.journal.undo import redo, undo
-from pipeline.run_length import decode_run_length, encode_run_length
+from pipeline.corrections.journal.cells import Cell, object_cell, relation_cell
+from pipeline.corrections.journal.effective_frame import EffectiveFrame
+from pipeline.corrections.journal.events import Edit, Event, Saved
+from pipeline.corrections.journal.journal import Journal
+from pipeline.corrections.journal.undo import redo, undo
+from pipeline.geometry.run_length import decode_run_length, encode_run_length
 
 FRAME = "000001/000000"
 

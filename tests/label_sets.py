@@ -8,16 +8,16 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.boxes import Box3D
+from pipeline.geometry.boxes import Box3D
+from pipeline.geometry.run_length import encode_run_length
+from pipeline.geometry.viewer import viewer_axes
 from pipeline.labels.config import LabelConfig
 from pipeline.labels.job import label_dataset
 from pipeline.labels.plan import SourceSpec
 from pipeline.labels.reading import MANIFEST_FILE, Labels, open_labels
 from pipeline.labels.schema import SCHEMA_VERSION, TABLES, Manifest, TableFile
 from pipeline.labels.tables import arrow_schema, build_table, content_hash, validate_rows, write_table
-from pipeline.relations import PAIRWISE
-from pipeline.run_length import encode_run_length
-from pipeline.viewer import viewer_axes
+from pipeline.relations.relations import PAIRWISE
 
 Vector = Sequence[float] | np.ndarray
 WIDTH, HEIGHT = 64, 48

@@ -13,9 +13,9 @@ import trimesh
 from other_makers import MIN_PIXELS, Regime, Seen, seen_objects
 from trimesh import creation
 
-from pipeline.camera import Camera, intrinsics
-from pipeline.synthetic.raycast import Tracer
-from pipeline.viewer import viewer_axes
+from pipeline.datasets.synthetic.raycast import Tracer
+from pipeline.geometry.camera import Camera, intrinsics
+from pipeline.geometry.viewer import viewer_axes
 
 Rng = np.random.Generator
 Mesh = trimesh.Trimesh

@@ -17,14 +17,14 @@ from box_worlds import box_world
 from mesh_worlds import mesh_world
 from other_makers import FIGURES, FLIPS, REGIMES, Seen, figures, tallied
 
-from pipeline.evaluation.intervals import bootstrap
 from pipeline.labels.config import LabelConfig
 from pipeline.labels.labelling import in_doubt, judge_objects
 from pipeline.labels.second_opinion import doubted
-from pipeline.relations import DIRECTIONAL, directional_states
-from pipeline.srm import shipped_network
-from pipeline.srm.model import OnnxScorer
-from pipeline.srm.scorer import RuleScorer, rule_probabilities
+from pipeline.metrics.intervals import bootstrap
+from pipeline.relations import shipped_network
+from pipeline.relations.model import OnnxScorer
+from pipeline.relations.relations import DIRECTIONAL, directional_states
+from pipeline.relations.scorer import RuleScorer, rule_probabilities
 
 FEWEST_OBJECTS = 5
 WORLDS = 60

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.camera import Camera
-from pipeline.evaluation.calibration_metrics import ECE_BINS
-from pipeline.evaluation.counts import f1_of
-from pipeline.lifting import LiftedObject, lift
-from pipeline.viewer import ViewerAxes, viewer_axes
+from pipeline.geometry.camera import Camera
+from pipeline.geometry.lifting import LiftedObject, lift
+from pipeline.geometry.viewer import ViewerAxes, viewer_axes
+from pipeline.metrics.calibration_metrics import ECE_BINS
+from pipeline.metrics.counts import f1_of
 
 MIN_PIXELS, MIN_POINTS = 200, 16
 

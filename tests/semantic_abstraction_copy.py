@@ -17,10 +17,10 @@ import numpy as np
 from container_rooms import inside, with_containers, without
 from semantic_abstraction_writer import FIRST_OBJECT, RenderedView, scene_clouds, write_rendered
 
-from pipeline.camera import Camera, intrinsics
 from pipeline.datasets.semantic_abstraction import RELATIONS
 from pipeline.datasets.semantic_abstraction_splits import NOVEL_CLASSES
-from pipeline.synthetic import Room, camera_at, exact_view, make_room, render_view
+from pipeline.datasets.synthetic import Room, camera_at, exact_view, make_room, render_view
+from pipeline.geometry.camera import Camera, intrinsics
 
 HEIGHT_M = 1.576
 NAMES = {

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.camera import Camera, intrinsics
-from pipeline.frame import Annotation, Frame
+from pipeline.geometry.camera import Camera, intrinsics
+from pipeline.geometry.frame import Annotation, Frame
 from pipeline.proposals import Proposals
 
 NAMES = ("mug", "laptop", "book", "lamp", "chair")

@@ -14,14 +14,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 from shelf import NAMES, SHELF
 
-from pipeline.agreeing import agree_frames, beside
-from pipeline.agreement_records import agreement_record
-from pipeline.boxes import iou_2d
-from pipeline.dashes import dashed
-from pipeline.errors import InputError
-from pipeline.jobs import open_source
-from pipeline.objects import FrameContext, all_objects
-from pipeline.proposals.agreement import (
+from pipeline.answering.agreement.agreement import (
     FrameAgreement,
     Layer,
     agree,
@@ -30,9 +23,16 @@ from pipeline.proposals.agreement import (
     matched,
     overlaps,
 )
-from pipeline.proposals.agreement_figures import figures, rank_correlation
+from pipeline.answering.agreement.agreement_figures import figures, rank_correlation
+from pipeline.answering.agreement.frames import agree_frames, beside
+from pipeline.answering.agreement.records import agreement_record
+from pipeline.answering.objects import FrameContext, all_objects
+from pipeline.answering.source import open_source
+from pipeline.geometry.boxes import iou_2d
 from pipeline.proposals.detector_setup import DetectorSetup
 from pipeline.proposals.simulated import SimulatedDetector, SimulationOptions
+from pipeline.system.errors import InputError
+from spatialviz.report.dashes import dashed
 
 WORDS = ("mug", "trash can", "bin", "lamp")
 

@@ -11,12 +11,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.ask import ask
-from pipeline.boxes import Box3D
-from pipeline.camera import Camera, backproject, intrinsics
+from pipeline.answering.ask import ask
+from pipeline.answering.objects import BOX_MARGIN_M, FrameContext, all_objects, pixels_inside
 from pipeline.datasets import open_dataset
-from pipeline.frame import Annotation, Frame
-from pipeline.objects import BOX_MARGIN_M, FrameContext, all_objects, pixels_inside
+from pipeline.geometry.boxes import Box3D
+from pipeline.geometry.camera import Camera, backproject, intrinsics
+from pipeline.geometry.frame import Annotation, Frame
 from pipeline.proposals.annotations import AnnotationDetector
 from pipeline.proposals.base import Proposals
 

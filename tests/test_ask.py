@@ -13,23 +13,23 @@ import pytest
 from dataset_writers import write_bop
 from scenes import camera_of, frame_of, upright
 
-from pipeline.ask import AskConfig, Trace, ask
-from pipeline.bench import bench_source
-from pipeline.boxes import EDGES, Box3D
-from pipeline.camera import project
+from pipeline.answering.ask import AskConfig, Trace, ask
+from pipeline.answering.bench import bench_source
+from pipeline.answering.objects import FrameContext, SceneObject, all_objects, same_object
+from pipeline.answering.source import Source, ask_frames, contexts, frame_ids, open_source, open_sources, relate_frames
+from pipeline.answering.suggestions import suggest_expressions
 from pipeline.datasets import open_dataset
-from pipeline.demo import DEMO_EXPRESSION, demo_path
-from pipeline.errors import InputError
-from pipeline.expression import parse
-from pipeline.frame import Frame
-from pipeline.jobs import Source, ask_frames, contexts, frame_ids, open_source, open_sources, relate_frames
-from pipeline.naming import match
-from pipeline.objects import FrameContext, SceneObject, all_objects, same_object
-from pipeline.palette import ON_DARK, depth_colors, hex_color, instance_colors, palette
-from pipeline.picture import answer_picture, box_edges_2d, save_picture, tinted
+from pipeline.datasets.demo import DEMO_EXPRESSION, demo_path
+from pipeline.geometry.boxes import EDGES, Box3D
+from pipeline.geometry.camera import project
+from pipeline.geometry.frame import Frame
+from pipeline.geometry.palette import ON_DARK, depth_colors, hex_color, instance_colors, palette
+from pipeline.language.expression import parse
+from pipeline.language.naming import match
 from pipeline.proposals import AnnotationDetector, Proposals, make_detector
-from pipeline.relations import VOCABULARIES
-from pipeline.suggestions import suggest_expressions
+from pipeline.relations.relations import VOCABULARIES
+from pipeline.system.errors import InputError
+from spatialviz.report.picture import answer_picture, box_edges_2d, save_picture, tinted
 
 KNOWN = ("mug", "laptop", "book", "lamp", "table", "box")
 

@@ -9,18 +9,18 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pipeline.answering.ranking import RankConfig
+from pipeline.answering.source import Source, open_source
 from pipeline.diagnosis import asking
 from pipeline.diagnosis.asking import ask_and_judge, edited_verdicts, judged_record
 from pipeline.diagnosis.live import case_of
-from pipeline.errors import InputError
-from pipeline.frame import Frame
-from pipeline.jobs import Source, open_source
+from pipeline.diagnosis.whatif import Baseline, Edits, rerun
+from pipeline.geometry.frame import Frame
 from pipeline.labels.job import label_dataset
 from pipeline.labels.plan import SourceSpec
 from pipeline.labels.reading import Labels, open_labels
-from pipeline.ranking import RankConfig
-from pipeline.relations import PHRASE, T
-from pipeline.whatif import Baseline, Edits, rerun
+from pipeline.relations.relations import PHRASE, T
+from pipeline.system.errors import InputError
 
 TEXTS = ("mug left of the laptop", "laptop right of the mug", "desk holding a laptop")
 

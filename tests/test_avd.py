@@ -28,13 +28,13 @@ from avd_writer import (
 )
 from dataset_writers import random_rotation, write_png
 
+from pipeline.answering.json_records import frame_record
+from pipeline.answering.source import open_source
 from pipeline.datasets import MOVES, has_moves, moves, open_dataset, splits, survey
 from pipeline.datasets.avd import FARTHEST_M, SPLITS
 from pipeline.datasets.avd_scan import read_names, read_poses
-from pipeline.errors import InputError
-from pipeline.frame import Frame
-from pipeline.jobs import open_source
-from pipeline.records import frame_record
+from pipeline.geometry.frame import Frame
+from pipeline.system.errors import InputError
 
 SCAN = "Home_001_1"
 

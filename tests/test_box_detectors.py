@@ -14,16 +14,16 @@ from onnx import TensorProto
 from onnx_stubs import write_stub
 from scenes import frame_of, upright
 
-from pipeline.boxes import iou_2d
 from pipeline.datasets import open_dataset
-from pipeline.errors import InputError
-from pipeline.frame import Frame
+from pipeline.geometry.boxes import iou_2d
+from pipeline.geometry.frame import Frame
 from pipeline.proposals import make_detector
 from pipeline.proposals.box_config import BoxInput, read_box_model
 from pipeline.proposals.box_detector import BoxDetector
 from pipeline.proposals.box_placement import place_picture
+from pipeline.system.errors import InputError
 
-EXAMPLES = Path(read_box_model.__code__.co_filename).parent.parent / "data" / "detectors"
+EXAMPLES = Path(read_box_model.__code__.co_filename).with_name("detectors")
 PICTURE: dict[str, Any] = {"image": (TensorProto.FLOAT, (1, 3, 64, 128))}
 NAMES = 'names = ["cup", "table"]\n'
 

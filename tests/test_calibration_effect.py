@@ -12,20 +12,20 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.ask import AskConfig
-from pipeline.boxes import iou_2d
-from pipeline.evaluation.calibration_metrics import expected_calibration_error
+from pipeline.answering.ask import AskConfig
+from pipeline.answering.source import open_source
 from pipeline.evaluation.calibration_tables import calibration_table, ece_estimate, held_out_warning
-from pipeline.evaluation.cases import read_cases
-from pipeline.evaluation.intervals import BootstrapConfig, Estimate
 from pipeline.evaluation.job import evaluate_dataset
 from pipeline.evaluation.raw_scores import detector_scores, is_calibrated, raw_records
 from pipeline.evaluation.records import RAW
 from pipeline.evaluation.run import EvalSpec, evaluate_labels
-from pipeline.jobs import open_source
+from pipeline.geometry.boxes import iou_2d
+from pipeline.labels.cases import read_cases
 from pipeline.labels.job import label_dataset
 from pipeline.labels.plan import SourceSpec
 from pipeline.labels.reading import open_labels
+from pipeline.metrics.calibration_metrics import expected_calibration_error
+from pipeline.metrics.intervals import BootstrapConfig, Estimate
 from pipeline.proposals import top_k
 from pipeline.proposals.score_calibration import (
     FittedFrame,

@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes import camera_of, random_rotation
 
-from pipeline.boxes import CORNER_SIGNS, EDGES, Box3D, iou_2d, iou_3d, ray_entry
-from pipeline.camera import Camera, backproject, intrinsics, lift_pixels, project, to_world
-from pipeline.errors import InputError
-from pipeline.frame import Annotation, Frame
+from pipeline.geometry.boxes import CORNER_SIGNS, EDGES, Box3D, iou_2d, iou_3d, ray_entry
+from pipeline.geometry.camera import Camera, backproject, intrinsics, lift_pixels, project, to_world
+from pipeline.geometry.frame import Annotation, Frame
+from pipeline.system.errors import InputError
 
 CAMERAS = st.builds(
     lambda fx, fy, cx, cy: Camera(intrinsics(fx, fy, cx, cy), 640, 480),

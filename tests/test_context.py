@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pipeline.camera import project, to_world
-from pipeline.context import ContextConfig, ContextMesh, export_mesh, fuse_context, neighbours
 from pipeline.datasets import Dataset, open_dataset
-from pipeline.demo import demo_path
-from pipeline.errors import FrameUnusable, InputError, MissingExtra
+from pipeline.datasets.demo import demo_path
+from pipeline.datasets.fused_mesh import ContextConfig, ContextMesh, export_mesh, fuse_context, neighbours
+from pipeline.geometry.camera import project, to_world
+from pipeline.system.errors import FrameUnusable, InputError, MissingExtra
 
 needs_open3d = pytest.mark.usefixtures("open3d_installed")
 

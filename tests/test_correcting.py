@@ -12,21 +12,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from journal_world import FRAME, an_expression
 
-from pipeline.correcting.desk import Desk
-from pipeline.correcting.disputes import decided, disputes
-from pipeline.correcting.event_lines import event_lines
-from pipeline.correcting.journal_place import JournalPlace
-from pipeline.correcting.rescue import rescue
-from pipeline.correcting.unsaved import Waiting
-from pipeline.errors import InputError
-from pipeline.journal import edits
-from pipeline.journal.batch import actions_of, apply_actions, read_actions
-from pipeline.journal.cells import object_cell, relation_cell
-from pipeline.journal.events import Conflict, NotSaved, Saved
-from pipeline.journal.journal import Journal
-from pipeline.journal.undo import redo
+from pipeline.corrections.desk import Desk
+from pipeline.corrections.disputes import decided, disputes
+from pipeline.corrections.event_lines import event_lines
+from pipeline.corrections.journal import edits
+from pipeline.corrections.journal.batch import actions_of, apply_actions, read_actions
+from pipeline.corrections.journal.cells import object_cell, relation_cell
+from pipeline.corrections.journal.events import Conflict, NotSaved, Saved
+from pipeline.corrections.journal.journal import Journal
+from pipeline.corrections.journal.undo import redo
+from pipeline.corrections.journal_place import JournalPlace
+from pipeline.corrections.rescue import rescue
+from pipeline.corrections.unsaved import Waiting
 from pipeline.labels.reading import Labels
-from pipeline.relations import F, T
+from pipeline.relations.relations import F, T
+from pipeline.system.errors import InputError
 
 Open = Callable[..., Desk]
 
@@ -467,7 +467,7 @@ def test_history_tells_what_was_taken_back_and_whose_it_is(desk: Open, place: Jo
 def test_history_agrees_with_what_undo_would_take(steps: list[str]) -> None:
     from datetime import datetime, timezone
 
-    from pipeline.journal.events import Event
+    from pipeline.corrections.journal.events import Event
 
     cell, value, version = object_cell(FRAME, 1, "label"), "0", 0
     events: list[Event] = []

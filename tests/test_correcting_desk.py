@@ -12,21 +12,21 @@ import pytest
 from journal_world import FRAME, an_expression
 from waiting import LONG_S
 
-from pipeline.correcting import journal_place
-from pipeline.correcting.cards import ASKED_BEYOND_M, pair_card
-from pipeline.correcting.desk import Desk
-from pipeline.correcting.journal_place import JournalPlace
-from pipeline.correcting.scene import labelled_objects
-from pipeline.correcting.unsaved import Waiting
-from pipeline.correcting.wording import said_events
+from pipeline.corrections import journal_place
+from pipeline.corrections.cards import ASKED_BEYOND_M, pair_card
+from pipeline.corrections.desk import Desk
+from pipeline.corrections.journal.edits import judge_relation, set_class, set_relation, set_text
+from pipeline.corrections.journal.events import Conflict, Saved
+from pipeline.corrections.journal.journal import Journal
+from pipeline.corrections.journal_place import JournalPlace
+from pipeline.corrections.scene import labelled_objects
+from pipeline.corrections.unsaved import Waiting
+from pipeline.corrections.wording import said_events
 from pipeline.datasets import Dataset
-from pipeline.errors import InputError
-from pipeline.journal.edits import judge_relation, set_class, set_relation, set_text
-from pipeline.journal.events import Conflict, Saved
-from pipeline.journal.journal import Journal
+from pipeline.geometry.run_length import decode_run_length
 from pipeline.labels.reading import Labels
-from pipeline.relations import F, T, U
-from pipeline.run_length import decode_run_length
+from pipeline.relations.relations import F, T, U
+from pipeline.system.errors import InputError
 
 
 def _away(*_: Any, **__: Any) -> Any:

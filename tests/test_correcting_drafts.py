@@ -9,22 +9,22 @@ import numpy as np
 import pytest
 from journal_world import FRAME, half_of, saved, widest
 
-from pipeline.correcting.consequences import consequences
-from pipeline.correcting.draft import Draft, begun, come_apart, continued, edits_of_draft, fitted, rebased
-from pipeline.drawing.gestures import Canvas, Gesture
-from pipeline.drawing.strokes import polygon_mask, rectangle_mask, stroke_mask
-from pipeline.errors import InputError
-from pipeline.journal import edits
-from pipeline.journal.batch import actions_of, apply_actions
-from pipeline.journal.batch_shapes import needs_pictures
-from pipeline.journal.cells import FIRST_NEW_OBJECT
-from pipeline.journal.edits import pixels_of
-from pipeline.journal.effective import Corrector
-from pipeline.journal.effective_frame import EffectiveFrame
-from pipeline.journal.events import Saved
-from pipeline.journal.journal import Journal
-from pipeline.journal.undo import undo
-from pipeline.relations import PAIRWISE, T
+from pipeline.corrections.consequences import consequences
+from pipeline.corrections.draft import Draft, begun, come_apart, continued, edits_of_draft, fitted, rebased
+from pipeline.corrections.drawing.gestures import Canvas, Gesture
+from pipeline.corrections.drawing.strokes import polygon_mask, rectangle_mask, stroke_mask
+from pipeline.corrections.journal import edits
+from pipeline.corrections.journal.batch import actions_of, apply_actions
+from pipeline.corrections.journal.batch_shapes import needs_pictures
+from pipeline.corrections.journal.cells import FIRST_NEW_OBJECT
+from pipeline.corrections.journal.edits import pixels_of
+from pipeline.corrections.journal.effective import Corrector
+from pipeline.corrections.journal.effective_frame import EffectiveFrame
+from pipeline.corrections.journal.events import Saved
+from pipeline.corrections.journal.journal import Journal
+from pipeline.corrections.journal.undo import undo
+from pipeline.relations.relations import PAIRWISE, T
+from pipeline.system.errors import InputError
 
 
 @pytest.fixture

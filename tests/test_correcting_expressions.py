@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from journal_world import FRAME, an_expression, saved
 
-from pipeline.correcting.expression_cards import (
+from pipeline.corrections.expression_cards import (
     ExpressionCard,
     answers_with,
     expression_card,
@@ -19,11 +19,11 @@ from pipeline.correcting.expression_cards import (
     expression_records,
     set_answer,
 )
-from pipeline.errors import InputError
-from pipeline.journal import edits
-from pipeline.journal.cells import Cell
-from pipeline.journal.effective import Corrector
-from pipeline.journal.journal import Journal
+from pipeline.corrections.journal import edits
+from pipeline.corrections.journal.cells import Cell
+from pipeline.corrections.journal.effective import Corrector
+from pipeline.corrections.journal.journal import Journal
+from pipeline.system.errors import InputError
 
 
 def test_a_card_says_what_the_row_says_and_the_pair_comes_first(bare_corrector: Corrector, journal: Journal) -> None:

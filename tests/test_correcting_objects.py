@@ -11,22 +11,22 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from journal_world import FRAME, half_of, saved, widest
 
-from pipeline.boxes import Box3D
-from pipeline.correcting.box_edits import fit_to_points, snap_to_support, support_of
-from pipeline.correcting.cards import pair_card
-from pipeline.correcting.moving import MovingBox
-from pipeline.correcting.object_card import FIELDS, back_to_automatic, bring_back, object_card
-from pipeline.correcting.scene import labelled_box
-from pipeline.correcting.unsaved import Waiting
-from pipeline.errors import InputError
-from pipeline.journal import edits
-from pipeline.journal.cells import object_cell, relation_cell, same_value
-from pipeline.journal.effective import Corrector
-from pipeline.journal.effective_frame import EffectiveFrame
-from pipeline.journal.events import new_ulid
-from pipeline.journal.journal import Journal, journal_of
-from pipeline.relations import PAIRWISE, F, T
-from pipeline.whatif.box_numbers import box_numbers
+from pipeline.corrections.box_edits import fit_to_points, snap_to_support, support_of
+from pipeline.corrections.cards import pair_card
+from pipeline.corrections.journal import edits
+from pipeline.corrections.journal.cells import object_cell, relation_cell, same_value
+from pipeline.corrections.journal.effective import Corrector
+from pipeline.corrections.journal.effective_frame import EffectiveFrame
+from pipeline.corrections.journal.events import new_ulid
+from pipeline.corrections.journal.journal import Journal, journal_of
+from pipeline.corrections.moving import MovingBox
+from pipeline.corrections.object_card import FIELDS, back_to_automatic, bring_back, object_card
+from pipeline.corrections.scene import labelled_box
+from pipeline.corrections.unsaved import Waiting
+from pipeline.diagnosis.whatif.box_numbers import box_numbers
+from pipeline.geometry.boxes import Box3D
+from pipeline.relations.relations import PAIRWISE, F, T
+from pipeline.system.errors import InputError
 
 
 def box_of_object(frame: EffectiveFrame, number: int) -> Box3D:

@@ -10,13 +10,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes import frame_of, random_rotation, up_of, upright
 
-from pipeline.boxes import Box3D
-from pipeline.correcting.support import Support, Way, find_support, gap_below, snapped
-from pipeline.errors import InputError
-from pipeline.frame import Frame
-from pipeline.objects import FrameContext, SceneObject, all_objects
+from pipeline.answering.objects import FrameContext, SceneObject, all_objects
+from pipeline.corrections.support import Support, Way, find_support, gap_below, snapped
+from pipeline.geometry.boxes import Box3D
+from pipeline.geometry.frame import Frame
+from pipeline.geometry.viewer import viewer_axes
 from pipeline.proposals.annotations import AnnotationDetector
-from pipeline.viewer import viewer_axes
+from pipeline.system.errors import InputError
 
 FLOOR = 1.2
 WAYS: tuple[Way, ...] = ("extend", "move")

@@ -9,21 +9,21 @@ import numpy as np
 import pytest
 from journal_world import FRAME, saved
 
-from pipeline.ask import Trace
-from pipeline.correcting.truth import answered_case, effective_mark, effective_truth, withdrawn_by
+from pipeline.answering.ask import Trace
+from pipeline.answering.objects import FrameContext
+from pipeline.answering.source import Source, open_source
+from pipeline.corrections.journal import edits
+from pipeline.corrections.journal.cells import Cell
+from pipeline.corrections.journal.effective import Corrector
+from pipeline.corrections.journal.effective_frame import EffectiveFrame
+from pipeline.corrections.journal.journal import Journal
+from pipeline.corrections.journal.undo import undo
+from pipeline.corrections.truth import answered_case, effective_mark, effective_truth, withdrawn_by
 from pipeline.diagnosis.live import Judgement, judge_trace, labelled_truth
-from pipeline.errors import InputError
-from pipeline.evaluation.cases import Case, FrameCases
-from pipeline.jobs import Source, open_source
-from pipeline.journal import edits
-from pipeline.journal.cells import Cell
-from pipeline.journal.effective import Corrector
-from pipeline.journal.effective_frame import EffectiveFrame
-from pipeline.journal.journal import Journal
-from pipeline.journal.undo import undo
+from pipeline.labels.cases import Case, FrameCases
 from pipeline.labels.reading import Labels
-from pipeline.objects import FrameContext
-from pipeline.relations import F, T
+from pipeline.relations.relations import F, T
+from pipeline.system.errors import InputError
 
 
 @pytest.fixture(scope="module")

@@ -28,8 +28,6 @@ from dataset_writers import (
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline import plugins
-from pipeline.boxes import Box3D
 from pipeline.datasets import (
     DatasetFormat,
     Settings,
@@ -41,7 +39,9 @@ from pipeline.datasets import (
 )
 from pipeline.datasets.cameras import nearest_rotation
 from pipeline.datasets.images import read_color, read_depth, read_mask
-from pipeline.errors import InputError
+from pipeline.geometry.boxes import Box3D
+from pipeline.system import plugins
+from pipeline.system.errors import InputError
 
 MODELS = {
     "1": {"name": "mug", "min_x": -40, "min_y": -30, "min_z": 0, "size_x": 80, "size_y": 70, "size_z": 90},

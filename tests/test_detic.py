@@ -14,12 +14,12 @@ from onnx import TensorProto
 from onnx_stubs import write_stub
 from scenes import frame_of, upright
 
-from pipeline.errors import InputError, UnknownClass
-from pipeline.frame import Frame
+from pipeline.geometry.frame import Frame
 from pipeline.proposals import make_detector
 from pipeline.proposals.class_names import read_class_names
 from pipeline.proposals.detic import DeticDetector, resized_shape
 from pipeline.proposals.mask_paste import paste_masks
+from pipeline.system.errors import InputError, UnknownClass
 
 NAMES = ("cup", "dining_table", "hot dog", "cracker box", "dog", "cup")
 FREE: dict[str, Any] = {"img": (TensorProto.FLOAT, (1, 3, "h", "w"))}

@@ -10,16 +10,16 @@ from diagnosis_worlds import world
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from pipeline.answering.pair_table import PairTable, RankConfig, ScoredPair, pair_table, side
+from pipeline.answering.ranking import alone, rank
 from pipeline.diagnosis.oracles import CONF, LIFT, RECALL, SRM, STATE_PROBABILITY, SUBSETS, names_of, size, subset_of
-from pipeline.diagnosis.shapley import oracle_deltas
 from pipeline.diagnosis.substitution import given_scores, substitute
 from pipeline.diagnosis.verdict import MARKS, VERDICTS, diagnose
 from pipeline.diagnosis.words import explain
 from pipeline.evaluation.records import HIT, record
-from pipeline.expression import parse
-from pipeline.pair_table import PairTable, RankConfig, ScoredPair, pair_table, side
-from pipeline.ranking import alone, rank
-from pipeline.relations import U
+from pipeline.evaluation.shapley import oracle_deltas
+from pipeline.language.expression import parse
+from pipeline.relations.relations import U
 
 SEEDS = st.integers(0, 2**32 - 1)
 WEIGHTS = st.builds(

@@ -10,15 +10,15 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from pipeline.camera import Camera
-from pipeline.drawing.depth_region import Surface, grown_region, surface_of
-from pipeline.drawing.gestures import Canvas, Gesture, applied, drawn, gesture_of, goes_around, read_gesture
-from pipeline.drawing.splitting import split_by_depth, split_by_line, split_by_polygon
-from pipeline.drawing.strokes import THINNEST, polygon_mask, rectangle_mask, stroke_mask
-from pipeline.errors import InputError
-from pipeline.frame import Frame
-from pipeline.lifting import LiftConfig
-from pipeline.objects import FrameContext
+from pipeline.answering.objects import FrameContext
+from pipeline.corrections.drawing.depth_region import Surface, grown_region, surface_of
+from pipeline.corrections.drawing.gestures import Canvas, Gesture, applied, drawn, gesture_of, goes_around, read_gesture
+from pipeline.corrections.drawing.splitting import split_by_depth, split_by_line, split_by_polygon
+from pipeline.corrections.drawing.strokes import THINNEST, polygon_mask, rectangle_mask, stroke_mask
+from pipeline.geometry.camera import Camera
+from pipeline.geometry.frame import Frame
+from pipeline.geometry.lifting import LiftConfig
+from pipeline.system.errors import InputError
 
 HEIGHT, WIDTH = 60, 80
 near_points = st.lists(

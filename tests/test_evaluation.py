@@ -15,26 +15,26 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
-from pipeline.ask import AskConfig
-from pipeline.errors import InputError
-from pipeline.evaluation.answering import FrameAnswers
-from pipeline.evaluation.cases import read_cases
+from pipeline.answering.answering import FrameAnswers
+from pipeline.answering.ask import AskConfig
+from pipeline.answering.objects import FrameContext
+from pipeline.answering.ranking import alone
+from pipeline.answering.source import open_source
 from pipeline.evaluation.compare import compare, read_records
 from pipeline.evaluation.grounding_tables import problem_warnings
-from pipeline.evaluation.intervals import BootstrapConfig, Estimate
 from pipeline.evaluation.job import evaluate_dataset, make_tables
 from pipeline.evaluation.records import COLUMNS, DETECTIONS, HIT, overlaps, records_schema
 from pipeline.evaluation.reported import read_reported, reported_rows
 from pipeline.evaluation.run import EvalSpec, Evaluator, evaluate_labels, table_of
-from pipeline.evaluation.tables import Row, Table, as_csv, latex, markdown
 from pipeline.evaluation.whole_expression import VlmOptions
-from pipeline.jobs import open_source
+from pipeline.labels.cases import read_cases
 from pipeline.labels.job import label_dataset
 from pipeline.labels.plan import SourceSpec
 from pipeline.labels.reading import open_labels
-from pipeline.objects import FrameContext
-from pipeline.ranking import alone
-from pipeline.relations import PHRASE
+from pipeline.metrics.intervals import BootstrapConfig, Estimate
+from pipeline.metrics.tables import Row, Table, as_csv, latex, markdown
+from pipeline.relations.relations import PHRASE
+from pipeline.system.errors import InputError
 
 FRAMES = 4
 OF_CALIBRATED = {f"{end}_{what}" for end in ("target", "reference") for what in DETECTIONS}

@@ -12,18 +12,18 @@ import numpy as np
 import pytest
 
 import pipeline.evaluation.bench as bench
+from pipeline.answering.objects import FrameContext, mask_iou
+from pipeline.answering.recording import record_detections
+from pipeline.answering.source import open_source
+from pipeline.answering.stage_clock import StageClock
 from pipeline.datasets.capabilities import load_picture
-from pipeline.errors import InputError
 from pipeline.evaluation.run import EvalSpec, evaluate_labels
-from pipeline.evaluation.stage_clock import StageClock
-from pipeline.jobs import open_source
+from pipeline.geometry.lifting import lift
 from pipeline.labels.job import label_dataset
 from pipeline.labels.plan import SourceSpec
-from pipeline.lifting import lift
-from pipeline.objects import FrameContext, mask_iou
-from pipeline.peak_memory import PeakMemory
 from pipeline.proposals.base import reads_annotations
-from pipeline.proposals.recording import record_detections
+from pipeline.system.errors import InputError
+from pipeline.system.peak_memory import PeakMemory
 
 FRAMES = 3
 

@@ -10,23 +10,23 @@ import pyarrow.parquet as pq
 import pytest
 from journal_world import FRAME, an_expression, saved
 
-from pipeline.errors import InputError
-from pipeline.journal import edits
-from pipeline.journal.cells import Cell, object_cell, relation_cell
-from pipeline.journal.effective import Corrector
-from pipeline.journal.journal import Journal, labels_version
-from pipeline.journal.materialise import materialise
+from pipeline.corrections.journal import edits
+from pipeline.corrections.journal.cells import Cell, object_cell, relation_cell
+from pipeline.corrections.journal.effective import Corrector
+from pipeline.corrections.journal.journal import Journal, labels_version
+from pipeline.corrections.journal.materialise import materialise
 from pipeline.labels.exports import export_labels, import_labels
 from pipeline.labels.exports.provenance import ENTRY, REVIEWED, ExportedFrom, extended_schema
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.labels.schema import TABLES
-from pipeline.relations import F
+from pipeline.relations.relations import F
+from pipeline.system.errors import InputError
 
 
 @pytest.fixture(scope="module")
 def corrected(demo_labels: Labels, bare_corrector: Corrector, tmp_path_factory: pytest.TempPathFactory) -> Any:
     """Labels with a renamed object, a flipped relation, marks, statuses and a note, and their events."""
-    from pipeline.journal.journal import journal_of
+    from pipeline.corrections.journal.journal import journal_of
 
     folder = tmp_path_factory.mktemp("corrected")
     with journal_of(demo_labels, folder / "j.sqlite") as journal:

@@ -10,10 +10,10 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from pipeline import grammar, lexicon
-from pipeline.errors import InputError
-from pipeline.expression import Expression, Node, Query, parse
-from pipeline.lexicon import FAR, INVERSES, RELATIONS, SAYS, SAYS_SWAPPED, wording
+from pipeline.language import grammar, lexicon
+from pipeline.language.expression import Expression, Node, Query, parse
+from pipeline.language.lexicon import FAR, INVERSES, RELATIONS, SAYS, SAYS_SWAPPED, wording
+from pipeline.system.errors import InputError
 
 NAMES = [
     "mug", "trash can", "front door", "remote control", "tv stand", "box of tissues on wheels", "pillow on bed",

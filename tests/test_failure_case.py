@@ -14,16 +14,16 @@ import numpy as np
 import pytest
 from whatif_scenes import RowDataset, ScoringDetector, context_of, row, source
 
-from pipeline.camera import Camera
+from pipeline.answering.objects import FrameContext
+from pipeline.answering.source import Source
 from pipeline.datasets import open_dataset
 from pipeline.datasets.saved_case import MANIFEST
+from pipeline.diagnosis.cases import answer_record, find_cases, open_case, replay_case, save_case
+from pipeline.diagnosis.cases.suite import replay_all
 from pipeline.diagnosis.live import annotated_truth
-from pipeline.errors import InputError
-from pipeline.failure_case import answer_record, find_cases, open_case, replay_case, save_case
-from pipeline.failure_case.suite import replay_all
-from pipeline.jobs import Source
-from pipeline.objects import FrameContext
-from pipeline.whatif import Edits, edits_record
+from pipeline.diagnosis.whatif import Edits, edits_record
+from pipeline.geometry.camera import Camera
+from pipeline.system.errors import InputError
 
 TEXT = "mug left of the laptop"
 
@@ -224,7 +224,7 @@ def test_small_moves_of_probabilities_are_warnings_by_tolerance(tmp_path: Path, 
 
 
 def test_a_network_file_is_copied_on_request_and_else_asked_for(tmp_path: Path) -> None:
-    from pipeline.srm import make_scorer, shipped_network
+    from pipeline.relations import make_scorer, shipped_network
 
     file = tmp_path / "mine.onnx"
     shutil.copyfile(shipped_network(), file)

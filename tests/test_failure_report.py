@@ -12,13 +12,13 @@ import pytest
 from test_failure_case import TEXT, NamedDataset, keep, made
 from whatif_scenes import ScoringDetector, context_of, row
 
+from pipeline.answering.objects import FrameContext
+from pipeline.diagnosis.cases import answer, open_case
 from pipeline.diagnosis.live import annotated_truth
-from pipeline.errors import InputError
-from pipeline.failure_case import answer, open_case
-from pipeline.failure_report import Subject, failure_page, write_page
-from pipeline.failure_report.cast import cast_of
-from pipeline.objects import FrameContext
 from pipeline.proposals import AnnotationDetector
+from pipeline.system.errors import InputError
+from spatialviz.report import Subject, failure_page, write_page
+from spatialviz.report.cast import cast_of
 
 HOSTILE = "<script>alert(1)</script> \"'&<img src=x onerror=alert(1)> mug"
 
@@ -109,7 +109,7 @@ def test_a_page_without_truth_or_without_an_answer() -> None:
 
 
 def test_the_picture_is_not_larger_than_a_screen() -> None:
-    from pipeline.failure_report.picture_svg import picture_svg
+    from spatialviz.report.picture_svg import picture_svg
 
     context = context_of()
     used = made()

@@ -13,19 +13,19 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from pipeline.answering.json_records import relation_records
+from pipeline.answering.source import open_source, relate_frames
 from pipeline.datasets import Dataset, open_dataset, read_settings, survey, write_settings
+from pipeline.datasets.demo import demo_path
 from pipeline.datasets.given_up import told_doubts, told_up, with_frame_up
 from pipeline.datasets.up_text import GivenUp, parse_level_at
-from pipeline.demo import demo_path
-from pipeline.errors import InputError
 from pipeline.evaluation.job import evaluate_dataset
 from pipeline.evaluation.run import EvalSpec
-from pipeline.jobs import open_source, relate_frames
 from pipeline.labels.config import LabelConfig
 from pipeline.labels.job import label_dataset
 from pipeline.labels.pictures import labelled_dataset, labelled_up
 from pipeline.labels.plan import SourceSpec, make_plan
-from pipeline.records import relation_records
+from pipeline.system.errors import InputError
 from tests.avd_writer import write_scan
 from tests.dataset_writers import (
     HEIGHT,

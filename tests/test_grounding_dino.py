@@ -20,14 +20,14 @@ from open_vocabulary_models import (
 )
 from scenes import frame_of, upright
 
-from pipeline.errors import InputError, MissingExtra
 from pipeline.evaluation.whole_expression import Referring
-from pipeline.frame import Frame
+from pipeline.geometry.frame import Frame
 from pipeline.proposals import make_detector
 from pipeline.proposals.captions import build_captions, sigmoid, span_scores, token_blocks
 from pipeline.proposals.grounding_dino import CONTRACTS, GroundingDinoDetector
 from pipeline.proposals.resampling import IMAGENET_MEAN, IMAGENET_STD, normalised, pillow_resized, shortest_edge
 from pipeline.proposals.tokenizer_file import load_tokenizer
+from pipeline.system.errors import InputError, MissingExtra
 
 NAMES = ["mug", "hot dog", "Coffee_Mug", "laptop"]
 KEEP_ALL: dict[str, Any] = {"nms_iou": 1.0, "k": 1000}

@@ -9,9 +9,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.boxes import iou_2d, paired_iou_2d
-from pipeline.errors import InputError
-from pipeline.evaluation.grounding_metrics import SWEEP, grounding_outcomes, largest_iou, mean_iou, threshold_sweep
+from pipeline.geometry.boxes import iou_2d, paired_iou_2d
+from pipeline.metrics.grounding_metrics import SWEEP, grounding_outcomes, largest_iou, mean_iou, threshold_sweep
+from pipeline.system.errors import InputError
 
 SEEDS = st.integers(0, 2**32 - 1)
 

@@ -12,19 +12,24 @@ import pytest
 from annotation_tools import polygons, through_cvat
 from journal_world import FRAME, an_expression, half_of, saved, widest
 
+from pipeline.corrections.journal import edits
+from pipeline.corrections.journal.cells import Cell, object_cell, relation_cell
+from pipeline.corrections.journal.effective import Corrector
+from pipeline.corrections.journal.incoming.importing import (
+    ImportConfig,
+    ImportReport,
+    import_corrections,
+    import_record,
+)
+from pipeline.corrections.journal.journal import Journal
+from pipeline.corrections.journal.materialise import materialise
+from pipeline.corrections.journal.undo import undo
 from pipeline.datasets import Dataset
-from pipeline.errors import InputError
-from pipeline.journal import edits
-from pipeline.journal.cells import Cell, object_cell, relation_cell
-from pipeline.journal.effective import Corrector
-from pipeline.journal.incoming.importing import ImportConfig, ImportReport, import_corrections, import_record
-from pipeline.journal.journal import Journal
-from pipeline.journal.materialise import materialise
-from pipeline.journal.undo import undo
+from pipeline.geometry.run_length import decode_run_length, encode_run_length
 from pipeline.labels.exports import export_labels
 from pipeline.labels.reading import Labels, open_labels
-from pipeline.relations import INVERSE, F, T
-from pipeline.run_length import decode_run_length, encode_run_length
+from pipeline.relations.relations import INVERSE, F, T
+from pipeline.system.errors import InputError
 
 Rows = list[dict[str, Any]]
 

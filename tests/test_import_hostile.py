@@ -14,13 +14,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 from journal_world import FRAME
 
-from pipeline.errors import InputError
-from pipeline.journal.incoming import claims as claims_module
-from pipeline.journal.incoming.importing import ImportConfig, ImportReport, import_corrections
-from pipeline.journal.incoming.outlines import is_rectangle, mask_of, polygon_mask, polygons_of, same_outline
-from pipeline.journal.journal import Journal, journal_of
+from pipeline.corrections.journal.incoming import claims as claims_module
+from pipeline.corrections.journal.incoming.importing import ImportConfig, ImportReport, import_corrections
+from pipeline.corrections.journal.incoming.outlines import (
+    is_rectangle,
+    mask_of,
+    polygon_mask,
+    polygons_of,
+    same_outline,
+)
+from pipeline.corrections.journal.journal import Journal, journal_of
 from pipeline.labels.exports import export_labels
 from pipeline.labels.reading import Labels
+from pipeline.system.errors import InputError
 
 Take = Callable[..., ImportReport]
 
@@ -209,7 +215,7 @@ def test_files_that_cannot_be_read(
         with pytest.raises(InputError):
             take(path)
     binary.write_text(json.dumps(lines("objects")[0]) + "\n", encoding="utf-8")
-    from pipeline.journal.incoming import coco_file, jsonl_file
+    from pipeline.corrections.journal.incoming import coco_file, jsonl_file
 
     monkeypatch.setattr(jsonl_file, "BLOCK", 64)
     with pytest.raises(InputError, match="too long"):
@@ -250,7 +256,7 @@ def test_files_of_other_labels_and_other_journals(
 
 
 def test_corrected_labels_take_no_corrections(demo_labels: Labels, journal: Journal, tmp_path: Path) -> None:
-    from pipeline.journal.materialise import materialise
+    from pipeline.corrections.journal.materialise import materialise
     from pipeline.labels.reading import open_labels
 
     materialise(demo_labels, journal, tmp_path / "labels")

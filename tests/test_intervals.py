@@ -12,10 +12,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.errors import InputError
-from pipeline.evaluation.grounding_intervals import grounding_estimates
-from pipeline.evaluation.grounding_metrics import GroundingOutcomes, grounding_outcomes, mean_iou
-from pipeline.evaluation.intervals import (
+from pipeline.metrics.grounding_intervals import grounding_estimates
+from pipeline.metrics.grounding_metrics import GroundingOutcomes, grounding_outcomes, mean_iou
+from pipeline.metrics.intervals import (
     BootstrapConfig,
     Estimate,
     f1_estimate,
@@ -23,9 +22,10 @@ from pipeline.evaluation.intervals import (
     ratio_estimate,
     resample_weights,
 )
-from pipeline.evaluation.relation_intervals import relation_estimates
-from pipeline.evaluation.relation_metrics import cell_outcomes, multi_label_metrics
-from pipeline.relations import DIRECTIONAL
+from pipeline.metrics.relation_intervals import relation_estimates
+from pipeline.metrics.relation_metrics import cell_outcomes, multi_label_metrics
+from pipeline.relations.relations import DIRECTIONAL
+from pipeline.system.errors import InputError
 
 SEEDS = st.integers(0, 2**32 - 1)
 FEW = BootstrapConfig(resamples=200)

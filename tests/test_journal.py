@@ -21,13 +21,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from waiting import LONG_S, wait_until
 
-from pipeline.errors import InputError
-from pipeline.journal.bench import prove, read_report, write_many
-from pipeline.journal.cells import Cell, object_cell, relation_cell
-from pipeline.journal.connection import network_file_system, writing
-from pipeline.journal.events import Conflict, Edit, NotSaved, Saved, new_ulid
-from pipeline.journal.journal import JOURNAL_FILE, Journal, open_journal
-from pipeline.journal.undo import history, redo, undo
+from pipeline.corrections.journal.bench import prove, read_report, write_many
+from pipeline.corrections.journal.cells import Cell, object_cell, relation_cell
+from pipeline.corrections.journal.connection import network_file_system, writing
+from pipeline.corrections.journal.events import Conflict, Edit, NotSaved, Saved, new_ulid
+from pipeline.corrections.journal.journal import JOURNAL_FILE, Journal, open_journal
+from pipeline.corrections.journal.undo import history, redo, undo
+from pipeline.system.errors import InputError
 
 LEFT = relation_cell("scene/0", 1, 2, "left")
 RIGHT = relation_cell("scene/0", 2, 1, "right")
@@ -443,7 +443,7 @@ def test_network_file_systems_are_told_apart(tmp_path: Path) -> None:
 def test_the_migration_makes_the_table_that_the_code_expects(journal: Journal) -> None:
     from sqlalchemy import inspect
 
-    from pipeline.journal.schema import EVENTS
+    from pipeline.corrections.journal.schema import EVENTS
 
     found = {c["name"]: (str(c["type"]), c["nullable"]) for c in inspect(journal.engine).get_columns("events")}
     dialect = journal.engine.dialect

@@ -20,14 +20,14 @@ from postgres_cluster import Cluster, missing, started_cluster
 from sqlalchemy import event
 from waiting import LONG_S, wait_until
 
-from pipeline.errors import InputError
-from pipeline.journal import postgres, server
-from pipeline.journal.cells import object_cell
-from pipeline.journal.connection import likely_cause, reason_of
-from pipeline.journal.events import Edit, NotSaved, Saved
-from pipeline.journal.journal import Journal, open_journal
-from pipeline.journal.postgres import address_of, password_in_file
-from pipeline.journal.undo import redo, undo
+from pipeline.corrections.journal import postgres, server
+from pipeline.corrections.journal.cells import object_cell
+from pipeline.corrections.journal.connection import likely_cause, reason_of
+from pipeline.corrections.journal.events import Edit, NotSaved, Saved
+from pipeline.corrections.journal.journal import Journal, open_journal
+from pipeline.corrections.journal.postgres import address_of, password_in_file
+from pipeline.corrections.journal.undo import redo, undo
+from pipeline.system.errors import InputError
 
 NAME = object_cell("f", 1, "label")
 SECRET = "it's: a\\secret %40"

@@ -14,15 +14,15 @@ from typing import Any
 import pytest
 from journal_world import work_of
 
-from pipeline.errors import InputError
-from pipeline.journal import connection, sqlite_file
-from pipeline.journal.cells import object_cell
-from pipeline.journal.chain import CONTENT, FIRST, Head, chained, judged, link
-from pipeline.journal.events import Edit, NotSaved, Saved
-from pipeline.journal.examining import DamagedJournal, examine
-from pipeline.journal.journal import JOURNAL_FILE, open_journal
-from pipeline.journal.rescue import back_up, check_journal, recover
-from pipeline.journal.undo import undo
+from pipeline.corrections.journal import connection, sqlite_file
+from pipeline.corrections.journal.cells import object_cell
+from pipeline.corrections.journal.chain import CONTENT, FIRST, Head, chained, judged, link
+from pipeline.corrections.journal.events import Edit, NotSaved, Saved
+from pipeline.corrections.journal.examining import DamagedJournal, examine
+from pipeline.corrections.journal.journal import JOURNAL_FILE, open_journal
+from pipeline.corrections.journal.rescue import back_up, check_journal, recover
+from pipeline.corrections.journal.undo import undo
+from pipeline.system.errors import InputError
 
 BEFORE = Path(__file__).parent / "journal_before_chain.sqlite"
 """Made by the release before: three people, two projects, an undo and a redo, a long reason, names of other scripts."""

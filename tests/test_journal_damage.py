@@ -14,13 +14,13 @@ import pytest
 from journal_world import work_of
 from waiting import LONG_S
 
-from pipeline.journal import log_file
-from pipeline.journal.cells import object_cell
-from pipeline.journal.connection import writing
-from pipeline.journal.events import Edit, Event, Saved
-from pipeline.journal.examining import DamagedJournal, examine
-from pipeline.journal.journal import JOURNAL_FILE, open_journal
-from pipeline.journal.log_file import lost_in_log
+from pipeline.corrections.journal import log_file
+from pipeline.corrections.journal.cells import object_cell
+from pipeline.corrections.journal.connection import writing
+from pipeline.corrections.journal.events import Edit, Event, Saved
+from pipeline.corrections.journal.examining import DamagedJournal, examine
+from pipeline.corrections.journal.journal import JOURNAL_FILE, open_journal
+from pipeline.corrections.journal.log_file import lost_in_log
 
 Parts = dict[str, bytearray]
 """The files of a journal by the ends of their names: "", "-wal", "-shm"."""

@@ -10,21 +10,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from journal_world import FRAME, an_expression, half_of, saved, widest
 
-from pipeline.boxes import Box3D
+from pipeline.corrections.journal import edits
+from pipeline.corrections.journal.cells import Cell, box_of, object_cell, relation_cell, same_value
+from pipeline.corrections.journal.effective import Corrector, effective_tables
+from pipeline.corrections.journal.effective_frame import EffectiveFrame
+from pipeline.corrections.journal.journal import Journal, open_journal
+from pipeline.corrections.journal.undo import redo, undo
 from pipeline.datasets import Dataset
 from pipeline.datasets.given_up import with_frame_up
-from pipeline.errors import InputError
-from pipeline.journal import edits
-from pipeline.journal.cells import Cell, box_of, object_cell, relation_cell, same_value
-from pipeline.journal.effective import Corrector, effective_tables
-from pipeline.journal.effective_frame import EffectiveFrame
-from pipeline.journal.journal import Journal, open_journal
-from pipeline.journal.undo import redo, undo
+from pipeline.geometry.boxes import Box3D
 from pipeline.labels.reading import Labels
 from pipeline.labels.schema import TABLES
 from pipeline.labels.tables import validate_rows
-from pipeline.naming import same_class
-from pipeline.relations import PAIRWISE, F, T, U
+from pipeline.language.naming import same_class
+from pipeline.relations.relations import PAIRWISE, F, T, U
+from pipeline.system.errors import InputError
 
 
 def test_labels_without_corrections_are_themselves(

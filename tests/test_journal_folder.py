@@ -10,23 +10,23 @@ import pytest
 from journal_world import FRAME, an_expression, half_of, saved, widest
 from label_sets import write_labels
 
+from pipeline.corrections.journal import edits
+from pipeline.corrections.journal.batch import actions_of, apply_actions
+from pipeline.corrections.journal.cells import Cell, object_cell
+from pipeline.corrections.journal.effective import Corrector, effective_tables
+from pipeline.corrections.journal.events import Conflict, Saved
+from pipeline.corrections.journal.journal import Journal, journal_of
+from pipeline.corrections.journal.materialise import MARKS_FILE, UNAPPLIED_FILE, materialise
+from pipeline.corrections.journal.undo import undo
 from pipeline.datasets import Dataset
-from pipeline.errors import InputError
-from pipeline.evaluation.cases import read_cases
-from pipeline.journal import edits
-from pipeline.journal.batch import actions_of, apply_actions
-from pipeline.journal.cells import Cell, object_cell
-from pipeline.journal.effective import Corrector, effective_tables
-from pipeline.journal.events import Conflict, Saved
-from pipeline.journal.journal import Journal, journal_of
-from pipeline.journal.materialise import MARKS_FILE, UNAPPLIED_FILE, materialise
-from pipeline.journal.undo import undo
+from pipeline.labels.cases import read_cases
 from pipeline.labels.check import check_labels
 from pipeline.labels.corrections import PROVENANCE_FILE
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.labels.schema import TABLES
 from pipeline.labels.tables import validate_rows
-from pipeline.relations import F, U
+from pipeline.relations.relations import F, U
+from pipeline.system.errors import InputError
 
 
 def relabelled(labels: Labels, folder: Path, change: Any) -> Labels:

@@ -16,16 +16,16 @@ from postgres_cluster import missing, running_cluster
 from sqlalchemy.exc import DBAPIError
 from waiting import wait_until
 
-from pipeline.errors import InputError
-from pipeline.journal import connection, postgres
-from pipeline.journal.bench import prove, read_report, write_many
-from pipeline.journal.cells import object_cell, relation_cell
-from pipeline.journal.connection import reading, writing
-from pipeline.journal.events import Conflict, Edit, NotSaved, Saved
-from pipeline.journal.examining import DamagedJournal
-from pipeline.journal.journal import open_journal
-from pipeline.journal.rescue import back_up, check_journal
-from pipeline.journal.undo import redo, undo
+from pipeline.corrections.journal import connection, postgres
+from pipeline.corrections.journal.bench import prove, read_report, write_many
+from pipeline.corrections.journal.cells import object_cell, relation_cell
+from pipeline.corrections.journal.connection import reading, writing
+from pipeline.corrections.journal.events import Conflict, Edit, NotSaved, Saved
+from pipeline.corrections.journal.examining import DamagedJournal
+from pipeline.corrections.journal.journal import open_journal
+from pipeline.corrections.journal.rescue import back_up, check_journal
+from pipeline.corrections.journal.undo import redo, undo
+from pipeline.system.errors import InputError
 
 LEFT = relation_cell("scene/0", 1, 2, "left")
 

@@ -9,13 +9,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.errors import InputError
-from pipeline.journal import undo as undoing
-from pipeline.journal.cells import Cell, judged_item, relation_cell
-from pipeline.journal.events import Conflict, Edit, Saved
-from pipeline.journal.journal import JOURNAL_FILE, Journal, open_journal
-from pipeline.journal.judgements import judgement_cell
-from pipeline.journal.undo import history, next_redo, next_undo, redo, undo
+from pipeline.corrections.journal import undo as undoing
+from pipeline.corrections.journal.cells import Cell, judged_item, relation_cell
+from pipeline.corrections.journal.events import Conflict, Edit, Saved
+from pipeline.corrections.journal.journal import JOURNAL_FILE, Journal, open_journal
+from pipeline.corrections.journal.judgements import judgement_cell
+from pipeline.corrections.journal.undo import history, next_redo, next_undo, redo, undo
+from pipeline.system.errors import InputError
 
 CELLS = [relation_cell("f", 1, b, "left") for b in (2, 3, 4)]
 

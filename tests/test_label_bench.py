@@ -7,7 +7,7 @@ import os
 import numpy as np
 import pytest
 
-from pipeline.labels.bench import (
+from pipeline.evaluation.labels_bench import (
     FIRST_ROOM,
     BenchView,
     bench_job,

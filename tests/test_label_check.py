@@ -18,7 +18,6 @@ from hypothesis import strategies as st
 from label_damages import DAMAGES, Damage, item, pair, put
 from label_damages_pairs import PAIR_DAMAGES
 
-from pipeline.errors import InputError
 from pipeline.labels.check import RULES, Finding, check_labels, finding_record, stream, summarise
 from pipeline.labels.config import LabelConfig
 from pipeline.labels.merge import merge_labels
@@ -27,6 +26,7 @@ from pipeline.labels.reading import open_labels
 from pipeline.labels.schema import TABLES
 from pipeline.labels.shard import label_shard, open_labeller
 from pipeline.labels.store import Store
+from pipeline.system.errors import InputError
 
 CONFIGS = {
     "avd": LabelConfig(),

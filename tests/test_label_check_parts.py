@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 from scenes import camera_of, frame_of, upright
 
+from pipeline.geometry.run_length import encode_run_length
 from pipeline.labels.check.constraints import violations
 from pipeline.labels.check.objects import corners_of, iou_each, moved_towards, projected
 from pipeline.labels.check.relations import shortest_cycle
@@ -19,8 +20,7 @@ from pipeline.labels.check.stream import Rows
 from pipeline.labels.profiles import PROFILES
 from pipeline.labels.schema import TABLES
 from pipeline.labels.tables import arrow_schema
-from pipeline.relations import DIRECTIONAL, PAIRWISE, T
-from pipeline.run_length import encode_run_length
+from pipeline.relations.relations import DIRECTIONAL, PAIRWISE, T
 
 
 @settings(max_examples=150, deadline=None)

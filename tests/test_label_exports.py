@@ -17,12 +17,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from label_sets import K, frame_row, object_row, pair_row, write_labels
 
-from pipeline import plugins
-from pipeline.boxes import Box3D
-from pipeline.camera import Camera, project
 from pipeline.datasets import open_dataset
-from pipeline.demo import demo_path
-from pipeline.errors import InputError
+from pipeline.datasets.demo import demo_path
+from pipeline.geometry.boxes import Box3D
+from pipeline.geometry.camera import Camera, project
 from pipeline.labels.exports import (
     FORMATS,
     ExportFormat,
@@ -40,6 +38,8 @@ from pipeline.labels.reading import Labels
 from pipeline.labels.schema import TABLES, json_schemas
 from pipeline.labels.schema_files import SCHEMA_FOLDER, schema_text
 from pipeline.labels.tables import build_table, content_hash
+from pipeline.system import plugins
+from pipeline.system.errors import InputError
 
 LOSSLESS = [name for name, found in FORMATS.items() if found.lossless]
 

@@ -10,23 +10,23 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.errors import InputError
-from pipeline.jobs import open_source
+from pipeline.answering.objects import FrameContext, all_objects
+from pipeline.answering.source import open_source
 from pipeline.labels.reading import Labels
-from pipeline.objects import FrameContext, all_objects
-from pipeline.relations import DIRECTIONAL, INVERSE, VOCABULARIES, T
-from pipeline.srm import make_scorer
-from pipeline.srm.appearance import Appearance
-from pipeline.srm.calibration import antisymmetric_log_softmax, fit_temperature, log_softmax, softmax
-from pipeline.srm.class_vectors import ClassVectors, vectors_beside
-from pipeline.srm.contract import Contract
-from pipeline.srm.evaluation import evaluate_classes
-from pipeline.srm.features import CLI_FEATURES, FEATURES
-from pipeline.srm.label_data import pair_set, read_label_data
-from pipeline.srm.label_training import LabelTraining, train_on_labels
-from pipeline.srm.model import OnnxScorer
-from pipeline.srm.onnx_file import write_onnx
-from pipeline.srm.train import TrainConfig, train_pairs
+from pipeline.metrics.platt import antisymmetric_log_softmax, fit_temperature, log_softmax, softmax
+from pipeline.relations import make_scorer
+from pipeline.relations.appearance import Appearance
+from pipeline.relations.class_vectors import ClassVectors, vectors_beside
+from pipeline.relations.contract import Contract
+from pipeline.relations.features import CLI_FEATURES, FEATURES
+from pipeline.relations.model import OnnxScorer
+from pipeline.relations.relations import DIRECTIONAL, INVERSE, VOCABULARIES, T
+from pipeline.system.errors import InputError
+from pipeline.training.evaluation import evaluate_classes
+from pipeline.training.label_data import pair_set, read_label_data
+from pipeline.training.label_training import LabelTraining, train_on_labels
+from pipeline.training.onnx_file import write_onnx
+from pipeline.training.train import TrainConfig, train_pairs
 
 pytest.importorskip("torch")
 pytest.importorskip("onnx")

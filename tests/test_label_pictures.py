@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from dataset_writers import write_folder
 
-from pipeline.errors import InputError
 from pipeline.labels.pictures import labelled_dataset
 from pipeline.labels.reading import Labels
+from pipeline.system.errors import InputError
 
 
 def test_a_recording_keeps_the_camera_that_was_said_when_it_was_labelled(demo_labels: Labels, tmp_path: Path) -> None:

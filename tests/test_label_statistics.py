@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 from pipeline.datasets import FrameReport, SurveyCounts, summarise
-from pipeline.errors import InputError, MissingExtra
+from pipeline.geometry.palette import RELATIONS
 from pipeline.labels import database
 from pipeline.labels.database import open_database, quantiles
 from pipeline.labels.reading import Labels, open_labels
@@ -24,8 +24,8 @@ from pipeline.labels.report.folder import FILES
 from pipeline.labels.schema import SCHEMA_VERSION, TABLES
 from pipeline.labels.statistics import DISTANCE_BINS, label_statistics
 from pipeline.labels.tables import arrow_schema, build_table, read_table, write_table
-from pipeline.palette import RELATIONS
-from pipeline.relations import PAIRWISE
+from pipeline.relations.relations import PAIRWISE
+from pipeline.system.errors import InputError, MissingExtra
 
 HOSTILE = (
     "<script>alert(1)</script>", '"><img src=x>', "$\\frac{a$", "[red]mug[/]", "kaffe\n\tkopp",

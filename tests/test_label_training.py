@@ -10,20 +10,20 @@ import numpy as np
 import pytest
 from label_worlds import label_worlds
 
-from pipeline.errors import InputError
-from pipeline.jobs import open_source
+from pipeline.answering.objects import FrameContext, all_objects
+from pipeline.answering.source import open_source
 from pipeline.labels.reading import Labels
-from pipeline.objects import FrameContext, all_objects
-from pipeline.relations import DIRECTIONAL, VOCABULARIES, T, U
-from pipeline.srm.appearance import appearance_of
-from pipeline.srm.class_vectors import ClassVectors
-from pipeline.srm.features import FEATURES, feature_set
-from pipeline.srm.label_data import pair_set, read_label_data
-from pipeline.srm.label_training import LabelTraining, held_out, train_on_labels
-from pipeline.srm.model import OnnxScorer
-from pipeline.srm.onnx_file import save_onnx
-from pipeline.srm.pairs import PairSet
-from pipeline.srm.train import TrainConfig, train_pairs
+from pipeline.relations.appearance import appearance_of
+from pipeline.relations.class_vectors import ClassVectors
+from pipeline.relations.features import FEATURES, feature_set
+from pipeline.relations.model import OnnxScorer
+from pipeline.relations.relations import DIRECTIONAL, VOCABULARIES, T, U
+from pipeline.system.errors import InputError
+from pipeline.training.label_data import pair_set, read_label_data
+from pipeline.training.label_training import LabelTraining, held_out, train_on_labels
+from pipeline.training.onnx_file import save_onnx
+from pipeline.training.pairs import PairSet
+from pipeline.training.train import TrainConfig, train_pairs
 
 pytest.importorskip("torch")
 pytest.importorskip("onnx")
@@ -116,7 +116,7 @@ def test_pairs_in_doubt_change_nothing() -> None:
 def test_a_doubtful_cell_has_no_gradient() -> None:
     import torch
 
-    from pipeline.srm.train import _loss
+    from pipeline.training.train import _loss
 
     states = random_pairs(np.random.default_rng(1), 32).states
     logits = torch.randn(32, 6, requires_grad=True)

@@ -20,15 +20,16 @@ from other_makers import FIGURES, FLIPS, REGIMES, figures, tallied
 from scenes import frame_of, upright
 from waiting import wait_until
 
-from pipeline.demo import demo_path
-from pipeline.errors import InputError
-from pipeline.frame import Annotation, Frame
-from pipeline.jobs import open_source
+from pipeline.answering.objects import FrameContext, all_objects
+from pipeline.answering.source import open_source
+from pipeline.datasets.demo import demo_path
+from pipeline.geometry.frame import Annotation, Frame
+from pipeline.geometry.lifting import LiftedObject
+from pipeline.geometry.viewer import ViewerAxes
 from pipeline.labels.config import LabelConfig, SelectConfig
 from pipeline.labels.job import label_dataset
 from pipeline.labels.labelling import FrameLabels, in_doubt, judge_objects, label_objects
 from pipeline.labels.merge import merge_labels
-from pipeline.labels.noun_phrase import readable
 from pipeline.labels.occlusion import occluded_share
 from pipeline.labels.plan import SourceSpec, load_plan, make_plan, part_of, save_plan
 from pipeline.labels.profiles import PROFILES
@@ -38,13 +39,12 @@ from pipeline.labels.second_opinion import doubted, open_second_opinion
 from pipeline.labels.shard import label_shard, open_labeller
 from pipeline.labels.store import Store
 from pipeline.labels.tables import PART_TABLES, content_hash, read_table, validate_rows
-from pipeline.lifting import LiftedObject
-from pipeline.naming import same_class
-from pipeline.objects import FrameContext, all_objects
+from pipeline.language.naming import same_class
+from pipeline.language.noun_phrase import readable
 from pipeline.proposals.annotations import AnnotationDetector
-from pipeline.relations import DIRECTIONAL, INVERSE, PAIRWISE, directional_states
-from pipeline.srm.model import OnnxScorer
-from pipeline.viewer import ViewerAxes
+from pipeline.relations.model import OnnxScorer
+from pipeline.relations.relations import DIRECTIONAL, INVERSE, PAIRWISE, directional_states
+from pipeline.system.errors import InputError
 
 DEMO = SourceSpec("demo")
 FRAMES = 6

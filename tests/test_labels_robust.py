@@ -16,9 +16,8 @@ import pytest
 from waiting import wait_until
 
 from pipeline import __version__
-from pipeline.demo import demo_path
-from pipeline.errors import InputError, MissingExtra
-from pipeline.labels import merge, whole_files
+from pipeline.datasets.demo import demo_path
+from pipeline.labels import merge
 from pipeline.labels.config import LabelConfig, SelectConfig
 from pipeline.labels.job import label_dataset
 from pipeline.labels.merge import merge_labels
@@ -26,7 +25,9 @@ from pipeline.labels.plan import SourceSpec, files_hash, load_plan, make_plan, s
 from pipeline.labels.reading import open_labels
 from pipeline.labels.shard import label_shard, open_labeller
 from pipeline.labels.store import Store
-from pipeline.labels.whole_files import clear_abandoned, temporary_beside
+from pipeline.system import whole_files
+from pipeline.system.errors import InputError, MissingExtra
+from pipeline.system.whole_files import clear_abandoned, temporary_beside
 
 DEMO = SourceSpec("demo")
 QUICK = LabelConfig(second_opinion="none")

@@ -10,9 +10,9 @@ from hypothesis import strategies as st
 from scenes import Plane, angle_deg, camera_of, cast, up_of, upright
 from test_viewer import noisy
 
-from pipeline.camera import Camera
-from pipeline.errors import InputError
-from pipeline.level_plane import (
+from pipeline.datasets.synthetic import camera_at, make_room, sense_view
+from pipeline.geometry.camera import Camera
+from pipeline.geometry.level_plane import (
     MIN_SCORE,
     WALL_AHEAD_DEG,
     decided,
@@ -21,8 +21,8 @@ from pipeline.level_plane import (
     level_plane,
     up_hypotheses,
 )
-from pipeline.synthetic import camera_at, make_room, sense_view
-from pipeline.viewer import resolve_up, viewer_axes
+from pipeline.geometry.viewer import resolve_up, viewer_axes
+from pipeline.system.errors import InputError
 
 CAMERA = camera_of()
 

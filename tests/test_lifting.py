@@ -10,11 +10,21 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes import Plane, camera_of, cast, filled_cloud, random_rotation, solid, up_of, upright
 
-from pipeline.boxes import Box3D, iou_3d
-from pipeline.camera import project
-from pipeline.fitting import AXIS_RELABELLINGS, canonicalised, extents_of, gravity_box, pca_box
-from pipeline.lifting import LiftConfig, LiftedObject, Pixel, Quality, clean, depth_edges, extents, fit_box, lift
-from pipeline.viewer import viewer_axes
+from pipeline.geometry.boxes import Box3D, iou_3d
+from pipeline.geometry.camera import project
+from pipeline.geometry.fitting import AXIS_RELABELLINGS, canonicalised, extents_of, gravity_box, pca_box
+from pipeline.geometry.lifting import (
+    LiftConfig,
+    LiftedObject,
+    Pixel,
+    Quality,
+    clean,
+    depth_edges,
+    extents,
+    fit_box,
+    lift,
+)
+from pipeline.geometry.viewer import viewer_axes
 
 SEEDS = st.integers(0, 2**32 - 1)
 LEVEL = viewer_axes(np.array([0, -1.0, 0]))

@@ -12,7 +12,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from journal_world import FRAME, an_expression, saved
 
-from pipeline.evaluation.intervals import BootstrapConfig
+from pipeline.answering.recording import record_detections
+from pipeline.answering.source import open_source
+from pipeline.corrections.journal import edits
+from pipeline.corrections.journal.cells import Cell
+from pipeline.corrections.journal.effective import Corrector, effective_tables
+from pipeline.corrections.journal.journal import Journal
 from pipeline.evaluation.job import RunReport, evaluate_dataset
 from pipeline.evaluation.relation_systems import RelationSpec, open_systems
 from pipeline.evaluation.run import EvalSpec
@@ -31,19 +36,14 @@ from pipeline.evaluation.shared_makers import (
     shares_rule_and_cloud,
     title_of,
 )
-from pipeline.evaluation.tables import Row, Table, as_csv, in_blocks, latex, markdown
-from pipeline.jobs import open_source
-from pipeline.journal import edits
-from pipeline.journal.cells import Cell
-from pipeline.journal.effective import Corrector, effective_tables
-from pipeline.journal.journal import Journal
 from pipeline.labels.job import label_dataset
 from pipeline.labels.makers import Decided, Makers, Model, makers_of, mask_makers
 from pipeline.labels.plan import SourceSpec
 from pipeline.labels.reading import MANIFEST_FILE, Labels, open_labels
 from pipeline.labels.second_opinion import NONE
-from pipeline.proposals.recording import record_detections
-from pipeline.relations import PROFILE, T
+from pipeline.metrics.intervals import BootstrapConfig
+from pipeline.metrics.tables import Row, Table, as_csv, in_blocks, latex, markdown
+from pipeline.relations.relations import PROFILE, T
 
 QUICK = BootstrapConfig(resamples=50)
 A, B = "0123456789abcdef0123456789abcdef", "fedcba9876543210fedcba9876543210"

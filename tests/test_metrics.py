@@ -11,14 +11,13 @@ from hypothesis import strategies as st
 from scipy.stats import binomtest
 from sklearn import metrics as oracle
 
-from pipeline.errors import InputError
-from pipeline.evaluation.calibration_metrics import (
+from pipeline.metrics.calibration_metrics import (
     brier_score,
     calibration_metrics,
     expected_calibration_error,
     reliability_diagram,
 )
-from pipeline.evaluation.relation_metrics import (
+from pipeline.metrics.relation_metrics import (
     RelationMetrics,
     all_negative_row,
     average_precision,
@@ -26,9 +25,10 @@ from pipeline.evaluation.relation_metrics import (
     multi_label_metrics,
     tuned_thresholds,
 )
-from pipeline.evaluation.significance import mcnemar
-from pipeline.evaluation.single_label_metrics import single_label_metrics, true_ranks
-from pipeline.relations import DIRECTIONAL
+from pipeline.metrics.significance import mcnemar
+from pipeline.metrics.single_label_metrics import single_label_metrics, true_ranks
+from pipeline.relations.relations import DIRECTIONAL
+from pipeline.system.errors import InputError
 
 SEEDS = st.integers(0, 2**32 - 1)
 NAMES = ("behind", "left", "right", "front", "on", "in")

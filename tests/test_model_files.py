@@ -10,16 +10,17 @@ from pathlib import Path
 import pytest
 from model_hub import Hub, running_hub
 
-from pipeline.errors import InputError, MissingExtra
+from pipeline.answering.model_catalogue import describe_file
 from pipeline.evaluation.run import EvalSpec
 from pipeline.evaluation.run_folder import _read_spec, spec_record
 from pipeline.labels.plan import SourceSpec
-from pipeline.proposals import known_models as table
-from pipeline.proposals import model_files
-from pipeline.proposals.known_models import KnownFile, KnownModel, known_models
 from pipeline.proposals.mismatch import DETECTORS
-from pipeline.proposals.model_catalogue import describe_file
-from pipeline.proposals.model_files import (
+from pipeline.proposals.segmenter_contracts import CONTRACTS
+from pipeline.system import known_models as table
+from pipeline.system import model_files
+from pipeline.system.errors import InputError, MissingExtra
+from pipeline.system.known_models import KnownFile, KnownModel, known_models
+from pipeline.system.model_files import (
     HubId,
     all_fetched,
     fetched,
@@ -28,7 +29,6 @@ from pipeline.proposals.model_files import (
     resolve_model,
     sha256_of,
 )
-from pipeline.proposals.segmenter_contracts import CONTRACTS
 
 FIRST, SECOND = "a" * 40, "b" * 40
 REPO = "someone/a-model"

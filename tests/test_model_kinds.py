@@ -17,20 +17,14 @@ from model_stubs import STUBS, change, grown, halved, loosened, poisoned, write_
 from scenes import frame_of, upright
 from waiting import LONG_S
 
-from pipeline.errors import InputError
-from pipeline.execution import (
-    PROVIDER_VARIABLE,
-    ProviderWarning,
-    use_execution,
-    wanted_accelerator,
-    warn_once,
-)
-from pipeline.frame import Frame
+from pipeline.geometry.frame import Frame
 from pipeline.proposals import make_detector, make_segmenter
 from pipeline.proposals.base import reads_annotations
 from pipeline.proposals.ensemble import EnsembleDetector
 from pipeline.proposals.mismatch import explain_mismatch, recognise
-from pipeline.proposals.onnx_session import open_session
+from pipeline.system.errors import InputError
+from pipeline.system.execution import PROVIDER_VARIABLE, ProviderWarning, use_execution, wanted_accelerator, warn_once
+from pipeline.system.onnx_session import open_session
 
 pytest.importorskip("tokenizers", reason="detectors that read text need the extra hub")
 ROOT = Path(__file__).resolve().parent.parent
@@ -299,8 +293,8 @@ def test_the_command_lists_what_there_is(tmp_path: Path) -> None:
 
 
 def test_a_long_run_is_counted_and_keeps_its_memory(files: dict[str, Path], tmp_path: Path) -> None:
-    from pipeline.jobs import open_source
-    from pipeline.proposals.endurance import run_endurance
+    from pipeline.answering.endurance import run_endurance
+    from pipeline.answering.source import open_source
 
     source = open_source("demo", detector="yolo-seg", model=files["yolo-seg"], srm="rule")
     seen: list[tuple[int, int]] = []

@@ -14,13 +14,13 @@ from onnx import TensorProto
 from onnx_stubs import write_stub
 from scenes import frame_of, upright
 
-from pipeline.errors import InputError
-from pipeline.frame import Frame
+from pipeline.geometry.frame import Frame
 from pipeline.proposals import detic, make_detector, make_segmenter, sam
 from pipeline.proposals.class_names import metadata_names
 from pipeline.proposals.letterbox import letterbox
-from pipeline.proposals.onnx_session import metadata, model_hash, open_session
 from pipeline.proposals.resampling import shortest_edge
+from pipeline.system.errors import InputError
+from pipeline.system.onnx_session import metadata, model_hash, open_session
 
 
 @pytest.fixture(autouse=True)

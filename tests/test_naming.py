@@ -10,8 +10,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.errors import InputError
-from pipeline.naming import TABLE, Synonyms, default_synonyms, match, normal_form, same_class, singular, suggest
+from pipeline.language.naming import (
+    TABLE,
+    Synonyms,
+    default_synonyms,
+    match,
+    normal_form,
+    same_class,
+    singular,
+    suggest,
+)
+from pipeline.system.errors import InputError
 
 _COCO = (
     "person|bicycle|car|motorcycle|airplane|bus|train|truck|boat|traffic light|fire hydrant|stop sign|parking meter"

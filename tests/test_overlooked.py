@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import pytest
 
-from pipeline.frame import Frame
-from pipeline.jobs import Source, open_source
-from pipeline.overlooked import overlooked
+from pipeline.answering.overlooked import overlooked
+from pipeline.answering.source import Source, open_source
+from pipeline.geometry.frame import Frame
 from pipeline.proposals.base import Proposals
 
 

@@ -12,12 +12,12 @@ from onnx_stubs import OWL, write_stub
 from open_vocabulary_models import SIDE, Export, export_owl, owl
 from scenes import camera_of, frame_of, upright
 
-from pipeline.errors import InputError
 from pipeline.evaluation.whole_expression import Referring
-from pipeline.frame import Frame
+from pipeline.geometry.frame import Frame
 from pipeline.proposals import make_detector
 from pipeline.proposals.owl import CONTRACTS, OwlDetector
 from pipeline.proposals.resampling import CLIP_MEAN, CLIP_STD, normalised, padded_square, pillow_resized
+from pipeline.system.errors import InputError
 
 KINDS = ("owlv2", "owlvit")
 NAMES = ["mug", "Hot_Dog", "dog", "tap"]

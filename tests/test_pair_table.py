@@ -11,14 +11,14 @@ from diagnosis_worlds import world
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from pipeline.answering.pair_table import MIN_RELATION, MIN_SCORE, TIE, RankConfig
+from pipeline.answering.ranking import rank
 from pipeline.diagnosis.substitution import substitute
 from pipeline.diagnosis.verdict import diagnose
+from pipeline.diagnosis.whatif.decision_map import _vectorised
 from pipeline.evaluation.records import record
-from pipeline.expression import parse
-from pipeline.pair_table import MIN_RELATION, MIN_SCORE, TIE, RankConfig
-from pipeline.ranking import rank
-from pipeline.relations import PAIRWISE
-from pipeline.whatif.decision_map import _vectorised
+from pipeline.language.expression import parse
+from pipeline.relations.relations import PAIRWISE
 
 SEEDS = st.integers(0, 2**32 - 1)
 CONFIGS = st.builds(

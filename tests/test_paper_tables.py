@@ -15,7 +15,6 @@ from run_records import random_records
 
 from pipeline.datasets import given_expressions, open_dataset
 from pipeline.datasets.semantic_abstraction_splits import SUBSETS, subsets_of
-from pipeline.evaluation.intervals import BootstrapConfig, Estimate
 from pipeline.evaluation.job import RunReport, evaluate_dataset
 from pipeline.evaluation.paper_run import tables_of_run
 from pipeline.evaluation.paper_tables import ALL_NEGATIVE, AVD, IMITATION, SA, Evaluated, paper_tables
@@ -24,13 +23,14 @@ from pipeline.evaluation.relation_systems import RelationSpec
 from pipeline.evaluation.reported import read_reported
 from pipeline.evaluation.run import EvalSpec
 from pipeline.evaluation.shared_makers import AGREEMENT, PERFECT
-from pipeline.evaluation.tables import Row, Table, as_csv, latex, markdown
 from pipeline.labels.check import check_labels
 from pipeline.labels.config import LabelConfig
 from pipeline.labels.job import label_dataset
 from pipeline.labels.plan import SourceSpec
 from pipeline.labels.reading import Labels, open_labels
-from pipeline.relations import DIRECTIONAL, VOCABULARIES
+from pipeline.metrics.intervals import BootstrapConfig, Estimate
+from pipeline.metrics.tables import Row, Table, as_csv, latex, markdown
+from pipeline.relations.relations import DIRECTIONAL, VOCABULARIES
 
 QUICK = BootstrapConfig(resamples=100)
 OF_SUBSETS = tuple(f"{k} {s}" for k in ("Top-1", "Top-2") for s in SUBSETS)

@@ -9,10 +9,10 @@ from pipeline.evaluation.compare import read_records
 from pipeline.evaluation.gain_tables import relation_gain
 from pipeline.evaluation.job import evaluate_dataset
 from pipeline.evaluation.run import EvalSpec, evaluate_labels
-from pipeline.evaluation.tables import markdown
 from pipeline.labels.job import label_dataset
 from pipeline.labels.plan import SourceSpec
 from pipeline.labels.reading import Labels
+from pipeline.metrics.tables import markdown
 
 
 def test_the_relation_adds_ten_points_in_rendered_rooms(label_sets: dict[str, Labels], tmp_path: Path) -> None:

@@ -7,13 +7,13 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from pipeline.demo import demo_labels
-from pipeline.diagnosis.planted import KINDS, Outcome, Planted, clean_source, confusion, judge, planted_failures
-from pipeline.evaluation.cases import read_cases
+from pipeline.answering.objects import FrameContext
+from pipeline.answering.source import Source, open_source
+from pipeline.datasets.demo import demo_labels
+from pipeline.evaluation.planted import KINDS, Outcome, Planted, clean_source, confusion, judge, planted_failures
 from pipeline.evaluation.run import class_names_of
-from pipeline.jobs import Source, open_source
+from pipeline.labels.cases import read_cases
 from pipeline.labels.reading import open_labels
-from pipeline.objects import FrameContext
 
 NAMED = 0.95
 BY_DEFINITION = ("OPM-TARGET", "OPM-REF", "PARSE", "LABEL", "OPM-CONF")

@@ -6,9 +6,9 @@ from typing import Any
 
 import pytest
 
-from pipeline import plugins
-from pipeline.errors import InputError
 from pipeline.proposals import make_detector, make_segmenter
+from pipeline.system import plugins
+from pipeline.system.errors import InputError
 
 
 class Point:

@@ -12,12 +12,11 @@ import numpy as np
 import pytest
 from sam_exports import SAM2_SIDE, Export, export_sam, export_sam2, save
 
+from pipeline.answering.source import open_source
 from pipeline.datasets import Dataset
-from pipeline.errors import InputError
 from pipeline.evaluation.run import EvalSpec
 from pipeline.evaluation.run_folder import _read_spec, spec_record
-from pipeline.frame import Frame
-from pipeline.jobs import open_source
+from pipeline.geometry.frame import Frame
 from pipeline.proposals import make_segmenter
 from pipeline.proposals.efficientsam import EfficientSamModel
 from pipeline.proposals.mask_cache import CachedSegmenter
@@ -25,6 +24,7 @@ from pipeline.proposals.prompted import PromptedSegmenter
 from pipeline.proposals.sam import SamModel
 from pipeline.proposals.sam2 import Sam2Model
 from pipeline.proposals.segmenter_contracts import CONTRACTS
+from pipeline.system.errors import InputError
 
 
 @pytest.fixture(scope="session")

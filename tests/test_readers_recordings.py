@@ -34,13 +34,13 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from semantic_abstraction_writer import write_view
 
-from pipeline.camera import backproject
 from pipeline.datasets import open_dataset, summarise, survey
 from pipeline.datasets.capabilities import dataset_notes
 from pipeline.datasets.tum import _match
-from pipeline.errors import InputError
-from pipeline.frame import Frame
-from pipeline.level_plane import level_plane
+from pipeline.geometry.camera import backproject
+from pipeline.geometry.frame import Frame
+from pipeline.geometry.level_plane import level_plane
+from pipeline.system.errors import InputError
 
 CAMERA = (60.0, 61.0, 31.5, 23.5)
 

@@ -13,15 +13,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from shelf import NAMES, SHELF, H, W, rows_of
 
-from pipeline.ask import AskConfig, ask
-from pipeline.demo import demo_path
-from pipeline.errors import InputError
-from pipeline.jobs import Source, frame_range, open_source
+from pipeline.answering.ask import AskConfig, ask
+from pipeline.answering.recording import record_detections
+from pipeline.answering.source import Source, frame_range, open_source
+from pipeline.datasets.demo import demo_path
+from pipeline.geometry.run_length import decode_crop, decode_run_length, encode_run_length
 from pipeline.proposals import top_k
 from pipeline.proposals.recorded import RecordedDetector
-from pipeline.proposals.recording import record_detections
 from pipeline.proposals.simulated import SimulatedDetector
-from pipeline.run_length import decode_crop, decode_run_length, encode_run_length
+from pipeline.system.errors import InputError
 
 SEEDS = st.integers(0, 2**32 - 1)
 OTHER = replace(SHELF, id="scene/1")

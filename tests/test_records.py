@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 from scenes import frame_of, upright
 
-from pipeline.ask import ask
+from pipeline.answering.ask import ask
+from pipeline.answering.json_records import frame_record, object_record, relation_records, trace_record, why_no_answer
+from pipeline.answering.objects import FrameContext, all_objects
+from pipeline.answering.source import FrameRelations, open_source, relate_frames
 from pipeline.datasets import open_dataset
 from pipeline.datasets.survey import survey
-from pipeline.frame import Frame
-from pipeline.jobs import FrameRelations, open_source, relate_frames
-from pipeline.objects import FrameContext, all_objects
+from pipeline.geometry.frame import Frame
 from pipeline.proposals import AnnotationDetector, Proposals
-from pipeline.records import frame_record, object_record, relation_records, trace_record, why_no_answer
-from pipeline.relations import PAIRWISE
-from pipeline.srm import make_scorer
+from pipeline.relations import make_scorer
+from pipeline.relations.relations import PAIRWISE
 
 TRUTH = AnnotationDetector(("mug", "laptop", "lamp"))
 OBJECT_KEYS = {"id", "label", "score", "bbox", "center", "size", "R", "quality"}

@@ -12,22 +12,22 @@ import numpy as np
 import pytest
 from label_worlds import label_worlds
 
-from pipeline.errors import InputError
-from pipeline.evaluation.intervals import BootstrapConfig, Estimate
 from pipeline.evaluation.job import RunReport, evaluate_dataset
 from pipeline.evaluation.relation_records import read_relation_records
 from pipeline.evaluation.relation_report import BY_RELATION, MEASURES, all_systems, counted_pairs
 from pipeline.evaluation.relation_systems import RelationSpec
 from pipeline.evaluation.run import EvalSpec
 from pipeline.evaluation.shared_makers import AGREEMENT
-from pipeline.evaluation.tables import Row, markdown
 from pipeline.evaluation.whole_expression import VlmOptions
 from pipeline.labels.reading import MANIFEST_FILE, Labels, open_labels
-from pipeline.relations import DIRECTIONAL, PHRASE, VOCABULARIES
-from pipeline.srm.label_training import LabelTraining, train_on_labels
-from pipeline.srm.model import OnnxScorer
-from pipeline.srm.splits import DROPPED, VALIDATION
-from pipeline.srm.train import TrainConfig
+from pipeline.metrics.intervals import BootstrapConfig, Estimate
+from pipeline.metrics.splits import DROPPED, VALIDATION
+from pipeline.metrics.tables import Row, markdown
+from pipeline.relations.model import OnnxScorer
+from pipeline.relations.relations import DIRECTIONAL, PHRASE, VOCABULARIES
+from pipeline.system.errors import InputError
+from pipeline.training.label_training import LabelTraining, train_on_labels
+from pipeline.training.train import TrainConfig
 
 pytest.importorskip("torch")
 pytest.importorskip("onnx")
@@ -165,7 +165,7 @@ def test_the_row_that_always_says_no(run: tuple[RunReport, Path]) -> None:
 def test_probabilities_are_those_of_relations_and_the_rule_agrees_with_its_own_labels(
     run: tuple[RunReport, Path], networks: dict[str, Path]
 ) -> None:
-    from pipeline.jobs import open_source, relate_frames
+    from pipeline.answering.source import open_source, relate_frames
 
     _, out = run
     import pyarrow.parquet as pq

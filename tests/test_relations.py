@@ -11,9 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes import filled_cloud, frame_of, up_of, upright
 
-from pipeline.arrangement import between_states, distances, superlative_states
-from pipeline.lifting import extents
-from pipeline.relations import (
+from pipeline.geometry.lifting import extents
+from pipeline.geometry.viewer import viewer_axes
+from pipeline.relations import RuleScorer, make_scorer
+from pipeline.relations.arrangement import between_states, distances, superlative_states
+from pipeline.relations.relations import (
     DIRECTIONAL,
     INVERSE,
     PAIRWISE,
@@ -26,8 +28,6 @@ from pipeline.relations import (
     letter,
     pairwise_states,
 )
-from pipeline.srm import RuleScorer, make_scorer
-from pipeline.viewer import viewer_axes
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -405,7 +405,7 @@ def test_every_relation_has_its_phrase_and_vocabularies_name_known_ones() -> Non
 
 
 def test_the_rule_scorer_turns_states_into_probabilities() -> None:
-    from pipeline.objects import FrameContext, all_objects
+    from pipeline.answering.objects import FrameContext, all_objects
     from pipeline.proposals import AnnotationDetector
 
     frame = frame_of([upright((-0.4, 0.9, 2), (0.3, 0.3, 0.3)), upright((0.4, 0.9, 2), (0.3, 0.3, 0.3))], ["a", "b"])
@@ -421,7 +421,7 @@ def test_the_rule_scorer_turns_states_into_probabilities() -> None:
 
 
 def test_an_unknown_scorer_is_refused() -> None:
-    from pipeline.errors import InputError
+    from pipeline.system.errors import InputError
 
     with pytest.raises(InputError, match=r"no relation scorer 'magic'.*rule"):
         make_scorer("magic")

@@ -9,24 +9,24 @@ import numpy as np
 import pytest
 from review_labels import with_relations
 
-from pipeline.correcting.desk import Desk
-from pipeline.correcting.journal_place import JournalPlace
-from pipeline.errors import InputError
+from pipeline.corrections.desk import Desk
+from pipeline.corrections.journal.edits import set_relation
+from pipeline.corrections.journal.events import Saved
+from pipeline.corrections.journal_place import JournalPlace
+from pipeline.corrections.review.circle import AFTER, BEFORE, Circle, CircleJob, run_circle
+from pipeline.corrections.review.retraining import RetrainConfig
 from pipeline.evaluation.compare import read_records
-from pipeline.evaluation.intervals import BootstrapConfig
 from pipeline.evaluation.job import evaluate_dataset
 from pipeline.evaluation.run import EvalSpec
 from pipeline.evaluation.run_folder import open_run
-from pipeline.journal.edits import set_relation
-from pipeline.journal.events import Saved
 from pipeline.labels.reading import Labels
-from pipeline.relations import DIRECTIONAL, F, T
-from pipeline.review.circle import AFTER, BEFORE, Circle, CircleJob, run_circle
-from pipeline.review.retraining import RetrainConfig
-from pipeline.srm.label_data import read_label_data
-from pipeline.srm.label_training import LabelTraining, train_on_labels
-from pipeline.srm.splits import TEST, split_frames
-from pipeline.srm.train import TrainConfig
+from pipeline.metrics.intervals import BootstrapConfig
+from pipeline.metrics.splits import TEST, split_frames
+from pipeline.relations.relations import DIRECTIONAL, F, T
+from pipeline.system.errors import InputError
+from pipeline.training.label_data import read_label_data
+from pipeline.training.label_training import LabelTraining, train_on_labels
+from pipeline.training.train import TrainConfig
 
 pytest.importorskip("torch")
 pytest.importorskip("onnx")

@@ -7,14 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.errors import InputError
-from pipeline.review.confident import (
+from pipeline.corrections.review.confident import (
     Noise,
     confident_joint,
     estimate_noise,
     probability_wrong,
     self_confidence,
 )
+from pipeline.system.errors import InputError
 
 
 def labelled(count: int, no_for_yes: float, yes_for_no: float, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

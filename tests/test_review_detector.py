@@ -8,15 +8,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pipeline.corrections.review.detector_evidence import compared, detector_evidence
+from pipeline.corrections.review.evidence import DISPUTED, UNMATCHED, WARNED
+from pipeline.corrections.review.items import ItemKey, item_keys, missing_object
+from pipeline.corrections.review.queue import QueueConfig, review_queue
 from pipeline.datasets import Dataset
-from pipeline.errors import InputError
 from pipeline.labels.reading import Labels
 from pipeline.proposals import make_detector
 from pipeline.proposals.base import Proposals
-from pipeline.review.detector_evidence import compared, detector_evidence
-from pipeline.review.evidence import DISPUTED, UNMATCHED, WARNED
-from pipeline.review.items import ItemKey, item_keys, missing_object
-from pipeline.review.queue import QueueConfig, review_queue
+from pipeline.system.errors import InputError
 
 
 class Named:

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.errors import InputError
-from pipeline.review.folds import make_folds
-from pipeline.srm.splits import FrameKey
+from pipeline.corrections.review.folds import make_folds
+from pipeline.metrics.splits import FrameKey
+from pipeline.system.errors import InputError
 
 
 def keys(scenes: list[int], positions: np.ndarray | None = None) -> list[FrameKey]:

@@ -13,12 +13,9 @@ from hypothesis import strategies as st
 from review_labels import copied, with_relations
 from sklearn.metrics import cohen_kappa_score
 
-from pipeline.errors import InputError
-from pipeline.labels.reading import Labels, open_labels
-from pipeline.labels.tables import write_table
-from pipeline.review.agreement import agreement_of, cohen_kappa
-from pipeline.review.evidence import matched_boxes
-from pipeline.review.items import (
+from pipeline.corrections.review.agreement import agreement_of, cohen_kappa
+from pipeline.corrections.review.evidence import matched_boxes
+from pipeline.corrections.review.items import (
     KINDS,
     STATES,
     ItemKey,
@@ -27,9 +24,12 @@ from pipeline.review.items import (
     progress_counts,
     with_states,
 )
-from pipeline.review.out_of_fold import DoubtConfig
-from pipeline.review.queue import QueueConfig, review_queue
-from pipeline.srm.train import TrainConfig
+from pipeline.corrections.review.out_of_fold import DoubtConfig
+from pipeline.corrections.review.queue import QueueConfig, review_queue
+from pipeline.labels.reading import Labels, open_labels
+from pipeline.labels.tables import write_table
+from pipeline.system.errors import InputError
+from pipeline.training.train import TrainConfig
 
 RULES_ONLY = QueueConfig(doubts=None)
 

@@ -10,19 +10,19 @@ from pathlib import Path
 import pytest
 from journal_world import FRAME, saved
 
+from pipeline.answering.source import open_source
+from pipeline.corrections.journal.edits import judge_relation
+from pipeline.corrections.journal.effective import Corrector
+from pipeline.corrections.journal.journal import Journal
+from pipeline.corrections.review.detector_evidence import detector_evidence
+from pipeline.corrections.review.following import mark_of
+from pipeline.corrections.review.items import ItemKey, item_keys
+from pipeline.corrections.review.queue_job import QueueJob, Step, make_queue, second_setup
+from pipeline.corrections.review.worklist import read_queue, worklist
 from pipeline.datasets import Dataset
-from pipeline.errors import InputError
-from pipeline.jobs import open_source
-from pipeline.journal.edits import judge_relation
-from pipeline.journal.effective import Corrector
-from pipeline.journal.journal import Journal
 from pipeline.labels.reading import Labels
-from pipeline.relations import F, T
-from pipeline.review.detector_evidence import detector_evidence
-from pipeline.review.following import mark_of
-from pipeline.review.items import ItemKey, item_keys
-from pipeline.review.queue_job import QueueJob, Step, make_queue, second_setup
-from pipeline.review.worklist import read_queue, worklist
+from pipeline.relations.relations import F, T
+from pipeline.system.errors import InputError
 
 
 def test_a_queue_without_corrections_with_a_second_detector(

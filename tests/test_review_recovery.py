@@ -8,14 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.errors import InputError
+from pipeline.corrections.review.bench import ReviewBenchConfig, measure_recovery, review_rooms
+from pipeline.corrections.review.out_of_fold import PASSES, DoubtConfig, doubt_labels, stacked, unstacked
+from pipeline.corrections.review.planted import plant_flips, with_labels
 from pipeline.labels.reading import Labels
-from pipeline.relations import DIRECTIONAL, U
-from pipeline.review.bench import ReviewBenchConfig, measure_recovery, review_rooms
-from pipeline.review.out_of_fold import PASSES, DoubtConfig, doubt_labels, stacked, unstacked
-from pipeline.review.planted import plant_flips, with_labels
-from pipeline.srm.label_data import LabelData, read_label_data
-from pipeline.srm.train import TrainConfig
+from pipeline.relations.relations import DIRECTIONAL, U
+from pipeline.system.errors import InputError
+from pipeline.training.label_data import LabelData, read_label_data
+from pipeline.training.train import TrainConfig
 
 pytest.importorskip("embreex")
 pytest.importorskip("torch")
@@ -36,7 +36,7 @@ def demo(label_sets: dict[str, Labels]) -> LabelData:
 def rooms() -> tuple[LabelData, LabelData]:
     """Cameras are the best of few and not of many: choosing them costs most."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("pipeline.synthetic.views.CANDIDATES", 4)
+        patch.setattr("pipeline.datasets.synthetic.views.CANDIDATES", 4)
         return review_rooms(SMALL)
 
 
@@ -118,7 +118,7 @@ def test_the_command_prints_the_figures(
 ) -> None:
     from spatialviz.cli import main
 
-    monkeypatch.setattr("pipeline.review.bench.review_rooms", lambda config, **_: rooms)
+    monkeypatch.setattr("pipeline.corrections.review.bench.review_rooms", lambda config, **_: rooms)
     told = ["--seeds", "1", "--networks", "1", "--folds", "2", "--batch", "32", "--workers", "1"]
     assert main(["bench", "review", *told, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)

@@ -10,13 +10,13 @@ import pytest
 from label_worlds import label_worlds
 from review_labels import flipped
 
-from pipeline.errors import InputError
-from pipeline.evaluation.intervals import BootstrapConfig
+from pipeline.corrections.review.retraining import RetrainConfig, Retraining, retrain
 from pipeline.labels.reading import Labels
-from pipeline.relations import DIRECTIONAL
-from pipeline.review.retraining import RetrainConfig, Retraining, retrain
-from pipeline.srm.model import OnnxScorer
-from pipeline.srm.train import TrainConfig
+from pipeline.metrics.intervals import BootstrapConfig
+from pipeline.relations.model import OnnxScorer
+from pipeline.relations.relations import DIRECTIONAL
+from pipeline.system.errors import InputError
+from pipeline.training.train import TrainConfig
 
 pytest.importorskip("torch")
 pytest.importorskip("onnx")

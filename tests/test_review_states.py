@@ -12,39 +12,39 @@ import pytest
 from journal_world import FRAME, an_expression, saved
 from sklearn.metrics import cohen_kappa_score
 
-from pipeline.errors import InputError
-from pipeline.journal import edits as actions
-from pipeline.journal.batch import actions_of, apply_actions
-from pipeline.journal.cells import Cell, relation_cell
-from pipeline.journal.effective import Corrector
-from pipeline.journal.effective_frame import EffectiveFrame
-from pipeline.journal.events import Conflict, Saved
-from pipeline.journal.journal import Journal, open_journal
-from pipeline.journal.judgements import judgement_cell
-from pipeline.journal.materialise import materialise
-from pipeline.journal.undo import redo, undo
-from pipeline.labels.reading import Labels
-from pipeline.relations import F, T
-from pipeline.review.agreement import pair_agreements
-from pipeline.review.cells import read_cells
-from pipeline.review.following import NOTHING, followed, frame_states, gone_items, mark_of
-from pipeline.review.items import NOBODY, SETTLED, ItemKey, State, item_keys, left_to_review
-from pipeline.review.out_of_fold import DoubtConfig, doubt_labels
-from pipeline.review.progress import review_progress, wrong_left
-from pipeline.review.queue import QueueConfig, review_queue
-from pipeline.review.queue_job import QueueJob, make_queue
-from pipeline.review.reviewed import (
+from pipeline.corrections.journal import edits as actions
+from pipeline.corrections.journal.batch import actions_of, apply_actions
+from pipeline.corrections.journal.cells import Cell, relation_cell
+from pipeline.corrections.journal.effective import Corrector
+from pipeline.corrections.journal.effective_frame import EffectiveFrame
+from pipeline.corrections.journal.events import Conflict, Saved
+from pipeline.corrections.journal.journal import Journal, open_journal
+from pipeline.corrections.journal.judgements import judgement_cell
+from pipeline.corrections.journal.materialise import materialise
+from pipeline.corrections.journal.undo import redo, undo
+from pipeline.corrections.review.agreement import pair_agreements
+from pipeline.corrections.review.cells import read_cells
+from pipeline.corrections.review.following import NOTHING, followed, frame_states, gone_items, mark_of
+from pipeline.corrections.review.items import NOBODY, SETTLED, ItemKey, State, item_keys, left_to_review
+from pipeline.corrections.review.out_of_fold import DoubtConfig, doubt_labels
+from pipeline.corrections.review.progress import review_progress, wrong_left
+from pipeline.corrections.review.queue import QueueConfig, review_queue
+from pipeline.corrections.review.queue_job import QueueJob, make_queue
+from pipeline.corrections.review.reviewed import (
     reviewed_labels,
     settled_cells,
     states_on_labels,
     trusted_of_data,
     without_gone,
 )
-from pipeline.review.second_opinions import left_for
-from pipeline.review.states import item_of, judgements_of, states_of
-from pipeline.review.worklist import read_queue, worklist
-from pipeline.srm.label_data import read_label_data
-from pipeline.srm.train import TrainConfig
+from pipeline.corrections.review.second_opinions import left_for
+from pipeline.corrections.review.states import item_of, judgements_of, states_of
+from pipeline.corrections.review.worklist import read_queue, worklist
+from pipeline.labels.reading import Labels
+from pipeline.relations.relations import F, T
+from pipeline.system.errors import InputError
+from pipeline.training.label_data import read_label_data
+from pipeline.training.train import TrainConfig
 
 RULES_ONLY = QueueConfig(doubts=None)
 

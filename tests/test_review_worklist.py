@@ -10,12 +10,20 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.errors import InputError
+from pipeline.corrections.review.items import (
+    KINDS,
+    STATES,
+    ItemKey,
+    item_keys,
+    left_to_review,
+    progress_counts,
+    with_states,
+)
+from pipeline.corrections.review.queue import QueueConfig, review_queue
+from pipeline.corrections.review.reviewed import automatic_version
+from pipeline.corrections.review.worklist import Worklist, read_queue, worklist, write_queue
 from pipeline.labels.reading import Labels
-from pipeline.review.items import KINDS, STATES, ItemKey, item_keys, left_to_review, progress_counts, with_states
-from pipeline.review.queue import QueueConfig, review_queue
-from pipeline.review.reviewed import automatic_version
-from pipeline.review.worklist import Worklist, read_queue, worklist, write_queue
+from pipeline.system.errors import InputError
 
 
 def queue_of(count: int) -> pa.Table:

@@ -16,24 +16,24 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from run_records import random_records
 
-from pipeline.diagnosis.confusion import answer_confusion, answer_standings, network_confusion, stands_in
-from pipeline.diagnosis.report import diagnose_run
-from pipeline.diagnosis.run_database import open_run
-from pipeline.diagnosis.search import find_rows
-from pipeline.diagnosis.search_words import quote
-from pipeline.diagnosis.shapley import oracle_deltas
-from pipeline.diagnosis.slices import DIMENSIONS, slice_by, slice_table
-from pipeline.diagnosis.summary import oracle_table, summarise_run, verdict_table
 from pipeline.diagnosis.verdict import VERDICTS
-from pipeline.errors import InputError
 from pipeline.evaluation.compare import compare
+from pipeline.evaluation.confusion import answer_confusion, answer_standings, network_confusion, stands_in
 from pipeline.evaluation.grounding_tables import clusters_of, column
-from pipeline.evaluation.intervals import BootstrapConfig, mean_estimate
 from pipeline.evaluation.job import evaluate_dataset
+from pipeline.evaluation.report import diagnose_run
 from pipeline.evaluation.run import EvalSpec
+from pipeline.evaluation.run_database import open_run
+from pipeline.evaluation.search import find_rows
+from pipeline.evaluation.search_words import quote
+from pipeline.evaluation.shapley import oracle_deltas
+from pipeline.evaluation.slices import DIMENSIONS, slice_by, slice_table
+from pipeline.evaluation.summary import oracle_table, summarise_run, verdict_table
 from pipeline.labels.job import label_dataset
 from pipeline.labels.plan import SourceSpec
 from pipeline.labels.reading import open_labels
+from pipeline.metrics.intervals import BootstrapConfig, mean_estimate
+from pipeline.system.errors import InputError
 
 QUICK = BootstrapConfig(resamples=100)
 

@@ -9,21 +9,21 @@ from pathlib import Path
 import pytest
 from chat_server import MODELS, Clock, running
 
-from pipeline.errors import InputError
+from pipeline.answering.recording import record_detections
+from pipeline.answering.source import open_source
 from pipeline.evaluation.gain_tables import relation_gain
-from pipeline.evaluation.intervals import BootstrapConfig, Estimate
 from pipeline.evaluation.job import RunReport, evaluate_dataset
 from pipeline.evaluation.other_runs import other_systems
 from pipeline.evaluation.plots import PALE_TONE, _tones
 from pipeline.evaluation.run import EvalSpec
 from pipeline.evaluation.shared_makers import PERFECT, SIMULATED
 from pipeline.evaluation.whole_expression import VlmOptions
-from pipeline.jobs import open_source
 from pipeline.labels.job import label_dataset
 from pipeline.labels.makers import Makers
 from pipeline.labels.plan import SourceSpec
 from pipeline.labels.reading import open_labels
-from pipeline.proposals.recording import record_detections
+from pipeline.metrics.intervals import BootstrapConfig, Estimate
+from pipeline.system.errors import InputError
 
 FRAMES = 3
 QUICK = BootstrapConfig(resamples=200)

@@ -12,13 +12,13 @@ from box_worlds import random_boxes
 from scenes import Plane, angle_deg, camera_of, cast, up_of
 from test_viewer import noisy
 
-from pipeline.camera import Camera
+from pipeline.answering.objects import frame_context
 from pipeline.datasets.base import frames_of_scene, scene_of
-from pipeline.errors import InputError
-from pipeline.frame import Frame
-from pipeline.objects import frame_context
-from pipeline.scene_up import MAX_VOTERS, own_disagreement, resolved_camera, scene_vote
-from pipeline.viewer import resolve_up, viewer_axes
+from pipeline.datasets.scene_up import MAX_VOTERS, own_disagreement, resolved_camera, scene_vote
+from pipeline.geometry.camera import Camera
+from pipeline.geometry.frame import Frame
+from pipeline.geometry.viewer import resolve_up, viewer_axes
+from pipeline.system.errors import InputError
 
 WORLD_UP = np.array([0.0, 0.6, 0.8])
 

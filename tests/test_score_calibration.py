@@ -12,12 +12,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.ask import AskConfig, ask
-from pipeline.boxes import iou_2d
-from pipeline.demo import demo_path
-from pipeline.errors import InputError
-from pipeline.jobs import Source, open_source
-from pipeline.naming import match
+from pipeline.answering.ask import AskConfig, ask
+from pipeline.answering.json_records import trace_record
+from pipeline.answering.source import Source, open_source
+from pipeline.datasets.demo import demo_path
+from pipeline.geometry.boxes import iou_2d
+from pipeline.language.naming import match
+from pipeline.metrics.platt import IDENTITY, sigmoid
 from pipeline.proposals import top_k
 from pipeline.proposals.score_calibration import (
     ScoreCalibration,
@@ -30,8 +31,7 @@ from pipeline.proposals.score_calibration import (
     save_calibration,
     score_logit,
 )
-from pipeline.records import trace_record
-from pipeline.srm.calibration import IDENTITY, sigmoid
+from pipeline.system.errors import InputError
 
 SEEDS = st.integers(0, 2**32 - 1)
 

@@ -13,13 +13,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from run_records import CLASSES, RELATIONS, random_records
 
-from pipeline.diagnosis.completion import complete, completions
 from pipeline.diagnosis.oracles import ORACLES
-from pipeline.diagnosis.search import compile_search, find, find_failures, find_rows
-from pipeline.diagnosis.search_words import quote, read_terms
 from pipeline.diagnosis.verdict import VERDICTS
-from pipeline.errors import InputError
+from pipeline.evaluation.completion import complete, completions
 from pipeline.evaluation.records import records_schema
+from pipeline.evaluation.search import compile_search, find, find_failures, find_rows
+from pipeline.evaluation.search_words import quote, read_terms
+from pipeline.system.errors import InputError
 
 TABLES = [random_records(seed) for seed in range(4)]
 COMPARE: dict[str, Any] = {

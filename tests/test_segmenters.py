@@ -17,14 +17,13 @@ from hypothesis import strategies as st
 from pycocotools import mask as coco
 from scenes import camera_of, frame_of, upright
 
-from pipeline.camera import Camera
+from pipeline.answering.objects import FrameContext, all_objects
+from pipeline.answering.source import ask_frames, open_source, relate_frames
 from pipeline.datasets import open_dataset
-from pipeline.demo import demo_path
-from pipeline.errors import FrameUnusable, InputError
-from pipeline.frame import Annotation, Frame
-from pipeline.jobs import ask_frames, open_source, relate_frames
-from pipeline.normals import surface_normals
-from pipeline.objects import FrameContext, all_objects
+from pipeline.datasets.demo import demo_path
+from pipeline.geometry.camera import Camera
+from pipeline.geometry.frame import Annotation, Frame
+from pipeline.geometry.normals import surface_normals
 from pipeline.proposals import AnnotationDetector, CachedDetector, Proposals, Segmented, Segmenter, make_segmenter
 from pipeline.proposals.annotations import box_mask
 from pipeline.proposals.assignment import Segments, assign
@@ -32,6 +31,7 @@ from pipeline.proposals.depth_segmenter import DepthSegmenter
 from pipeline.proposals.detector_masks import DetectorSegmenter
 from pipeline.proposals.graph_cut import NEIGHBOURS, minimum_cut
 from pipeline.proposals.recorded_masks import open_recorded_masks
+from pipeline.system.errors import FrameUnusable, InputError
 
 SEEDS = st.integers(0, 2**32 - 1)
 

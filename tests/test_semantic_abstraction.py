@@ -17,7 +17,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from semantic_abstraction_writer import TRUE_POSE, ViewTruth, Written, scene_pose, write_view
 
-from pipeline.camera import backproject, to_world
+from pipeline.answering.source import open_source
 from pipeline.datasets import GivenExpression, given_expressions, has_moves, open_dataset, splits, survey
 from pipeline.datasets.semantic_abstraction import RELATIONS, SemanticAbstractionDataset
 from pipeline.datasets.semantic_abstraction_pose import fit_pose
@@ -36,10 +36,10 @@ from pipeline.datasets.semantic_abstraction_splits import (
     with_synonyms,
 )
 from pipeline.datasets.settings import Settings
-from pipeline.errors import InputError
-from pipeline.frame import Frame
-from pipeline.jobs import open_source
-from pipeline.relations import VOCABULARIES
+from pipeline.geometry.camera import backproject, to_world
+from pipeline.geometry.frame import Frame
+from pipeline.relations.relations import VOCABULARIES
+from pipeline.system.errors import InputError
 
 VIEW = "00007|FloorPlan201_physics"
 

@@ -9,14 +9,14 @@ from typing import Any
 
 import pytest
 
-from pipeline.correcting.label_jobs import CANCELLED, LabelJobs, Making
-from pipeline.errors import InputError
+from pipeline.corrections.label_jobs import CANCELLED, LabelJobs, Making
+from pipeline.corrections.review.queue import QueueConfig, review_queue
+from pipeline.corrections.review.queue_job import QueueJob
+from pipeline.corrections.review.worklist import write_queue
 from pipeline.labels.reading import Labels
 from pipeline.proposals.detector_setup import DetectorSetup
-from pipeline.review.queue import QueueConfig, review_queue
-from pipeline.review.queue_job import QueueJob
-from pipeline.review.worklist import write_queue
-from pipeline.shared_job import SharedJob
+from pipeline.system.errors import InputError
+from pipeline.system.shared_job import SharedJob
 
 
 class Held:

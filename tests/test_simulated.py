@@ -12,14 +12,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from shelf import DEPTH, NAMES, SHELF, H, U, V, W, rows_of, shelf
 
-from pipeline.boxes import iou_2d
-from pipeline.errors import InputError
-from pipeline.frame import Annotation
-from pipeline.lifting import LiftConfig
-from pipeline.objects import FrameContext
+from pipeline.answering.objects import FrameContext
+from pipeline.geometry.boxes import iou_2d
+from pipeline.geometry.frame import Annotation
+from pipeline.geometry.lifting import LiftConfig
 from pipeline.proposals import make_detector
 from pipeline.proposals.mask_damage import leaked, resized, surroundings, truncated
 from pipeline.proposals.simulated import FIRST_REGION_ID, SimulatedDetector, SimulationOptions, read_options
+from pipeline.system.errors import InputError
 
 SEEDS = st.integers(0, 2**32 - 1)
 MANY = [replace(SHELF, id=f"scene/{k}") for k in range(150)]

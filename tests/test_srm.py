@@ -17,25 +17,25 @@ from hypothesis import strategies as st
 from other_makers import FIGURES, REGIMES, figures, tallied
 from scenes import filled_cloud, frame_of, up_of, upright
 
-from pipeline.ask import ask
-from pipeline.assets import asset_path
+from pipeline.answering.ask import ask
+from pipeline.answering.objects import FrameContext, all_objects
+from pipeline.answering.source import open_source
 from pipeline.datasets import open_dataset
-from pipeline.errors import InputError
-from pipeline.evaluation.calibration_metrics import expected_calibration_error
-from pipeline.fitting import pca_box
-from pipeline.frame import Frame
-from pipeline.jobs import open_source
-from pipeline.lifting import LiftedObject, Quality, extents, fit_box
-from pipeline.objects import FrameContext, all_objects
+from pipeline.geometry.fitting import pca_box
+from pipeline.geometry.frame import Frame
+from pipeline.geometry.lifting import LiftedObject, Quality, extents, fit_box
+from pipeline.geometry.viewer import ViewerAxes, viewer_axes
+from pipeline.metrics.calibration_metrics import expected_calibration_error
+from pipeline.metrics.platt import IDENTITY, antisymmetric, fit_calibration, fit_platt, sigmoid
 from pipeline.proposals import AnnotationDetector
-from pipeline.relations import DIRECTIONAL, PAIRWISE, directional_states
-from pipeline.srm import RuleScorer, make_scorer, shipped_network
-from pipeline.srm.calibration import IDENTITY, antisymmetric, fit_calibration, fit_platt, sigmoid
-from pipeline.srm.evaluation import clear_cut, clear_cut_report, evaluate
-from pipeline.srm.features import FEATURES, feature_set
-from pipeline.srm.model import Contract, OnnxScorer
-from pipeline.srm.scorer import rule_probabilities, stacked_extents
-from pipeline.viewer import ViewerAxes, viewer_axes
+from pipeline.relations import RuleScorer, make_scorer, shipped_network
+from pipeline.relations.features import FEATURES, feature_set
+from pipeline.relations.model import Contract, OnnxScorer
+from pipeline.relations.relations import DIRECTIONAL, PAIRWISE, directional_states
+from pipeline.relations.scorer import rule_probabilities, stacked_extents
+from pipeline.system.assets import asset_path
+from pipeline.system.errors import InputError
+from pipeline.training.evaluation import clear_cut, clear_cut_report, evaluate
 
 LEFT, RIGHT, ABOVE, BELOW, FRONT, BEHIND = range(6)
 
@@ -353,7 +353,7 @@ def test_scorers_by_name(tmp_path: Path) -> None:
 def written(path: Path, metadata: dict[str, str], inputs: int = 14, outputs: int = 6) -> Path:
     """A network of the given shape that says the given things about itself."""
     pytest.importorskip("onnx")
-    from pipeline.srm.onnx_file import write_onnx
+    from pipeline.training.onnx_file import write_onnx
 
     rng = np.random.default_rng(0)
     write_onnx(path, [(rng.normal(size=(inputs, outputs)), np.zeros(outputs))], metadata)
@@ -462,7 +462,7 @@ def test_files_of_another_kind_are_refused(tmp_path: Path, shared_data: Path) ->
 
 
 def test_the_card_belongs_to_the_shipped_network(shipped: OnnxScorer) -> None:
-    from pipeline.proposals.onnx_session import file_hash
+    from pipeline.system.onnx_session import file_hash
 
     card = json.loads(shipped_network().with_suffix(".json").read_text())
     assert card["file"] == {"bytes": shipped_network().stat().st_size, "xxh3_128": file_hash(shipped_network())}
@@ -511,7 +511,7 @@ def test_the_shipped_network_holds_from_low_and_from_high(regime: str, shipped: 
 
 def test_the_shipped_network_on_rooms_it_has_not_seen(shipped: OnnxScorer) -> None:
     pytest.importorskip("embreex")
-    from pipeline.srm.training_data import make_samples
+    from pipeline.training.training_data import make_samples
 
     frames = make_samples([9_500_001, 9_500_002, 9_500_003], views=1, width=320, height=240)
     report = evaluate(
@@ -596,7 +596,7 @@ def test_clear_pairs_of_real_frames_are_told_left_and_right_by_the_network(
 
 def test_importing_the_stage_imports_no_heavy_package() -> None:
     code = (
-        "import sys, pipeline.srm, pipeline.srm.model, pipeline.srm.train, pipeline.srm.card;"
+        "import sys, pipeline.relations, pipeline.relations.model, pipeline.training.train, pipeline.training.card;"
         "heavy = {'torch', 'onnx', 'onnxruntime', 'scipy', 'embreex'} & set(sys.modules); assert not heavy, heavy"
     )
     subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(__file__).resolve().parent.parent)

@@ -8,10 +8,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.errors import InputError
-from pipeline.evaluation.intervals import BootstrapConfig, Estimate
-from pipeline.relations import DIRECTIONAL
-from pipeline.srm.ablation import (
+from pipeline.datasets.synthetic import choose_views, make_room
+from pipeline.metrics.intervals import BootstrapConfig, Estimate
+from pipeline.relations.relations import DIRECTIONAL
+from pipeline.system.errors import InputError
+from pipeline.training.ablation import (
     HEIGHTS_M,
     PITCHES_DEG,
     ROLLS_DEG,
@@ -24,9 +25,8 @@ from pipeline.srm.ablation import (
     measure_variant,
     other_camera,
 )
-from pipeline.srm.train import TrainConfig
-from pipeline.srm.training_data import room_seeds
-from pipeline.synthetic import choose_views, make_room
+from pipeline.training.train import TrainConfig
+from pipeline.training.training_data import room_seeds
 
 pytest.importorskip("embreex")
 pytest.importorskip("torch")
@@ -40,7 +40,7 @@ QUICK = BootstrapConfig(resamples=300)
 def views() -> AblationViews:
     """Cameras are the best of few and not of many: choosing them costs most."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("pipeline.synthetic.views.CANDIDATES", 4)
+        patch.setattr("pipeline.datasets.synthetic.views.CANDIDATES", 4)
         return ablation_views(SMALL)
 
 

@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.errors import InputError
-from pipeline.srm import make_scorer, shipped_network
-from pipeline.srm.installed import install_network, installed_networks
-from pipeline.srm.model import OnnxScorer
+from pipeline.relations import make_scorer, shipped_network
+from pipeline.relations.installed import install_network, installed_networks
+from pipeline.relations.model import OnnxScorer
+from pipeline.system.errors import InputError
 
 
 @pytest.fixture(autouse=True)

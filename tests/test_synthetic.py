@@ -15,17 +15,25 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.boxes import Box3D
-from pipeline.camera import lift_pixels, to_world
-from pipeline.errors import InputError, MissingExtra
-from pipeline.synthetic import RenderedFrame, Room, camera_at, choose_views, make_room, render_dataset, render_view
-from pipeline.synthetic import dataset as dataset_module
-from pipeline.synthetic.layout import FLOOR, TOUCH_M, WALL, overlaps, part_boxes
-from pipeline.synthetic.lighting import sunlight
-from pipeline.synthetic.model import Model
-from pipeline.synthetic.raycast import build_scene, pixel_rays
-from pipeline.synthetic.sensor import noise_sigma, sense
-from pipeline.synthetic.surfaces import OFFSET_M, find_surfaces
+from pipeline.datasets.synthetic import (
+    RenderedFrame,
+    Room,
+    camera_at,
+    choose_views,
+    make_room,
+    render_dataset,
+    render_view,
+)
+from pipeline.datasets.synthetic import dataset as dataset_module
+from pipeline.datasets.synthetic.layout import FLOOR, TOUCH_M, WALL, overlaps, part_boxes
+from pipeline.datasets.synthetic.lighting import sunlight
+from pipeline.datasets.synthetic.model import Model
+from pipeline.datasets.synthetic.raycast import build_scene, pixel_rays
+from pipeline.datasets.synthetic.sensor import noise_sigma, sense
+from pipeline.datasets.synthetic.surfaces import OFFSET_M, find_surfaces
+from pipeline.geometry.boxes import Box3D
+from pipeline.geometry.camera import lift_pixels, to_world
+from pipeline.system.errors import InputError, MissingExtra
 
 SIZE: dict[str, Any] = {"width": 96, "height": 72}
 SEEDS = (0, 1, 2, 3, 4, 9)
@@ -416,7 +424,7 @@ def test_what_is_written_is_bop_and_agrees_with_the_room(rendered: Path) -> None
 
 
 def test_visible_share_tells_hidden_things_from_open_ones() -> None:
-    from pipeline.synthetic.raycast import silhouette
+    from pipeline.datasets.synthetic.raycast import silhouette
 
     frame = frame_of(1)
     room = room_of(1)

@@ -8,12 +8,12 @@ from typing import Any
 
 import pytest
 
-from pipeline.ask import Trace
-from pipeline.jobs import Source, open_source
-from pipeline.objects import FrameContext
-from pipeline.pair_table import HOLDS, Link, ScoredPair
-from pipeline.records import trace_record
-from pipeline.told_answer import NO_SUCH_PAIR, best_pair, holds, probability, told
+from pipeline.answering.ask import Trace
+from pipeline.answering.json_records import trace_record
+from pipeline.answering.objects import FrameContext
+from pipeline.answering.pair_table import HOLDS, Link, ScoredPair
+from pipeline.answering.source import Source, open_source
+from pipeline.answering.told_answer import NO_SUCH_PAIR, best_pair, holds, probability, told
 
 PAIR = ScoredPair(0, 1, 0.9, 0.8, 0.7, log_score=-0.7, product=0.5, probability=1.0)
 

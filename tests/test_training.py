@@ -11,16 +11,17 @@ import numpy as np
 import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
-from pipeline.errors import InputError, MissingExtra
-from pipeline.relations import DIRECTIONAL
-from pipeline.srm import card
-from pipeline.srm.calibration import fit_calibration, fit_platt, sigmoid
-from pipeline.srm.card import RoomConfig
-from pipeline.srm.features import FEATURES
-from pipeline.srm.model import OnnxScorer
-from pipeline.srm.onnx_file import save_onnx, write_onnx
-from pipeline.srm.train import TrainConfig, require_training, train_srm
-from pipeline.srm.training_data import (
+from pipeline.datasets.synthetic import choose_views, make_room, render_view, sense_view
+from pipeline.metrics.platt import fit_calibration, fit_platt, sigmoid
+from pipeline.relations.features import FEATURES
+from pipeline.relations.model import OnnxScorer
+from pipeline.relations.relations import DIRECTIONAL
+from pipeline.system.errors import InputError, MissingExtra
+from pipeline.training import card
+from pipeline.training.card import RoomConfig
+from pipeline.training.onnx_file import save_onnx, write_onnx
+from pipeline.training.train import TrainConfig, require_training, train_srm
+from pipeline.training.training_data import (
     SCATTERED_A_ROOM,
     SOLIDS_A_VIEW,
     FrameSamples,
@@ -32,7 +33,6 @@ from pipeline.srm.training_data import (
     varied_camera,
     with_other_sizes,
 )
-from pipeline.synthetic import choose_views, make_room, render_view, sense_view
 
 pytest.importorskip("embreex")
 pytest.importorskip("torch")
@@ -161,7 +161,7 @@ def test_training_lowers_the_loss(name: str, samples: tuple[FrameSamples, ...]) 
 
 
 def test_the_file_computes_what_was_trained(samples: tuple[FrameSamples, ...], tmp_path: Path) -> None:
-    from pipeline.srm.calibration import antisymmetric
+    from pipeline.metrics.platt import antisymmetric
 
     model = train_srm(samples, TrainConfig(hidden=16, epochs=2))
     save_onnx(tmp_path / "m.onnx", model)
@@ -221,7 +221,7 @@ def test_a_training_job_does_not_depend_on_the_threads_it_finds(
 
 
 def test_doubtful_cells_teach_nothing(samples: tuple[FrameSamples, ...], monkeypatch: pytest.MonkeyPatch) -> None:
-    import pipeline.srm.train as module
+    import pipeline.training.train as module
 
     def half_doubtful(frames: object, name: str) -> list[tuple[np.ndarray, np.ndarray]]:
         x = np.random.default_rng(0).normal(size=(400, 14))

@@ -7,14 +7,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.camera import lift_pixels
-from pipeline.srm.training_data import make_samples
-from pipeline.synthetic import Room, exact_view
-from pipeline.synthetic.layout import Instance, overlaps, part_boxes
-from pipeline.synthetic.roaming import NEAR_SHARE, NEAREST_M, roaming_cameras
-from pipeline.synthetic.scattered import SCATTERED, TABLE_TOP, make_scattered
-from pipeline.synthetic.solids import Solid, solid, solid_view
-from pipeline.viewer import viewer_axes
+from pipeline.datasets.synthetic import Room, exact_view
+from pipeline.datasets.synthetic.layout import Instance, overlaps, part_boxes
+from pipeline.datasets.synthetic.roaming import NEAR_SHARE, NEAREST_M, roaming_cameras
+from pipeline.datasets.synthetic.scattered import SCATTERED, TABLE_TOP, make_scattered
+from pipeline.datasets.synthetic.solids import Solid, solid, solid_view
+from pipeline.geometry.camera import lift_pixels
+from pipeline.geometry.viewer import viewer_axes
+from pipeline.training.training_data import make_samples
 
 pytest.importorskip("embreex")
 

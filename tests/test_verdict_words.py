@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 from diagnosis_worlds import world
 
+from pipeline.answering.pair_table import ScoredPair
 from pipeline.diagnosis.misses import Missed
 from pipeline.diagnosis.substitution import substitute
 from pipeline.diagnosis.verdict import Diagnosis, diagnose
 from pipeline.diagnosis.words import explain
-from pipeline.evaluation.cases import Case
-from pipeline.pair_table import ScoredPair
+from pipeline.labels.cases import Case
 
 CASE = Case("1", "book on a book", "book", "on", "shelf", 0, 1, np.array([0]), np.array([0]), False, 0.1)
 WINNER = ScoredPair(0, 3, 0.6, 0.5, 0.9, log_score=-1.3, product=0.27, probability=0.6)

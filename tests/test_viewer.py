@@ -11,10 +11,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scenes import Plane, angle_deg, camera_of, cast, up_of, upright
 
-from pipeline.camera import Camera
 from pipeline.datasets import open_dataset
-from pipeline.level_plane import level_plane
-from pipeline.viewer import IMAGE_UP, STEEP, resolve_up, viewer_axes
+from pipeline.geometry.camera import Camera
+from pipeline.geometry.level_plane import level_plane
+from pipeline.geometry.viewer import IMAGE_UP, STEEP, resolve_up, viewer_axes
 
 ROLLS = (0.0, 10.0, -15.0)
 

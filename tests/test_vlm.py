@@ -16,17 +16,11 @@ import pytest
 from chat_server import MODELS, ChatServer, Clock, CutOff, Make, Raw, Script, Slow, Trickle, completion, error, flat
 from waiting import LONG_S
 
-from pipeline.errors import InputError
-from pipeline.vlm import (
-    KEY_VARIABLE,
-    Prices,
-    Question,
-    ServerError,
-    Usage,
-)
-from pipeline.vlm.cost import money
-from pipeline.vlm.transport import wait_asked
-from pipeline.vlm.view import Picture
+from pipeline.evaluation.vlm import KEY_VARIABLE, Prices, Question, ServerError, Usage
+from pipeline.evaluation.vlm.cost import money
+from pipeline.evaluation.vlm.transport import wait_asked
+from pipeline.evaluation.vlm.view import Picture
+from pipeline.system.errors import InputError
 
 
 def test_a_question_is_sent_as_the_protocol_has_it(server: ChatServer, client_of: Make) -> None:

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pipeline.errors import InputError
-from pipeline.vlm.answers import parse_yes_no, yes_probability
-from pipeline.vlm.box_answers import parse_box
+from pipeline.evaluation.vlm.answers import parse_yes_no, yes_probability
+from pipeline.evaluation.vlm.box_answers import parse_box
+from pipeline.system.errors import InputError
 
 YES = (
     "Yes", "yes.", "YES!", " **Yes** ", "‘Yes’", "y", "Yes, the mug is not behind it.", "The answer is yes",

@@ -9,16 +9,10 @@ import pytest
 from chat_server import ChatServer, Make, Script, completion, error, flat
 from scenes import frame_of, upright
 
-from pipeline.errors import InputError
-from pipeline.frame import Frame
-from pipeline.vlm import (
-    GroundingConfig,
-    RelationConfig,
-    ground,
-    ground_many,
-    score_pairs,
-)
-from pipeline.vlm.view import PADDING, marked, view_of
+from pipeline.evaluation.vlm import GroundingConfig, RelationConfig, ground, ground_many, score_pairs
+from pipeline.evaluation.vlm.view import PADDING, marked, view_of
+from pipeline.geometry.frame import Frame
+from pipeline.system.errors import InputError
 
 
 @pytest.fixture(scope="module")

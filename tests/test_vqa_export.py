@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from pipeline.errors import InputError
 from pipeline.labels.exports import export_labels
 from pipeline.labels.exports.vqa_check import verify_vqa
 from pipeline.labels.exports.vqa_records import CONVERSATIONS_FILE, KINDS, VqaConfig, read_questions
 from pipeline.labels.reading import Labels
+from pipeline.system.errors import InputError
 
 
 def test_every_answer_follows_from_the_tables(label_sets: dict[str, Labels], tmp_path: Path) -> None:

@@ -16,9 +16,11 @@ from box_worlds import box_world
 from scenes import frame_of, upright
 from scipy.optimize import lsq_linear
 
-from pipeline.boxes import Box3D
+from pipeline.answering.objects import FrameContext, all_objects
 from pipeline.datasets import Dataset
-from pipeline.frame import Annotation, Frame
+from pipeline.geometry.boxes import Box3D
+from pipeline.geometry.frame import Annotation, Frame
+from pipeline.geometry.viewer import viewer_axes
 from pipeline.labels.config import LabelConfig
 from pipeline.labels.exports import export_labels
 from pipeline.labels.exports.frame_rows import FrameRows
@@ -28,9 +30,7 @@ from pipeline.labels.exports.vqa_records import VqaConfig, read_questions
 from pipeline.labels.labelling import label_objects
 from pipeline.labels.reading import Labels
 from pipeline.labels.tables import build_table
-from pipeline.objects import FrameContext, all_objects
 from pipeline.proposals.annotations import AnnotationDetector
-from pipeline.viewer import viewer_axes
 
 
 def rows_of(frame: Frame) -> FrameRows:

@@ -13,18 +13,18 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from whatif_scenes import ScoringDetector, context_of, row, source
 
-from pipeline.ask import AskConfig, Trace, ask
-from pipeline.boxes import Box3D
-from pipeline.errors import InputError
-from pipeline.lifting import LiftConfig
-from pipeline.objects import FrameContext, SceneObject
-from pipeline.ranking import RankConfig
-from pipeline.relations import PAIRWISE, Profile, pairwise_states
-from pipeline.srm import make_scorer
-from pipeline.srm.appearance import appearance_of
-from pipeline.whatif import Baseline, Edits, apply, edits_record, load_edits, read_edits, rerun, what_changed
-from pipeline.whatif.keys import object_keys
-from pipeline.whatif.rerun import foreign_keys
+from pipeline.answering.ask import AskConfig, Trace, ask
+from pipeline.answering.objects import FrameContext, SceneObject
+from pipeline.answering.ranking import RankConfig
+from pipeline.diagnosis.whatif import Baseline, Edits, apply, edits_record, load_edits, read_edits, rerun, what_changed
+from pipeline.diagnosis.whatif.keys import object_keys
+from pipeline.diagnosis.whatif.rerun import foreign_keys
+from pipeline.geometry.boxes import Box3D
+from pipeline.geometry.lifting import LiftConfig
+from pipeline.relations import make_scorer
+from pipeline.relations.appearance import appearance_of
+from pipeline.relations.relations import PAIRWISE, Profile, pairwise_states
+from pipeline.system.errors import InputError
 
 QUESTIONS = (
     "mug left of the laptop",

@@ -9,15 +9,15 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.boxes import Box3D
-from pipeline.errors import InputError
-from pipeline.evaluation.cases import FrameCases
-from pipeline.run_length import encode_run_length
-from pipeline.viewer import ViewerAxes, viewer_axes
-from pipeline.whatif import Edits
-from pipeline.whatif.box_numbers import SMALLEST_SIDE, box_numbers, with_numbers
-from pipeline.whatif.edit_list import each_edit, without_edit
-from pipeline.whatif.masks import MOST_PIXELS, grown, labelled_mask, rectangle
+from pipeline.diagnosis.whatif import Edits
+from pipeline.diagnosis.whatif.box_numbers import SMALLEST_SIDE, box_numbers, with_numbers
+from pipeline.diagnosis.whatif.edit_list import each_edit, without_edit
+from pipeline.diagnosis.whatif.masks import MOST_PIXELS, grown, labelled_mask, rectangle
+from pipeline.geometry.boxes import Box3D
+from pipeline.geometry.run_length import encode_run_length
+from pipeline.geometry.viewer import ViewerAxes, viewer_axes
+from pipeline.labels.cases import FrameCases
+from pipeline.system.errors import InputError
 
 angle = st.floats(-179.0, 179.0)
 length = st.floats(0.05, 3.0)

@@ -12,17 +12,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from whatif_scenes import ScoringDetector, context_of, row, source
 
-from pipeline.boxes import Box3D
-from pipeline.errors import InputError
-from pipeline.lifting import LiftedObject, Quality, extents
-from pipeline.picture import write_picture
-from pipeline.relations import PAIRWISE, Profile, T, U, pairwise_states
-from pipeline.viewer import ViewerAxes, viewer_axes
-from pipeline.whatif import Baseline, Edits, rerun
-from pipeline.whatif.decision_map import decision_map, map_record
-from pipeline.whatif.map_picture import map_picture
-from pipeline.whatif.placement import HORIZONTAL, place_in_region
-from pipeline.whatif.region import region_of
+from pipeline.diagnosis.whatif import Baseline, Edits, rerun
+from pipeline.diagnosis.whatif.decision_map import decision_map, map_record
+from pipeline.diagnosis.whatif.map_picture import map_picture
+from pipeline.diagnosis.whatif.placement import HORIZONTAL, place_in_region
+from pipeline.diagnosis.whatif.region import region_of
+from pipeline.geometry.boxes import Box3D
+from pipeline.geometry.lifting import LiftedObject, Quality, extents
+from pipeline.geometry.viewer import ViewerAxes, viewer_axes
+from pipeline.relations.relations import PAIRWISE, Profile, T, U, pairwise_states
+from pipeline.system.errors import InputError
+from spatialviz.report.picture import write_picture
 
 VIEWER = viewer_axes(np.array([0.1, -0.9, -0.3]))
 FRAME = row()

@@ -12,10 +12,18 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from pipeline.boxes import Box3D
-from pipeline.errors import InputError
-from pipeline.whatif import Edits
-from pipeline.whatif.state import LARGEST_CONTENT, CameraView, ViewState, decode, encode, read_state, state_record
+from pipeline.diagnosis.whatif import Edits
+from pipeline.diagnosis.whatif.state import (
+    LARGEST_CONTENT,
+    CameraView,
+    ViewState,
+    decode,
+    encode,
+    read_state,
+    state_record,
+)
+from pipeline.geometry.boxes import Box3D
+from pipeline.system.errors import InputError
 
 texts = st.text(st.characters(exclude_categories=["Cs"]), max_size=30)
 numbers = st.floats(-1e5, 1e5)

@@ -12,12 +12,12 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from pipeline.datasets.opening import open_dataset
-from pipeline.errors import InputError
-from pipeline.expression import parse
-from pipeline.labels.noun_phrase import indefinite_article, noun_phrase, readable
 from pipeline.labels.wording import STYLES, can_be_said, expression_text, question_text
-from pipeline.naming import is_named, match, normal_form
-from pipeline.relations import DIRECTIONAL, PAIRWISE, PHRASE, VOCABULARIES
+from pipeline.language.expression import parse
+from pipeline.language.naming import is_named, match, normal_form
+from pipeline.language.noun_phrase import indefinite_article, noun_phrase, readable
+from pipeline.relations.relations import DIRECTIONAL, PAIRWISE, PHRASE, VOCABULARIES
+from pipeline.system.errors import InputError
 
 
 def _listed(names: str, between: str = ",") -> list[str]:

@@ -9,13 +9,13 @@ from pathlib import Path
 import numpy as np
 from scenes import frame_of, upright
 
-from pipeline.ask import AskConfig
+from pipeline.answering.ask import AskConfig
+from pipeline.answering.objects import FrameContext
+from pipeline.answering.source import Source
 from pipeline.datasets.base import Dataset
-from pipeline.frame import Frame
-from pipeline.jobs import Source
-from pipeline.objects import FrameContext
+from pipeline.geometry.frame import Frame
 from pipeline.proposals import AnnotationDetector, Proposals
-from pipeline.srm import make_scorer
+from pipeline.relations import make_scorer
 
 KNOWN = ("mug", "laptop", "book", "lamp", "table", "box")
 

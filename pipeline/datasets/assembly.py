@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.camera import Camera
 from pipeline.datasets.cameras import pose_from_matrix
 from pipeline.datasets.files import read_matrix
 from pipeline.datasets.images import read_color, read_depth
-from pipeline.errors import InputError
-from pipeline.frame import Annotation, Frame
+from pipeline.geometry.camera import Camera
+from pipeline.geometry.frame import Annotation, Frame
+from pipeline.system.errors import InputError
 
 
 def read_pair(

@@ -33,8 +33,8 @@ from pipeline.datasets.cameras import make_camera
 from pipeline.datasets.capabilities import MOVES
 from pipeline.datasets.files import listing
 from pipeline.datasets.settings import Settings, unit_notes
-from pipeline.errors import InputError
-from pipeline.frame import Annotation, Frame
+from pipeline.geometry.frame import Annotation, Frame
+from pipeline.system.errors import InputError
 
 UNITS_PER_METRE = 1000.0
 FARTHEST_M = 7.0

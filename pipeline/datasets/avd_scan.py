@@ -14,11 +14,11 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.camera import intrinsics
 from pipeline.datasets.cameras import inverse, rigid
 from pipeline.datasets.files import as_floats, numbered_lines, read_bytes, read_json
-from pipeline.errors import InputError
-from pipeline.frame import Annotation
+from pipeline.geometry.camera import intrinsics
+from pipeline.geometry.frame import Annotation
+from pipeline.system.errors import InputError
 
 DEFAULT_SIZE = (1920, 1080)
 """Width and height of the dataset's own images: the pixels that its boxes speak of where no camera file says more."""

@@ -14,7 +14,6 @@ from typing import Any
 import cv2
 import numpy as np
 
-from pipeline.boxes import Box3D
 from pipeline.datasets.assembly import make_frame, one_file, read_pair
 from pipeline.datasets.base import DatasetFormat, unknown_frame
 from pipeline.datasets.bop_scene import (
@@ -32,8 +31,9 @@ from pipeline.datasets.cameras import make_camera
 from pipeline.datasets.files import as_floats, listing
 from pipeline.datasets.images import COLOR_SUFFIXES, read_mask
 from pipeline.datasets.settings import Settings
-from pipeline.errors import InputError
-from pipeline.frame import Annotation, Frame
+from pipeline.geometry.boxes import Box3D
+from pipeline.geometry.frame import Annotation, Frame
+from pipeline.system.errors import InputError
 
 SCENES_KEPT = 8
 """How many scenes' tables stay parsed in memory."""

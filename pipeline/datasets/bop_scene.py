@@ -15,7 +15,7 @@ import numpy as np
 
 from pipeline.datasets.cameras import inverse, rigid
 from pipeline.datasets.files import as_floats, listing, read_bytes, read_json
-from pipeline.errors import InputError
+from pipeline.system.errors import InputError
 
 MM = 1e-3
 

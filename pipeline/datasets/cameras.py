@@ -6,9 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.camera import Camera, intrinsics
 from pipeline.datasets.settings import Settings
-from pipeline.errors import InputError
+from pipeline.geometry.camera import Camera, intrinsics
+from pipeline.system.errors import InputError
 
 ROUNDING = 1e-2
 """How far from a rotation a printed rotation matrix may be through rounding alone."""

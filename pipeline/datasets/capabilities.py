@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from pipeline.datasets.base import Dataset
-from pipeline.frame import Frame
+from pipeline.geometry.frame import Frame
 
 MOVES = ("rotate_ccw", "rotate_cw", "forward", "backward", "left", "right")
 """The moves of a robot from one frame to another, in the order in which they are always given:

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.errors import InputError
+from pipeline.system.errors import InputError
 
 
 def read_bytes(path: Path) -> bytes:

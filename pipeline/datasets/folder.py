@@ -14,8 +14,8 @@ from pipeline.datasets.files import as_floats, listing, read_lines, read_matrix
 from pipeline.datasets.images import COLOR_SUFFIXES, DEPTH_SUFFIXES, INTEGER_DEPTH_SUFFIXES
 from pipeline.datasets.pairing import Key, Naming, choose_naming, image_files, pair_files, twice
 from pipeline.datasets.settings import FILE_NAME, Settings
-from pipeline.errors import InputError
-from pipeline.frame import Frame
+from pipeline.geometry.frame import Frame
+from pipeline.system.errors import InputError
 
 COLOR_FOLDERS = ("color", "colour", "rgb", "image", "images")
 DEPTH_FOLDERS = ("depth",)

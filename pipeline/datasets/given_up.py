@@ -13,8 +13,8 @@ import numpy as np
 from pipeline.datasets.base import Dataset, resolve_frame, scene_of, unknown_frame
 from pipeline.datasets.settings import Settings
 from pipeline.datasets.up_text import GivenUp, Vector, parse_level_at
-from pipeline.errors import InputError
-from pipeline.frame import Frame
+from pipeline.geometry.frame import Frame
+from pipeline.system.errors import InputError
 
 LOOKED_AT = 5
 """So many frames are asked for a pose where an up vector does not say its frame."""
@@ -123,7 +123,7 @@ class UpGiven:
 
     def doubt(self, frame: Frame) -> str | None:
         """What speaks against the up that was told of a frame."""
-        from pipeline.level_plane import far_from_level
+        from pipeline.geometry.level_plane import far_from_level
 
         off = far_from_level(frame.depth, frame.camera, np.asarray(self.frame_up[frame.id]))
         return None if off is None else f"the up that was told is {off:.0f} degrees off the level planes of the frame"
@@ -144,7 +144,7 @@ def with_given_up(dataset: Dataset, settings: Settings, level_at: str | None = N
     """
     frame_up = dict(settings.frame_up)
     if level_at is not None:
-        from pipeline.level_plane import level_normal_at
+        from pipeline.geometry.level_plane import level_normal_at
 
         key, u, v = parse_level_at(level_at)
         frame = dataset.load(resolve_frame(dataset, 0 if key is None else key))

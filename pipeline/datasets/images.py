@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 
 from pipeline.datasets.files import read_bytes
-from pipeline.errors import InputError
+from pipeline.system.errors import InputError
 
 COLOR_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".ppm")
 DEPTH_SUFFIXES = (".png", ".pgm", ".tif", ".tiff", ".exr", ".npy")

@@ -21,8 +21,8 @@ from pipeline.datasets.base import Dataset, DatasetFormat
 from pipeline.datasets.given_up import with_given_up
 from pipeline.datasets.settings import read_settings
 from pipeline.datasets.up_text import GivenUp
-from pipeline.errors import InputError, UnknownFormat
-from pipeline.plugins import load_plugins
+from pipeline.system.errors import InputError, UnknownFormat
+from pipeline.system.plugins import load_plugins
 
 FORMATS: tuple[DatasetFormat, ...] = (
     saved_case.FORMAT,

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from pipeline.datasets.files import listing, natural
-from pipeline.errors import InputError
+from pipeline.system.errors import InputError
 
 Key = tuple[str, ...]
 Naming = Callable[[Path], Key]

@@ -15,8 +15,8 @@ from pipeline.datasets.files import as_floats, listing, numbered_lines, read_jso
 from pipeline.datasets.images import COLOR_SUFFIXES
 from pipeline.datasets.pairing import Key, choose_naming, image_files, pair_files
 from pipeline.datasets.settings import Settings, unit_notes
-from pipeline.errors import InputError
-from pipeline.frame import Frame
+from pipeline.geometry.frame import Frame
+from pipeline.system.errors import InputError
 
 UNITS_PER_METRE = 1000.0
 COLOR_FOLDERS = ("color", "image", "rgb")

@@ -1,6 +1,6 @@
 """The frame of a saved case: colour and depth without loss, the camera, the annotations.
 
-`pipeline.failure_case` writes the folder and reads all of it; here its frame is
+`pipeline.diagnosis.cases` writes the folder and reads all of it; here its frame is
 a dataset of one. The files have fixed names, so that a case can name none
 outside its folder, and the sha256 of each stands in `spatialviz-case.json`.
 """
@@ -15,15 +15,15 @@ import cv2
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
-from pipeline.boxes import Box3D
-from pipeline.camera import Camera, UpSource
 from pipeline.datasets.assembly import make_frame, read_pair
 from pipeline.datasets.base import DatasetFormat, unknown_frame
 from pipeline.datasets.files import read_json
 from pipeline.datasets.settings import Settings
-from pipeline.errors import InputError
-from pipeline.frame import Annotation, Frame
-from pipeline.run_length import RunLength, decode_run_length, encode_run_length
+from pipeline.geometry.boxes import Box3D
+from pipeline.geometry.camera import Camera, UpSource
+from pipeline.geometry.frame import Annotation, Frame
+from pipeline.geometry.run_length import RunLength, decode_run_length, encode_run_length
+from pipeline.system.errors import InputError
 
 MANIFEST = "spatialviz-case.json"
 CASE_FORMAT = "spatialviz-case-1"
@@ -48,7 +48,7 @@ class SavedBox(_Strict):
 
 
 class SavedAnnotation(_Strict):
-    """`pipeline.frame.Annotation`, its mask as COCO run lengths."""
+    """`pipeline.geometry.frame.Annotation`, its mask as COCO run lengths."""
 
     index: int
     label: str

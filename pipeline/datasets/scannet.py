@@ -15,8 +15,8 @@ from pipeline.datasets.files import read_matrix
 from pipeline.datasets.images import COLOR_SUFFIXES, read_color, read_depth
 from pipeline.datasets.pairing import choose_naming, image_files, pair_files
 from pipeline.datasets.settings import Settings, unit_notes
-from pipeline.errors import InputError
-from pipeline.frame import Frame
+from pipeline.geometry.frame import Frame
+from pipeline.system.errors import InputError
 
 UNITS_PER_METRE = 1000.0
 SAME_SHAPE = 0.02

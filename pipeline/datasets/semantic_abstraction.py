@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.camera import Camera, lift_pixels
 from pipeline.datasets.assembly import make_frame
 from pipeline.datasets.base import DatasetFormat, unknown_frame
 from pipeline.datasets.cameras import make_camera
@@ -48,8 +47,9 @@ from pipeline.datasets.semantic_abstraction_splits import (
     with_synonyms,
 )
 from pipeline.datasets.settings import Settings
-from pipeline.errors import InputError
-from pipeline.frame import Frame
+from pipeline.geometry.camera import Camera, lift_pixels
+from pipeline.geometry.frame import Frame
+from pipeline.system.errors import InputError
 
 SUFFIX = ".hdf5"
 LEVELS = 3

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.errors import InputError
+from pipeline.system.errors import InputError
 
 MOST_VALUES = 100_000_000
 MOST_NAMES = 1_000_000

@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.boxes import Box3D
 from pipeline.datasets.cameras import inverse
 from pipeline.datasets.semantic_abstraction_pose import ScenePose
-from pipeline.frame import Annotation
+from pipeline.geometry.boxes import Box3D
+from pipeline.geometry.frame import Annotation
 
 LEAST_POINTS = 20
 """An object with fewer points in the scene has no exact box."""

@@ -15,7 +15,7 @@ from itertools import product
 import numpy as np
 
 from pipeline.datasets.cameras import nearest_rotation
-from pipeline.errors import InputError
+from pipeline.system.errors import InputError
 
 SCENE_UNITS_PER_METRE = 0.6
 SCENE_BOUNDS = np.array([[-1.0, -1.0, -0.1], [1.0, 1.0, 1.9]])

@@ -11,7 +11,7 @@ from typing import Any, Protocol
 
 from pipeline.datasets.capabilities import GivenExpression
 from pipeline.datasets.files import read_bytes, read_json
-from pipeline.errors import InputError
+from pipeline.system.errors import InputError
 
 SPLIT_FILES = ("vool_split", "ssc_split")
 ROOMS, RANDOMIZED_ROOMS, SYNONYM_ROOMS = "unseen_instances", "unseen_instances_dr", "unseen_instances_synonyms"

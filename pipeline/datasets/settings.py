@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.datasets.up_text import GivenUp, Vector
-from pipeline.errors import InputError
+from pipeline.system.errors import InputError
 
 if sys.version_info >= (3, 11):
     import tomllib

@@ -7,14 +7,14 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.camera import intrinsics
 from pipeline.datasets.assembly import make_frame, one_file, read_pair, read_pose
 from pipeline.datasets.base import DatasetFormat, unknown_frame
 from pipeline.datasets.cameras import make_camera
 from pipeline.datasets.files import listing, read_matrix
 from pipeline.datasets.settings import Settings, camera_notes, unit_notes
-from pipeline.errors import InputError
-from pipeline.frame import Frame
+from pipeline.geometry.camera import intrinsics
+from pipeline.geometry.frame import Frame
+from pipeline.system.errors import InputError
 
 UNITS_PER_METRE = 1000.0
 NOTHING = 65535

@@ -13,8 +13,8 @@ from pipeline.datasets.cameras import make_camera, nearest_rotation
 from pipeline.datasets.files import listing, natural, read_matrix
 from pipeline.datasets.images import COLOR_SUFFIXES
 from pipeline.datasets.settings import Settings, unit_notes
-from pipeline.errors import InputError
-from pipeline.frame import Frame
+from pipeline.geometry.frame import Frame
+from pipeline.system.errors import InputError
 
 UNITS_PER_METRE = 1000.0
 ROTATED_BITS = 3

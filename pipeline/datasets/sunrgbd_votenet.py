@@ -9,8 +9,6 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.boxes import Box3D
-from pipeline.camera import intrinsics
 from pipeline.datasets.assembly import make_frame
 from pipeline.datasets.base import DatasetFormat, unknown_frame
 from pipeline.datasets.cameras import make_camera
@@ -18,8 +16,10 @@ from pipeline.datasets.files import as_floats, listing, natural, numbered_lines,
 from pipeline.datasets.images import read_color
 from pipeline.datasets.settings import Settings
 from pipeline.datasets.sunrgbd import camera_from_upright
-from pipeline.errors import InputError
-from pipeline.frame import Annotation, Frame
+from pipeline.geometry.boxes import Box3D
+from pipeline.geometry.camera import intrinsics
+from pipeline.geometry.frame import Annotation, Frame
+from pipeline.system.errors import InputError
 
 FOLDER = "sunrgbd_trainval"
 LABEL_FOLDERS = ("label", "label_v1")

@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.camera import Camera, UpSource
 from pipeline.datasets.base import Dataset
 from pipeline.datasets.capabilities import dataset_notes, has_moves, moves
-from pipeline.errors import InputError
-from pipeline.frame import Frame
-from pipeline.up_words import ASSUMED, DECLARE
+from pipeline.datasets.up_words import ASSUMED, DECLARE
+from pipeline.geometry.camera import Camera, UpSource
+from pipeline.geometry.frame import Frame
+from pipeline.system.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -71,7 +71,7 @@ class FrameReport:
 
 def survey(dataset: Dataset) -> Iterator[FrameReport]:
     """Load every frame in turn and report it; a broken one does not stop the rest."""
-    from pipeline.scene_up import resolved_camera
+    from pipeline.datasets.scene_up import resolved_camera
 
     assumed = dataset_notes(dataset)
     for index, frame_id in enumerate(dataset.frame_ids):
@@ -110,7 +110,7 @@ def up_notes(dataset: Dataset, frame: Frame, camera: Camera) -> tuple[str, ...]:
     camera : Camera
         Of the frame, with its up vector resolved.
     """
-    from pipeline.scene_up import own_disagreement, scene_vote
+    from pipeline.datasets.scene_up import own_disagreement, scene_vote
 
     notes = (f"{ASSUMED}; {DECLARE}",) if camera.up_source == "assumed" else ()
     if camera.T_world_camera is None or camera.up_source not in ("scene", "plane", "assumed"):

@@ -11,14 +11,14 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.camera import intrinsics
 from pipeline.datasets.assembly import make_frame, read_pair
 from pipeline.datasets.base import DatasetFormat, unknown_frame
 from pipeline.datasets.cameras import make_camera, pose_from_quaternion
 from pipeline.datasets.files import as_floats, numbered_lines, path_inside
 from pipeline.datasets.settings import Settings, camera_notes, unit_notes
-from pipeline.errors import InputError
-from pipeline.frame import Frame
+from pipeline.geometry.camera import intrinsics
+from pipeline.geometry.frame import Frame
+from pipeline.system.errors import InputError
 
 UNITS_PER_METRE = 5000.0
 WITHIN = 0.02

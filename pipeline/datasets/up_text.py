@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
-from pipeline.errors import InputError
+from pipeline.system.errors import InputError
 
 Vector = tuple[float, float, float]
 

@@ -6,15 +6,15 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from pipeline.ask import Trace
+from pipeline.answering.ask import Trace
+from pipeline.answering.json_records import trace_record
+from pipeline.answering.objects import FrameContext
+from pipeline.answering.ranking import RankConfig
+from pipeline.answering.source import FrameUnusable, Skipped, Source, contexts, skip_or_raise
 from pipeline.diagnosis.live import Judgement, annotated_truth, judge_trace, judgement_record, labelled_truth
-from pipeline.errors import InputError
-from pipeline.evaluation.cases import FrameCases
-from pipeline.jobs import FrameUnusable, Skipped, Source, contexts, skip_or_raise
+from pipeline.labels.cases import FrameCases
 from pipeline.labels.reading import Labels
-from pipeline.objects import FrameContext
-from pipeline.ranking import RankConfig
-from pipeline.records import trace_record
+from pipeline.system.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -65,7 +65,7 @@ def ask_and_judge(
     ----------
     source : Source
     key : str or int
-        As for `pipeline.jobs.ask_frames`.
+        As for `pipeline.answering.source.ask_frames`.
     expressions : sequence of str
     labels : Labels, optional
         What says what is true. By default the frame's annotations do.
@@ -75,7 +75,7 @@ def ask_and_judge(
     Raises
     ------
     InputError
-        As `pipeline.jobs.ask_frames`.
+        As `pipeline.answering.source.ask_frames`.
     """
     source.needed_detector()
     for context in contexts(source, key, skipped):

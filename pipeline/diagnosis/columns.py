@@ -11,7 +11,7 @@ from pipeline.diagnosis.oracles import CONF, LIFT, SRM
 if TYPE_CHECKING:
     from pipeline.diagnosis.frame_evidence import FrameEvidence
     from pipeline.diagnosis.verdict import Diagnosis
-    from pipeline.evaluation.cases import Case
+    from pipeline.labels.cases import Case
 
 DIAGNOSIS_COLUMNS: dict[str, str] = {
     "verdict": "string", "detail": "string", "lucky": "bool", "said": "string", "repair": "strings",

@@ -7,13 +7,13 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.boxes import iou_2d
+from pipeline.answering.answering import FrameAnswers
+from pipeline.answering.objects import SAME_BOX_IOU
 from pipeline.diagnosis.true_objects import TrueObjects, needs_points
-from pipeline.evaluation.answering import FrameAnswers
-from pipeline.evaluation.cases import Case, FrameCases
 from pipeline.evaluation.records import HIT
-from pipeline.objects import SAME_BOX_IOU
-from pipeline.relations import DIRECTIONAL
+from pipeline.geometry.boxes import iou_2d
+from pipeline.labels.cases import Case, FrameCases
+from pipeline.relations.relations import DIRECTIONAL
 
 DEFAULT_CONFIDENCE = 0.5
 """Confidence of a recalled object where no right detection is known to take it from."""

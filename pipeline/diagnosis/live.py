@@ -9,29 +9,29 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.ask import Trace
-from pipeline.boxes import Box3D, iou_2d
+from pipeline.answering.answering import FrameAnswers
+from pipeline.answering.ask import Trace
+from pipeline.answering.objects import FrameContext, all_objects
+from pipeline.answering.pair_table import ScoredPair
+from pipeline.answering.ranking import RankConfig
+from pipeline.answering.source import Source
 from pipeline.datasets.base import scene_of
 from pipeline.diagnosis.frame_evidence import DEFAULT_CONFIDENCE, FrameEvidence
 from pipeline.diagnosis.oracles import names_of
 from pipeline.diagnosis.substitution import Substituted, substitute
 from pipeline.diagnosis.verdict import Diagnosis, diagnose
 from pipeline.diagnosis.words import explain
-from pipeline.evaluation.answering import FrameAnswers
-from pipeline.evaluation.cases import Case, FrameCases, frame_cases, read_cases
 from pipeline.evaluation.records import HIT, is_gold
-from pipeline.jobs import Source
+from pipeline.geometry.boxes import Box3D, iou_2d
+from pipeline.labels.cases import Case, FrameCases, frame_cases, read_cases
 from pipeline.labels.config import LabelConfig
 from pipeline.labels.labelling import label_objects
 from pipeline.labels.reading import Labels
 from pipeline.labels.second_opinion import open_second_opinion
-from pipeline.naming import match
-from pipeline.objects import FrameContext, all_objects
-from pipeline.pair_table import ScoredPair
+from pipeline.language.naming import match
 from pipeline.proposals.annotations import AnnotationDetector
-from pipeline.ranking import RankConfig
-from pipeline.relations import T, U
-from pipeline.srm.model import OnnxScorer
+from pipeline.relations.model import OnnxScorer
+from pipeline.relations.relations import T, U
 
 
 @dataclass(frozen=True)

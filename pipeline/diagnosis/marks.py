@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.diagnosis.verdict import MARKS
-from pipeline.errors import InputError
+from pipeline.system.errors import InputError
 
 _KEYS = ("frame", "id", "mark")
 

@@ -8,12 +8,12 @@ from typing import Literal
 
 import numpy as np
 
-from pipeline.boxes import iou_2d
-from pipeline.errors import InputError
 from pipeline.evaluation.records import HIT
-from pipeline.frame import Frame
+from pipeline.geometry.boxes import iou_2d
+from pipeline.geometry.frame import Frame
 from pipeline.proposals.base import Detector, Proposals
 from pipeline.proposals.selection import suppress
+from pipeline.system.errors import InputError
 
 Miss = Literal["RANK", "THRESHOLD", "LOCALISATION", "ABSENT"]
 NEAR_MISS = 0.1

@@ -7,7 +7,7 @@ from math import exp, inf, log
 
 import numpy as np
 
-from pipeline.pair_table import MIN_RELATION, MIN_SCORE, PairTable
+from pipeline.answering.pair_table import MIN_RELATION, MIN_SCORE, PairTable
 
 FACTORS = ("target", "reference", "relation")
 

@@ -7,7 +7,8 @@ from functools import cached_property
 
 import numpy as np
 
-from pipeline.boxes import iou_2d
+from pipeline.answering.pair_table import HOLDS, MIN_RELATION, PairTable, Side, one_object_twice, pair_table, side
+from pipeline.answering.ranking import Candidates
 from pipeline.diagnosis.frame_evidence import FrameEvidence
 from pipeline.diagnosis.oracles import (
     CONF,
@@ -19,10 +20,9 @@ from pipeline.diagnosis.oracles import (
     SUBSETS,
     WRONG_SCORE,
 )
-from pipeline.evaluation.cases import Case
 from pipeline.evaluation.records import HIT
-from pipeline.pair_table import HOLDS, MIN_RELATION, PairTable, Side, one_object_twice, pair_table, side
-from pipeline.ranking import Candidates
+from pipeline.geometry.boxes import iou_2d
+from pipeline.labels.cases import Case
 
 _ALL = np.arange(SUBSETS)
 

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.boxes import Box3D
-from pipeline.errors import InputError
-from pipeline.evaluation.cases import FrameCases
-from pipeline.lifting import LiftedObject, Quality, lift
-from pipeline.objects import FrameContext, SceneObject
+from pipeline.answering.objects import FrameContext, SceneObject
+from pipeline.geometry.boxes import Box3D
+from pipeline.geometry.lifting import LiftedObject, Quality, lift
+from pipeline.geometry.run_length import decode_run_length
+from pipeline.labels.cases import FrameCases
 from pipeline.proposals.annotations import box_mask
-from pipeline.relations import DIRECTIONAL
-from pipeline.run_length import decode_run_length
-from pipeline.srm.model import OnnxScorer
-from pipeline.srm.scorer import RelationScorer, RuleScorer
+from pipeline.relations.model import OnnxScorer
+from pipeline.relations.relations import DIRECTIONAL
+from pipeline.relations.scorer import RelationScorer, RuleScorer
+from pipeline.system.errors import InputError
 
 _POINTED = ("paper30", "canon30")
 

@@ -29,14 +29,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pipeline.answering.pair_table import ScoredPair
 from pipeline.diagnosis.frame_evidence import FrameEvidence
 from pipeline.diagnosis.misses import Missed, why_missed
 from pipeline.diagnosis.oracles import CONF, LIFT, SRM, SUBSETS, names_of, size
 from pipeline.diagnosis.repair import Needed, needed_changes
 from pipeline.diagnosis.substitution import Role, Substituted, substitute
-from pipeline.evaluation.cases import Case
 from pipeline.evaluation.records import HIT
-from pipeline.pair_table import ScoredPair
+from pipeline.labels.cases import Case
 from pipeline.proposals.base import Detector
 
 VERDICTS = (

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Collection
 
+from pipeline.answering.pair_table import HOLDS, ScoredPair
 from pipeline.diagnosis.verdict import Diagnosis
-from pipeline.evaluation.cases import Case
-from pipeline.expression import Query
-from pipeline.pair_table import HOLDS, ScoredPair
-from pipeline.relations import PHRASE
+from pipeline.labels.cases import Case
+from pipeline.language.expression import Query
+from pipeline.relations.relations import PHRASE
 
 _MODULE_WORDS = {
     "RECALL": "the missing objects", "LIFT": "true geometry", "SRM": "true relations", "CONF": "true confidences",

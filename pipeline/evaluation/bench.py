@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.errors import InputError, MissingExtra
+from pipeline.answering.recording import record_detections
+from pipeline.answering.source import open_source
 from pipeline.evaluation.job import make_tables
 from pipeline.evaluation.run import (
     FRAMES_A_BLOCK,
@@ -26,13 +27,12 @@ from pipeline.evaluation.run import (
     evaluate_labels,
     frames_with_expressions,
 )
-from pipeline.jobs import open_source
 from pipeline.labels.job import label_dataset
 from pipeline.labels.local import one_thread
 from pipeline.labels.plan import SourceSpec
 from pipeline.labels.reading import Labels, open_labels
-from pipeline.peak_memory import PeakMemory
-from pipeline.proposals.recording import record_detections
+from pipeline.system.errors import InputError, MissingExtra
+from pipeline.system.peak_memory import PeakMemory
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -220,9 +220,9 @@ def _job(spec: EvalSpec, workers: int) -> dict[str, Any]:
 
 def _training(labels: Labels, count: int) -> dict[str, Any]:
     """A network of relative extents (rel14), with the default schedule, on the labels' pairs."""
-    from pipeline.relations import VOCABULARIES
-    from pipeline.srm.label_data import pair_set, read_label_data
-    from pipeline.srm.train import TrainConfig, train_pairs
+    from pipeline.relations.relations import VOCABULARIES
+    from pipeline.training.label_data import pair_set, read_label_data
+    from pipeline.training.train import TrainConfig, train_pairs
 
     config = TrainConfig()
     start = process_time()

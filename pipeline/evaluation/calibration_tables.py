@@ -8,22 +8,22 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.evaluation.calibration_metrics import ECE_BINS
-from pipeline.evaluation.counts import ratio
 from pipeline.evaluation.grounding_tables import clusters_of, column
-from pipeline.evaluation.intervals import BootstrapConfig, Estimate, bootstrap, mean_estimate
 from pipeline.evaluation.raw_scores import DetectorScores, detector_scores, is_calibrated
-from pipeline.evaluation.significance import mcnemar
-from pipeline.evaluation.tables import Cell, Row, Table
 from pipeline.labels.reading import Labels
 from pipeline.labels.tables import read_table
+from pipeline.metrics.calibration_metrics import ECE_BINS
+from pipeline.metrics.counts import ratio
+from pipeline.metrics.intervals import BootstrapConfig, Estimate, bootstrap, mean_estimate
+from pipeline.metrics.significance import mcnemar
+from pipeline.metrics.tables import Cell, Row, Table
 from pipeline.proposals.score_calibration import ScoreCalibration
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-    from pipeline.ask import AskConfig
-    from pipeline.jobs import Source
+    from pipeline.answering.ask import AskConfig
+    from pipeline.answering.source import Source
 
 ACCURACIES = {
     "Acc@0.5 single truth": "correct", "strict set": "strict_correct", "set-valued": "set_correct",

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.errors import InputError
 from pipeline.evaluation.grounding_tables import clusters_of, column
-from pipeline.evaluation.intervals import Estimate, mean_estimate
-from pipeline.evaluation.significance import McNemar, mcnemar
+from pipeline.metrics.intervals import Estimate, mean_estimate
+from pipeline.metrics.significance import McNemar, mcnemar
+from pipeline.system.errors import InputError
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -144,8 +144,8 @@ def compare(before: pa.Table, after: pa.Table, measure: str = "set_correct") -> 
 
 def verdict_transitions(before: pa.Table, after: pa.Table) -> dict[str, dict[str, int]] | None:
     """How many of the same expressions, row by row, went from which verdict to which; None without verdicts."""
-    from pipeline.diagnosis.summary import has_verdicts
     from pipeline.diagnosis.verdict import VERDICTS
+    from pipeline.evaluation.summary import has_verdicts
 
     if not (has_verdicts(before) and has_verdicts(after)):
         return None

@@ -8,10 +8,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pipeline.evaluation.grounding_tables import clusters_of, column, has_opm
-from pipeline.evaluation.intervals import BootstrapConfig, Estimate, mean_estimate
 from pipeline.evaluation.records import HIT
-from pipeline.evaluation.significance import McNemar, mcnemar
-from pipeline.evaluation.tables import NOTHING_SHARED, Row, Table, in_blocks
+from pipeline.metrics.intervals import BootstrapConfig, Estimate, mean_estimate
+from pipeline.metrics.significance import McNemar, mcnemar
+from pipeline.metrics.tables import NOTHING_SHARED, Row, Table, in_blocks
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -11,11 +11,9 @@ from time import perf_counter
 from typing import TYPE_CHECKING
 
 from pipeline import __version__
-from pipeline.diagnosis.confidence import median_confidence
-from pipeline.diagnosis.report import diagnose_run
-from pipeline.errors import InputError, MissingExtra
 from pipeline.evaluation.calibration_tables import calibration_table, calibration_warnings, recorded_config
 from pipeline.evaluation.compare import Comparison, compare, read_records
+from pipeline.evaluation.confidence import median_confidence
 from pipeline.evaluation.gain_tables import gain_table
 from pipeline.evaluation.grounding_tables import (
     OPM_ONLY,
@@ -28,23 +26,25 @@ from pipeline.evaluation.grounding_tables import (
     stages_table,
     systems_table,
 )
-from pipeline.evaluation.intervals import BootstrapConfig
 from pipeline.evaluation.other_runs import other_systems
 from pipeline.evaluation.paper_run import tables_of_folder
 from pipeline.evaluation.raw_scores import is_calibrated, raw_records
 from pipeline.evaluation.relation_cases import labelled_detector
 from pipeline.evaluation.relation_job import measure_relations, relation_sink
+from pipeline.evaluation.report import diagnose_run
 from pipeline.evaluation.reported import reported_rows
 from pipeline.evaluation.run import EvalSpec, Progress, evaluate_labels, write_records
 from pipeline.evaluation.run_folder import RUN_FILE, spec_record
 from pipeline.evaluation.shared_makers import Share, measured_of, rank, shared_makers, title_of, with_caveats
-from pipeline.evaluation.tables import NOTHING_SHARED, Table, as_csv, latex, markdown
 from pipeline.labels.makers import makers_of
 from pipeline.labels.merge import environment
 from pipeline.labels.pictures import labelled_up
 from pipeline.labels.profiles import canonical_hash
 from pipeline.labels.reading import open_labels
-from pipeline.staging import staged_folder, write_json
+from pipeline.metrics.intervals import BootstrapConfig
+from pipeline.metrics.tables import NOTHING_SHARED, Table, as_csv, latex, markdown
+from pipeline.system.errors import InputError, MissingExtra
+from pipeline.system.staging import staged_folder, write_json
 
 if TYPE_CHECKING:
     import pyarrow as pa

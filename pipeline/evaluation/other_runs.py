@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pipeline.errors import InputError
 from pipeline.evaluation.compare import read_records
 from pipeline.evaluation.run_folder import RUN_FILE
 from pipeline.evaluation.shared_makers import Share, measured_of_run, shared_makers
 from pipeline.labels.makers import Makers
+from pipeline.system.errors import InputError
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -7,15 +7,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pipeline.datasets.settings import read_settings
-from pipeline.errors import InputError
 from pipeline.evaluation.compare import read_records
-from pipeline.evaluation.intervals import BootstrapConfig
 from pipeline.evaluation.paper_tables import Evaluated, paper_tables
 from pipeline.evaluation.relation_records import FILE, read_pair_names, read_relation_records
 from pipeline.evaluation.run_folder import RECORDS_FILE, open_run
 from pipeline.evaluation.shared_makers import shares_of_run, title_of
-from pipeline.evaluation.tables import NOTHING_SHARED, Table
 from pipeline.labels.profiles import GIVEN
+from pipeline.metrics.intervals import BootstrapConfig
+from pipeline.metrics.tables import NOTHING_SHARED, Table
+from pipeline.system.errors import InputError
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -8,12 +8,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.errors import MissingExtra
 from pipeline.evaluation.calibration_plots import draw_reliability, reliability_figures, score_diagrams
 from pipeline.evaluation.grounding_tables import OPM_ONLY, column, has_opm
-from pipeline.evaluation.intervals import Estimate
-from pipeline.evaluation.tables import Table, caveats_html
 from pipeline.labels.report.style import house_style, need_matplotlib
+from pipeline.metrics.intervals import Estimate
+from pipeline.metrics.tables import Table, caveats_html
+from pipeline.system.errors import MissingExtra
 
 if TYPE_CHECKING:
     import pyarrow as pa

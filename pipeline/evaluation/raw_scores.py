@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.evaluation.answering import FrameAnswers
-from pipeline.evaluation.cases import Case, FrameCases
+from pipeline.answering.answering import FrameAnswers
 from pipeline.evaluation.records import DETECTIONS, RAW, matched, record
-from pipeline.expression import Query
+from pipeline.labels.cases import Case, FrameCases
+from pipeline.language.expression import Query
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.boxes import iou_2d
+from pipeline.answering.answering import FrameAnswers
+from pipeline.answering.pair_table import PairTable, ScoredPair
+from pipeline.answering.ranking import alone
 from pipeline.diagnosis.columns import DIAGNOSIS_COLUMNS
-from pipeline.errors import InputError
-from pipeline.evaluation.answering import FrameAnswers
-from pipeline.evaluation.cases import Case, FrameCases
-from pipeline.expression import Query, parse
-from pipeline.pair_table import PairTable, ScoredPair
-from pipeline.ranking import alone
+from pipeline.geometry.boxes import iou_2d
+from pipeline.labels.cases import Case, FrameCases
+from pipeline.language.expression import Query, parse
+from pipeline.system.errors import InputError
 
 if TYPE_CHECKING:
     import pyarrow as pa

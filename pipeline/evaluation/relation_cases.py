@@ -8,18 +8,18 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.errors import InputError
+from pipeline.answering.objects import FrameContext
+from pipeline.answering.source import Source
 from pipeline.evaluation.relation_systems import RelationSystem
-from pipeline.jobs import Source
 from pipeline.labels.reading import Labels
-from pipeline.objects import FrameContext
+from pipeline.metrics.splits import FrameKey
 from pipeline.proposals import make_detector
 from pipeline.proposals.base import Detector
-from pipeline.relations import PAIRWISE, pairwise_states
-from pipeline.srm.features import geometry_of
-from pipeline.srm.label_data import GEOMETRY_COLUMNS, column_arrays, object_rows, rows_of_frame
-from pipeline.srm.scorer import rule_probabilities
-from pipeline.srm.splits import FrameKey
+from pipeline.relations.features import geometry_of
+from pipeline.relations.relations import PAIRWISE, pairwise_states
+from pipeline.relations.scorer import rule_probabilities
+from pipeline.system.errors import InputError
+from pipeline.training.label_data import GEOMETRY_COLUMNS, column_arrays, object_rows, rows_of_frame
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,7 +163,7 @@ def score_stored(systems: Sequence[RelationSystem], pairs: FramePairs) -> list[n
 
     The rule has no points then: on, in and near are judged by extents.
     """
-    from pipeline.srm.model import OnnxScorer
+    from pipeline.relations.model import OnnxScorer
 
     found = []
     everything = slice(0, len(pairs.numbers))

@@ -10,8 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.errors import InputError
-from pipeline.evaluation.intervals import BootstrapConfig
+from pipeline.answering.source import Source
 from pipeline.evaluation.relation_records import (
     FILE,
     RelationRecords,
@@ -34,10 +33,11 @@ from pipeline.evaluation.relation_vlm import FILE as VLM_FILE
 from pipeline.evaluation.relation_vlm import ask_relations, sample_pairs
 from pipeline.evaluation.run import EvalSpec
 from pipeline.evaluation.shared_makers import Share, relation_share
-from pipeline.evaluation.tables import Table
-from pipeline.jobs import Source
 from pipeline.labels.makers import makers_of
 from pipeline.labels.reading import Labels
+from pipeline.metrics.intervals import BootstrapConfig
+from pipeline.metrics.tables import Table
+from pipeline.system.errors import InputError
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,7 +160,7 @@ def _said(records: RelationRecords, counted: np.ndarray, geometry: str, held_out
 
 
 def _system_record(system: RelationSystem) -> dict[str, Any]:
-    from pipeline.srm.model import OnnxScorer
+    from pipeline.relations.model import OnnxScorer
 
     found: dict[str, Any] = {"name": system.name, "title": system.title, "relations": list(system.relations)}
     if isinstance(system.scorer, OnnxScorer):

@@ -10,9 +10,9 @@ import numpy as np
 
 from pipeline.evaluation.plots import TONES
 from pipeline.evaluation.relation_report import SystemFigures
-from pipeline.evaluation.tables import Table, caveats_html
 from pipeline.labels.report.style import house_style
-from pipeline.relations import PAIRWISE, PHRASE
+from pipeline.metrics.tables import Table, caveats_html
+from pipeline.relations.relations import PAIRWISE, PHRASE
 
 DIAGONAL = "#b4bdca"
 

@@ -11,14 +11,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.errors import InputError
+from pipeline.answering.objects import FrameContext
+from pipeline.answering.source import Source
 from pipeline.evaluation.relation_cases import FramePairs, read_pairs, score_lifted, score_stored
 from pipeline.evaluation.relation_systems import RelationSpec, RelationSystem, geometry_of_labels, open_systems
-from pipeline.jobs import Source
 from pipeline.labels.reading import Labels
-from pipeline.objects import FrameContext
-from pipeline.relations import PAIRWISE
-from pipeline.srm.splits import DROPPED, PARTS
+from pipeline.metrics.splits import DROPPED, PARTS
+from pipeline.relations.relations import PAIRWISE
+from pipeline.system.errors import InputError
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -148,7 +148,7 @@ def relation_schema(systems: Sequence[RelationSystem], labels: Labels) -> pa.Sch
 
 
 def _prior_of(system: RelationSystem) -> list[float]:
-    from pipeline.srm.model import OnnxScorer
+    from pipeline.relations.model import OnnxScorer
 
     if not system.single_label or not isinstance(system.scorer, OnnxScorer):
         return []

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from pipeline.errors import InputError
-from pipeline.relations import PAIRWISE
-from pipeline.srm import RULE, TRAINED, RelationScorer, make_scorer, shipped_network
-from pipeline.srm.features import geometry_of
-from pipeline.srm.trained_on import TrainedOn
+from pipeline.relations import RULE, TRAINED, RelationScorer, make_scorer, shipped_network
+from pipeline.relations.features import geometry_of
+from pipeline.relations.relations import PAIRWISE
+from pipeline.relations.trained_on import TrainedOn
+from pipeline.system.errors import InputError
 
 if TYPE_CHECKING:
     from pipeline.labels.reading import Labels
@@ -164,7 +164,7 @@ def open_systems(options: Mapping[str, Any], spec: RelationSpec, labels: Labels)
 
 
 def _system(name: str, which: str, scorer: RelationScorer, labels: Labels) -> RelationSystem:
-    from pipeline.srm.model import OnnxScorer
+    from pipeline.relations.model import OnnxScorer
 
     labelled = labels.relation_names
     if not isinstance(scorer, OnnxScorer):
@@ -189,8 +189,8 @@ def _system(name: str, which: str, scorer: RelationScorer, labels: Labels) -> Re
 
 def uses_language(which: str) -> bool:
     """Whether a relation scorer is given class names; InputError where it cannot be opened."""
-    from pipeline.proposals.onnx_session import metadata, open_session
-    from pipeline.srm.contract import Contract
+    from pipeline.relations.contract import Contract
+    from pipeline.system.onnx_session import metadata, open_session
 
     if which == RULE:
         return False

@@ -14,7 +14,7 @@ from pipeline.evaluation.relation_cases import read_pairs
 from pipeline.evaluation.relation_records import RelationRecords, SystemRecords
 from pipeline.evaluation.whole_expression import VlmOptions
 from pipeline.labels.reading import Labels
-from pipeline.srm.splits import DROPPED
+from pipeline.metrics.splits import DROPPED
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -79,8 +79,8 @@ def ask_relations(
     import pyarrow as pa
     import pyarrow.parquet as pq
 
-    from pipeline.vlm.client import ChatClient
-    from pipeline.vlm.relations import RelationConfig, score_pairs
+    from pipeline.evaluation.vlm.client import ChatClient
+    from pipeline.evaluation.vlm.relations import RelationConfig, score_pairs
 
     client = ChatClient(
         options.url, options.model, timeout_s=options.timeout_s, requests_per_minute=options.requests_per_minute

@@ -6,11 +6,11 @@ from pathlib import Path
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from pipeline.errors import InputError
 from pipeline.evaluation.grounding_tables import MEASURES
-from pipeline.evaluation.tables import Row
+from pipeline.metrics.tables import Row
+from pipeline.system.errors import InputError
 
-FIGURES = Path(__file__).resolve().parent.parent / "data" / "reported.json"
+FIGURES = Path(__file__).with_name("reported.json")
 
 
 class Reported(BaseModel):

@@ -12,28 +12,28 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from pipeline.boxes import iou_2d
+from pipeline.answering.answering import FrameAnswers
+from pipeline.answering.objects import FrameContext, frame_context
+from pipeline.answering.source import Source, open_source
+from pipeline.answering.stage_clock import StageClock
 from pipeline.datasets.capabilities import load_picture
 from pipeline.diagnosis.columns import diagnosis_columns
 from pipeline.diagnosis.frame_evidence import DEFAULT_CONFIDENCE, FrameEvidence
 from pipeline.diagnosis.verdict import diagnose
 from pipeline.diagnosis.words import explain
-from pipeline.errors import InputError
-from pipeline.evaluation.answering import FrameAnswers
-from pipeline.evaluation.cases import Case, FrameCases, read_cases
 from pipeline.evaluation.raw_scores import by_raw_scores, raw_columns
 from pipeline.evaluation.records import COLUMNS, read_query, record, records_schema
 from pipeline.evaluation.relation_cases import frames_with_pairs
 from pipeline.evaluation.relation_records import RelationPass
 from pipeline.evaluation.relation_systems import RelationSpec
-from pipeline.evaluation.stage_clock import StageClock
 from pipeline.evaluation.whole_expression import Referring, Vlm, VlmOptions, WholeExpression, record_whole
-from pipeline.expression import Query
-from pipeline.jobs import Source, open_source
+from pipeline.geometry.boxes import iou_2d
+from pipeline.labels.cases import Case, FrameCases, read_cases
 from pipeline.labels.reading import Labels, open_labels
-from pipeline.objects import FrameContext, frame_context
+from pipeline.language.expression import Query
 from pipeline.proposals.base import reads_annotations
-from pipeline.threads import one_thread, threads_in_children
+from pipeline.system.errors import InputError
+from pipeline.system.threads import one_thread, threads_in_children
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -12,15 +12,15 @@ from typing import TYPE_CHECKING, Any
 
 from pydantic import TypeAdapter, ValidationError
 
-from pipeline.ask import AskConfig
-from pipeline.demo import DEMO_NAME
-from pipeline.errors import InputError
+from pipeline.answering.ask import AskConfig
+from pipeline.answering.source import Source, open_source
+from pipeline.datasets.demo import DEMO_NAME
 from pipeline.evaluation.run import EvalSpec
 from pipeline.evaluation.shared_makers import Share, shares_of_run
-from pipeline.jobs import Source, open_source
 from pipeline.labels.reading import Labels, open_labels
-from pipeline.proposals.model_files import parse_hub_id
 from pipeline.proposals.registry import with_model
+from pipeline.system.errors import InputError
+from pipeline.system.model_files import parse_hub_id
 
 if TYPE_CHECKING:
     import pyarrow as pa

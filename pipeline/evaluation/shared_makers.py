@@ -8,20 +8,20 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from pipeline.errors import InputError
 from pipeline.labels.makers import OF_ANNOTATIONS, RECORDED, Makers, MaskMakers, makers_of, mask_makers
 from pipeline.labels.profiles import profile_of
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.labels.second_opinion import NONE
-from pipeline.proposals.onnx_session import file_hash
-from pipeline.relations import PROFILE
-from pipeline.srm import RULE, TRAINED, RelationScorer, RuleScorer
-from pipeline.srm.model import OnnxScorer
+from pipeline.relations import RULE, TRAINED, RelationScorer, RuleScorer
+from pipeline.relations.model import OnnxScorer
+from pipeline.relations.relations import PROFILE
+from pipeline.system.errors import InputError
+from pipeline.system.onnx_session import file_hash
 
 if TYPE_CHECKING:
+    from pipeline.answering.source import Source
     from pipeline.evaluation.relation_systems import RelationSystem
-    from pipeline.evaluation.tables import Table
-    from pipeline.jobs import Source
+    from pipeline.metrics.tables import Table
 
 AGREEMENT = "shares rule and cloud with the labels: agreement, not accuracy"
 SIMULATED = "errors are simulated out of the truth's own masks"

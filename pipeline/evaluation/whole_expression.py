@@ -8,12 +8,12 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from pipeline.boxes import iou_2d
-from pipeline.errors import InputError
-from pipeline.evaluation.cases import Case, FrameCases
 from pipeline.evaluation.records import COLUMNS, HIT, matched, overlaps
-from pipeline.frame import Frame
+from pipeline.geometry.boxes import iou_2d
+from pipeline.geometry.frame import Frame
+from pipeline.labels.cases import Case, FrameCases
 from pipeline.proposals.base import Detector, detect_expression
+from pipeline.system.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -83,7 +83,7 @@ class VlmOptions:
     workers : int
         Questions in flight at once.
     box_scale : str or float
-        See `pipeline.vlm.box_answers.parse_box`.
+        See `pipeline.evaluation.vlm.box_answers.parse_box`.
     """
 
     url: str
@@ -108,8 +108,8 @@ class Vlm:
     """
 
     def __init__(self, options: VlmOptions) -> None:
-        from pipeline.vlm.client import ChatClient
-        from pipeline.vlm.grounding import GroundingConfig
+        from pipeline.evaluation.vlm.client import ChatClient
+        from pipeline.evaluation.vlm.grounding import GroundingConfig
 
         self.client = ChatClient(
             options.url,
@@ -121,7 +121,7 @@ class Vlm:
         self._config = GroundingConfig(box_scale=options.box_scale, workers=options.workers, keep_going=True)
 
     def point(self, frame: Frame, texts: Sequence[str]) -> list[Pointed]:
-        from pipeline.vlm.grounding import ground_many
+        from pipeline.evaluation.vlm.grounding import ground_many
 
         found = ground_many(self.client, frame, texts, config=self._config)
         return [Pointed(g.box, problem=g.reason if g.box is None else None) for g in found]

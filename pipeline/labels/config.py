@@ -6,11 +6,11 @@ from dataclasses import asdict, dataclass, field
 from math import inf
 from typing import Any, Literal
 
-from pipeline.errors import InputError
+from pipeline.geometry.lifting import LiftConfig
 from pipeline.labels.profiles import RuleProfile, canonical_hash, profile_of
-from pipeline.lifting import LiftConfig
-from pipeline.naming import normal_form
-from pipeline.relations import PAIRWISE, PROFILE, VOCABULARIES
+from pipeline.language.naming import normal_form
+from pipeline.relations.relations import PAIRWISE, PROFILE, VOCABULARIES
+from pipeline.system.errors import InputError
 
 TextStyle = Literal["varied", "plain", "semantic-abstraction"]
 

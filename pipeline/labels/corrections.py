@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from pathlib import Path
 
-from pipeline.errors import InputError
+from pipeline.system.errors import InputError
 
 PROVENANCE_FILE = "provenance.parquet"
 MARKS_FILE = "marks.json"

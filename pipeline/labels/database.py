@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.errors import InputError
 from pipeline.labels.reading import Labels
 from pipeline.labels.schema import TABLES
 from pipeline.labels.tables import read_table
+from pipeline.system.errors import InputError
 
 if TYPE_CHECKING:
     import duckdb

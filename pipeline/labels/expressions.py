@@ -9,11 +9,11 @@ import numpy as np
 import xxhash
 
 from pipeline.labels.config import LabelConfig
-from pipeline.labels.noun_phrase import readable
 from pipeline.labels.profiles import Judged
 from pipeline.labels.wording import can_be_said
-from pipeline.naming import normal_form, same_class
-from pipeline.relations import PAIRWISE, T, U
+from pipeline.language.naming import normal_form, same_class
+from pipeline.language.noun_phrase import readable
+from pipeline.relations.relations import PAIRWISE, T, U
 
 
 def row_hash(seed: int, *parts: object) -> int:

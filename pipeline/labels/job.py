@@ -8,7 +8,6 @@ from pathlib import Path
 from time import perf_counter
 from typing import Literal
 
-from pipeline.errors import InputError
 from pipeline.labels.config import LabelConfig, SelectConfig
 from pipeline.labels.local import run_local
 from pipeline.labels.merge import merge_labels
@@ -17,6 +16,7 @@ from pipeline.labels.schema import Manifest
 from pipeline.labels.second_opinion import NONE, TRAINED, open_second_opinion
 from pipeline.labels.shard import ShardReport
 from pipeline.labels.store import Store
+from pipeline.system.errors import InputError
 
 Engine = Literal["local", "ray"]
 Progress = Callable[[int, int], None]

@@ -9,9 +9,13 @@ from typing import Any
 import numpy as np
 import xxhash
 
+from pipeline.answering.objects import FrameContext, SceneObject
 from pipeline.datasets import GivenExpression
-from pipeline.fitting import pca_box
-from pipeline.frame import Annotation, Frame
+from pipeline.geometry.fitting import pca_box
+from pipeline.geometry.frame import Annotation, Frame
+from pipeline.geometry.lifting import LiftedObject
+from pipeline.geometry.run_length import encode_run_length
+from pipeline.geometry.viewer import ViewerAxes
 from pipeline.labels.config import LabelConfig
 from pipeline.labels.expressions import candidate_expressions
 from pipeline.labels.given import as_given
@@ -19,13 +23,9 @@ from pipeline.labels.occlusion import occluded_share
 from pipeline.labels.profiles import CONTACT, GIVEN, Judged
 from pipeline.labels.second_opinion import doubted
 from pipeline.labels.tables import PART_TABLES, Columns
-from pipeline.lifting import LiftedObject
-from pipeline.objects import FrameContext, SceneObject
-from pipeline.relations import PAIRWISE, U
-from pipeline.run_length import encode_run_length
-from pipeline.srm.appearance import appearance_of
-from pipeline.srm.model import OnnxScorer
-from pipeline.viewer import ViewerAxes
+from pipeline.relations.appearance import appearance_of
+from pipeline.relations.model import OnnxScorer
+from pipeline.relations.relations import PAIRWISE, U
 
 
 @dataclass(frozen=True)

@@ -9,12 +9,12 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 
-from pipeline.errors import InputError
 from pipeline.labels.config import LabelConfig
 from pipeline.labels.plan import Plan, Shard, SourceSpec
 from pipeline.labels.shard import Labeller, ShardReport, label_shard, open_labeller
 from pipeline.labels.store import Store
-from pipeline.threads import one_thread, threads_in_children
+from pipeline.system.errors import InputError
+from pipeline.system.threads import one_thread, threads_in_children
 
 Done = Callable[[ShardReport], None]
 """Called with each shard's report when it is finished."""

@@ -13,8 +13,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pipeline.contact import in_measures, near_measures, on_measures
-from pipeline.relations import PairMeasures, Profile
+from pipeline.relations.contact import in_measures, near_measures, on_measures
+from pipeline.relations.relations import PairMeasures, Profile
 
 
 def directional_margins(pairs: PairMeasures, profile: Profile) -> np.ndarray:

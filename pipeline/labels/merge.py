@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline import __version__
-from pipeline.errors import InputError
+from pipeline.datasets.up_words import ASSUMED, DECLARE
 from pipeline.labels.card import croissant, dataset_card
 from pipeline.labels.config import SelectConfig, TextStyle
 from pipeline.labels.expressions import alone
@@ -28,10 +28,10 @@ from pipeline.labels.schema_files import write_schemas
 from pipeline.labels.selection import select
 from pipeline.labels.store import Store
 from pipeline.labels.tables import CANDIDATES, ROW_GROUP, RowHash, arrow_schema
-from pipeline.labels.whole_files import clear_abandoned, temporary_beside, write_synced
 from pipeline.labels.wording import expression_text
-from pipeline.relations import PAIRWISE
-from pipeline.up_words import ASSUMED, DECLARE
+from pipeline.relations.relations import PAIRWISE
+from pipeline.system.errors import InputError
+from pipeline.system.whole_files import clear_abandoned, temporary_beside, write_synced
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from pipeline.lifting import Evidence, Pixel
+from pipeline.geometry.lifting import Evidence, Pixel
 
 NEARER_M = 0.05
 REACH = 2

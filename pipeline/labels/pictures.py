@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.datasets import Dataset, open_dataset
-from pipeline.demo import DEMO_NAME, demo_path
-from pipeline.errors import InputError
+from pipeline.datasets.demo import DEMO_NAME, demo_path
 from pipeline.labels.schema import Manifest
+from pipeline.system.errors import InputError
 
 Intrinsics = tuple[float, float, float, float]
 

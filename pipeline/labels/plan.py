@@ -11,15 +11,15 @@ from pathlib import Path
 from typing import Any
 
 from pipeline import __version__
+from pipeline.answering.source import Source, open_source
 from pipeline.datasets import Dataset, splits
-from pipeline.errors import InputError
-from pipeline.jobs import Source, open_source
 from pipeline.labels.config import LabelConfig
 from pipeline.labels.profiles import canonical_hash
 from pipeline.labels.second_opinion import fingerprint
 from pipeline.labels.store import PLAN_FILE, Store
-from pipeline.proposals.model_files import parse_hub_id
 from pipeline.proposals.registry import with_model
+from pipeline.system.errors import InputError
+from pipeline.system.model_files import parse_hub_id
 
 MOST_FRAMES_A_SHARD = 64
 FEWEST_FRAMES_A_SHARD = 4
@@ -40,7 +40,7 @@ class SourceSpec:
 
     def open(self, config: LabelConfig) -> Source:
         """The dataset with its models; relations are judged by the rules, and so no network is loaded."""
-        from pipeline.ask import AskConfig
+        from pipeline.answering.ask import AskConfig
 
         return open_source(self.path, srm="rule", config=AskConfig(lift=config.lift), **self.options)
 
@@ -300,7 +300,7 @@ def load_plan(store: Store) -> Plan:
     InputError
         There is none, or it is damaged.
     """
-    from pipeline.lifting import LiftConfig
+    from pipeline.geometry.lifting import LiftConfig
 
     text = store.read_text(PLAN_FILE)
     if text is None:

@@ -10,9 +10,8 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from pipeline.errors import InputError
 from pipeline.labels.margins import contact_margins, directional_margins
-from pipeline.relations import (
+from pipeline.relations.relations import (
     DIRECTIONAL,
     PAIRWISE,
     PROFILE,
@@ -25,6 +24,7 @@ from pipeline.relations import (
     measured_directions,
     pairwise_states,
 )
+from pipeline.system.errors import InputError
 
 
 @dataclass(frozen=True)
@@ -117,7 +117,7 @@ def judge_viewer_cone(
     clouds: Sequence[np.ndarray] | None,
     relations: Collection[str] = PAIRWISE,
 ) -> Judged:
-    """`viewer-cone-v1`: see `pipeline.relations`. Centroids play no part in it."""
+    """`viewer-cone-v1`: see `pipeline.relations.relations`. Centroids play no part in it."""
     profile = Profile()
     known = known_extents(lo, hi)
     pairs = measure_pairs(np.where(known[:, None], lo, 0.0), np.where(known[:, None], hi, 0.0), profile)

@@ -10,12 +10,12 @@ from functools import lru_cache
 from importlib import import_module
 from typing import Any, cast
 
-from pipeline.errors import MissingExtra
 from pipeline.labels.local import Done
 from pipeline.labels.plan import Plan, Shard
 from pipeline.labels.shard import Labeller, ShardReport, detect_shard, finished, label_shard, open_labeller
 from pipeline.labels.store import Store
-from pipeline.threads import one_thread
+from pipeline.system.errors import MissingExtra
+from pipeline.system.threads import one_thread
 
 LEAST_FRAMES_A_BLOCK = 64
 """Ray Data costs milliseconds a block: smaller ones would be felt."""

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING
 
 from pydantic import ValidationError
 
-from pipeline.errors import InputError
 from pipeline.labels.schema import SCHEMA_VERSION, TABLES, Manifest
 from pipeline.labels.tables import read_table
+from pipeline.system.errors import InputError
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -8,11 +8,11 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from pipeline.errors import InputError
 from pipeline.labels.card import croissant, dataset_card
 from pipeline.labels.merge import CARD_FILE, CROISSANT_FILE, write_merged
 from pipeline.labels.reading import MANIFEST_FILE, Labels, open_labels
-from pipeline.labels.whole_files import temporary_beside, write_synced
+from pipeline.system.errors import InputError
+from pipeline.system.whole_files import temporary_beside, write_synced
 
 
 def read_sentences(path: Path) -> dict[tuple[str, str], str]:

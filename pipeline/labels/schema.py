@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from pipeline.camera import UpSource
+from pipeline.geometry.camera import UpSource
 
 SCHEMA_VERSION = "1.2.0"
 """Semantic version of the tables below: a new major number means that old readers must refuse."""
@@ -43,7 +43,7 @@ class FrameRow(Row):
     """One frame; of a broken one only its id and the problem are known.
 
     `up` is the unit vector against gravity in the camera frame; with it
-    `pipeline.viewer.viewer_axes` gives the axes in which everything is judged.
+    `pipeline.geometry.viewer.viewer_axes` gives the axes in which everything is judged.
     """
 
     scene: str

@@ -16,13 +16,13 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.errors import InputError
+from pipeline.geometry.lifting import LiftedObject
+from pipeline.geometry.viewer import ViewerAxes
 from pipeline.labels.profiles import Judged
-from pipeline.lifting import LiftedObject
-from pipeline.relations import PAIRWISE, F, T, U
-from pipeline.srm.appearance import Appearance
-from pipeline.srm.model import OnnxScorer
-from pipeline.viewer import ViewerAxes
+from pipeline.relations.appearance import Appearance
+from pipeline.relations.model import OnnxScorer
+from pipeline.relations.relations import PAIRWISE, F, T, U
+from pipeline.system.errors import InputError
 
 NONE, TRAINED = "none", "trained"
 
@@ -40,7 +40,7 @@ def open_second_opinion(name: str) -> OnnxScorer | None:
     InputError
         There is no such network, or it is a softmax network.
     """
-    from pipeline.srm import make_scorer
+    from pipeline.relations import make_scorer
 
     if name == NONE:
         return None
@@ -61,8 +61,8 @@ def fingerprint(name: str) -> str:
     InputError
         There is no such file.
     """
-    from pipeline.proposals.onnx_session import file_hash
-    from pipeline.srm import shipped_network
+    from pipeline.relations import shipped_network
+    from pipeline.system.onnx_session import file_hash
 
     if name == NONE:
         return NONE

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pipeline.answering.objects import frame_context
+from pipeline.answering.source import Source
 from pipeline.datasets import given_expressions
 from pipeline.datasets.base import scene_of
-from pipeline.errors import InputError
-from pipeline.jobs import Source
 from pipeline.labels.config import LabelConfig
 from pipeline.labels.labelling import FrameLabels, broken_frame, label_objects
 from pipeline.labels.plan import Shard, SourceSpec
@@ -20,9 +20,9 @@ from pipeline.labels.profiles import GIVEN
 from pipeline.labels.second_opinion import open_second_opinion
 from pipeline.labels.store import Store
 from pipeline.labels.tables import CANDIDATES, PART_TABLES, arrow_schema, build_table
-from pipeline.objects import frame_context
 from pipeline.proposals.base import Proposals
-from pipeline.srm.model import OnnxScorer
+from pipeline.relations.model import OnnxScorer
+from pipeline.system.errors import InputError
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -10,8 +10,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pipeline.errors import InputError, MissingExtra
-from pipeline.labels.whole_files import clear_abandoned, temporary_beside, write_synced
+from pipeline.system.errors import InputError, MissingExtra
+from pipeline.system.whole_files import clear_abandoned, temporary_beside, write_synced
 
 if TYPE_CHECKING:
     import pyarrow as pa

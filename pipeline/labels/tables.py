@@ -14,9 +14,9 @@ from typing import IO, TYPE_CHECKING, Any
 import numpy as np
 from pydantic import ValidationError
 
-from pipeline.errors import InputError
 from pipeline.labels.schema import SCHEMA_VERSION, TABLES
-from pipeline.labels.whole_files import temporary_beside
+from pipeline.system.errors import InputError
+from pipeline.system.whole_files import temporary_beside
 
 if TYPE_CHECKING:
     import pyarrow as pa

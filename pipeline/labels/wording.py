@@ -8,13 +8,13 @@ from dataclasses import dataclass
 from functools import lru_cache
 from itertools import product
 
-from pipeline import lexicon
-from pipeline.errors import InputError
-from pipeline.expression import parse
-from pipeline.labels.noun_phrase import NounPhrase, noun_phrase, readable
-from pipeline.naming import DETERMINERS, is_named, match, normal_form, same_class
-from pipeline.relations import PAIRWISE, PHRASE
-from pipeline.tokens import MAX_LENGTH, words_of
+from pipeline.language import lexicon
+from pipeline.language.expression import parse
+from pipeline.language.naming import DETERMINERS, is_named, match, normal_form, same_class
+from pipeline.language.noun_phrase import NounPhrase, noun_phrase, readable
+from pipeline.language.tokens import MAX_LENGTH, words_of
+from pipeline.relations.relations import PAIRWISE, PHRASE
+from pipeline.system.errors import InputError
 
 __all__ = ["STYLES", "can_be_said", "expression_text", "question_text"]
 
@@ -137,7 +137,7 @@ def expression_text(
 ) -> str:
     """The sentence of one expression: `the mug to the left of a laptop`.
 
-    `pipeline.expression.parse`, given the class names, reads it back as the same target, relation and reference.
+    `language.expression.parse`, given the class names, reads it back as the same target, relation and reference.
     A name that the grammar would misread stands in double quotes, or the sentence falls back to the plain form.
 
     Parameters

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.frame import Frame
-from pipeline.naming import Synonyms, match
+from pipeline.geometry.frame import Frame
+from pipeline.language.naming import Synonyms, match
 from pipeline.proposals.base import Proposals, no_proposals, unknown_class
 
 

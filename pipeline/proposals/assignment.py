@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.boxes import iou_2d
-from pipeline.naming import Synonyms, match
+from pipeline.geometry.boxes import iou_2d
+from pipeline.language.naming import Synonyms, match
 
 MIN_IOU = 0.5
 """A segment whose bounding box overlaps a box less than this is not its segment."""

@@ -8,8 +8,8 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from pipeline.errors import InputError, UnknownClass
-from pipeline.frame import Frame
+from pipeline.geometry.frame import Frame
+from pipeline.system.errors import InputError, UnknownClass
 
 
 @dataclass(frozen=True)
@@ -157,7 +157,7 @@ def reads_annotations(detector: Detector) -> bool:
 
 def unknown_class(label: str, names: Sequence[str], where: str, advice: str | None = None) -> UnknownClass:
     """The error for a class name that a detector of limited vocabulary does not know; `advice` says what else helps."""
-    from pipeline.naming import suggest
+    from pipeline.language.naming import suggest
 
     close = suggest(label, names)
     hint = f"did you mean {' or '.join(repr(c) for c in close)}?" if close else "known: " + listed(names)

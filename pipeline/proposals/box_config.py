@@ -8,15 +8,15 @@ from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, model_validator
 
-from pipeline.errors import InputError
 from pipeline.proposals.class_names import read_class_names
+from pipeline.system.errors import InputError
 
 if sys.version_info >= (3, 11):
     import tomllib
 else:
     import tomli as tomllib  # pyright: ignore[reportMissingImports]
 
-EXAMPLES = Path(__file__).parents[1] / "data" / "detectors"
+EXAMPLES = Path(__file__).with_name("detectors")
 """A TOML file for each form of output."""
 
 Triple = tuple[FiniteFloat, FiniteFloat, FiniteFloat]

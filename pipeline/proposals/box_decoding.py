@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.errors import InputError
 from pipeline.proposals.box_config import BoxOutput
 from pipeline.proposals.captions import sigmoid
+from pipeline.system.errors import InputError
 
 
 @dataclass(frozen=True)

@@ -8,17 +8,17 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.errors import InputError
-from pipeline.frame import Frame
-from pipeline.naming import Synonyms
+from pipeline.geometry.frame import Frame
+from pipeline.language.naming import Synonyms
 from pipeline.proposals.base import Proposals
 from pipeline.proposals.box_config import find_box_model, read_box_model
 from pipeline.proposals.box_decoding import Candidates, decode, output_names
 from pipeline.proposals.box_placement import Placement, place_picture
 from pipeline.proposals.class_names import metadata_names, names_hash, synonyms_hash, wanted_names
-from pipeline.proposals.onnx_session import model_hash, open_session, run_session, signature
 from pipeline.proposals.relative_boxes import proposals_of
 from pipeline.proposals.selection import class_wise
+from pipeline.system.errors import InputError
+from pipeline.system.onnx_session import model_hash, open_session, run_session, signature
 
 OPTION = "--detector boxes"
 VERSION = "1"

@@ -13,7 +13,7 @@ import numpy as np
 import platformdirs
 import xxhash
 
-from pipeline.frame import Frame
+from pipeline.geometry.frame import Frame
 from pipeline.proposals.base import Detector, Proposals, detect_expression, reads_annotations
 
 _IN_MEMORY = 8

@@ -10,10 +10,10 @@ from typing import Any
 
 import xxhash
 
-from pipeline.errors import InputError
-from pipeline.naming import Synonyms, default_synonyms, match
+from pipeline.language.naming import Synonyms, default_synonyms, match
 from pipeline.proposals.base import unknown_class
-from pipeline.proposals.onnx_session import metadata
+from pipeline.system.errors import InputError
+from pipeline.system.onnx_session import metadata
 
 ADVICE = "all: `spatialviz models FILE`; another name for one: --synonyms FILE with {{\"groups\": [[{}, NAME]]}}"
 

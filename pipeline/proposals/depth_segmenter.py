@@ -38,9 +38,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from pipeline.camera import lift_pixels
-from pipeline.frame import Frame
-from pipeline.normals import depth_noise, surface_normals
+from pipeline.geometry.camera import lift_pixels
+from pipeline.geometry.frame import Frame
+from pipeline.geometry.normals import depth_noise, surface_normals
 from pipeline.proposals.graph_cut import NEIGHBOURS, minimum_cut
 
 VERSION = "1"

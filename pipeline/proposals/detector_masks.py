@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pipeline.frame import Frame
-from pipeline.naming import Synonyms
+from pipeline.geometry.frame import Frame
+from pipeline.language.naming import Synonyms
 from pipeline.proposals.assignment import Segments, segment_from
 from pipeline.proposals.base import Detector
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from pipeline.naming import Synonyms
+from pipeline.language.naming import Synonyms
 from pipeline.proposals.base import Detector
 from pipeline.proposals.ensemble import fused_detector
 from pipeline.proposals.registry import make_detector, named_model

@@ -15,9 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.errors import InputError
-from pipeline.frame import Frame
-from pipeline.naming import Synonyms
+from pipeline.geometry.frame import Frame
+from pipeline.language.naming import Synonyms
 from pipeline.proposals.base import Proposals, no_proposals
 from pipeline.proposals.class_names import (
     metadata_names,
@@ -28,8 +27,9 @@ from pipeline.proposals.class_names import (
 )
 from pipeline.proposals.contracts import Contract, TensorSpec
 from pipeline.proposals.mask_paste import paste_masks
-from pipeline.proposals.onnx_session import model_hash, open_session, run_session
 from pipeline.proposals.resampling import pillow_resized
+from pipeline.system.errors import InputError
+from pipeline.system.onnx_session import model_hash, open_session, run_session
 
 OPTION = "--detector detic"
 VERSION = "1"

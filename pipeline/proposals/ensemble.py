@@ -8,9 +8,8 @@ from typing import Literal, get_args
 import numpy as np
 import xxhash
 
-from pipeline.errors import InputError
-from pipeline.frame import Frame
-from pipeline.naming import Synonyms
+from pipeline.geometry.frame import Frame
+from pipeline.language.naming import Synonyms
 from pipeline.proposals.annotations import box_mask
 from pipeline.proposals.base import (
     Detector,
@@ -23,6 +22,7 @@ from pipeline.proposals.base import (
 from pipeline.proposals.known_names import known_names, knows, name_groups, same_name
 from pipeline.proposals.selection import NMS_IOU, suppress
 from pipeline.proposals.weighted_boxes import FUSION_IOU, FusedBoxes, falling, fuse_boxes
+from pipeline.system.errors import InputError
 
 Fusion = Literal["wbf", "nms"]
 FUSIONS: tuple[str, ...] = get_args(Fusion)

@@ -18,8 +18,7 @@ from typing import Any
 import numpy as np
 import xxhash
 
-from pipeline.errors import InputError
-from pipeline.frame import Frame
+from pipeline.geometry.frame import Frame
 from pipeline.proposals.base import Proposals
 from pipeline.proposals.captions import (
     MAX_TOKENS,
@@ -31,11 +30,12 @@ from pipeline.proposals.captions import (
     token_blocks,
 )
 from pipeline.proposals.contracts import Contract, TensorSpec
-from pipeline.proposals.onnx_session import file_hash, model_hash, open_session, run_session
 from pipeline.proposals.relative_boxes import box_output, proposals_of, to_pixels
 from pipeline.proposals.resampling import IMAGENET_MEAN, IMAGENET_STD, normalised, pillow_resized, shortest_edge
 from pipeline.proposals.selection import NMS_IOU, class_wise
 from pipeline.proposals.tokenizer_file import TOKENIZER, find_tokenizer, load_tokenizer
+from pipeline.system.errors import InputError
+from pipeline.system.onnx_session import file_hash, model_hash, open_session, run_session
 
 TOKENIZERS = (TOKENIZER, "vocab.txt", "*vocab*.txt")
 _OUTPUTS = (TensorSpec("logits", "float32", (1, "Q", "T")), TensorSpec("pred_boxes", "float32", (1, "Q", 4)))

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pipeline.naming import Synonyms, match, same_class
+from pipeline.language.naming import Synonyms, match, same_class
 from pipeline.proposals.base import Detector
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import xxhash
 
-from pipeline.frame import Frame
+from pipeline.geometry.frame import Frame
 from pipeline.proposals.cache import cache_folder
 from pipeline.proposals.segmenter import Segmenter
 

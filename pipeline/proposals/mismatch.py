@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pipeline.errors import InputError
 from pipeline.proposals import detic, grounding_dino, owl, yolo_seg
 from pipeline.proposals.contracts import Contract, TensorSpec
 from pipeline.proposals.model_pair import declared, follows
-from pipeline.proposals.onnx_session import metadata
 from pipeline.proposals.segmenter_contracts import CONTRACTS as SEGMENTERS
 from pipeline.proposals.segmenter_contracts import INSTEAD, REFUSED
+from pipeline.system.errors import InputError
+from pipeline.system.onnx_session import metadata
 
 BOXES = "--detector boxes"
 DETECTORS: tuple[Contract, ...] = (

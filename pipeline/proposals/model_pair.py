@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.errors import InputError
 from pipeline.proposals.contracts import Contract, TensorSpec
-from pipeline.proposals.onnx_session import as_declared, model_hash, open_session, signature
+from pipeline.system.errors import InputError
+from pipeline.system.onnx_session import as_declared, model_hash, open_session, signature
 
 _DTYPES = {
     "tensor(float)": "float32",

@@ -14,16 +14,16 @@ from typing import Any, Literal
 
 import numpy as np
 
-from pipeline.errors import InputError
-from pipeline.frame import Frame
+from pipeline.geometry.frame import Frame
 from pipeline.proposals.base import Proposals
 from pipeline.proposals.captions import plain_name, sigmoid
 from pipeline.proposals.contracts import Contract, TensorSpec
-from pipeline.proposals.onnx_session import file_hash, model_hash, open_session, run_session
 from pipeline.proposals.relative_boxes import box_output, proposals_of, to_pixels
 from pipeline.proposals.resampling import CLIP_MEAN, CLIP_STD, normalised, padded_square, pillow_resized
 from pipeline.proposals.selection import NMS_IOU, class_wise
 from pipeline.proposals.tokenizer_file import find_tokenizer, load_tokenizer
+from pipeline.system.errors import InputError
+from pipeline.system.onnx_session import file_hash, model_hash, open_session, run_session
 
 BEGIN, END = "<|startoftext|>", "<|endoftext|>"
 PAD = 0

@@ -10,8 +10,8 @@ from typing import Protocol
 import cv2
 import numpy as np
 
-from pipeline.errors import InputError
-from pipeline.frame import Frame
+from pipeline.geometry.frame import Frame
+from pipeline.system.errors import InputError
 
 _KEPT = 4
 """Pictures whose features are kept in memory; those of one are 4 to 20 MB."""

@@ -28,13 +28,13 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel, Field, FiniteFloat, TypeAdapter, ValidationError
 
-from pipeline.errors import FrameUnusable, InputError
-from pipeline.frame import Frame
-from pipeline.mask_crop import MaskCrop
-from pipeline.naming import Synonyms, match
+from pipeline.geometry.frame import Frame
+from pipeline.geometry.mask_crop import MaskCrop
+from pipeline.geometry.run_length import RunLength, decode_crop
+from pipeline.language.naming import Synonyms, match
 from pipeline.proposals.annotations import box_mask
 from pipeline.proposals.base import Proposals, no_proposals, unknown_class
-from pipeline.run_length import RunLength, decode_crop
+from pipeline.system.errors import FrameUnusable, InputError
 
 KEPT_ANSWERS = 32
 """Answers about the frame that was asked last, kept for when the same names are asked again."""

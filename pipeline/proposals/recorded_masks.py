@@ -17,14 +17,14 @@ import cv2
 import numpy as np
 from pydantic import BaseModel, Field, FiniteFloat, ValidationError
 
-from pipeline.errors import FrameUnusable, InputError
-from pipeline.frame import Frame
-from pipeline.naming import Synonyms
+from pipeline.geometry.frame import Frame
+from pipeline.geometry.run_length import RunLength, decode_run_length
+from pipeline.language.naming import Synonyms
 from pipeline.proposals.assignment import Segments, segment_from
 from pipeline.proposals.detector_masks import DetectorSegmenter
 from pipeline.proposals.recorded import RecordedDetector
 from pipeline.proposals.segmenter import Segmenter
-from pipeline.run_length import RunLength, decode_run_length
+from pipeline.system.errors import FrameUnusable, InputError
 
 
 class CocoImage(BaseModel):

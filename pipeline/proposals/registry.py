@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
-from pipeline.errors import InputError
-from pipeline.naming import Synonyms, suggest
-from pipeline.plugins import load_plugins
+from pipeline.language.naming import Synonyms, suggest
 from pipeline.proposals.annotations import AnnotationDetector
 from pipeline.proposals.base import Detector
 from pipeline.proposals.cache import CachedDetector
 from pipeline.proposals.recorded import RecordedDetector
+from pipeline.system.errors import InputError
+from pipeline.system.plugins import load_plugins
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ def _needed(request: DetectorRequest, name: str, what: str) -> Path:
 
 def _network(request: DetectorRequest, name: str, what: str) -> Path:
     """The model's file, fetched where it is named by its id on the model hub."""
-    from pipeline.proposals.model_files import resolve_model
+    from pipeline.system.model_files import resolve_model
 
     return resolve_model(_needed(request, name, f"{what}, or its id on the model hub"))
 

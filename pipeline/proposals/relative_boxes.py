@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.frame import Frame
+from pipeline.geometry.frame import Frame
 from pipeline.proposals.base import Proposals
 
 

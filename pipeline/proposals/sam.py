@@ -23,10 +23,10 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.errors import InputError
 from pipeline.proposals.contracts import Contract, TensorSpec
 from pipeline.proposals.model_pair import open_pair
 from pipeline.proposals.prompted import best_mask, corners, resampled, stretched
+from pipeline.system.errors import InputError
 
 OPTION = "--segmenter sam"
 VERSION = "1"

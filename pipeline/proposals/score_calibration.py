@@ -18,16 +18,16 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
-from pipeline.boxes import iou_2d
-from pipeline.errors import InputError, UnknownClass
-from pipeline.frame import Frame
+from pipeline.geometry.boxes import iou_2d
+from pipeline.geometry.frame import Frame
+from pipeline.metrics.platt import FEWEST_POSITIVES, IDENTITY, Platt, fit_platt, sigmoid
 from pipeline.proposals.annotations import AnnotationDetector
 from pipeline.proposals.base import Detector
 from pipeline.proposals.selection import top_k
-from pipeline.srm.calibration import FEWEST_POSITIVES, IDENTITY, Platt, fit_platt, sigmoid
+from pipeline.system.errors import InputError, UnknownClass
 
 if TYPE_CHECKING:
-    from pipeline.jobs import Source
+    from pipeline.answering.source import Source
 
 SCORE_LIMIT = 1e-6
 """Scores are clipped to this and one minus this before their logit is taken."""
@@ -335,7 +335,7 @@ def calibrate_scores(
 def reliability(p: np.ndarray, hits: np.ndarray) -> dict[str, Any]:
     """How well scores (N,) in 0..1 say how often they are right, given the hits (N,) bool."""
     # The evaluation asks questions itself, and so imports what imports this.
-    from pipeline.evaluation.calibration_metrics import brier_score, expected_calibration_error, reliability_diagram
+    from pipeline.metrics.calibration_metrics import brier_score, expected_calibration_error, reliability_diagram
 
     diagram = reliability_diagram(p, hits, RELIABILITY_BINS)
     rows = [

@@ -9,10 +9,10 @@ from typing import Protocol, runtime_checkable
 
 import numpy as np
 
-from pipeline.errors import InputError
-from pipeline.frame import Frame
+from pipeline.geometry.frame import Frame
 from pipeline.proposals.annotations import box_mask
 from pipeline.proposals.base import Detector, Proposals, detect_expression
+from pipeline.system.errors import InputError
 
 BEST = 50
 """Of a detector that is not exact, at most so many boxes of a run get a mask, the best first."""

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pipeline.errors import InputError
-from pipeline.naming import Synonyms
-from pipeline.plugins import load_plugins
+from pipeline.language.naming import Synonyms
 from pipeline.proposals.depth_segmenter import DepthSegmenter
 from pipeline.proposals.detector_masks import DetectorSegmenter
-from pipeline.proposals.model_files import resolve_model
 from pipeline.proposals.segmenter import Segmenter
+from pipeline.system.errors import InputError
+from pipeline.system.model_files import resolve_model
+from pipeline.system.plugins import load_plugins
 
 if TYPE_CHECKING:
     from pipeline.proposals.prompted import PromptModel

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.boxes import iou_2d
+from pipeline.geometry.boxes import iou_2d
 from pipeline.proposals.base import Proposals
 
 NMS_IOU = 0.5

@@ -27,13 +27,13 @@ import numpy as np
 import xxhash
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError, model_validator
 
-from pipeline.boxes import iou_2d
-from pipeline.errors import InputError
-from pipeline.frame import Annotation, Frame
-from pipeline.mask_crop import MaskCrop
-from pipeline.naming import Synonyms, default_synonyms, match
+from pipeline.geometry.boxes import iou_2d
+from pipeline.geometry.frame import Annotation, Frame
+from pipeline.geometry.mask_crop import MaskCrop
+from pipeline.language.naming import Synonyms, default_synonyms, match
 from pipeline.proposals.base import Proposals, no_proposals, unknown_class
 from pipeline.proposals.mask_damage import leaked, resized, surroundings, truncated
+from pipeline.system.errors import InputError
 
 if sys.version_info >= (3, 11):
     import tomllib

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-from pipeline.errors import InputError, MissingExtra
-from pipeline.proposals.onnx_session import first_line
+from pipeline.system.errors import InputError, MissingExtra
+from pipeline.system.onnx_session import first_line
 
 TOKENIZER = "tokenizer.json"
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.boxes import iou_2d
+from pipeline.geometry.boxes import iou_2d
 
 FUSION_IOU = 0.55
 """The paper's threshold."""

@@ -20,15 +20,15 @@ from typing import Any
 import cv2
 import numpy as np
 
-from pipeline.errors import InputError
-from pipeline.frame import Frame
-from pipeline.naming import Synonyms
+from pipeline.geometry.frame import Frame
+from pipeline.language.naming import Synonyms
 from pipeline.proposals.base import Proposals, no_proposals
 from pipeline.proposals.class_names import metadata_names, names_hash, read_class_names, synonyms_hash, wanted_names
 from pipeline.proposals.contracts import Contract, TensorSpec
 from pipeline.proposals.letterbox import Letterbox, letterbox
-from pipeline.proposals.onnx_session import model_hash, open_session, run_session
 from pipeline.proposals.selection import suppress
+from pipeline.system.errors import InputError
+from pipeline.system.onnx_session import model_hash, open_session, run_session
 
 MASK_COEFFICIENTS = 32
 MAX_CANDIDATES = 1000

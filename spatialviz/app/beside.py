@@ -9,14 +9,14 @@ from typing import Any
 import numpy as np
 import viser
 
-from pipeline.boxes import EDGES, Box3D
-from pipeline.dashes import dashed
-from pipeline.objects import SceneObject
-from pipeline.palette import RGB, hex_color, second_color
+from pipeline.answering.objects import SceneObject
+from pipeline.geometry.boxes import EDGES, Box3D
+from pipeline.geometry.palette import RGB, hex_color, second_color
 from spatialviz.app.beside_html import chosen_row, second_name
 from spatialviz.app.bridge import Tag
 from spatialviz.app.scene import GHOST_GROWTH, SceneView
 from spatialviz.app.state import Layers, State
+from spatialviz.report.dashes import dashed
 
 LAYERS: tuple[Layers, ...] = ("both", "a", "b")
 DASH = 0.055

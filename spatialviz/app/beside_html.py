@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from pipeline.agreeing import Beside
-from pipeline.palette import hex_color, palette, second_color
-from pipeline.proposals.agreement import MIN_IOU
+from pipeline.answering.agreement.agreement import MIN_IOU
+from pipeline.answering.agreement.frames import Beside
+from pipeline.geometry.palette import hex_color, palette, second_color
 from spatialviz.app.state import State
 from spatialviz.app.text import DOUBT, GOOD, dot, heading, note, panel, safe, segments
 

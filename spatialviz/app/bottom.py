@@ -6,15 +6,15 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pipeline.objects import SceneObject
-from pipeline.palette import hex_color, palette
-from pipeline.picture import box_edges_2d, tinted
+from pipeline.answering.objects import SceneObject
+from pipeline.geometry.palette import hex_color, palette
 from spatialviz.app.beside_html import name_tag, second_overlay
 from spatialviz.app.frames import FrameStore, jpeg_url
 from spatialviz.app.paint import frame_colors
 from spatialviz.app.pixels_html import pixel_row_html
 from spatialviz.app.state import State
 from spatialviz.app.text import note, panel, safe
+from spatialviz.report.picture import box_edges_2d, tinted
 
 IMAGE_WIDTH = 720
 SHOWN_FRAMES = 24

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.camera import lift_pixels
-from pipeline.lifting import flying_pixels
-from pipeline.objects import FrameContext
+from pipeline.answering.objects import FrameContext
+from pipeline.geometry.camera import lift_pixels
+from pipeline.geometry.lifting import flying_pixels
 
 MAX_POINTS = 320_000
 BAND_RATIO = 1.3

@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from datetime import datetime, timezone
 
-from pipeline.correcting.disputes import Dispute, disputes
-from pipeline.correcting.wording import said_cell, said_value
-from pipeline.errors import InputError
-from pipeline.journal.effective_frame import EffectiveFrame
-from pipeline.journal.events import Conflict
+from pipeline.corrections.disputes import Dispute, disputes
+from pipeline.corrections.journal.effective_frame import EffectiveFrame
+from pipeline.corrections.journal.events import Conflict
+from pipeline.corrections.wording import said_cell, said_value
+from pipeline.system.errors import InputError
 from spatialviz.app.correct import Correct
 from spatialviz.app.dialog import Dialog
 from spatialviz.app.text import safe

@@ -7,17 +7,17 @@ from dataclasses import replace
 
 import viser
 
-from pipeline.correcting.cards import ASKED_BEYOND_M, PairCard, RelationLine, pair_card
-from pipeline.correcting.consequences import consequences
-from pipeline.correcting.desk import Desk, Outcome
-from pipeline.correcting.expression_cards import expression_cards
-from pipeline.correcting.scene import labelled_objects
-from pipeline.correcting.wording import said_events, said_outcome
-from pipeline.errors import InputError
-from pipeline.journal.cells import LONGEST_NAME, plain_text, relation_cell
-from pipeline.journal.edits import Edits, judge_relation, set_relation, settle
-from pipeline.journal.effective_frame import EffectiveFrame
-from pipeline.journal.events import Conflict, Event, Saved
+from pipeline.corrections.cards import ASKED_BEYOND_M, PairCard, RelationLine, pair_card
+from pipeline.corrections.consequences import consequences
+from pipeline.corrections.desk import Desk, Outcome
+from pipeline.corrections.expression_cards import expression_cards
+from pipeline.corrections.journal.cells import LONGEST_NAME, plain_text, relation_cell
+from pipeline.corrections.journal.edits import Edits, judge_relation, set_relation, settle
+from pipeline.corrections.journal.effective_frame import EffectiveFrame
+from pipeline.corrections.journal.events import Conflict, Event, Saved
+from pipeline.corrections.scene import labelled_objects
+from pipeline.corrections.wording import said_events, said_outcome
+from pipeline.system.errors import InputError
 from spatialviz.app.label_view import LabelView, Wanted
 from spatialviz.app.layout import Page
 from spatialviz.app.place import Place

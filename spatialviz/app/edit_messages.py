@@ -7,15 +7,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipeline.boxes import Box3D
+from pipeline.answering.objects import SceneObject
+from pipeline.answering.source import Source
 from pipeline.diagnosis.live import Judgement
-from pipeline.errors import InputError
-from pipeline.jobs import Source
-from pipeline.objects import SceneObject
-from pipeline.srm.installed import installed_network
-from pipeline.whatif import Edits
-from pipeline.whatif.box_numbers import box_numbers, with_numbers
-from pipeline.whatif.masks import grown, labelled_mask, rectangle
+from pipeline.diagnosis.whatif import Edits
+from pipeline.diagnosis.whatif.box_numbers import box_numbers, with_numbers
+from pipeline.diagnosis.whatif.masks import grown, labelled_mask, rectangle
+from pipeline.geometry.boxes import Box3D
+from pipeline.relations.installed import installed_network
+from pipeline.system.errors import InputError
 from spatialviz.app.state import State
 
 PROFILE_SETTINGS = ("cone", "doubtful_cone", "dead_zone", "dead_zone_depth")

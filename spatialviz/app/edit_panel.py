@@ -6,14 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 
+from pipeline.answering.source import Source
 from pipeline.diagnosis.live import Judgement
-from pipeline.jobs import Source
-from pipeline.palette import hex_color, palette
-from pipeline.relations import PHRASE, Profile
-from pipeline.srm.installed import installed_networks
-from pipeline.whatif.box_numbers import box_numbers
-from pipeline.whatif.decision_map import DecisionMap
-from pipeline.whatif.edit_list import each_edit
+from pipeline.diagnosis.whatif.box_numbers import box_numbers
+from pipeline.diagnosis.whatif.decision_map import DecisionMap
+from pipeline.diagnosis.whatif.edit_list import each_edit
+from pipeline.geometry.palette import hex_color, palette
+from pipeline.relations.installed import installed_networks
+from pipeline.relations.relations import PHRASE, Profile
 from spatialviz.app.edit_messages import PROFILE_SETTINGS, WEIGHTS, partners
 from spatialviz.app.edit_scene import map_colors
 from spatialviz.app.state import State

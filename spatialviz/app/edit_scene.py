@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import viser
 
-from pipeline.boxes import EDGES, Box3D
-from pipeline.palette import RGB, instance_colors, palette
-from pipeline.whatif.decision_map import DecisionMap
-from pipeline.whatif.region import Region
+from pipeline.diagnosis.whatif.decision_map import DecisionMap
+from pipeline.diagnosis.whatif.region import Region
+from pipeline.geometry.boxes import EDGES, Box3D
+from pipeline.geometry.palette import RGB, instance_colors, palette
 from spatialviz.app.glb import unlit_glb
 from spatialviz.app.relation_region import REACH, asked_pair
 from spatialviz.app.scene import SceneView

@@ -5,9 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
+from pipeline.answering.pair_table import ScoredPair
 from pipeline.diagnosis.live import Judgement
-from pipeline.pair_table import ScoredPair
-from pipeline.whatif import Outcome
+from pipeline.diagnosis.whatif import Outcome
 
 _Names = tuple[str | None, ...]
 

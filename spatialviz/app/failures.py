@@ -6,8 +6,8 @@ import json
 from collections.abc import Sequence
 
 from pipeline.diagnosis.verdict import VERDICTS
-from pipeline.palette import VERDICTS as COLORS
-from pipeline.palette import hex_color
+from pipeline.geometry.palette import VERDICTS as COLORS
+from pipeline.geometry.palette import hex_color
 from spatialviz.app.run_browser import PAGE, Listing
 from spatialviz.app.text import BAD, note, panel, safe
 

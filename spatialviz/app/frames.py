@@ -11,13 +11,13 @@ from functools import cached_property
 import cv2
 import numpy as np
 
-from pipeline.agreeing import Beside, beside
+from pipeline.answering.agreement.frames import Beside, beside
+from pipeline.answering.objects import FrameContext, SceneObject, all_objects, frame_context
+from pipeline.answering.source import Source
 from pipeline.datasets import Dataset
 from pipeline.datasets.given_up import with_frame_up
 from pipeline.datasets.up_text import Vector
-from pipeline.errors import InputError
-from pipeline.jobs import Source
-from pipeline.objects import FrameContext, SceneObject, all_objects, frame_context
+from pipeline.system.errors import InputError
 from spatialviz.app.cloud import Cloud, cloud_of
 
 KEPT_FRAMES = 4

@@ -13,8 +13,8 @@ import numpy as np
 import viser
 import viser.transforms as vtf
 
-from pipeline.boxes import Box3D
-from pipeline.whatif.box_numbers import SMALLEST_SIDE
+from pipeline.diagnosis.whatif.box_numbers import SMALLEST_SIDE
+from pipeline.geometry.boxes import Box3D
 
 EditMode = Literal["off", "move", "turn", "resize"]
 MODES: tuple[EditMode, ...] = ("off", "move", "turn", "resize")

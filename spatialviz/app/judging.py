@@ -5,17 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from typing import Any
 
-from pipeline.ask import Trace
-from pipeline.correcting.truth import answered_case, effective_mark, effective_truth, withdrawn_by
+from pipeline.answering.ask import Trace
+from pipeline.answering.objects import FrameContext
+from pipeline.answering.ranking import RankConfig
+from pipeline.answering.source import Source
+from pipeline.corrections.journal.effective_frame import EffectiveFrame
+from pipeline.corrections.truth import answered_case, effective_mark, effective_truth, withdrawn_by
 from pipeline.diagnosis.live import Judgement, annotated_truth, judge_trace, labelled_case, labelled_truth
-from pipeline.errors import InputError
-from pipeline.evaluation.cases import FrameCases
 from pipeline.evaluation.run_folder import Run
-from pipeline.jobs import Source
-from pipeline.journal.effective_frame import EffectiveFrame
+from pipeline.labels.cases import FrameCases
 from pipeline.labels.reading import Labels
-from pipeline.objects import FrameContext
-from pipeline.ranking import RankConfig
+from pipeline.system.errors import InputError
 from spatialviz.app.state import OtherAnswer
 
 

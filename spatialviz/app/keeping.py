@@ -10,18 +10,18 @@ from typing import Any
 
 import viser
 
-from pipeline.errors import InputError
+from pipeline.answering.objects import FrameContext
+from pipeline.answering.source import Source
+from pipeline.diagnosis.cases import Answered, answer, save_case
+from pipeline.diagnosis.whatif import edits_record
+from pipeline.diagnosis.whatif.state import ViewState, encode
 from pipeline.evaluation.run_folder import Run
-from pipeline.failure_case import Answered, answer, save_case
-from pipeline.failure_report import Subject, failure_page
-from pipeline.jobs import Source
-from pipeline.objects import FrameContext
-from pipeline.whatif import edits_record
-from pipeline.whatif.state import ViewState, encode
+from pipeline.system.errors import InputError
 from spatialviz.app.dialog import Dialog
 from spatialviz.app.judging import Judge
 from spatialviz.app.state import State
 from spatialviz.app.text import safe
+from spatialviz.report import Subject, failure_page
 
 CASES = "cases"
 """The folder, under the one that the program was started in, that cases are saved in."""
@@ -125,7 +125,7 @@ class Keeping:
 
     def report(self) -> None:
         """Send the answer as one page that holds all it needs."""
-        from spatialviz.report_scene import scene_html
+        from spatialviz.report.scene import scene_html
 
         working = self._client.add_notification("Report", "The page is being made.", loading=True)
         try:

@@ -9,20 +9,20 @@ from threading import Lock
 import numpy as np
 import viser
 
-from pipeline.boxes import Box3D
-from pipeline.correcting.box_edits import fit_to_points, snap_to_support
-from pipeline.correcting.desk import Desk
-from pipeline.correcting.moving import MovingBox
-from pipeline.correcting.object_card import back_to_automatic, bring_back, judgements, object_card
-from pipeline.correcting.vocabulary import Vocabulary, completions, vocabulary_of
-from pipeline.errors import InputError
-from pipeline.journal.cells import object_cell
-from pipeline.journal.edits import Edits, set_box, set_class, set_status
-from pipeline.journal.effective import Corrector
-from pipeline.journal.effective_frame import EffectiveFrame
-from pipeline.journal.events import Saved
-from pipeline.palette import palette
-from pipeline.whatif.box_numbers import SMALLEST_SIDE, box_numbers, with_numbers
+from pipeline.corrections.box_edits import fit_to_points, snap_to_support
+from pipeline.corrections.desk import Desk
+from pipeline.corrections.journal.cells import object_cell
+from pipeline.corrections.journal.edits import Edits, set_box, set_class, set_status
+from pipeline.corrections.journal.effective import Corrector
+from pipeline.corrections.journal.effective_frame import EffectiveFrame
+from pipeline.corrections.journal.events import Saved
+from pipeline.corrections.moving import MovingBox
+from pipeline.corrections.object_card import back_to_automatic, bring_back, judgements, object_card
+from pipeline.corrections.vocabulary import Vocabulary, completions, vocabulary_of
+from pipeline.diagnosis.whatif.box_numbers import SMALLEST_SIDE, box_numbers, with_numbers
+from pipeline.geometry.boxes import Box3D
+from pipeline.geometry.palette import palette
+from pipeline.system.errors import InputError
 from spatialviz.app.bridge import Bridge
 from spatialviz.app.correct import Correct
 from spatialviz.app.gizmo import BoxGizmo

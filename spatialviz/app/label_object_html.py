@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from pipeline.correcting.moving import Moved
-from pipeline.correcting.object_card import FieldLine, ObjectCard
-from pipeline.palette import RGB
-from pipeline.relations import PHRASE, letter
-from pipeline.whatif.box_numbers import BoxNumbers
+from pipeline.corrections.moving import Moved
+from pipeline.corrections.object_card import FieldLine, ObjectCard
+from pipeline.diagnosis.whatif.box_numbers import BoxNumbers
+from pipeline.geometry.palette import RGB
+from pipeline.relations.relations import PHRASE, letter
 from spatialviz.app.edit_panel import AXES, MODES, button, field
 from spatialviz.app.text import BAD, DOUBT, GOOD, dot, heading, note, panel, safe, segments
 

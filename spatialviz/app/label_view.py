@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from pipeline.correcting.cards import PairCard
-from pipeline.correcting.event_lines import EventLine
-from pipeline.correcting.expression_cards import ExpressionCard
-from pipeline.correcting.moving import Moved
-from pipeline.journal.effective_frame import EffectiveFrame
-from pipeline.review.items import ItemKey
+from pipeline.corrections.cards import PairCard
+from pipeline.corrections.event_lines import EventLine
+from pipeline.corrections.expression_cards import ExpressionCard
+from pipeline.corrections.journal.effective_frame import EffectiveFrame
+from pipeline.corrections.moving import Moved
+from pipeline.corrections.review.items import ItemKey
 
 
 @dataclass(frozen=True)

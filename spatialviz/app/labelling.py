@@ -10,8 +10,8 @@ from typing import Any
 import viser
 from platformdirs import user_data_path
 
-from pipeline.correcting.desk import Desk
-from pipeline.correcting.journal_place import JournalPlace
+from pipeline.corrections.desk import Desk
+from pipeline.corrections.journal_place import JournalPlace
 from pipeline.evaluation.run_folder import Run
 from spatialviz.app.bridge import Bridge
 from spatialviz.app.correct import Correct

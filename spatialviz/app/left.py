@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 
-from pipeline.ask import Trace
+from pipeline.answering.ask import Trace
+from pipeline.answering.json_records import why_no_answer
+from pipeline.answering.pair_table import HOLDS
 from pipeline.diagnosis.live import Judgement
 from pipeline.diagnosis.verdict import MODULE_OF
-from pipeline.pair_table import HOLDS
-from pipeline.palette import DROPPED, VERDICTS, hex_color, palette
-from pipeline.records import why_no_answer
+from pipeline.geometry.palette import DROPPED, VERDICTS, hex_color, palette
 from spatialviz.app.beside_html import layers_html
 from spatialviz.app.keys import MOVE_KEYS
 from spatialviz.app.state import State

@@ -8,9 +8,9 @@ from dataclasses import replace
 import viser
 
 from pipeline.datasets import write_settings
-from pipeline.demo import demo_path
-from pipeline.errors import InputError
-from pipeline.level_plane import level_normal_at
+from pipeline.datasets.demo import demo_path
+from pipeline.geometry.level_plane import level_normal_at
+from pipeline.system.errors import InputError
 from spatialviz.app.frames import FrameStore, ToldUp
 from spatialviz.app.state import State
 

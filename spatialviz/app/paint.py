@@ -6,8 +6,8 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from pipeline.lifting import Pixel
-from pipeline.palette import DROPPED, Role, depth_colors, instance_colors, palette
+from pipeline.geometry.lifting import Pixel
+from pipeline.geometry.palette import DROPPED, Role, depth_colors, instance_colors, palette
 from spatialviz.app.frames import LoadedFrame
 
 

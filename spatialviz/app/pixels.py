@@ -9,15 +9,14 @@ from typing import Any
 
 import viser
 
-from pipeline.correcting.draft import Draft, begun, come_apart, continued, edits_of_draft, fitted, rebased
-from pipeline.drawing.depth_region import TOLERANCE
-from pipeline.drawing.gestures import Canvas, Gesture, gesture_of, read_gesture
-from pipeline.errors import InputError
-from pipeline.journal.cells import same_value
-from pipeline.journal.edits import merge_objects
-from pipeline.journal.events import Conflict, Event
-from pipeline.palette import depth_colors, hex_color
-from pipeline.picture import box_edges_2d
+from pipeline.corrections.draft import Draft, begun, come_apart, continued, edits_of_draft, fitted, rebased
+from pipeline.corrections.drawing.depth_region import TOLERANCE
+from pipeline.corrections.drawing.gestures import Canvas, Gesture, gesture_of, read_gesture
+from pipeline.corrections.journal.cells import same_value
+from pipeline.corrections.journal.edits import merge_objects
+from pipeline.corrections.journal.events import Conflict, Event
+from pipeline.geometry.palette import depth_colors, hex_color
+from pipeline.system.errors import InputError
 from spatialviz.app.bridge import call_html
 from spatialviz.app.correct import Correct
 from spatialviz.app.frames import jpeg_url
@@ -27,6 +26,7 @@ from spatialviz.app.pixels_scene import PixelScene
 from spatialviz.app.scene import SceneView
 from spatialviz.app.selection import Selection
 from spatialviz.app.state import State
+from spatialviz.report.picture import box_edges_2d
 
 TOOLS = ("select", "brush", "erase", "polygon", "rectangle", "depth", "cut")
 LONGEST = 400_000

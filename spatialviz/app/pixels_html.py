@@ -9,11 +9,11 @@ from typing import Any
 import cv2
 import numpy as np
 
-from pipeline.correcting.draft import Draft
-from pipeline.lifting import LiftedObject
-from pipeline.objects import SceneObject
-from pipeline.palette import ON_DARK, RGB, instance_colors
-from pipeline.run_length import decode_crop
+from pipeline.answering.objects import SceneObject
+from pipeline.corrections.draft import Draft
+from pipeline.geometry.lifting import LiftedObject
+from pipeline.geometry.palette import ON_DARK, RGB, instance_colors
+from pipeline.geometry.run_length import decode_crop
 from spatialviz.app.state import State
 from spatialviz.app.text import BAD, IDLE, note, safe
 

@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import viser
 
-from pipeline.boxes import EDGES, Box3D
-from pipeline.camera import lift_pixels
-from pipeline.frame import Frame
-from pipeline.palette import palette
+from pipeline.geometry.boxes import EDGES, Box3D
+from pipeline.geometry.camera import lift_pixels
+from pipeline.geometry.frame import Frame
+from pipeline.geometry.palette import palette
 from spatialviz.app.scene import SceneView
 
 POINT = 0.004

@@ -6,10 +6,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from pipeline.correcting.label_jobs import CANCELLED, Making
-from pipeline.relations import PHRASE
-from pipeline.review.items import ItemKey
-from pipeline.review.worklist import Worklist
+from pipeline.corrections.label_jobs import CANCELLED, Making
+from pipeline.corrections.review.items import ItemKey
+from pipeline.corrections.review.worklist import Worklist
+from pipeline.relations.relations import PHRASE
 from spatialviz.app.text import BAD, DOUBT, GOOD, heading, note, panel, safe, tail
 
 ROWS = 40

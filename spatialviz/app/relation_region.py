@@ -6,12 +6,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pipeline.errors import InputError
-from pipeline.lifting import LiftedObject
-from pipeline.relations import PAIRWISE, Profile
-from pipeline.viewer import ViewerAxes
-from pipeline.whatif.placement import Placement, place_in_region
-from pipeline.whatif.region import Region, region_of
+from pipeline.diagnosis.whatif.placement import Placement, place_in_region
+from pipeline.diagnosis.whatif.region import Region, region_of
+from pipeline.geometry.lifting import LiftedObject
+from pipeline.geometry.viewer import ViewerAxes
+from pipeline.relations.relations import PAIRWISE, Profile
+from pipeline.system.errors import InputError
 from spatialviz.app.state import State
 
 REACH = 1.0

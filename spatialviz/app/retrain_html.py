@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from pipeline.correcting.label_jobs import CANCELLED, Training
-from pipeline.relations import PHRASE
+from pipeline.corrections.label_jobs import CANCELLED, Training
+from pipeline.relations.relations import PHRASE
 from spatialviz.app.text import BAD, DOUBT, GOOD, heading, note, safe, tail
 
 STEPS = {

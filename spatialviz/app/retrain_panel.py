@@ -9,13 +9,13 @@ from pathlib import Path
 
 import viser
 
-from pipeline.correcting.journal_place import JournalPlace
-from pipeline.correcting.label_jobs import CANCELLED, Training
-from pipeline.errors import InputError
+from pipeline.answering.source import Source
+from pipeline.corrections.journal_place import JournalPlace
+from pipeline.corrections.label_jobs import CANCELLED, Training
+from pipeline.corrections.review.circle import CircleJob
 from pipeline.evaluation.run_folder import Run
-from pipeline.jobs import Source
-from pipeline.review.circle import CircleJob
-from pipeline.srm.installed import install_network
+from pipeline.relations.installed import install_network
+from pipeline.system.errors import InputError
 from spatialviz.app.layout import Page
 from spatialviz.app.place import Place
 from spatialviz.app.retrain_html import retrain_html

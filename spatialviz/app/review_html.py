@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from pipeline.correcting.cards import PairCard, RelationLine
-from pipeline.correcting.desk import Desk
-from pipeline.palette import palette
-from pipeline.relations import PHRASE, F, T, U, letter
+from pipeline.corrections.cards import PairCard, RelationLine
+from pipeline.corrections.desk import Desk
+from pipeline.geometry.palette import palette
+from pipeline.relations.relations import PHRASE, F, T, U, letter
 from spatialviz.app.keys import KEYS_OF_ONE
 from spatialviz.app.state import State
 from spatialviz.app.text import BAD, DOUBT, GOOD, dot, heading, note, panel, safe

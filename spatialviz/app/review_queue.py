@@ -7,21 +7,21 @@ from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import replace
 
-from pipeline.correcting.cards import PairCard, RelationLine
-from pipeline.correcting.journal_place import JournalPlace
-from pipeline.correcting.label_jobs import CANCELLED, Making
-from pipeline.correcting.scene import labelled_objects
-from pipeline.errors import InputError
-from pipeline.journal.cells import Cell, object_cell
-from pipeline.journal.edits import Edits, judge_both_ways, judge_missing, set_status
-from pipeline.journal.effective_frame import EffectiveFrame
-from pipeline.journal.events import Event
-from pipeline.relations import F, T, U, letter
-from pipeline.review.following import NOTHING, Mark, followed
-from pipeline.review.items import ItemKey
-from pipeline.review.ordering import BLOCK
-from pipeline.review.queue_job import QueueJob, second_setup
-from pipeline.review.worklist import Worklist
+from pipeline.corrections.cards import PairCard, RelationLine
+from pipeline.corrections.journal.cells import Cell, object_cell
+from pipeline.corrections.journal.edits import Edits, judge_both_ways, judge_missing, set_status
+from pipeline.corrections.journal.effective_frame import EffectiveFrame
+from pipeline.corrections.journal.events import Event
+from pipeline.corrections.journal_place import JournalPlace
+from pipeline.corrections.label_jobs import CANCELLED, Making
+from pipeline.corrections.review.following import NOTHING, Mark, followed
+from pipeline.corrections.review.items import ItemKey
+from pipeline.corrections.review.ordering import BLOCK
+from pipeline.corrections.review.queue_job import QueueJob, second_setup
+from pipeline.corrections.review.worklist import Worklist
+from pipeline.corrections.scene import labelled_objects
+from pipeline.relations.relations import F, T, U, letter
+from pipeline.system.errors import InputError
 from spatialviz.app.correct import Correct
 from spatialviz.app.dialog import Dialog
 from spatialviz.app.frames import FrameStore

@@ -2,17 +2,17 @@
 
 from __future__ import annotations
 
+from pipeline.answering.json_records import why_no_answer
+from pipeline.answering.objects import SceneObject
+from pipeline.answering.pair_table import ScoredPair
+from pipeline.answering.ranking import alone
+from pipeline.answering.told_answer import probability, told
 from pipeline.diagnosis.live import Judgement
-from pipeline.lexicon import wording
-from pipeline.lifting import Pixel
-from pipeline.objects import SceneObject
-from pipeline.pair_table import ScoredPair
-from pipeline.palette import DROPPED, RGB, hex_color, palette, second_color
-from pipeline.ranking import alone
-from pipeline.records import why_no_answer
-from pipeline.relations import PHRASE, letter
-from pipeline.srm.scorer import RelationScores
-from pipeline.told_answer import probability, told
+from pipeline.geometry.lifting import Pixel
+from pipeline.geometry.palette import DROPPED, RGB, hex_color, palette, second_color
+from pipeline.language.lexicon import wording
+from pipeline.relations.relations import PHRASE, letter
+from pipeline.relations.scorer import RelationScores
 from spatialviz.app.before import before_html, changed
 from spatialviz.app.beside_html import hollow, second_name
 from spatialviz.app.state import State

@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.diagnosis.completion import complete
-from pipeline.diagnosis.search import find_rows
 from pipeline.diagnosis.verdict import VERDICTS
-from pipeline.errors import InputError
+from pipeline.evaluation.completion import complete
+from pipeline.evaluation.search import find_rows
+from pipeline.system.errors import InputError
 from spatialviz.app.run_figures import RunFigures
 
 PAGE = 20

@@ -7,16 +7,16 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pipeline.diagnosis.confusion import NO_ANSWER, OTHERS, Confusion
-from pipeline.diagnosis.search_words import quote
-from pipeline.diagnosis.slices import Slice, Slices
-from pipeline.diagnosis.summary import RunSummary, residual_words
 from pipeline.diagnosis.verdict import VERDICTS
-from pipeline.evaluation.intervals import Estimate
+from pipeline.evaluation.confusion import NO_ANSWER, OTHERS, Confusion
+from pipeline.evaluation.search_words import quote
 from pipeline.evaluation.shared_makers import Share, title_of
-from pipeline.palette import VERDICTS as COLORS
-from pipeline.palette import hex_color
-from pipeline.relations import PHRASE
+from pipeline.evaluation.slices import Slice, Slices
+from pipeline.evaluation.summary import RunSummary, residual_words
+from pipeline.geometry.palette import VERDICTS as COLORS
+from pipeline.geometry.palette import hex_color
+from pipeline.metrics.intervals import Estimate
+from pipeline.relations.relations import PHRASE
 from spatialviz.app.failures import MEANING, searches, verdict_chip
 from spatialviz.app.run_figures import STANDS_IN, RunFigures
 from spatialviz.app.text import heading, note, panel, safe, segments

@@ -14,10 +14,10 @@ import numpy as np
 import viser
 import viser.transforms as vtf
 
-from pipeline.boxes import EDGES, Box3D, ray_entry
-from pipeline.context import ContextMesh
-from pipeline.objects import SceneObject
-from pipeline.palette import RGB, Role, hex_color, palette
+from pipeline.answering.objects import SceneObject
+from pipeline.datasets.fused_mesh import ContextMesh
+from pipeline.geometry.boxes import EDGES, Box3D, ray_entry
+from pipeline.geometry.palette import RGB, Role, hex_color, palette
 from spatialviz.app.bridge import Tag
 from spatialviz.app.cloud import BAND_RATIO, Cloud
 from spatialviz.app.frames import LoadedFrame

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
-from pipeline.boxes import Box3D
+from pipeline.geometry.boxes import Box3D
 from spatialviz.app import bottom
 from spatialviz.app.label_view import paired
 from spatialviz.app.state import State

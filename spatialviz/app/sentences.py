@@ -6,13 +6,13 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 
-from pipeline.correcting.expression_cards import ExpressionCard, set_answer
+from pipeline.corrections.expression_cards import ExpressionCard, set_answer
+from pipeline.corrections.journal.cells import Cell
+from pipeline.corrections.journal.edits import Edits, set_ambiguous, set_mark, set_status, set_text
+from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.diagnosis.live import Judgement
 from pipeline.diagnosis.verdict import MARKS
-from pipeline.errors import InputError
-from pipeline.journal.cells import Cell
-from pipeline.journal.edits import Edits, set_ambiguous, set_mark, set_status, set_text
-from pipeline.journal.effective_frame import EffectiveFrame
+from pipeline.system.errors import InputError
 from spatialviz.app.bridge import Bridge
 from spatialviz.app.conflict import Conflicts
 from spatialviz.app.correct import Correct

@@ -14,14 +14,14 @@ from contextlib import redirect_stdout
 
 import viser
 
-from pipeline.correcting.journal_place import JournalPlace
-from pipeline.correcting.rescue import rescue
-from pipeline.demo import DEMO_EXPRESSION, DEMO_NAME
-from pipeline.errors import InputError
+from pipeline.answering.source import Source
+from pipeline.corrections.journal_place import JournalPlace
+from pipeline.corrections.rescue import rescue
+from pipeline.datasets.demo import DEMO_EXPRESSION, DEMO_NAME
+from pipeline.diagnosis.whatif.state import ViewState
 from pipeline.evaluation.run_folder import Run
-from pipeline.jobs import Source
 from pipeline.labels.reading import Labels
-from pipeline.whatif.state import ViewState
+from pipeline.system.errors import InputError
 from spatialviz.app.frames import FrameStore
 from spatialviz.app.memory import return_freed_memory
 from spatialviz.app.origin import LOCAL_NAMES, checked_origins

@@ -9,21 +9,21 @@ from datetime import datetime
 
 import viser
 
-from pipeline.ask import Trace
-from pipeline.correcting.journal_place import JournalPlace
+from pipeline.answering.ask import Trace
+from pipeline.answering.ranking import RankConfig
+from pipeline.answering.source import Source
+from pipeline.answering.suggestions import suggest_expressions
+from pipeline.answering.told_answer import holds
+from pipeline.corrections.journal_place import JournalPlace
 from pipeline.datasets import has_moves
 from pipeline.datasets.capabilities import dataset_notes
-from pipeline.demo import DEMO_EXPRESSION
+from pipeline.datasets.demo import DEMO_EXPRESSION
 from pipeline.diagnosis.live import Judgement
-from pipeline.errors import InputError
+from pipeline.diagnosis.whatif.state import ViewState
 from pipeline.evaluation.run_folder import Run
-from pipeline.jobs import Source
 from pipeline.labels.reading import Labels
-from pipeline.ranking import RankConfig
-from pipeline.relations import PHRASE
-from pipeline.suggestions import suggest_expressions
-from pipeline.told_answer import holds
-from pipeline.whatif.state import ViewState
+from pipeline.relations.relations import PHRASE
+from pipeline.system.errors import InputError
 from spatialviz.app import bottom, left, right
 from spatialviz.app.beside import BesideLayer
 from spatialviz.app.bridge import HELLO_SECONDS, Bridge

@@ -6,14 +6,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Literal
 
-from pipeline.agreeing import Beside
-from pipeline.ask import Trace
-from pipeline.boxes import iou_2d
+from pipeline.answering.agreement.frames import Beside
+from pipeline.answering.ask import Trace
+from pipeline.answering.objects import SceneObject
+from pipeline.answering.pair_table import ScoredPair
 from pipeline.diagnosis.live import Judgement
-from pipeline.objects import SceneObject
-from pipeline.pair_table import ScoredPair
-from pipeline.palette import Role
-from pipeline.whatif import Edits
+from pipeline.diagnosis.whatif import Edits
+from pipeline.geometry.boxes import iou_2d
+from pipeline.geometry.palette import Role
 from spatialviz.app.edited import Edited
 from spatialviz.app.frames import LoadedFrame
 from spatialviz.app.gizmo import EditMode
@@ -178,7 +178,7 @@ class State:
         return self.beside.partner(self.selected)
 
     def named(self, key: str) -> str:
-        """The name of an object by its key (`pipeline.whatif.keys`)."""
+        """The name of an object by its key (`pipeline.diagnosis.whatif.keys`)."""
         keys = () if self.edited is None else self.edited.after.keys
         if key in keys:
             return self.shown.names[self.shown.place[keys.index(key)]]

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import html
 
-from pipeline.lifting import Pixel
-from pipeline.palette import RGB, hex_color
+from pipeline.geometry.lifting import Pixel
+from pipeline.geometry.palette import RGB, hex_color
 
 GOOD, DOUBT, BAD, IDLE = "#35a96b", "#e0982e", "#e5484d", "#8a919c"
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pipeline.up_words import ASSUMED, SOURCES
+from pipeline.datasets.up_words import ASSUMED, SOURCES
 from spatialviz.app.state import State
 from spatialviz.app.text import DOUBT, IDLE, note, safe
 

@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import viser
 
-from pipeline.context import fuse_context
-from pipeline.errors import FrameUnusable, MissingExtra
-from pipeline.jobs import Source
+from pipeline.answering.source import Source
+from pipeline.datasets.fused_mesh import fuse_context
+from pipeline.system.errors import FrameUnusable, MissingExtra
 from spatialviz.app import left
 from spatialviz.app.layout import Page
 from spatialviz.app.scene import SceneView

@@ -9,10 +9,10 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.jobs import Source
-from pipeline.objects import SceneObject
-from pipeline.whatif.keys import detection_keys
-from pipeline.whatif.state import CameraView, Toggle, ViewState
+from pipeline.answering.objects import SceneObject
+from pipeline.answering.source import Source
+from pipeline.diagnosis.whatif.keys import detection_keys
+from pipeline.diagnosis.whatif.state import CameraView, Toggle, ViewState
 from spatialviz.app.scene import SceneFlags
 from spatialviz.app.state import State
 
@@ -81,7 +81,7 @@ def with_objects(state: State, source: Source, view: ViewState) -> State:
 
 
 def object_key(state: State, source: Source, place: int) -> str | None:
-    """The key of a shown object (`pipeline.whatif.keys`); None where the detector does not find it as it is shown."""
+    """The key of a shown object (`diagnosis.whatif.keys`); None where the detector does not find it as it is shown."""
     entry = state.shown.objects[place]
     if entry.id >= 0:
         return f"#{entry.id}"

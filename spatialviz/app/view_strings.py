@@ -9,11 +9,11 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from pipeline.errors import InputError
+from pipeline.answering.source import Source
+from pipeline.diagnosis.whatif import Edits
+from pipeline.diagnosis.whatif.state import ViewState, decode, encode
 from pipeline.evaluation.run_folder import Run
-from pipeline.jobs import Source
-from pipeline.whatif import Edits
-from pipeline.whatif.state import ViewState, decode, encode
+from pipeline.system.errors import InputError
 from spatialviz.app.dialog import Dialog
 from spatialviz.app.place import Place
 from spatialviz.app.run_panel import RunPanel

@@ -7,9 +7,9 @@ import time
 import numpy as np
 import viser
 
-from pipeline.boxes import Box3D
-from pipeline.camera import Camera
-from pipeline.whatif.state import CameraView
+from pipeline.diagnosis.whatif.state import CameraView
+from pipeline.geometry.boxes import Box3D
+from pipeline.geometry.camera import Camera
 
 SAMPLE = 20_000
 """Points of a cloud that say where it lies."""

@@ -6,8 +6,8 @@ import threading
 from collections.abc import Callable
 from contextlib import suppress
 
-from pipeline.correcting.unsaved import Waiting
-from pipeline.errors import InputError
+from pipeline.corrections.unsaved import Waiting
+from pipeline.system.errors import InputError
 from spatialviz.app.correct import Correct
 from spatialviz.app.state import State
 

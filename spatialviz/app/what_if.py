@@ -10,15 +10,15 @@ from time import perf_counter
 import numpy as np
 import viser
 
-from pipeline.ask import Trace
-from pipeline.boxes import Box3D
+from pipeline.answering.ask import Trace
+from pipeline.answering.ranking import RankConfig
+from pipeline.answering.source import Source
 from pipeline.diagnosis.live import Judgement
-from pipeline.errors import InputError
-from pipeline.jobs import Source
-from pipeline.ranking import RankConfig
-from pipeline.whatif import Baseline, Edits, Outcome, rerun
-from pipeline.whatif.decision_map import DecisionMap, decision_map
-from pipeline.whatif.edit_list import each_edit, without_edit
+from pipeline.diagnosis.whatif import Baseline, Edits, Outcome, rerun
+from pipeline.diagnosis.whatif.decision_map import DecisionMap, decision_map
+from pipeline.diagnosis.whatif.edit_list import each_edit, without_edit
+from pipeline.geometry.boxes import Box3D
+from pipeline.system.errors import InputError
 from spatialviz.app.edit_messages import edited_by
 from spatialviz.app.edit_panel import cost_html, edit_html
 from spatialviz.app.edit_scene import EditScene

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.boxes import iou_2d
+from pipeline.answering.ranking import Candidates
 from pipeline.diagnosis.live import Judgement
 from pipeline.diagnosis.oracles import ORACLES
 from pipeline.diagnosis.words import threshold
-from pipeline.palette import VERDICTS as COLORS
-from pipeline.palette import hex_color, palette
-from pipeline.ranking import Candidates
-from pipeline.relations import PHRASE
+from pipeline.geometry.boxes import iou_2d
+from pipeline.geometry.palette import VERDICTS as COLORS
+from pipeline.geometry.palette import hex_color, palette
+from pipeline.relations.relations import PHRASE
 from spatialviz.app.edit_scene import REGION_COLORS
 from spatialviz.app.failures import verdict_chip
 from spatialviz.app.relation_region import asked_pair

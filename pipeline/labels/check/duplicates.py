@@ -6,12 +6,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from pipeline.boxes import Box3D, iou_3d
-from pipeline.errors import InputError
+from pipeline.geometry.boxes import Box3D, iou_3d
 from pipeline.labels.check.findings import Finding
 from pipeline.labels.check.objects import cleared, corners_of
 from pipeline.labels.check.runs import MaskRuns, runs_object
 from pipeline.labels.check.view import FrameView, pairs_where
+from pipeline.system.errors import InputError
 
 SAME_NAME_IOU = 0.7
 OTHER_NAME_IOU = 0.9

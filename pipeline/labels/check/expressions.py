@@ -7,14 +7,14 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from pipeline.errors import InputError
-from pipeline.expression import parse
 from pipeline.labels.check.findings import Finding
 from pipeline.labels.check.stream import UNKNOWN
 from pipeline.labels.check.view import FrameView, state_letter
 from pipeline.labels.expressions import row_hash
-from pipeline.naming import normal_form
-from pipeline.relations import T, U
+from pipeline.language.expression import parse
+from pipeline.language.naming import normal_form
+from pipeline.relations.relations import T, U
+from pipeline.system.errors import InputError
 
 MANY_ALIKE = 3
 MARGIN_TOLERANCE = 1e-5

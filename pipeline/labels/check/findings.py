@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
-from pipeline.errors import InputError
+from pipeline.system.errors import InputError
 
 Severity = Literal["error", "warning"]
 Figure = float | int | str

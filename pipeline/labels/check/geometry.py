@@ -26,13 +26,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.contact import near_measures
 from pipeline.labels.check.findings import Finding
 from pipeline.labels.check.stream import UNKNOWN
 from pipeline.labels.check.view import FrameView, pairs_where, state_letter
 from pipeline.labels.margins import directional_margins, margin_of
 from pipeline.labels.profiles import GIVEN, Judged, semantic_abstraction_directions
-from pipeline.relations import (
+from pipeline.relations.contact import near_measures
+from pipeline.relations.relations import (
     DIRECTIONAL,
     PAIRWISE,
     F,

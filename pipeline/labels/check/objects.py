@@ -6,12 +6,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from pipeline.boxes import CORNER_SIGNS
+from pipeline.geometry.boxes import CORNER_SIGNS
+from pipeline.geometry.viewer import ViewerAxes
 from pipeline.labels.check.findings import Finding
 from pipeline.labels.check.rows import rotation_fault
 from pipeline.labels.check.runs import MaskRuns
 from pipeline.labels.check.view import FrameView, places_where
-from pipeline.viewer import ViewerAxes
 
 NEAREST_M = 0.05
 """Corners nearer than this are projected as if they lay there."""

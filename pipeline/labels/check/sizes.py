@@ -13,9 +13,9 @@ import numpy as np
 from pipeline.labels.check.findings import Finding
 from pipeline.labels.check.stream import Rows
 from pipeline.labels.check.view import FrameView
-from pipeline.naming import normal_form, same_class
+from pipeline.language.naming import normal_form, same_class
 
-TABLE = Path(__file__).parents[2] / "data" / "object_sizes.json"
+TABLE = Path(__file__).with_name("object_sizes.json")
 LEAST_EXAMPLES = 8
 DEVIATIONS = 6.0
 LEAST_FACTOR = 2.0

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.errors import InputError
 from pipeline.labels.check.constraints import Violation, constraints, violations
 from pipeline.labels.schema import TABLES
 from pipeline.labels.tables import arrow_schema, check_version
+from pipeline.system.errors import InputError
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from pipeline.datasets.up_words import ASSUMED
 from pipeline.labels.check.findings import Finding
 from pipeline.labels.check.view import FrameView
-from pipeline.up_words import ASSUMED
 
 DISAGREE_DEG = 10.0
 """Ups of one scene that are further apart are not one: the doubtful band of a relation's cone is 10 degrees wide."""

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.geometry.viewer import ViewerAxes, viewer_axes
 from pipeline.labels.check.findings import RULES, Figure, Finding, Severity
 from pipeline.labels.check.runs import MaskRuns, read_runs
 from pipeline.labels.check.stream import UNKNOWN, Rows
-from pipeline.naming import normal_form, same_class
-from pipeline.relations import PAIRWISE, PHRASE, F, T, U, letter
-from pipeline.viewer import ViewerAxes, viewer_axes
+from pipeline.language.naming import normal_form, same_class
+from pipeline.relations.relations import PAIRWISE, PHRASE, F, T, U, letter
 
 
 def plain_figures(figures: dict[str, Figure]) -> dict[str, Figure]:

@@ -29,7 +29,6 @@ import re
 from collections.abc import Mapping
 from typing import Any, TextIO
 
-from pipeline.errors import InputError
 from pipeline.labels.exports.base import ExportFormat, Job, Written
 from pipeline.labels.exports.coco_reading import (
     BOXES,
@@ -42,7 +41,8 @@ from pipeline.labels.exports.coco_reading import (
 from pipeline.labels.exports.frame_rows import FrameRows, iterate_frames, table_batches
 from pipeline.labels.exports.images import image_name
 from pipeline.labels.exports.json_text import JsonList, json_line
-from pipeline.staging import text_file
+from pipeline.system.errors import InputError
+from pipeline.system.staging import text_file
 
 _WORD = re.compile(r"[^\W_]+(?:['’-][^\W_]+)*")
 

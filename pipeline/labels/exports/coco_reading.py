@@ -6,9 +6,9 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pipeline.errors import InputError
 from pipeline.labels.exports.json_text import load_json
 from pipeline.labels.tables import arrow_schema, build_table
+from pipeline.system.errors import InputError
 
 if TYPE_CHECKING:
     import pyarrow as pa

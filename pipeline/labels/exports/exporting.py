@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from pipeline import __version__
 from pipeline.datasets import Dataset
-from pipeline.errors import InputError
 from pipeline.labels.exports import coco, hub, jsonl, kitti, vqa
 from pipeline.labels.exports.base import ExportFormat, ExportReport, Job, Progress
 from pipeline.labels.exports.images import ImageCopy
@@ -20,8 +19,9 @@ from pipeline.labels.exports.provenance import open_provenance
 from pipeline.labels.pictures import labelled_dataset
 from pipeline.labels.reading import MANIFEST_FILE, Labels
 from pipeline.labels.tables import content_hash
-from pipeline.plugins import load_plugins
-from pipeline.staging import staged_folder, write_json
+from pipeline.system.errors import InputError
+from pipeline.system.plugins import load_plugins
+from pipeline.system.staging import staged_folder, write_json
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.errors import InputError
 from pipeline.labels.reading import Labels
 from pipeline.labels.tables import check_version
+from pipeline.system.errors import InputError
 
 if TYPE_CHECKING:
     import pyarrow as pa

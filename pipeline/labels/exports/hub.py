@@ -13,7 +13,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pipeline.errors import InputError
 from pipeline.labels.card import UNKNOWN_LICENCE, DataFile, croissant, dataset_card
 from pipeline.labels.exports.base import ExportFormat, Job, Written
 from pipeline.labels.exports.frame_rows import table_batches
@@ -22,7 +21,8 @@ from pipeline.labels.exports.provenance import extended_json_schemas, extended_s
 from pipeline.labels.schema import TABLES
 from pipeline.labels.schema_files import write_schemas
 from pipeline.labels.tables import ROW_GROUP, arrow_schema, read_table
-from pipeline.staging import text_file, write_json
+from pipeline.system.errors import InputError
+from pipeline.system.staging import text_file, write_json
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -10,7 +10,7 @@ from typing import Any
 import cv2
 
 from pipeline.datasets import Dataset
-from pipeline.errors import InputError
+from pipeline.system.errors import InputError
 
 JPEG_QUALITY = 95
 

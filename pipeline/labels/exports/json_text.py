@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TextIO
 
-from pipeline.errors import InputError
+from pipeline.system.errors import InputError
 
 if TYPE_CHECKING:
     import pyarrow as pa

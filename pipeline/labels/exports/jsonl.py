@@ -12,7 +12,6 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pipeline.errors import InputError
 from pipeline.labels.exports.base import ExportFormat, Job, Written
 from pipeline.labels.exports.frame_rows import iterate_frames, table_batches
 from pipeline.labels.exports.images import image_name
@@ -21,7 +20,8 @@ from pipeline.labels.exports.provenance import extended_json_schemas, extended_s
 from pipeline.labels.schema import TABLES
 from pipeline.labels.schema_files import write_schemas
 from pipeline.labels.tables import arrow_schema
-from pipeline.staging import text_file
+from pipeline.system.errors import InputError
+from pipeline.system.staging import text_file
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -38,7 +38,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.errors import InputError
 from pipeline.labels.exports.base import ExportFormat, Job, Written
 from pipeline.labels.exports.frame_rows import FrameRows, iterate_frames, table_batches
 from pipeline.labels.exports.images import image_name
@@ -51,7 +50,8 @@ from pipeline.labels.exports.kitti_geometry import (
     to_kitti,
 )
 from pipeline.labels.tables import arrow_schema
-from pipeline.staging import text_file, write_json
+from pipeline.system.errors import InputError
+from pipeline.system.staging import text_file, write_json
 
 if TYPE_CHECKING:
     import pyarrow as pa

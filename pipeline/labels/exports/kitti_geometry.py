@@ -26,7 +26,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.viewer import IMAGE_UP, viewer_axes
+from pipeline.geometry.viewer import IMAGE_UP, viewer_axes
 
 UPRIGHT = 1e-7
 """How far the second axis of a box may stand off the vertical, as a sine."""

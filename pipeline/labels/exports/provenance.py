@@ -19,12 +19,12 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pipeline.errors import InputError
 from pipeline.labels.corrections import MARKS_FILE, PROVENANCE_FILE, STATUSES_FILE
 from pipeline.labels.exports.json_text import json_line, load_json
 from pipeline.labels.reading import Labels
 from pipeline.labels.schema import Manifest
 from pipeline.labels.tables import arrow_schema
+from pipeline.system.errors import InputError
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -49,7 +49,7 @@ class ExportedFrom:
     Attributes
     ----------
     labels : str
-        Version of the automatic labels, see `pipeline.journal.journal.labels_version`.
+        Version of the automatic labels, see `pipeline.corrections.journal.journal.labels_version`.
     event : str or None
         ULID of the newest correction that is in it.
     relifted : bool
@@ -74,7 +74,7 @@ class ExportedFrom:
 
 def exported_from(manifest: Manifest) -> ExportedFrom | None:
     """The state that labels are in; None of corrected labels of an earlier release, which do not say."""
-    from pipeline.journal.journal import labels_version
+    from pipeline.corrections.journal.journal import labels_version
 
     said = manifest.corrections
     if said is None:
@@ -85,7 +85,7 @@ def exported_from(manifest: Manifest) -> ExportedFrom | None:
 
 
 def made_by(manifest: Manifest) -> str:
-    """Detector and rule profile, as `pipeline.journal.origins.Origin.made_by`."""
+    """Detector and rule profile, as `pipeline.corrections.journal.origins.Origin.made_by`."""
     parts = (str(manifest.models.get("detector", "")), str(manifest.profile.get("name", "")))
     return ", ".join(part for part in parts if part)
 

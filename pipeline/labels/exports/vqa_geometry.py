@@ -16,16 +16,16 @@ from typing import Any
 import numpy as np
 import xxhash
 
-from pipeline.boxes import Box3D
-from pipeline.camera import Camera, lift_pixels
 from pipeline.datasets import Dataset
 from pipeline.datasets.capabilities import load_picture
-from pipeline.errors import InputError
+from pipeline.geometry.boxes import Box3D
+from pipeline.geometry.camera import Camera, lift_pixels
+from pipeline.geometry.lifting import LiftConfig, Pixel, clean, depth_edges, flying_pixels
+from pipeline.geometry.run_length import decode_run_length
+from pipeline.geometry.viewer import ViewerAxes, viewer_axes
 from pipeline.labels.exports.frame_rows import FrameRows
 from pipeline.labels.exports.vqa_records import VqaConfig
-from pipeline.lifting import LiftConfig, Pixel, clean, depth_edges, flying_pixels
-from pipeline.run_length import decode_run_length
-from pipeline.viewer import ViewerAxes, viewer_axes
+from pipeline.system.errors import InputError
 
 EXACT, HUMAN, POINTS = "the dataset's box", "a person's box", "points of the mask"
 AGREE = 0.1

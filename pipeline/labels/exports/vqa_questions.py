@@ -9,14 +9,14 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.errors import InputError
 from pipeline.labels.exports import vqa_wording as say
 from pipeline.labels.exports.frame_rows import FrameRows
 from pipeline.labels.exports.images import image_name
 from pipeline.labels.exports.vqa_geometry import POINTS, Figures, gap_between
 from pipeline.labels.exports.vqa_records import Kind, Question, VqaConfig
 from pipeline.labels.expressions import alone, row_hash
-from pipeline.relations import F, T
+from pipeline.relations.relations import F, T
+from pipeline.system.errors import InputError
 
 Unit = Callable[[], tuple[Question, ...]]
 """Questions that are asked together or not at all."""

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from pipeline.errors import InputError
 from pipeline.labels.exports.json_text import load_json
+from pipeline.system.errors import InputError
 
 Kind = Literal["relation", "which", "grounding", "distance", "size"]
 KINDS: tuple[Kind, ...] = ("relation", "which", "grounding", "distance", "size")

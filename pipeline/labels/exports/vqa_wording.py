@@ -5,10 +5,10 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from pipeline.errors import InputError
-from pipeline.labels.noun_phrase import noun_phrase, readable
 from pipeline.labels.wording import can_be_said, question_text
-from pipeline.relations import PHRASE
+from pipeline.language.noun_phrase import noun_phrase, readable
+from pipeline.relations.relations import PHRASE
+from pipeline.system.errors import InputError
 
 BRIEF = "Answer the question using a single word or phrase."
 """LLaVA's own words for a short answer."""

@@ -9,7 +9,6 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from pipeline.errors import InputError, MissingExtra
 from pipeline.labels.database import open_database
 from pipeline.labels.reading import Labels
 from pipeline.labels.report.counts import (
@@ -24,6 +23,7 @@ from pipeline.labels.report.distributions import Distributions, distributions
 from pipeline.labels.report.geometry import draw_margins, draw_sizes, draw_targets
 from pipeline.labels.report.page import GENERATOR, Picture, report_page
 from pipeline.labels.report.style import DPI, house_style, need_matplotlib, save_figure
+from pipeline.system.errors import InputError, MissingExtra
 
 PAGE = "index.html"
 NUMBERS = "statistics.json"

@@ -9,8 +9,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pipeline.errors import MissingExtra
-from pipeline.palette import RELATIONS, hex_color
+from pipeline.geometry.palette import RELATIONS, hex_color
+from pipeline.system.errors import MissingExtra
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -1,0 +1,1 @@
+"""How far two detectors agree on the same frames."""

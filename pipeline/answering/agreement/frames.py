@@ -1,0 +1,148 @@
+"""Two detectors on the frames of a dataset, beside each other."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+
+from pipeline.answering.agreement.agreement import (
+    MIN_IOU,
+    FrameAgreement,
+    Layer,
+    agree,
+    layer_of_objects,
+    layer_of_proposals,
+)
+from pipeline.answering.agreement.agreement_figures import AgreementFigures, figures
+from pipeline.answering.objects import FrameContext, SceneObject, all_objects
+from pipeline.answering.source import ALL_FRAMES, Skipped, Source, frame_range, skip_or_raise
+from pipeline.geometry.frame import Frame
+from pipeline.language.naming import Synonyms
+from pipeline.proposals.base import Detector
+from pipeline.proposals.known_names import known_names, knows
+from pipeline.system.errors import InputError
+
+
+def find_layer(
+    frame: Frame, detector: Detector, names: Sequence[str] | None = None, synonyms: Synonyms | None = None
+) -> Layer:
+    """What a detector finds in a frame of the given names, without those that it does not know; None for everything."""
+    if names is None:
+        return layer_of_proposals(detector.detect(frame, None), known_names(detector))
+    known = [name for name in names if knows(detector.vocabulary, name, synonyms)]
+    if not known:
+        raise InputError(f"the detector {detector.name} knows none of the names", got=", ".join(names))
+    return layer_of_proposals(detector.detect(frame, known), known)
+
+
+def agree_frames(
+    source: Source,
+    frames: str = ALL_FRAMES,
+    *,
+    names: Sequence[str] | None = None,
+    min_iou: float = MIN_IOU,
+    skipped: Skipped | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Iterator[tuple[str, FrameAgreement]]:
+    """How far the source's detector agrees with the one beside it, frame by frame.
+
+    Parameters
+    ----------
+    source : Source
+        With a detector and another `beside` it.
+    frames : str
+        As in `pipeline.answering.source.frame_range`.
+    names : sequence of str, optional
+        What both are asked for. Default: everything that each knows.
+    min_iou : float
+        As in `pipeline.answering.agreement.agreement.agree`.
+    skipped : callable, optional
+        Told of each frame that cannot be used, where all were asked for.
+    progress : callable, optional
+        Called with (frames done, frames in all).
+
+    Yields
+    ------
+    (frame id, FrameAgreement)
+
+    Raises
+    ------
+    InputError
+        There is no second detector; a frame that was asked for by name is broken; a detector knows none of the names.
+    """
+    detector, beside = source.needed_detector(), source.beside
+    if beside is None:
+        raise InputError("there is nothing to compare the detector with", expected="--also NAME or --also NAME=MODEL")
+    if names is not None:
+        for one in (detector, beside):
+            if not any(knows(one.vocabulary, name, source.synonyms) for name in names):
+                raise InputError(f"the detector {one.name} knows none of the names", got=", ".join(names))
+    chosen = frame_range(source.dataset, frames)
+    named = frames if len(chosen) == 1 else ALL_FRAMES
+    for done, frame_id in enumerate(chosen, start=1):
+        try:
+            frame = source.dataset.load(frame_id)
+            layers = [find_layer(frame, one, names, source.synonyms) for one in (detector, beside)]
+            found = agree(*layers, min_iou=min_iou, synonyms=source.synonyms)
+        except InputError as error:
+            skip_or_raise(error, named, frame_id, skipped)
+        else:
+            yield frame_id, found
+        if progress is not None:
+            progress(done, len(chosen))
+
+
+@dataclass(frozen=True)
+class Beside:
+    """What the detector beside the source's finds in a frame, lifted.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Of the source's detector (A) and of the other (B).
+    objects : tuple of SceneObject
+        Of B.
+    found : FrameAgreement
+        Places are those in A's list of objects and in `objects`.
+    sums : AgreementFigures
+    """
+
+    names: tuple[str, str]
+    objects: tuple[SceneObject, ...]
+    found: FrameAgreement
+    sums: AgreementFigures
+
+    def partner(self, i: int | None) -> int | None:
+        """What B has of A's object `i`."""
+        return next((int(b) for a, b in self.found.pairs if a == i), None)
+
+    def partner_of_b(self, j: int | None) -> int | None:
+        """What A has of B's object `j`."""
+        return next((int(a) for a, b in self.found.pairs if b == j), None)
+
+    @property
+    def disagreements(self) -> tuple[tuple[int | None, int | None], ...]:
+        """Places in A and in B: named otherwise, only A, only B; each with the highest scores first."""
+        found = self.found
+        otherwise = [(int(found.pairs[p, 0]), int(found.pairs[p, 1])) for p in found.named_otherwise]
+        return (*otherwise, *((int(i), None) for i in found.only_a), *((None, int(j)) for j in found.only_b))
+
+
+def beside(source: Source, context: FrameContext, objects: Sequence[SceneObject]) -> Beside | None:
+    """What the detector beside the source's finds, and how far it agrees with these objects of the source's.
+
+    Raises
+    ------
+    InputError
+        The other detector cannot be asked about this frame.
+    """
+    if source.beside is None:
+        return None
+    detector = source.needed_detector()
+    others = all_objects(context, source.beside)
+    found = agree(
+        layer_of_objects(objects, known_names(detector)),
+        layer_of_objects(others, known_names(source.beside)),
+        synonyms=source.synonyms,
+    )
+    return Beside(source.sides, others, found, figures([found], source.synonyms))

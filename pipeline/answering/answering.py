@@ -1,0 +1,118 @@
+"""Answering many expressions of one frame: detections, lifting and relations once, then a ranking for each.
+
+The winner is that of `pipeline.answering.ranking.rank`; only what is shared between the
+expressions of a frame is computed once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+
+import numpy as np
+
+from pipeline.answering.ask import Trace, merged, propose
+from pipeline.answering.objects import FrameContext, SceneObject, same_object
+from pipeline.answering.pair_table import PairTable, one_object_twice, pair_table, side
+from pipeline.answering.ranking import Candidates
+from pipeline.answering.source import Source
+from pipeline.answering.stage_clock import StageClock
+from pipeline.proposals.base import Proposals
+from pipeline.relations.relations import PAIRWISE
+from pipeline.relations.scorer import RelationScores
+from pipeline.system.errors import InputError
+
+
+class FrameAnswers:
+    """A frame with everything detected in it for a set of class names.
+
+    Parameters
+    ----------
+    source : Source
+    context : FrameContext
+    names : sequence of str
+        All class names that will be asked for.
+    relations : collection of str
+        All relations that will be.
+    clock : StageClock, optional
+        Is told what each stage took.
+
+    Attributes
+    ----------
+    objects : tuple of SceneObject
+    candidates : dict of str to Candidates
+        A name that the detector does not know has none.
+    unknown : dict of str to str
+        Names that the detector refused, and why.
+    """
+
+    def __init__(
+        self,
+        source: Source,
+        context: FrameContext,
+        names: Sequence[str],
+        relations: Collection[str] = PAIRWISE,
+        clock: StageClock | None = None,
+    ) -> None:
+        detector = source.needed_detector()
+        unknown: dict[str, str] = {}
+        found: dict[str, Proposals] = {}
+        self.clock = clock or StageClock()
+        with self.clock.stage("opm"):
+            for name in names:
+                try:
+                    found[name] = propose(context, detector, name, source.config.k)
+                except InputError as error:
+                    unknown[name] = str(error)
+        calibration = None if detector.exact else source.config.score_calibration
+        with self.clock.stage("lift"):
+            objects, candidates = merged(context, detector, found, calibration)
+        with self.clock.stage("srm"):
+            scores = source.score(context, objects, relations) if objects else None
+        nothing = Candidates(np.zeros(0, np.int64), np.zeros(0))
+        named = {name: candidates.get(name, nothing) for name in names}
+        self._set(source, context, objects, named, scores, unknown)
+
+    def _set(
+        self,
+        source: Source,
+        context: FrameContext,
+        objects: tuple[SceneObject, ...],
+        candidates: dict[str, Candidates],
+        scores: RelationScores | None,
+        unknown: dict[str, str],
+    ) -> None:
+        self.source, self.context, self.objects, self.candidates = source, context, objects, candidates
+        self.unknown = unknown
+        self.boxes = np.array([o.bbox for o in objects], np.float64).reshape(-1, 4)
+        self.mask_sizes = np.array([o.lifted.quality.mask_pixels for o in objects], np.int64)
+        with self.clock.stage("rank"):
+            self.same = same_object(objects, source.needed_detector().exact)
+        self._scores = scores
+
+    @classmethod
+    def of_trace(cls, source: Source, context: FrameContext, trace: Trace) -> FrameAnswers:
+        """The answers that a trace holds: its own objects, candidates and relations, edited or not."""
+        found = cls.__new__(cls)
+        found.clock = StageClock()
+        found._set(source, context, trace.objects, dict(trace.candidates), trace.scores, {})
+        return found
+
+    def probabilities(self, relation: str) -> np.ndarray | None:
+        """(D, D) float64: P("a RELATION b") of all detections; None where nothing was detected."""
+        return None if self._scores is None else self._scores.of(relation)
+
+    def score(self, target: str, relation: str, reference: str) -> PairTable | None:
+        """All candidate pairs of an expression; None where a class was not found."""
+        targets, references = self.candidates[target], self.candidates[reference]
+        if self._scores is None or not len(targets.index) or not len(references.index):
+            return None
+        config = self.source.config.rank
+        places = targets.index, references.index
+        return pair_table(
+            side(targets.index, targets.scores, config.target_weight),
+            (side(references.index, references.scores, config.reference_weight),),
+            self._scores.of(relation)[places[0][:, None], places[1]],
+            one_object_twice(places, self.same),
+            self.mask_sizes,
+            config,
+        )

@@ -1,0 +1,253 @@
+"""Ask a frame: one expression through all four stages, with everything that was computed kept."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from time import perf_counter
+
+import numpy as np
+
+from pipeline.answering.objects import FrameContext, SceneObject, same_object
+from pipeline.answering.ranking import Candidates, RankConfig, Ranking, RelationLookup, rank
+from pipeline.geometry.frame import Frame
+from pipeline.geometry.lifting import LiftConfig
+from pipeline.geometry.viewer import ViewerAxes
+from pipeline.language.expression import Attachment, Query, parse
+from pipeline.language.naming import Synonyms
+from pipeline.proposals.base import Detector, Proposals
+from pipeline.proposals.score_calibration import ScoreCalibration
+from pipeline.proposals.selection import top_k
+from pipeline.relations.appearance import appearance_of
+from pipeline.relations.scorer import (
+    RelationScorer,
+    RelationScores,
+    RuleScorer,
+    between_probabilities,
+    superlative_probabilities,
+)
+from pipeline.system.errors import InputError
+
+
+@dataclass(frozen=True)
+class AskConfig:
+    """How a question is answered.
+
+    Attributes
+    ----------
+    k : int
+        Proposals that go on for each name; a detector whose detections are the truth is not cut.
+    lift : LiftConfig
+    rank : RankConfig
+    relations : tuple of str or None
+        What the expression may use; None for everything the scorer knows.
+    score_calibration : ScoreCalibration or None
+        Makes P(x | name) of the scores of a detector that is not exact; the objects keep their raw scores.
+    """
+
+    k: int = 10
+    lift: LiftConfig = field(default_factory=LiftConfig)
+    rank: RankConfig = field(default_factory=RankConfig)
+    relations: tuple[str, ...] | None = None
+    score_calibration: ScoreCalibration | None = None
+
+    def __post_init__(self) -> None:
+        if self.k < 1:
+            raise InputError("at least one proposal must go on for each name", got=f"k={self.k}")
+
+
+@dataclass(frozen=True)
+class Trace:
+    """Every stage's input and output for one question.
+
+    Attributes
+    ----------
+    frame : Frame
+        With the up vector that was used.
+    viewer : ViewerAxes
+    query : Query
+        The parsed expression with all its readings.
+    objects : tuple of SceneObject
+        All proposals of all names, lifted; each thing once.
+    candidates : dict of str to Candidates
+        Class name as asked -> places in `objects` and scores.
+    scores : RelationScores
+    ranking : Ranking or None
+        None where a class was not found.
+    missing : tuple of str
+        Class names that were not found.
+    timings : dict of str to float
+        Seconds by stage: parse, frame (up vector and depth edges, once for a frame), opm, lift, srm, prm; and masks,
+        what a segmenter took where it was run.
+    detector, scorer : str
+    exact : bool
+        The objects are the dataset's own.
+    score_calibration : ScoreCalibration or None
+        What made the candidates' scores of the detector's; None where they are its own.
+    """
+
+    frame: Frame
+    viewer: ViewerAxes
+    query: Query
+    objects: tuple[SceneObject, ...]
+    candidates: dict[str, Candidates]
+    scores: RelationScores
+    ranking: Ranking | None
+    missing: tuple[str, ...]
+    timings: dict[str, float]
+    detector: str
+    scorer: str
+    exact: bool
+    score_calibration: ScoreCalibration | None = None
+
+    @property
+    def asked(self) -> Attachment:
+        """The target's first relation in the reading that was taken: that of the ranked pairs."""
+        reading = self.query.default if self.ranking is None else self.ranking.reading
+        return reading.root.attachments[0]
+
+
+def ask(
+    frame: Frame | FrameContext,
+    text: str,
+    detector: Detector,
+    *,
+    scorer: RelationScorer | None = None,
+    config: AskConfig | None = None,
+    class_names: Sequence[str] = (),
+    synonyms: Synonyms | None = None,
+) -> Trace:
+    """Answer an expression such as "mug left of the laptop".
+
+    Parameters
+    ----------
+    frame : Frame or FrameContext
+        A context keeps what does not depend on the question between calls.
+    text : str
+    detector : Detector
+    scorer : RelationScorer, optional
+        The geometric rule where none is given.
+    class_names : sequence of str
+        Names the parser should keep whole ("front door").
+
+    Raises
+    ------
+    InputError
+        For an expression that cannot be read, or a name the detector cannot know.
+    """
+    config = config or AskConfig()
+    scorer = scorer or RuleScorer()
+    timings: dict[str, float] = {}
+    with _timed(timings, "parse"):
+        query = parse(
+            text,
+            class_names=tuple(class_names) or (detector.vocabulary or ()),
+            relations=config.relations,
+            synonyms=synonyms,
+        )
+        names = query.labels
+    calibration = None if detector.exact else config.score_calibration
+    context = frame if isinstance(frame, FrameContext) else FrameContext(frame, config.lift)
+    timings["frame"] = context.seconds
+    before = getattr(detector, "seconds", 0.0)
+    with _timed(timings, "opm"):
+        found = {name: propose(context, detector, name, config.k) for name in names}
+    masks = getattr(detector, "seconds", 0.0) - before
+    if masks:
+        timings |= {"opm": timings["opm"] - masks, "masks": masks}
+    with _timed(timings, "lift"):
+        objects, candidates = merged(context, detector, found, calibration)
+    with _timed(timings, "srm"):
+        scores = scorer.score([o.lifted for o in objects], context.viewer, appearance_of(objects, context.frame))
+    missing = tuple(name for name in names if not len(candidates[name].index))
+    ranking = None
+    if not missing:
+        with _timed(timings, "prm"):
+            same = same_object(objects, detector.exact)
+            ranking = rank(
+                query.readings,
+                candidates,
+                relation_lookup(scores, objects, same),
+                same,
+                np.array([o.lifted.quality.mask_pixels for o in objects]),
+                config.rank,
+            )
+    return Trace(
+        frame=context.frame,
+        viewer=context.viewer,
+        query=query,
+        objects=objects,
+        candidates=candidates,
+        scores=scores,
+        ranking=ranking,
+        missing=missing,
+        timings=timings,
+        detector=detector.name,
+        scorer=scorer.name,
+        exact=detector.exact,
+        score_calibration=calibration,
+    )
+
+
+@contextmanager
+def _timed(timings: dict[str, float], stage: str) -> Iterator[None]:
+    start = perf_counter()
+    yield
+    timings[stage] = timings.get(stage, 0.0) + perf_counter() - start
+
+
+def propose(context: FrameContext, detector: Detector, name: str, k: int) -> Proposals:
+    """What goes on of a detector's run for one class name: the best K, or all where they are the truth."""
+    proposals = detector.detect(context.frame, [name])
+    return proposals if detector.exact else top_k(proposals, k)
+
+
+def merged(
+    context: FrameContext, detector: Detector, found: dict[str, Proposals], calibration: ScoreCalibration | None
+) -> tuple[tuple[SceneObject, ...], dict[str, Candidates]]:
+    """All proposals as one list in which a detection that several names found stands once."""
+    return joined({name: (p, context.lift(p, detector)) for name, p in found.items()}, calibration)
+
+
+def joined(
+    found: Mapping[str, tuple[Proposals, Sequence[SceneObject]]], calibration: ScoreCalibration | None
+) -> tuple[tuple[SceneObject, ...], dict[str, Candidates]]:
+    """`merged` of proposals that are lifted already, each name's in the order of its proposals."""
+    objects: list[SceneObject] = []
+    place: dict[int, int] = {}
+    candidates: dict[str, Candidates] = {}
+    for name, (proposals, lifted) in found.items():
+        index = []
+        for entry in lifted:
+            at = place.get(entry.id) if entry.id >= 0 else None
+            if at is None:
+                at = len(objects)
+                objects.append(entry)
+                if entry.id >= 0:
+                    place[entry.id] = at
+            index.append(at)
+        labels = tuple(proposals.label(i) for i in range(len(proposals)))
+        raw = proposals.scores.astype(np.float64)
+        scores = raw if calibration is None else calibration.apply(raw)
+        candidates[name] = Candidates(np.array(index, np.int64), scores, labels, raw)
+    return tuple(objects), candidates
+
+
+def relation_lookup(scores: RelationScores, objects: Sequence[SceneObject], same: np.ndarray) -> RelationLookup:
+    """The relation probabilities of a list of objects as the ranking asks for them."""
+    lifted = [o.lifted for o in objects]
+
+    def lookup(attachment: Attachment, heads: np.ndarray, ends: Sequence[np.ndarray]) -> np.ndarray:
+        relation = attachment.relation
+        if relation == "between":
+            return between_probabilities(lifted, heads, ends[0], ends[1])
+        if relation in ("closest", "farthest"):
+            return superlative_probabilities(lifted, relation, heads, ends[0], same)
+        if relation not in scores.relations:
+            raise InputError(f"the relation scorer has no {relation!r}", expected=", ".join(scores.relations))
+        table = scores.of(relation)
+        # "the table holding the lamp" asks for the lamp on the table.
+        return table[np.ix_(ends[0], heads)].T if attachment.inverse else table[np.ix_(heads, ends[0])]
+
+    return lookup

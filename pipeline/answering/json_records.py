@@ -1,0 +1,243 @@
+"""Traces, relations and frame reports as plain dictionaries: the stable keys of `--json`."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from pipeline.answering.ask import Trace
+from pipeline.answering.objects import SceneObject
+from pipeline.answering.pair_table import Link, ScoredPair
+from pipeline.answering.source import FrameRelations
+from pipeline.answering.told_answer import best_pair, failing_links
+from pipeline.datasets.survey import FrameReport
+from pipeline.geometry.viewer import ViewerAxes
+from pipeline.language.expression import Query
+from pipeline.relations.relations import PAIRWISE, letter
+
+Record = dict[str, Any]
+
+
+def _numbers(values: np.ndarray, digits: int = 4) -> Any:
+    return np.round(np.asarray(values, np.float64), digits).tolist()
+
+
+def _probability(value: float) -> float:
+    return round(float(value), 6)
+
+
+def object_record(entry: SceneObject) -> Record:
+    """label, score, bbox; center, size, R in the camera frame (null without depth); quality."""
+    box = entry.lifted.box
+    quality = entry.lifted.quality
+    return {
+        "id": entry.id,
+        "label": entry.label,
+        "score": _probability(entry.score),
+        "bbox": _numbers(entry.bbox, 2),
+        "center": None if box is None else _numbers(box.center),
+        "size": None if box is None else _numbers(box.size),
+        "R": None if box is None else _numbers(box.R, 6),
+        "quality": {
+            "mask_pixels": quality.mask_pixels,
+            "points": quality.points,
+            "kept": round(quality.kept, 4),
+            "depth_missing": round(quality.depth_missing, 4),
+            "touches_border": quality.touches_border,
+            "distance": None if np.isnan(quality.distance) else round(quality.distance, 4),
+            "yaw_confidence": round(entry.lifted.yaw_confidence, 4),
+            "mask_source": quality.mask_source,
+            "concerns": list(quality.concerns),
+        },
+    }
+
+
+def viewer_record(viewer: ViewerAxes) -> Record:
+    """The up vector that was used, and how it is known."""
+    return {"up": _numbers(viewer.up, 6), "up_source": viewer.up_source}
+
+
+def expression_record(query: Query) -> Record:
+    """target, relation, reference and, where there are several, the readings.
+
+    With "inverse" the relation holds from the reference to the target: "table holding a lamp" is lamp on table.
+    """
+    e = query.expression
+    record: Record = {"text": query.text, "target": e.target, "relation": e.relation, "reference": e.reference}
+    if e.inverse:
+        record["inverse"] = True
+    if e.second_reference is not None:
+        record["second_reference"] = e.second_reference
+    if e.mapped_from is not None:
+        record["mapped_from"] = e.mapped_from
+    if len(query.readings) > 1:
+        record["readings"] = [r.description for r in query.readings]
+    return record
+
+
+def pair_record(pair: ScoredPair) -> Record:
+    """One ranked pair; target and reference are places in "proposals"."""
+    record: Record = {
+        "target": pair.target,
+        "reference": pair.reference,
+        "p_target": _probability(pair.p_target),
+        "p_reference": _probability(pair.p_reference),
+        "p_relation": _probability(pair.p_relation),
+        "relation_probability": _probability(pair.relation_probability),
+        "holds": pair.holds,
+        "product": _probability(pair.product),
+        "probability": _probability(pair.probability),
+        "log_factors": {k: round(v, 6) for k, v in pair.log_factors.items()},
+    }
+    if pair.second_reference is not None:
+        record["second_reference"] = pair.second_reference
+    if len(pair.links) > 1:
+        record["links"] = [_link_record(x) for x in pair.links]
+    return record
+
+
+def _link_record(link: Link) -> Record:
+    record: Record = {
+        "relation": link.relation, "a": link.a, "b": link.b, "probability": _probability(link.probability),
+    }  # fmt: skip
+    return record | ({} if link.c is None else {"c": link.c}) | ({"inverse": True} if link.inverse else {})
+
+
+def trace_record(trace: Trace) -> Record:
+    """The whole of `ask --json` for one expression on one frame.
+
+    "answer" is the best pair, null without any: "holds" says whether every relation of the expression is at least as
+    probable as not, "relation_probability" is that of the weakest of them, "probability" the posterior over the
+    candidate pairs; where it does not hold, "fails" lists the relations that do not.
+    """
+    pairs = () if trace.ranking is None else trace.ranking.pairs
+    answer: Record | None = None
+    best = best_pair(trace)
+    if best is not None:
+        answer = {
+            "target": _role_record(trace, trace.query.expression.target, best.target),
+            "reference": None
+            if best.reference is None
+            else _role_record(trace, trace.asked.nodes[0].label, best.reference),
+            "holds": best.holds,
+            "relation_probability": _probability(best.relation_probability),
+            "probability": _probability(best.probability),
+            "p_relation": _probability(best.p_relation),
+            "product": _probability(best.product),
+        }
+        if best.second_reference is not None:
+            answer["second_reference"] = _role_record(trace, trace.asked.nodes[1].label, best.second_reference)
+        if not best.holds:
+            answer["fails"] = [_link_record(link) for link in failing_links(best)]
+    record: Record = {
+        "expression": expression_record(trace.query),
+        "frame": trace.frame.id,
+        "answer": answer,
+        "pairs": [pair_record(p) for p in pairs],
+        "proposals": [{"index": i, **object_record(o)} for i, o in enumerate(trace.objects)],
+        "relations": _relations_of_pairs(trace, pairs),
+        "timings_ms": {k: round(v * 1000, 3) for k, v in trace.timings.items()},
+        "detector": trace.detector,
+        "scorer": trace.scorer,
+        "viewer": viewer_record(trace.viewer),
+    }
+    if trace.score_calibration is not None:
+        record["score_calibration"] = {"a": trace.score_calibration.a, "b": trace.score_calibration.b}
+    reason = why_no_answer(trace)
+    if reason is not None:
+        record["reason"] = reason
+    if trace.ranking is not None:
+        record["ranking"] = {
+            "reading": trace.ranking.reading.description,
+            "margin": round(trace.ranking.margin, 6),
+            "log_margin": None if np.isinf(trace.ranking.log_margin) else round(trace.ranking.log_margin, 6),
+            "entropy": round(trace.ranking.entropy, 6),
+            "degenerate": trace.ranking.degenerate,
+        }
+    return record
+
+
+def _role_record(trace: Trace, name: str, place: int) -> Record:
+    """An object with the label and the score that it has under one name of the expression.
+
+    A detector may know one and the same thing as a cup and, less surely, as a bowl.
+    """
+    candidates = trace.candidates[name]
+    at = int(np.flatnonzero(candidates.index == place)[0])
+    raw = candidates.scores if candidates.raw_scores is None else candidates.raw_scores
+    return object_record(replace(trace.objects[place], label=candidates.labels[at], score=float(raw[at])))
+
+
+def why_no_answer(trace: Trace) -> str | None:
+    """One line saying why there is no answer; None where there is one."""
+    if trace.missing:
+        names = " and no ".join(repr(n) for n in trace.missing)
+        return f"no {names} found in frame {trace.frame.id}"
+    if trace.ranking is None or trace.ranking.degenerate:
+        return f"in frame {trace.frame.id} there are not enough different objects for all names of the expression"
+    return None
+
+
+def _relations_of_pairs(trace: Trace, pairs: Sequence[ScoredPair]) -> Record:
+    table = trace.scores
+    return {
+        f"{p.target},{p.reference}": {
+            r: _probability(table.probabilities[p.target, p.reference, n]) for n, r in enumerate(table.relations)
+        }
+        for p in pairs
+        if p.reference is not None
+    }
+
+
+def relation_records(
+    found: FrameRelations, relations: Sequence[str] = PAIRWISE
+) -> Iterator[Record]:
+    """One record for each ordered pair of objects; the sentence is "a RELATION b".
+
+    An object's index is its place in the dataset's own list where the objects
+    are the dataset's, else its place among the detections.
+    """
+    objects, scores = found.objects, found.scores
+    columns = [scores.relations.index(r) for r in relations]
+    up = {} if found.viewer is None else viewer_record(found.viewer)
+    for i, a in enumerate(objects):
+        for j, b in enumerate(objects):
+            if i == j:
+                continue
+            yield {
+                "frame": found.frame_id,
+                "a": {"index": a.id if found.exact else i, "label": a.label},
+                "b": {"index": b.id if found.exact else j, "label": b.label},
+                "states": {r: letter(scores.states[i, j, c]) for r, c in zip(relations, columns, strict=True)},
+                "probabilities": {
+                    r: _probability(scores.probabilities[i, j, c]) for r, c in zip(relations, columns, strict=True)
+                },
+                **up,
+            }
+
+
+def frame_record(report: FrameReport) -> Record:
+    """One record of `frames --json`; "moves" only where the dataset has moves. "dataset_notes" are the same in all."""
+    record: Record = {
+        "index": report.index,
+        "frame": report.id,
+        "ok": report.ok,
+        "problem": report.problem,
+        "width": report.width,
+        "height": report.height,
+        "annotations": report.annotations,
+        "labels": list(report.labels),
+        "depth_valid": report.depth_valid,
+        "median_depth": report.median_depth,
+        "has_pose": report.has_pose,
+        "up_source": report.up_source,
+        "up": None if report.up is None else _numbers(np.array(report.up), 6),
+        "notes": list(report.notes),
+        "dataset_notes": list(report.dataset_notes),
+    }
+    if report.moves is not None:
+        record["moves"] = dict(report.moves)
+    return record

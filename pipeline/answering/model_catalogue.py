@@ -1,0 +1,202 @@
+"""What networks can be used: the contracts of the adapters, public files, what is here; and what a file is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+
+from pipeline.proposals.box_config import find_box_model
+from pipeline.proposals.class_names import metadata_names
+from pipeline.proposals.contracts import Contract, TensorSpec
+from pipeline.proposals.mismatch import BOXES, DETECTORS, FileKind, recognise
+from pipeline.proposals.mismatch import SEGMENTERS as SEGMENTER_CONTRACTS
+from pipeline.proposals.model_pair import declared
+from pipeline.system.errors import InputError
+from pipeline.system.known_models import KnownModel, known_models
+from pipeline.system.model_files import HubId, all_fetched, fetched, parse_hub_id, refuse_address
+from pipeline.system.onnx_session import open_session
+
+BOXES_CONTRACT = Contract(
+    BOXES,
+    "any detector of boxes with one picture as its input, described in a TOML file",
+    (TensorSpec("one input", "float32", (1, 3, "H", "W")),),
+    (),
+)
+
+
+@dataclass(frozen=True)
+class Adapter:
+    """What an option reads.
+
+    Attributes
+    ----------
+    option : str
+        "--detector grounding-dino".
+    contracts : tuple of Contract
+        Any of them, or an encoder and a decoder of them.
+    known : tuple of KnownModel
+    needs : str or None
+        The extra that is missing here, if one is.
+    """
+
+    option: str
+    contracts: tuple[Contract, ...]
+    known: tuple[KnownModel, ...]
+    needs: str | None
+
+
+@dataclass(frozen=True)
+class FileReport:
+    """What a file is.
+
+    Attributes
+    ----------
+    path : Path
+    megabytes : float or None
+        In 10**6 bytes.
+    inputs, outputs : tuple of TensorSpec
+    kind : FileKind or None
+        None where nothing here knows it.
+    missing : tuple of str
+        What must stand beside it and does not.
+    class_names : tuple of str
+        Those in its metadata, in the order of its outputs.
+    problem : str or None
+        Why it cannot be opened.
+    """
+
+    path: Path
+    megabytes: float | None
+    inputs: tuple[TensorSpec, ...] = ()
+    outputs: tuple[TensorSpec, ...] = ()
+    kind: FileKind | None = None
+    missing: tuple[str, ...] = ()
+    class_names: tuple[str, ...] = ()
+    problem: str | None = None
+
+
+@dataclass(frozen=True)
+class Here:
+    """What this machine has.
+
+    Attributes
+    ----------
+    version : str
+        Of ONNX Runtime.
+    providers : tuple of str
+        What it was built with.
+    fetched : tuple of (str, Path)
+        Models from the hub, by their ids.
+    networks : tuple of (str, Path)
+        Relation networks that were installed, by name.
+    """
+
+    version: str
+    providers: tuple[str, ...]
+    fetched: tuple[tuple[str, Path], ...]
+    networks: tuple[tuple[str, Path], ...]
+
+
+def adapters() -> tuple[Adapter, ...]:
+    """Every option that reads a network."""
+    contracts = (*DETECTORS, BOXES_CONTRACT, *SEGMENTER_CONTRACTS)
+    options = dict.fromkeys(c.option for c in contracts)
+    text = {c.option for c in contracts if any(s.name == "input_ids" for s in c.inputs)}
+    lacks = "hub" if find_spec("tokenizers") is None else None
+    return tuple(
+        Adapter(
+            option,
+            tuple(c for c in contracts if c.option == option),
+            tuple(m for m in known_models() if m.option == option),
+            lacks if option in text else None,
+        )
+        for option in options
+    )
+
+
+def is_fetched(model: KnownModel) -> bool:
+    """Whether a public model was fetched by its id."""
+    return any(
+        fetched(HubId(model.repo, f.file, model.revision)) is not None
+        for f in model.files
+        if model.repo is not None and f.file.endswith(".onnx")
+    )
+
+
+def look_around() -> Here:
+    """What this machine has."""
+    import onnxruntime as ort
+
+    from pipeline.relations.installed import installed_networks
+
+    return Here(
+        ort.__version__,
+        tuple(ort.get_available_providers()),
+        tuple((str(hub_id), path) for hub_id, path in all_fetched()),
+        tuple((n.name, n.path) for n in installed_networks()),
+    )
+
+
+def describe_file(path: Path) -> FileReport:
+    """What an ONNX file is; a file that cannot be opened is described by its problem.
+
+    A file of the hub may be named by its id, where it was fetched before: nothing is fetched here.
+    """
+    hub_id = parse_hub_id(path)
+    try:
+        if hub_id is None:
+            refuse_address(path)
+        elif (found := fetched(hub_id)) is not None:
+            path = found
+        else:
+            raise InputError(
+                "there is no such file, nor one of this id that was fetched",
+                expected="a path; a file of the hub is fetched by the first --model or --segmenter-model that names it",
+            )
+    except InputError as error:
+        return FileReport(path, None, problem=str(error))
+    megabytes = path.stat().st_size / 1e6 if path.is_file() else None
+    try:
+        session = open_session(path)
+    except InputError as error:
+        return FileReport(path, megabytes, problem=str(error))
+    kind = recognise(session)
+    names = metadata_names(session) or ()
+    return FileReport(
+        path,
+        megabytes,
+        declared(session.get_inputs()),
+        declared(session.get_outputs()),
+        kind,
+        () if kind is None else _missing(path, kind, names),
+        names,
+    )
+
+
+def _missing(path: Path, kind: FileKind, names: tuple[str, ...]) -> tuple[str, ...]:
+    wanted = []
+    for option in kind.options:
+        try:
+            _needed_beside(path, option, names)
+        except InputError as error:
+            wanted.append(str(error).removesuffix(f" [{path}]"))
+    return tuple(dict.fromkeys(wanted))
+
+
+def _needed_beside(path: Path, option: str, names: tuple[str, ...]) -> None:
+    """Find what an option needs beside the file; raises as the option itself would."""
+    from pipeline.proposals.detic import find_names
+    from pipeline.proposals.grounding_dino import TOKENIZERS
+    from pipeline.proposals.tokenizer_file import find_tokenizer
+
+    if option == "--detector grounding-dino":
+        find_tokenizer(path, TOKENIZERS)
+    elif option in ("--detector owlv2", "--detector owlvit"):
+        find_tokenizer(path)
+    elif option == "--detector detic" and not names:
+        find_names(path)
+    elif option == BOXES:
+        find_box_model(path)
+    elif option == "--detector yolo-seg" and not names:
+        raise InputError("its metadata hold no class names: --model-config FILE gives them")

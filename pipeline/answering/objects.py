@@ -1,0 +1,205 @@
+"""A frame made ready for questions, and its objects: proposals lifted to 3D once each."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from time import perf_counter
+
+import cv2
+import numpy as np
+
+from pipeline.datasets.base import Dataset
+from pipeline.datasets.scene_up import resolved_camera
+from pipeline.geometry.boxes import Box3D, iou_2d
+from pipeline.geometry.camera import backproject
+from pipeline.geometry.frame import Frame
+from pipeline.geometry.lifting import LiftConfig, LiftedObject, MaskSource, depth_edges, lift
+from pipeline.geometry.viewer import ViewerAxes, resolve_up, viewer_axes
+from pipeline.proposals.annotations import box_mask
+from pipeline.proposals.base import Detector, Proposals
+
+SAME_BOX_IOU = 0.7
+SAME_MASK_IOU = 0.5
+BOX_MARGIN_M = 0.02
+"""How far beyond an annotated 3D box a point still counts as inside: the noise of the depth and of the hand."""
+
+
+@dataclass(frozen=True)
+class SceneObject:
+    """One proposal in 3D.
+
+    Attributes
+    ----------
+    id : int
+        The detector's own identity; the annotation's index for `annotations`, -1 where it has none.
+    label : str
+    score : float
+        0..1.
+    bbox : (4,) float32
+        x0, y0, x1, y1, pixels.
+    mask : (H, W) bool
+    lifted : LiftedObject
+    """
+
+    id: int
+    label: str
+    score: float
+    bbox: np.ndarray
+    mask: np.ndarray
+    lifted: LiftedObject
+
+
+class FrameContext:
+    """A frame with everything that does not depend on the question, computed once.
+
+    Parameters
+    ----------
+    frame : Frame
+    config : LiftConfig, optional
+    boxes : bool
+        Fit 3D boxes; without them lifting is a third cheaper, and all relations are the same.
+
+    Attributes
+    ----------
+    frame : Frame
+        With the camera's up vector resolved.
+    viewer : ViewerAxes
+    edges : (H, W) bool
+        Depth edges.
+    seconds : float
+        What making it took.
+    """
+
+    def __init__(self, frame: Frame, config: LiftConfig | None = None, *, boxes: bool = True) -> None:
+        start = perf_counter()
+        self.boxes = boxes
+        self.config = config or LiftConfig()
+        camera = resolve_up(frame.depth, frame.camera)
+        assert camera.up is not None
+        self.frame = replace(frame, camera=camera)
+        self.viewer: ViewerAxes = viewer_axes(camera.up, camera.up_source or "assumed")
+        self.edges = depth_edges(frame.depth, self.config)
+        self._lifted: dict[tuple[str, int], tuple[LiftedObject, np.ndarray]] = {}
+        self.seconds = perf_counter() - start
+
+    def lift(self, proposals: Proposals, detector: Detector) -> tuple[SceneObject, ...]:
+        """The proposals in 3D; one that was lifted before is not lifted again."""
+        found = []
+        fingerprint = detector.fingerprint()
+        for i in range(len(proposals)):
+            key = (fingerprint, int(proposals.ids[i]))
+            known = self._lifted.get(key) if key[1] >= 0 else None
+            if known is None:
+                mask, source = self._mask(proposals, i, detector.exact)
+                (lifted,) = lift(
+                    self.frame.depth,
+                    self.frame.camera,
+                    [mask],
+                    self.viewer,
+                    config=self.config,
+                    mask_source=source,
+                    edges=self.edges,
+                    boxes=self.boxes,
+                )
+                known = lifted, mask
+                if key[1] >= 0:
+                    self._lifted[key] = known
+            label, score = proposals.label(i), float(proposals.scores[i])
+            found.append(SceneObject(key[1], label, score, proposals.boxes[i], known[1], known[0]))
+        return tuple(found)
+
+    def _mask(self, proposals: Proposals, i: int, exact: bool) -> tuple[np.ndarray, MaskSource]:
+        """The pixels of a proposal, and whose they are."""
+        masked = proposals.masks is not None and (proposals.has_mask is None or bool(proposals.has_mask[i]))
+        segmented = masked and proposals.segmented is not None and bool(proposals.segmented[i])
+        if proposals.masks is not None and masked and not segmented:
+            return proposals.masks[i], "annotation" if exact else "detector"
+        mask = box_mask(proposals.boxes[i], self.frame.height, self.frame.width)
+        if exact:
+            box = next((a.box for a in self.frame.annotations if a.index == proposals.ids[i]), None)
+            if box is not None:
+                within = pixels_inside(box, mask, self.frame)
+                if within.any():
+                    # Before a segmenter's guess: in the demo the centre of what is lifted is more than
+                    # 10 cm off for 7 % of the objects by these pixels, for 13 % by the depth segmenter's.
+                    return within, "box3d"
+        if proposals.masks is not None and segmented:
+            return proposals.masks[i], "segmenter"
+        return mask, "box"
+
+
+def frame_context(
+    dataset: Dataset, frame: Frame, config: LiftConfig | None = None, *, boxes: bool = True
+) -> FrameContext:
+    """A frame of a dataset made ready: where it has a pose and no up vector of its own, its scene's is taken."""
+    return FrameContext(replace(frame, camera=resolved_camera(dataset, frame)), config, boxes=boxes)
+
+
+def pixels_inside(box: Box3D, mask: np.ndarray, frame: Frame, margin: float = BOX_MARGIN_M) -> np.ndarray:
+    """(H, W) bool: the pixels of a mask whose points lie in a 3D box (camera frame) or at most `margin` m beyond."""
+    v, u = np.nonzero(mask & (frame.depth > 0))
+    points = backproject(frame.depth, frame.camera, v, u)
+    inside = (np.abs((points - box.center) @ box.R) <= box.size / 2 + margin).all(axis=1)
+    within = np.zeros_like(mask)
+    within[v[inside], u[inside]] = True
+    return within
+
+
+def all_objects(context: FrameContext, detector: Detector) -> tuple[SceneObject, ...]:
+    """Everything the detector finds in the frame, in the order of its identities."""
+    proposals = detector.detect(context.frame, None)
+    return context.lift(proposals.take(np.argsort(proposals.ids, kind="stable")), detector)
+
+
+def same_object(objects: Sequence[SceneObject], exact: bool) -> np.ndarray:
+    """Which entries are one and the same thing, seen by separate detector runs.
+
+    Parameters
+    ----------
+    exact : bool
+        The detector's identities are the truth, and only they count: a
+        cushion may fill most of the chair it lies on.
+
+    Returns
+    -------
+    (N, N) bool
+        With a true diagonal.
+    """
+    same = np.eye(len(objects), dtype=np.bool_)
+    if not objects:
+        return same
+    ids = np.array([o.id for o in objects])
+    same |= (ids[:, None] == ids[None, :]) & (ids[:, None] >= 0)
+    if exact:
+        return same
+    overlap = iou_2d(np.stack([o.bbox for o in objects]), np.stack([o.bbox for o in objects]))
+    same |= overlap >= SAME_BOX_IOU
+    if (overlap > 0).sum() > len(objects):
+        # A filled 2D box is no mask; for it the stricter test of boxes stands.
+        masked = [i for i, o in enumerate(objects) if o.lifted.quality.mask_source != "box"]
+        same[np.ix_(masked, masked)] |= mask_iou([objects[i].mask for i in masked]) >= SAME_MASK_IOU
+    return same
+
+
+def mask_iou(masks: Sequence[np.ndarray]) -> np.ndarray:
+    """(N, N) float64: intersection over union of (H, W) bool masks, on a grid of some 320 columns; 0 for empty ones.
+
+    A coarse grid decides an overlap of a half as surely as every pixel.
+    """
+    found = np.zeros((len(masks), len(masks)))
+    if not len(masks):
+        return found
+    step = max(1, masks[0].shape[1] // 320)
+    coarse = [np.ascontiguousarray(m[::step, ::step]) for m in masks]
+    x, y, w, h = np.array([cv2.boundingRect(m.view(np.uint8)) for m in coarse]).T
+    area = np.array([np.count_nonzero(m) for m in coarse])
+    left, top = np.maximum(x[:, None], x), np.maximum(y[:, None], y)
+    right, bottom = (np.minimum(end[:, None], end) for end in (x + w, y + h))
+    # Few of all pairs share any pixel: only where the rectangles around the masks meet.
+    i, j = np.nonzero(np.triu((right > left) & (bottom > top)))
+    for a, b in zip(i.tolist(), j.tolist(), strict=True):
+        part = np.s_[top[a, b] : bottom[a, b], left[a, b] : right[a, b]]
+        shared = np.count_nonzero(coarse[a][part] & coarse[b][part])
+        found[a, b] = found[b, a] = shared / (area[a] + area[b] - shared)
+    return found

@@ -1,0 +1,234 @@
+"""Write what a detector finds in a dataset as a recording, which `--detector recorded` plays back."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import tempfile
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from time import perf_counter
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.geometry.frame import Frame
+from pipeline.geometry.run_length import encode_run_length
+from pipeline.proposals.base import Detector, Proposals
+from pipeline.proposals.recorded import MADE_BY, MADE_BY_FILE
+from pipeline.proposals.selection import top_k
+from pipeline.system.errors import InputError, UnknownClass
+
+if TYPE_CHECKING:
+    from pipeline.answering.source import Source
+
+
+@dataclass(frozen=True)
+class RecordingReport:
+    """What was recorded.
+
+    Attributes
+    ----------
+    frames : int
+    detections : int
+    skipped : dict of str to str
+        Frames that were left out, and why.
+    unknown : tuple of str
+        Names that the detector does not know.
+    seconds : float
+    classes : dict of str to int
+        Detections by label, the commonest first.
+    """
+
+    frames: int
+    detections: int
+    skipped: dict[str, str]
+    unknown: tuple[str, ...]
+    seconds: float
+    classes: dict[str, int] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """One detection as it is written; a thing that was found under several labels has one id."""
+
+    id: int
+    label: str
+    score: float
+    bbox: tuple[float, ...]
+    counts: str | None
+
+
+def record_detections(
+    source: Source,
+    out: str | Path,
+    class_names: Sequence[str] | None = None,
+    progress: Callable[[int, int], None] | None = None,
+    *,
+    frame_ids: Sequence[str] | None = None,
+) -> RecordingReport:
+    """Run a detector over a dataset and write what it finds.
+
+    Parameters
+    ----------
+    source : Source
+        Its `config.k` proposals of each name are kept, as `ask` would; those of an exact detector all.
+    out : str or Path
+        A JSON file where the name ends in ".json", else a folder with an NPZ file for each frame: it must not exist,
+        or be empty. Either appears whole or not at all, and frames are written one by one.
+    class_names : sequence of str, optional
+        Asked for one by one, as `ask` does. None asks once for everything that the detector knows: then a thing has
+        one label only.
+    progress : callable, optional
+        Called with (frames done, frames in all).
+    frame_ids : sequence of str, optional
+        All frames by default; broken ones are left out.
+
+    Raises
+    ------
+    InputError
+        No detector, a name that is nowhere known, no usable frame, or a place that cannot be written.
+    """
+    start = perf_counter()
+    detector, out = source.needed_detector(), Path(out)
+    chosen = source.dataset.frame_ids if frame_ids is None else tuple(frame_ids)
+    skipped: dict[str, str] = {}
+    unknown: dict[str, int] = {}
+    classes: Counter[str] = Counter()
+    frames = detections = 0
+    writer = _json_file if out.suffix.lower() == ".json" else _npz_folder
+    with writer(out, f"{detector.name}: {detector.fingerprint()}") as write:
+        for done, frame_id in enumerate(chosen, start=1):
+            try:
+                frame = source.dataset.load(frame_id)
+                found = findings(frame, detector, class_names, source.config.k, unknown)
+            except InputError as error:
+                skipped[frame_id] = str(error)
+            else:
+                write(frame, found)
+                frames, detections = frames + 1, detections + len(found)
+                classes.update(one.label for one in found)
+            if progress is not None:
+                progress(done, len(chosen))
+        if not frames:
+            reason = next(iter(skipped.values()), None)
+            raise InputError("there is no usable frame to record", cause=reason, path=source.dataset.root)
+        never = tuple(name for name, times in unknown.items() if times == frames)
+        if class_names and len(never) == len(set(class_names)):
+            raise InputError(f"the detector {detector.name} knows none of the names", got=", ".join(never[:8]))
+    return RecordingReport(frames, detections, skipped, never, perf_counter() - start, dict(classes.most_common()))
+
+
+def findings(
+    frame: Frame, detector: Detector, class_names: Sequence[str] | None, k: int, unknown: dict[str, int] | None = None
+) -> list[Finding]:
+    """What a detector finds in a frame: for each name the K best; `unknown` counts the names that it refuses."""
+    queries: list[list[str] | None] = [None] if class_names is None else [[name] for name in class_names]
+    best: dict[tuple[int, str], Finding] = {}
+    codes: dict[int, str | None] = {}
+    nameless = 0
+    for query in queries:
+        try:
+            found = detector.detect(frame, query)
+        except UnknownClass:
+            if unknown is None or query is None:
+                raise
+            unknown[query[0]] = unknown.get(query[0], 0) + 1
+            continue
+        if query is not None and not detector.exact:
+            found = top_k(found, k)
+        for i in range(len(found)):
+            number, label = int(found.ids[i]), found.label(i)
+            if number < 0:
+                # Without an identity each detection is a thing of its own.
+                nameless -= 1
+                number = nameless
+            if number not in codes:
+                codes[number] = _code(found, i)
+            bbox = tuple(float(v) for v in found.boxes[i])
+            entry = Finding(number, label, float(found.scores[i]), bbox, codes[number])
+            other = best.get((number, label))
+            if other is None or entry.score > other.score:
+                best[number, label] = entry
+    return list(best.values())
+
+
+def _code(found: Proposals, i: int) -> str | None:
+    if found.masks is None or not (found.has_mask is None or found.has_mask[i]):
+        return None
+    return encode_run_length(found.masks[i])
+
+
+def _record(frame: Frame, finding: Finding) -> dict[str, Any]:
+    record: dict[str, Any] = {"label": finding.label, "score": finding.score, "bbox": finding.bbox}
+    if finding.counts is not None:
+        record["mask"] = {"size": (frame.height, frame.width), "counts": finding.counts}
+    if finding.id >= 0:
+        record["id"] = finding.id
+    return record
+
+
+@contextmanager
+def _json_file(out: Path, made_by: str) -> Iterator[Callable[[Frame, list[Finding]], None]]:
+    """A JSON file that is written frame by frame and appears when all are."""
+    if out.is_dir():
+        raise InputError("the recording would replace a folder", expected="the name of a file", path=out)
+    temporary = out.with_name(f".{out.name}.{os.getpid()}.tmp")
+    try:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        with open(temporary, "w", encoding="utf-8") as file:
+            file.write(f'{{"{MADE_BY}": {json.dumps(made_by)}, "frames": {{')
+            lines = 0
+
+            def write(frame: Frame, found: list[Finding]) -> None:
+                nonlocal lines
+                entries = json.dumps([_record(frame, f) for f in found], allow_nan=False)
+                file.write(f"{',' if lines else ''}\n{json.dumps(frame.id)}: {entries}")
+                lines += 1
+
+            yield write
+            file.write("\n}}\n")
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, out)
+    finally:
+        temporary.unlink(missing_ok=True)
+
+
+@contextmanager
+def _npz_folder(out: Path, made_by: str) -> Iterator[Callable[[Frame, list[Finding]], None]]:
+    """A folder of NPZ files that appears when all are written."""
+    if out.exists() and not (out.is_dir() and not any(out.iterdir())):
+        raise InputError("the folder for the recording is not empty", path=out)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    partial = Path(tempfile.mkdtemp(prefix=f".{out.name}.", suffix=".partial", dir=out.parent))
+    try:
+        yield lambda frame, found: _write_arrays(partial, frame, found)
+        (partial / MADE_BY_FILE).write_text(json.dumps({MADE_BY: made_by}), encoding="utf-8")
+        partial.chmod(0o755)
+        if out.exists():
+            out.rmdir()
+        os.replace(partial, out)
+    except BaseException:
+        shutil.rmtree(partial, ignore_errors=True)
+        raise
+
+
+def _write_arrays(folder: Path, frame: Frame, found: list[Finding]) -> None:
+    path = folder / (frame.id.replace("/", "__") + ".npz")
+    if path.exists():
+        raise InputError("two frames would have one file", got=frame.id, path=path)
+    arrays: dict[str, Any] = {
+        "boxes": np.array([f.bbox for f in found], np.float32).reshape(-1, 4),
+        "scores": np.array([f.score for f in found], np.float32),
+        "labels": np.array([f.label for f in found], np.str_),
+        "mask_counts": np.array([(f.counts or "").encode("ascii") for f in found], np.bytes_),
+        "mask_size": np.array([frame.height, frame.width]),
+    }
+    if all(f.id >= 0 for f in found):
+        arrays["ids"] = np.array([f.id for f in found], np.int64)
+    np.savez_compressed(path, **arrays)

@@ -1,0 +1,314 @@
+"""The jobs of the command line as functions: ask, relations, frames, on one frame or on all."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+from pipeline.answering.ask import AskConfig, Trace, ask
+from pipeline.answering.objects import FrameContext, SceneObject, all_objects, frame_context
+from pipeline.datasets import Dataset, open_dataset, resolve_frame
+from pipeline.datasets.demo import DEMO_NAME, demo_path
+from pipeline.geometry.frame import Frame
+from pipeline.geometry.viewer import ViewerAxes
+from pipeline.language.naming import Synonyms
+from pipeline.proposals import Detector, Segmented, make_segmenter
+from pipeline.proposals.detector_setup import DetectorSetup
+from pipeline.proposals.segmenters import SegmenterFiles
+from pipeline.relations import RelationScorer, RelationScores, make_scorer
+from pipeline.relations.appearance import appearance_of
+from pipeline.relations.relations import PAIRWISE
+from pipeline.system.errors import FrameUnusable, InputError, UnknownFormat
+
+ALL_FRAMES = "all"
+Skipped = Callable[[str, str], None]
+"""Called with (frame id, reason) for a frame that is left out."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """A dataset with the models to be used on it.
+
+    Attributes
+    ----------
+    dataset : Dataset
+    detector : Detector or None
+        None where the dataset has no annotations and no detector was named.
+    scorer : RelationScorer
+    config : AskConfig
+    synonyms : Synonyms or None
+    open_unfiltered : callable or None
+        Opens the same detector without a minimum score.
+    beside : Detector or None
+        Another detector, to compare with; it answers nothing.
+    setup, beside_setup : DetectorSetup or None
+        What the two detectors are made from, without the segmenter.
+    """
+
+    dataset: Dataset
+    detector: Detector | None
+    scorer: RelationScorer
+    config: AskConfig = field(default_factory=AskConfig)
+    synonyms: Synonyms | None = None
+    open_unfiltered: Callable[[], Detector | None] | None = None
+    beside: Detector | None = None
+    setup: DetectorSetup | None = None
+    beside_setup: DetectorSetup | None = None
+
+    @property
+    def sides(self) -> tuple[str, str]:
+        """The names of the detector and of the one beside it; those of their model files where they are of one kind."""
+        a, b = (None if one is None else one.name for one in (self.detector, self.beside))
+        files = [None if one is None else one.model for one in (self.setup, self.beside_setup)]
+        models = [None if path is None else path.stem for path in files]
+        if a == b and models[0] != models[1]:
+            a, b = (model or name for name, model in zip((a, b), models, strict=True))
+        return a or "", b or ""
+
+    def unfiltered_detector(self) -> Detector:
+        """The detector without a minimum score, for what it sees and does not say; itself where it has none."""
+        return self._unfiltered or self.needed_detector()
+
+    @cached_property
+    def _unfiltered(self) -> Detector | None:
+        return None if self.open_unfiltered is None else self.open_unfiltered()
+
+    def needed_detector(self) -> Detector:
+        """The detector.
+
+        Raises
+        ------
+        InputError
+            Where there is none.
+        """
+        if self.detector is None:
+            raise InputError(
+                "the dataset has no annotations, and no detector was named",
+                expected="--detector yolo-seg --model FILE.onnx or --detector recorded --model FILE.json",
+                path=self.dataset.root,
+            )
+        return self.detector
+
+    def score(
+        self, context: FrameContext, objects: Sequence[SceneObject], relations: Collection[str] = PAIRWISE
+    ) -> RelationScores:
+        """The relations of every ordered pair of the frame's objects; InputError where the scorer lacks a class."""
+        appearance = appearance_of(objects, context.frame)
+        return self.scorer.score([o.lifted for o in objects], context.viewer, appearance, relations)
+
+    def ask(self, frame: Frame | FrameContext, text: str) -> Trace:
+        """Answer an expression on a frame with these models; raises as `pipeline.answering.ask.ask`."""
+        detector = self.needed_detector()
+        return ask(
+            frame,
+            text,
+            detector,
+            scorer=self.scorer,
+            config=self.config,
+            class_names=self.dataset.class_names or (detector.vocabulary or ()),
+            synonyms=self.synonyms,
+        )
+
+
+def open_source(
+    path: str | Path,
+    *,
+    intrinsics: tuple[float, float, float, float] | None = None,
+    depth_scale: float | None = None,
+    up: str | None = None,
+    level_at: str | None = None,
+    detector: str | None = None,
+    model: Path | None = None,
+    model_config: Path | None = None,
+    min_score: float | None = None,
+    segmenter: str | None = None,
+    segmenter_model: SegmenterFiles = None,
+    srm: str | Path = "trained",
+    vectors: Path | None = None,
+    synonyms: Path | None = None,
+    config: AskConfig | None = None,
+    fuse: Sequence[str] = (),
+    fusion: str = "wbf",
+    also: str | None = None,
+) -> Source:
+    """Open a dataset and the models for it; the path "demo" is the built-in one.
+
+    `intrinsics`, `depth_scale`, `up` and `level_at` are those of `open_dataset`.
+    `segmenter` makes masks for boxes that have none ("depth", "recorded", "yolo-seg", "sam", "sam2", "efficientsam");
+    by default there is none. `segmenter_model` is its file, or its encoder and decoder. A network's file may also be
+    named by its id on the model hub. `model_config` says what the detector's file does not.
+    `srm` is "trained" (the shipped network), "rule", or the path of a network that `spatialviz train` wrote;
+    `vectors` the file of text vectors it was trained with, for classes it was not trained on.
+    `fuse` names further detectors ("NAME" or "NAME=MODEL") whose detections are fused with the detector's, by weighted
+    boxes ("wbf") or non-maximum suppression ("nms") as `fusion` says; `also` names one to compare with. The minimum
+    score and the segmenter are for all of them.
+
+    Raises
+    ------
+    InputError
+        For a folder that cannot be read, an unknown model name, a model file of another contract, a score
+        calibration of another detector.
+    """
+    if str(path) == DEMO_NAME and not Path(path).exists():
+        path = demo_path()
+    dataset = open_dataset(path, intrinsics=intrinsics, depth_scale=depth_scale, up=up, level_at=level_at)
+    table = Synonyms.load(synonyms)
+    if detector is None:
+        detector = "annotations" if dataset.class_names else None
+        if model is not None:
+            raise InputError("--model needs --detector", cause="which kind of model is it?", path=model)
+        if fuse:
+            raise InputError("--fuse needs --detector", cause="what is fused with what?")
+        if also is not None and detector is None:
+            raise InputError("--also needs --detector", cause="what is it compared with?")
+    if detector is None and model_config is not None:
+        raise InputError("--model-config needs --detector", cause="what is it for?", path=model_config)
+
+    setup = None
+    if detector is not None:
+        setup = DetectorSetup(detector, model, model_config, min_score, synonyms, tuple(fuse), fusion)
+    beside_setup = None if also is None else DetectorSetup.named(also, min_score, synonyms)
+
+    def make(min_score: float | None) -> Detector | None:
+        return None if setup is None else setup.with_min_score(min_score).open(dataset.class_names, table)
+
+    found = make(min_score)
+    beside = None if beside_setup is None else beside_setup.open(dataset.class_names, table)
+    if segmenter is None and segmenter_model is not None:
+        raise InputError("--segmenter-model needs --segmenter", cause="what is it for?")
+    if segmenter is not None:
+        masks = make_segmenter(segmenter, model=segmenter_model, synonyms=table)
+        found = None if found is None else Segmented(found, masks)
+        beside = None if beside is None else Segmented(beside, masks)
+    config = config or AskConfig()
+    if config.score_calibration is not None and found is not None:
+        config.score_calibration.check(found)
+    return Source(
+        dataset, found, make_scorer(srm, vectors), config, table, lambda: make(0.0), beside, setup, beside_setup
+    )
+
+
+def open_sources(path: str | Path, **options: Any) -> tuple[dict[str, Source], dict[str, str]]:
+    """A dataset, or all datasets in the folders of a folder.
+
+    Parameters
+    ----------
+    path : str or Path
+        A dataset, "demo", or a folder whose folders are datasets.
+    options
+        As for `open_source`.
+
+    Returns
+    -------
+    sources : dict of str to Source
+        By folder name, at least one.
+    left_out : dict of str to str
+        Folders that could not be opened, and why.
+
+    Raises
+    ------
+    InputError
+        Where nothing can be opened; the reason is that of the folder itself.
+    """
+    try:
+        return {Path(path).name or str(path): open_source(path, **options)}, {}
+    except UnknownFormat:
+        folder = Path(path)
+        sources: dict[str, Source] = {}
+        left_out: dict[str, str] = {}
+        for inside in sorted(p for p in folder.iterdir() if p.is_dir() and not p.name.startswith(".")):
+            try:
+                sources[inside.name] = open_source(inside, **options)
+            except InputError as error:
+                left_out[inside.name] = str(error)
+        if not sources:
+            raise
+        return sources, left_out
+
+
+def frame_ids(dataset: Dataset, key: str | int | None) -> tuple[str, ...]:
+    """The frames that a FRAME argument means: an id, an index, "all" (or None)."""
+    if key is None or key == ALL_FRAMES:
+        return dataset.frame_ids
+    return (resolve_frame(dataset, key),)
+
+
+def frame_range(dataset: Dataset, text: str) -> tuple[str, ...]:
+    """The frames that a --frames option means: "all", FROM:TO by index with FROM in and TO out, an id, an index.
+
+    Raises
+    ------
+    InputError
+        No such frame, or an empty range.
+    """
+    bounds = re.fullmatch(r"([0-9]{0,9}):([0-9]{0,9})", text.strip())
+    if bounds is None or text in dataset.frame_ids:
+        return frame_ids(dataset, text)
+    found = dataset.frame_ids[int(bounds[1] or 0) : int(bounds[2]) if bounds[2] else None]
+    if not found:
+        raise InputError("the range holds no frame", got=text, expected=f"within 0:{len(dataset.frame_ids)}")
+    return found
+
+
+def contexts(source: Source, key: str | int | None, skipped: Skipped | None = None) -> Iterator[FrameContext]:
+    """The frames, ready for questions, one at a time.
+
+    A broken frame that was asked for by name is an error; among all frames it is skipped with its reason.
+    """
+    for frame_id in frame_ids(source.dataset, key):
+        try:
+            context = frame_context(source.dataset, source.dataset.load(frame_id), source.config.lift)
+        except InputError as error:
+            skip_or_raise(error, key, frame_id, skipped)
+            continue
+        yield context
+
+
+def skip_or_raise(error: InputError, key: str | int | None, frame_id: str, skipped: Skipped | None) -> None:
+    """Raise the error where the frame was asked for by name; among all frames, tell of it and go on."""
+    if key is not None and key != ALL_FRAMES:
+        raise error
+    if skipped is not None:
+        skipped(frame_id, str(error))
+
+
+def ask_frames(
+    source: Source, key: str | int, expressions: Sequence[str], skipped: Skipped | None = None
+) -> Iterator[Trace]:
+    """Every expression on every frame that `key` means."""
+    source.needed_detector()
+    for context in contexts(source, key, skipped):
+        try:
+            for text in expressions:
+                yield source.ask(context, text)
+        except FrameUnusable as error:
+            skip_or_raise(error, key, context.frame.id, skipped)
+
+
+@dataclass(frozen=True)
+class FrameRelations:
+    """All objects of a frame and every relation between them; `exact` where the objects are the dataset's own, `viewer`
+    the axes in which they were judged."""
+
+    frame_id: str
+    objects: tuple[SceneObject, ...]
+    scores: RelationScores
+    exact: bool
+    viewer: ViewerAxes | None = None
+
+
+def relate_frames(source: Source, key: str | int | None, skipped: Skipped | None = None) -> Iterator[FrameRelations]:
+    """Every pair of objects of every frame that `key` means."""
+    detector = source.needed_detector()
+    for context in contexts(source, key, skipped):
+        try:
+            objects = all_objects(context, detector)
+        except FrameUnusable as error:
+            skip_or_raise(error, key, context.frame.id, skipped)
+            continue
+        scores = source.score(context, objects)
+        yield FrameRelations(context.frame.id, objects, scores, detector.exact, context.viewer)

@@ -1,0 +1,294 @@
+"""A desk: one person who corrects labels, what they see, what is saved, and what could not be saved yet."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Sequence
+from datetime import datetime, timezone
+from functools import cached_property
+from threading import Lock
+
+from pipeline.corrections.disputes import decided
+from pipeline.corrections.event_lines import EventLine, event_lines
+from pipeline.corrections.journal.cells import LONGEST_NAME, plain_text
+from pipeline.corrections.journal.effective import Corrector
+from pipeline.corrections.journal.effective_frame import EffectiveFrame
+from pipeline.corrections.journal.events import Conflict, Edit, Event, NotSaved, Saved, new_ulid
+from pipeline.corrections.journal.undo import redo, undo
+from pipeline.corrections.journal_place import JournalPlace
+from pipeline.corrections.unsaved import Waiting
+from pipeline.datasets import Dataset
+from pipeline.labels.reading import Labels
+from pipeline.system.errors import InputError
+
+_NOT_IN_THE_JOURNAL = 2**62
+"""Edits that wait to be saved come after every event of the journal."""
+
+Outcome = Saved | Conflict | Waiting
+"""What comes of saving."""
+
+
+class Desk:
+    """What one person corrects. Not shared by threads, but for `news`, `saved` and `retry`; the journal behind it is.
+
+    Parameters
+    ----------
+    labels : Labels
+    place : JournalPlace
+        Keeps also what waits: other desks of the same author see it.
+    author : str
+        Under whose name edits are saved.
+    dataset : Dataset, optional
+        Without it, what follows from new pixels and boxes is marked stale.
+    """
+
+    def __init__(self, labels: Labels, place: JournalPlace, author: str, dataset: Dataset | None = None) -> None:
+        self.labels, self.place, self.author, self._dataset = labels, place, author, dataset
+        self._events: dict[str, tuple[Event, ...]] = {}
+        self._saved: tuple[Event, ...] = ()
+        self._again: tuple[str, str] | None = None
+        self._lock = Lock()
+
+    @cached_property
+    def corrector(self) -> Corrector:
+        """The labels, read when they are first needed."""
+        return Corrector(self.labels, self._dataset)
+
+    def __contains__(self, frame: str) -> bool:
+        return frame in self.corrector.index.of_frame
+
+    @property
+    def waiting(self) -> tuple[Waiting, ...]:
+        """In the order in which they were made; frames show them as if they were saved."""
+        return self.place.unsaved.waiting(self.author)
+
+    @property
+    def disputed(self) -> tuple[Conflict, ...]:
+        """What this person has to decide, because others were faster; see `decide`."""
+        return self.place.unsaved.disputed(self.author)
+
+    def sign(self, author: str) -> None:
+        """Save what follows under another name.
+
+        Raises
+        ------
+        InputError
+            As `check_name`.
+        """
+        self.author = self.check_name(author)
+
+    def check_name(self, author: str) -> str:
+        """A name as it is kept.
+
+        Raises
+        ------
+        InputError
+            It is no name, or what was done under the one before is not saved, or not decided, yet.
+        """
+        name = plain_text(author.strip(), "an author", LONGEST_NAME).strip()
+        if name != self.author and self.waiting:
+            raise InputError(f"edits of {self.author} are not saved yet", expected="save them or take them back first")
+        if name != self.author and self.disputed:
+            raise InputError(f"{self.author} has not decided yet where somebody was faster", expected="decide first")
+        return name
+
+    def frame(self, frame: str) -> EffectiveFrame:
+        """A frame as this person sees it: with what everybody saved, and with what waits to be saved.
+
+        Raises
+        ------
+        InputError
+            The labels have no such frame, or the journal or the dataset cannot be read.
+        """
+        # An event that waits is named by its group, so that one that was saved is another.
+        return self.corrector.frame(frame, self.events(frame))
+
+    def saved(self, frame: str) -> EffectiveFrame:
+        """A frame with what everybody saved, made before it is looked at. Any thread may ask; raises as `frame`."""
+        journal = self.place.to_read()
+        return self.corrector.frame(frame, () if journal is None else journal.events(frame=frame))
+
+    def corrected(self, frame: str) -> EffectiveFrame | None:
+        """As `frame`; None where nobody has corrected anything in it."""
+        return self.frame(frame) if self.events(frame) and frame in self else None
+
+    def events(self, frame: str) -> list[Event]:
+        """The events of a frame, then those that wait.
+
+        Raises
+        ------
+        InputError
+            The journal cannot be read, and never was.
+        """
+        found = self._read(frame)
+        # Another thread may have saved what waits, and not have said so yet.
+        groups = {e.group for e in found}
+        return [*found, *(e for e in self._unsaved(frame) if e.group not in groups)]
+
+    def _unsaved(self, frame: str) -> list[Event]:
+        return [e for w in self.waiting for e in w.events(_NOT_IN_THE_JOURNAL, "") if e.cell.frame == frame]
+
+    def news(self, frame: str) -> tuple[Event, ...]:
+        """What is saved in a frame that was not there when it was last looked at. Any thread may ask.
+
+        Raises
+        ------
+        InputError
+            The journal cannot be read.
+        """
+        return tuple(e for e in self._now(frame)[1] if not self.has_seen(e))
+
+    def has_seen(self, event: Event) -> bool:
+        """Whether an event was there when its frame was last looked at."""
+        return any(e.ulid == event.ulid for e in self._events.get(event.cell.frame, ()))
+
+    def replaced(self, frame: str) -> bool:
+        """Whether the journal lacks what it had in a frame: it is another one now, such as a copy that was put back.
+
+        Any thread may ask. A journal that cannot be read is not another one.
+        """
+        try:
+            return bool(self._events.get(frame)) and not self._now(frame)[0]
+        except InputError:
+            return False
+
+    def _now(self, frame: str) -> tuple[tuple[Event, ...], tuple[Event, ...]]:
+        """What is known of a frame and still stands in the journal, and what came after it."""
+        journal, known = self.place.to_read(), self._events.get(frame, ())
+        if journal is None:
+            return known, ()
+        if known:
+            # Nothing is ever taken out of a journal: with its newest event it has all that came before.
+            last = known[-1]
+            found = journal.events(frame=frame, after=last.id - 1)
+            if found and found[0].ulid == last.ulid:
+                return known, found[1:]
+        return (), journal.events(frame=frame)
+
+    def _read(self, frame: str) -> tuple[Event, ...]:
+        known = self._events.get(frame)
+        try:
+            standing, newer = self._now(frame)
+        except InputError:
+            if known is None:
+                raise
+            # Who works on while the database is away sees what they saw, and their own edits.
+            seen = {e.ulid for e in known}
+            return (*known, *(e for e in self._saved if e.cell.frame == frame and e.ulid not in seen))
+        found = self._events[frame] = (*standing, *newer)
+        with self._lock:
+            # What another thread saves after the reading is not in it; of a journal that was replaced, nothing is.
+            last = found[-1].id if found else 0
+            another = bool(known) and not standing
+            self._saved = tuple(e for e in self._saved if e.cell.frame != frame or (e.id > last and not another))
+        if self._again is not None and any(e.group == self._again[1] for e in found):
+            # It was done after all, and is seen: whoever asks once more means the next.
+            self._again = None
+        return found
+
+    def history(
+        self,
+        frame: str,
+        *,
+        objects: Collection[int] = (),
+        pair: tuple[int, int] | None = None,
+        expression: str | None = None,
+    ) -> tuple[EventLine, ...]:
+        """Who changed what of an object, a pair or an expression, the newest first, when the frame was last seen."""
+        events = [*self._events.get(frame, ()), *self._unsaved(frame)]
+        groups = [w.group for w in self.waiting]
+        return event_lines(events, self.author, objects=objects, pair=pair, expression=expression, waiting=groups)
+
+    # ---- saving ---------------------------------------------------------------------
+
+    def save(self, edits: Sequence[Edit]) -> Outcome:
+        """Save an action; where that cannot be done now, keep it.
+
+        Raises
+        ------
+        InputError
+            It is no action: see `Journal.append`.
+        """
+        edits, self._again = tuple(edits), None
+        # Read once: another thread may save what waits at this moment.
+        if waiting := self.waiting:
+            # What is made on an edit that waits is saved after it.
+            return self._keep(edits, new_ulid(), waiting[-1].problem)
+        try:
+            journal = self.place.to_write()
+        except InputError as error:
+            return self._keep(edits, new_ulid(), str(error))
+        try:
+            return self._kept(journal.append(edits, self.author))
+        except NotSaved as error:
+            return self._keep(edits, error.group, str(error))
+
+    def _keep(self, edits: tuple[Edit, ...], group: str, problem: str) -> Waiting:
+        action = Waiting(edits, self.author, group, datetime.now(timezone.utc), problem)
+        self.place.unsaved.keep(action)
+        return action
+
+    def _kept(self, outcome: Saved | Conflict) -> Saved | Conflict:
+        if isinstance(outcome, Saved):
+            self._remember(outcome)
+        else:
+            self.place.unsaved.dispute(self.author, outcome)
+        return outcome
+
+    def _remember(self, outcome: Saved) -> None:
+        """Until it is read, this is all that is known of it."""
+        with self._lock:
+            self._saved = (*self._saved, *outcome.events)
+
+    def decide(self, conflict: Conflict, mine: Collection[int]) -> Outcome | None:
+        """Settle a conflict: save one's own in the disputes that `mine` numbers, leave the others as they are.
+
+        Returns
+        -------
+        Saved, Conflict, Waiting or None
+            None where nothing of one's own is left. Conflict where somebody
+            has changed one of its fields again: that is to be decided anew.
+        """
+        frames = {e.cell.frame for e in conflict.edits}
+        edits = [e for name in frames for e in decided(conflict, self.frame(name), mine) if e.cell.frame == name]
+        outcome = self.save(edits) if edits else None
+        self.place.unsaved.settle(self.author, conflict)
+        return outcome
+
+    def retry(self) -> tuple[Outcome, ...]:
+        """Try again to save what waits: see `Unsaved.retry`. Any thread may ask."""
+        return self.place.unsaved.retry(self.author, self.place.to_write, self._remember)
+
+    def undo(self, group: str | None = None) -> Outcome | None:
+        """Take back this person's newest action, or the one of a group; one that waits is dropped.
+
+        None where there is none.
+
+        Raises
+        ------
+        NotSaved, InputError
+            The journal cannot be read or written.
+        """
+        if waiting := self.waiting:
+            if group is not None and group != waiting[-1].group:
+                raise InputError("newer edits wait to be saved", expected="save them or take them back first")
+            return self.place.unsaved.drop_last(self.author)
+        return self._taken("undo", undo, group)
+
+    def redo(self) -> Outcome | None:
+        """Bring back what this person took back last; as `undo`."""
+        return None if self.waiting else self._taken("redo", redo, None)
+
+    def _taken(self, which: str, take: Callable[..., Saved | Conflict | None], group: str | None) -> Outcome | None:
+        journal = self.place.to_read()
+        if journal is None:
+            return None
+        # One whose answer was lost may have been saved: asked for again, it is not followed by the next.
+        what = " ".join((which, self.author, group or ""))
+        again = self._again[1] if self._again is not None and self._again[0] == what else None
+        self._again = None
+        try:
+            outcome = take(journal, self.author, group=group, again=again)
+        except NotSaved as error:
+            self._again = what, error.group
+            raise
+        return None if outcome is None else self._kept(outcome)

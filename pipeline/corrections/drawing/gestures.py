@@ -1,0 +1,212 @@
+"""What a hand does to a mask, checked once, and the pixels that come of it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Literal
+
+import numpy as np
+
+from pipeline.answering.objects import FrameContext
+from pipeline.corrections.drawing.depth_region import LEAST, MOST, TOLERANCE, Surface, grown_region, surface_of
+from pipeline.corrections.drawing.strokes import polygon_mask, rectangle_mask, stroke_mask
+from pipeline.system.errors import InputError
+
+Kind = Literal["stroke", "polygon", "rectangle", "surface", "depth", "cut"]
+FEWEST: dict[Kind, int] = {"stroke": 1, "polygon": 3, "rectangle": 2, "surface": 2, "depth": 1, "cut": 2}
+"""Points that each kind needs. "rectangle" is all between two corners, "surface" what the depth segmenter finds there,
+"depth" the surfaces around points, "cut" a line across a mask, or around a part of it."""
+MOST_POINTS = 5000
+BEYOND = 1.0
+"""A hand may leave the picture by as many times its size."""
+CLOSED = 0.12
+"""A cut whose ends are this close, as a share of its length, goes around a part."""
+
+
+@dataclass(frozen=True)
+class Gesture:
+    """One movement of a hand over a picture.
+
+    Attributes
+    ----------
+    kind : str
+    points : (N, 2) float64
+        x, y in pixels.
+    adds : bool
+        Adds pixels to the mask; otherwise takes them from it.
+    radius : float
+        Of a stroke, pixels.
+    tolerance : float
+        Of "depth".
+
+    Raises
+    ------
+    InputError
+        It is none.
+    """
+
+    kind: Kind
+    points: np.ndarray
+    adds: bool = True
+    radius: float = 1.0
+    tolerance: float = TOLERANCE
+
+    def __post_init__(self) -> None:
+        if self.kind not in FEWEST:
+            raise InputError("no such tool", got=repr(self.kind)[:40], expected=" | ".join(FEWEST))
+        if not isinstance(self.adds, bool):
+            raise InputError("a tool adds or removes: true or false", got=repr(self.adds)[:40])
+        points = self.points
+        fewest, exact = FEWEST[self.kind], self.kind in ("rectangle", "surface")
+        if len(points) < fewest or (exact and len(points) != fewest):
+            expected = "two corners" if exact else f"at least {fewest}"
+            raise InputError(f"not the points of a {self.kind}", got=len(points), expected=expected)
+        if len(points) > MOST_POINTS:
+            raise InputError(f"a {self.kind} has too many points", got=len(points), expected=f"at most {MOST_POINTS}")
+        if not (math.isfinite(self.radius) and self.radius >= 0):
+            raise InputError("the radius of a brush must be a positive number", got=self.radius)
+        if not LEAST <= self.tolerance <= MOST:
+            raise InputError("the tolerance is out of range", got=self.tolerance, expected=f"{LEAST} to {MOST}")
+
+
+def gesture_of(
+    kind: Any, points: Any, height: int, width: int, *, fractions: bool = False, **more: Any
+) -> Gesture:
+    """A gesture from numbers that nobody has checked.
+
+    Parameters
+    ----------
+    points : list of [x, y]
+        Pixels, or with `fractions` shares of width and height; a radius is then a share of the width.
+    more : object
+        `adds`, `radius`, `tolerance` of the gesture.
+
+    Raises
+    ------
+    InputError
+        These are no points of the picture, or it is no gesture.
+    """
+    if isinstance(points, (list, tuple)) and len(points) > MOST_POINTS:
+        raise InputError("too many points", got=len(points), expected=f"at most {MOST_POINTS}")
+    try:
+        found = np.array(points, np.float64)
+    except (TypeError, ValueError, OverflowError):
+        found = np.zeros(0)
+    if found.ndim != 2 or found.shape[1:] != (2,):
+        raise InputError("points must be a list of [x, y]", got=repr(points)[:60])
+    if not np.isfinite(found).all():
+        raise InputError("points must be finite numbers")
+    scale = np.array([width, height], np.float64)
+    if fractions:
+        found = found * scale
+    if (found < -BEYOND * scale).any() or (found > (1 + BEYOND) * scale).any():
+        raise InputError("points are outside of the picture", expected=f"{width}x{height} pixels")
+    for name in ("radius", "tolerance"):
+        if name in more and (isinstance(more[name], bool) or not isinstance(more[name], (int, float))):
+            raise InputError(f"the {name} must be a number", got=repr(more[name])[:40])
+    if "radius" in more:
+        more["radius"] = float(more["radius"]) * (width if fractions else 1)
+        if more["radius"] > max(height, width):
+            raise InputError("the brush is larger than the picture", got=more["radius"])
+    return Gesture(kind if isinstance(kind, str) else repr(kind), found, **more)  # pyright: ignore[reportArgumentType]
+
+
+def read_gesture(message: Any, height: int, width: int) -> Gesture:
+    """A gesture as the page sends it: {"do", "at": [[x, y], ...], "add", "radius", "tolerance"}, in fractions.
+
+    Raises
+    ------
+    InputError
+        It is none.
+    """
+    if not isinstance(message, Mapping) or set(message) - {"do", "at", "add", "radius", "tolerance"}:
+        raise InputError("not a movement of a tool", got=repr(message)[:60])
+    more = {name: message[name] for name in ("radius", "tolerance") if name in message}
+    return gesture_of(
+        message.get("do"), message.get("at"), height, width, fractions=True, adds=message.get("add", True), **more
+    )
+
+
+@dataclass
+class Canvas:
+    """A frame to draw on; what it takes to follow its surfaces is worked out when it is first needed.
+
+    Attributes
+    ----------
+    context : FrameContext
+    """
+
+    context: FrameContext
+    _surface: Surface | None = field(default=None, repr=False)
+    _segmenter: Any = field(default=None, repr=False)
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Height and width."""
+        return self.context.frame.height, self.context.frame.width
+
+    @property
+    def surface(self) -> Surface:
+        if self._surface is None:
+            self._surface = surface_of(self.context.frame, self.context.config)
+        return self._surface
+
+    def inside(self, points: np.ndarray) -> np.ndarray:
+        """(H, W) bool: what the depth segmenter finds between two corners (x, y, pixels)."""
+        from pipeline.proposals.depth_segmenter import DepthSegmenter
+
+        if self._segmenter is None:
+            self._segmenter = DepthSegmenter()
+        box = np.sort(points, axis=0).ravel()
+        return self._segmenter.segment(self.context.frame, box[None], [""])[0][0]
+
+
+def drawn(gesture: Gesture, height: int, width: int, canvas: Canvas | None = None) -> np.ndarray:
+    """The pixels that a gesture means.
+
+    Parameters
+    ----------
+    canvas : Canvas, optional
+        For what follows the depth.
+
+    Returns
+    -------
+    (H, W) bool
+
+    Raises
+    ------
+    InputError
+        It means no pixel, or the depth is not at hand.
+    """
+    if gesture.kind == "cut":
+        raise InputError("a cut means no pixels")
+    if gesture.kind == "stroke":
+        mask = stroke_mask(gesture.points, gesture.radius, height, width)
+    elif gesture.kind == "polygon":
+        mask = polygon_mask(gesture.points, height, width)
+    elif gesture.kind == "rectangle":
+        mask = rectangle_mask(gesture.points, height, width)
+    elif canvas is None:
+        raise InputError(f"a {gesture.kind} region needs the pictures", cause="name the dataset")
+    elif gesture.kind == "surface":
+        mask = canvas.inside(gesture.points)
+    else:
+        mask = grown_region(canvas.surface, gesture.points, gesture.tolerance)
+    if not mask.any():
+        raise InputError(f"this {gesture.kind} holds no pixel")
+    return mask
+
+
+def applied(mask: np.ndarray, gesture: Gesture, canvas: Canvas | None = None) -> np.ndarray:
+    """A mask ((H, W) bool) after a gesture; raises as `drawn`."""
+    height, width = mask.shape
+    pixels = drawn(gesture, height, width, canvas)
+    return mask | pixels if gesture.adds else mask & ~pixels
+
+
+def goes_around(points: np.ndarray) -> bool:
+    """Whether the ends of a cut meet, so that it goes around a part."""
+    length = float(np.linalg.norm(np.diff(points, axis=0), axis=1).sum())
+    return len(points) > 3 and float(np.linalg.norm(points[0] - points[-1])) < CLOSED * length

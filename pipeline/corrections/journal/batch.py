@@ -1,0 +1,330 @@
+"""Edits as a file: a JSON list of actions, checked as a whole and saved as one."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, model_validator
+
+from pipeline.corrections.drawing.gestures import Canvas
+from pipeline.corrections.journal import edits as actions
+from pipeline.corrections.journal.batch_shapes import Mode, Shapes, combined
+from pipeline.corrections.journal.cells import OF_ALL, Cell, Kind, box_of, judged_item
+from pipeline.corrections.journal.effective import Corrector
+from pipeline.corrections.journal.effective_frame import EffectiveFrame
+from pipeline.corrections.journal.events import Conflict, Edit, Rival, Saved
+from pipeline.corrections.journal.journal import Journal
+from pipeline.relations.relations import F, T, U
+from pipeline.system.errors import InputError
+
+_STATES = {"T": T, "U": U, "F": F}
+
+
+class Action(BaseModel):
+    """What every action has. `base` is the version of its (first) cell that the person saw: the newest by default."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+    frame: str
+    reason: str = ""
+    base: int | None = Field(default=None, ge=0)
+
+
+class OfObject(Action):
+    object: int
+
+
+class ClassName(OfObject):
+    edit: Literal["class"]
+    to: str
+
+
+class Mask(OfObject, Shapes):
+    """Pixels by a run-length code or a shape; a shape is in place of the mask, is added to it, or taken from it."""
+
+    edit: Literal["mask"]
+    to: str | None = None
+    mode: Mode = "replace"
+
+    @model_validator(mode="after")
+    def _said(self) -> Mask:
+        if ("to" in self.model_fields_set) == self.shaped:
+            raise ValueError("pixels are either a code (to) or one of polygon, rectangle, strokes, seeds")
+        if not self.shaped and self.mode != "replace":
+            raise ValueError("a code replaces the mask")
+        return self
+
+
+class Rectangle(OfObject):
+    edit: Literal["bbox"]
+    to: list[float]
+
+
+class Solid(OfObject):
+    """Null for the box that the object's points make."""
+
+    edit: Literal["box"]
+    to: dict[str, list[float]] | None
+
+
+class OfItem(Action):
+    """On an object, a relation of a pair, or an expression."""
+
+    object: int | None = None
+    a: int | None = None
+    b: int | None = None
+    relation: str | None = None
+    expression: str | None = None
+    to: str | None
+
+
+class Status(OfItem):
+    """Of the frame where none of them is named."""
+
+    edit: Literal["status"]
+
+
+class Judge(OfItem):
+    """A reviewer's own word: a status, or of a relation T, U or F."""
+
+    edit: Literal["judge"]
+
+
+class Settle(OfItem):
+    """The last word where reviewers differ."""
+
+    edit: Literal["settle"]
+    to: str  # pyright: ignore[reportIncompatibleVariableOverride]
+
+
+class NewObject(Action, Shapes):
+    """With a mask, a 2D box, a 3D box, or a shape; in a rectangle the pixels are those of the depth segmenter."""
+
+    edit: Literal["new"]
+    label: str
+    mask: str | None = None
+    bbox: list[float] | None = None
+    box: dict[str, list[float]] | None = None
+
+    @model_validator(mode="after")
+    def _said(self) -> NewObject:
+        if self.mask is not None and self.shaped:
+            raise ValueError("pixels are either a mask or one of polygon, rectangle, strokes, seeds")
+        return self
+
+
+class Merge(Action):
+    edit: Literal["merge"]
+    objects: list[int]
+
+
+class Split(OfObject):
+    edit: Literal["split"]
+    masks: list[str]
+
+
+class Relation(Action):
+    edit: Literal["relation"]
+    a: int
+    b: int
+    relation: str
+    to: Literal["T", "U", "F"]
+
+
+class OfExpression(Action):
+    expression: str
+
+
+class Text(OfExpression):
+    edit: Literal["text"]
+    to: str
+
+
+class Answers(OfExpression):
+    edit: Literal["answers"]
+    targets: list[int]
+    acceptable: list[int] | None = None
+
+
+class Ambiguous(OfExpression):
+    edit: Literal["ambiguous"]
+    to: bool
+
+
+class Mark(OfExpression):
+    edit: Literal["mark"]
+    to: str | None
+
+
+class Note(Action):
+    edit: Literal["note"]
+    to: str | None
+
+
+class Value(Action):
+    """One field of one entity, as the journal keeps it; nothing else is set with it. Of judgements, one's own."""
+
+    edit: Literal["value"]
+    kind: Kind
+    key: str
+    field: str
+    to: Any
+
+
+AnyAction = Annotated[
+    ClassName | Mask | Rectangle | Solid | Status | Judge | Settle | NewObject | Merge | Split | Relation | Text
+    | Answers | Ambiguous | Mark | Note | Value,
+    Field(discriminator="edit"),
+]  # fmt: skip
+_LIST: TypeAdapter[list[AnyAction]] = TypeAdapter(list[AnyAction])
+
+
+def read_actions(path: Path) -> list[AnyAction]:
+    """Actions from a file.
+
+    Raises
+    ------
+    InputError
+        It cannot be read, or an entry is no action: which, and why.
+    """
+    try:
+        return actions_of(json.loads(Path(path).read_text(encoding="utf-8")), path)
+    except (OSError, ValueError, RecursionError) as error:
+        if isinstance(error, InputError):
+            raise
+        reason = getattr(error, "strerror", None) or str(error)
+        raise InputError("the edits cannot be read", got=reason, expected="a JSON list", path=path) from error
+
+
+def actions_of(entries: Any, path: Path | None = None) -> list[AnyAction]:
+    """Actions from parsed JSON; raises as `read_actions`."""
+    if not isinstance(entries, list) or not entries:
+        got = "an empty list" if entries == [] else type(entries).__name__
+        raise InputError("edits must be a list that is not empty", got=got, path=path)
+    try:
+        return _LIST.validate_python(entries)
+    except ValidationError as error:
+        first = error.errors()[0]
+        place, where = first["loc"][0], ".".join(str(p) for p in first["loc"][2:])
+        said = f"edit {place}: {where}: {first['msg']}" if where else f"edit {place}: {first['msg']}"
+        raise InputError(said, got=repr(first.get("input"))[:60], path=path) from error
+
+
+def edits_of(action: AnyAction, frame: EffectiveFrame, author: str, canvas: Canvas | None = None) -> tuple[Edit, ...]:
+    """The edits that an action comes down to; InputError where it cannot be done to the frame.
+
+    `canvas` is the frame's picture, for shapes that follow its depth.
+    """
+    a, why = action, action.reason
+    size = int(frame.row["height"]), int(frame.row["width"])
+    if isinstance(a, ClassName):
+        return actions.set_class(frame, a.object, a.to, why)
+    if isinstance(a, Mask):
+        if a.shaped:
+            mask = combined(actions.pixels_of(frame, a.object), a.pixels(*size, canvas), a.mode)
+            return actions.set_mask(frame, a.object, mask, why)
+        return actions.set_mask(frame, a.object, a.to, why)
+    if isinstance(a, Rectangle):
+        return actions.set_bbox(frame, a.object, a.to, why)
+    if isinstance(a, Solid):
+        return actions.set_box(frame, a.object, None if a.to is None else box_of(a.to), why)
+    if isinstance(a, Status):
+        return actions.set_status(frame, _status_cell(a), a.to, why)
+    if isinstance(a, Judge | Settle):
+        return _judged(a, frame, author)
+    if isinstance(a, NewObject):
+        box = None if a.box is None else box_of(a.box)
+        mask = a.pixels(*size, canvas, surface=True) if a.shaped else a.mask
+        return actions.add_object(frame, a.label, mask=mask, bbox=a.bbox, box=box, reason=why)
+    if isinstance(a, Merge):
+        return actions.merge_objects(frame, a.objects, why)
+    if isinstance(a, Split):
+        return actions.split_object(frame, a.object, a.masks, why)
+    if isinstance(a, Relation):
+        return actions.set_relation(frame, a.a, a.b, a.relation, _STATES[a.to], why)
+    if isinstance(a, Text):
+        return actions.set_text(frame, a.expression, a.to, why)
+    if isinstance(a, Answers):
+        return actions.set_answers(frame, a.expression, a.targets, a.acceptable, why)
+    if isinstance(a, Ambiguous):
+        return actions.set_ambiguous(frame, a.expression, a.to, why)
+    if isinstance(a, Mark):
+        return actions.set_mark(frame, a.expression, a.to, why)
+    if isinstance(a, Value):
+        cell = Cell(a.kind, a.frame, a.key, a.field)
+        if cell.kind == "review" and judged_item(cell.key)[0] not in (author.strip(), OF_ALL):
+            raise InputError("a judgement of another person", got=judged_item(cell.key)[0], expected=author)
+        return actions.set_value(frame, cell, a.to, why)
+    return actions.set_note(frame, a.to, why)
+
+
+def _judged(action: Judge | Settle, frame: EffectiveFrame, author: str) -> tuple[Edit, ...]:
+    cell, to, why = _status_cell(action), action.to, action.reason
+    if isinstance(action, Settle):
+        state = _STATES.get(action.to) if cell.kind == "relation" else None
+        if state is None:
+            return actions.settle(frame, cell, action.to, why)
+        now = frame.value(Cell("relation", cell.frame, cell.key, cell.field.removesuffix(".status")))
+        return actions.settle(frame, cell, "accepted" if state == now else "corrected", why, state)
+    if cell.kind == "relation" and to is not None and to in _STATES:
+        a, b = cell.numbers
+        return actions.judge_relation(frame, a, b, cell.field.removesuffix(".status"), _STATES[to], author, why)
+    return actions.judge(frame, cell, to, author, why)
+
+
+def _status_cell(action: OfItem) -> Cell:
+    if action.object is not None:
+        return Cell("object", action.frame, str(action.object), "status")
+    if action.expression is not None:
+        return Cell("expression", action.frame, action.expression, "status")
+    if action.a is not None and action.b is not None and action.relation is not None:
+        return Cell("relation", action.frame, f"{action.a},{action.b}", f"{action.relation}.status")
+    return Cell("frame", action.frame, "", "status")
+
+
+def apply_actions(
+    corrector: Corrector, journal: Journal, todo: Sequence[AnyAction], author: str, *, again: str | None = None
+) -> Saved | Conflict:
+    """Save actions as one: all of them, or none.
+
+    An action that does not say which version it was made on may not change
+    what somebody else has said: that is a conflict.
+
+    Parameters
+    ----------
+    again : str, optional
+        `NotSaved.group`, where this is another try: what was saved after all is not saved again.
+
+    Raises
+    ------
+    InputError
+        An action cannot be done: which, and why.
+    NotSaved
+        As `Journal.append`.
+    """
+    if again is not None and (saved := journal.events(group=again)):
+        return Saved(saved)
+    frames: dict[str, EffectiveFrame] = {}
+    canvases: dict[str, Canvas] = {}
+    edits: list[Edit] = []
+    rivals: list[Rival] = []
+    for k, action in enumerate(todo):
+        try:
+            if action.frame not in frames:
+                frames[action.frame] = corrector.frame(action.frame, journal)
+            if corrector.relifter is not None and isinstance(action, Shapes) and action.frame not in canvases:
+                canvases[action.frame] = Canvas(corrector.relifter.context(action.frame))
+            made = edits_of(action, frames[action.frame], author, canvases.get(action.frame))
+        except InputError as error:
+            raise InputError(f"edit {k}: {error}") from error
+        if action.base is not None:
+            first = made[0]
+            made = (Edit(first.cell, first.before, first.after, action.base, first.reason, first.anchor), *made[1:])
+        else:
+            heads = journal.heads([e.cell for e in made])
+            rivals += [Rival(e, heads[e.cell]) for e in made if e.cell in heads and heads[e.cell].author != author]
+        edits += made
+    return Conflict(tuple(rivals), tuple(edits)) if rivals else journal.append(edits, author, group=again)

@@ -1,0 +1,320 @@
+"""What can be corrected: a cell is one field of one entity of a frame, and each field has its kind of value."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import numpy as np
+
+from pipeline.geometry.boxes import Box3D
+from pipeline.geometry.run_length import run_lengths
+from pipeline.relations.relations import PAIRWISE, letter
+from pipeline.system.errors import InputError
+
+Kind = Literal["object", "relation", "expression", "frame", "review"]
+KINDS: tuple[Kind, ...] = ("object", "relation", "expression", "frame", "review")
+OF_ALL = ""
+"""Stands for the author in the key of a judgement that is not one person's: see `corrections.journal.judgements`."""
+STATUSES = ("accepted", "corrected", "rejected", "unsure")
+"""What a reviewer says of something; null is unreviewed. A rejected object or expression is left out."""
+FIRST_NEW_OBJECT = 1_000_000
+"""Objects that people add are numbered from here, so that labels made again never take their numbers."""
+LONGEST_NAME, LONGEST_TEXT = 200, 2_000
+TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True, order=True)
+class Cell:
+    """One field of one entity: what is locked, versioned and corrected as one.
+
+    Attributes
+    ----------
+    kind : str
+        "object", "relation", "expression", "frame" or "review".
+    frame : str
+        The frame's id.
+    key : str
+        Of an object its number, of a relation "a,b", of an expression its id, of a frame "".
+        Of a judgement the JSON of [author, kind, a, b, what]: see `corrections.journal.judgements`.
+    field : str
+    """
+
+    kind: Kind
+    frame: str
+    key: str
+    field: str
+
+    def __post_init__(self) -> None:
+        if self.kind not in KINDS:
+            raise InputError("no such kind of entity", got=repr(self.kind), expected=" | ".join(KINDS))
+        if self.field not in FIELDS[self.kind]:
+            expected = ", ".join(FIELDS[self.kind])
+            raise InputError(f"a {self.kind} has no such field", got=repr(self.field)[:60], expected=expected)
+        plain_text(self.frame, "the frame's id", LONGEST_TEXT)
+        if self.kind in ("object", "relation"):
+            numbers = self.key.split(",")
+            if len(numbers) != (2 if self.kind == "relation" else 1) or not all(map(_is_number, numbers)):
+                raise InputError(f"not the key of a {self.kind}", got=repr(self.key)[:60])
+        elif self.kind == "review":
+            if (judged_item(self.key)[0] == OF_ALL) != (self.field == "settled"):
+                raise InputError("what is said has an author, what is settled has none", got=repr(self.key)[:60])
+        elif (self.kind == "frame") != (self.key == "") or len(self.key) > LONGEST_NAME:
+            raise InputError(f"not the key of a {self.kind}", got=repr(self.key)[:60])
+
+    @property
+    def numbers(self) -> tuple[int, ...]:
+        """The objects that the key names."""
+        if self.kind == "review":
+            _, kind, a, b, _ = judged_item(self.key)
+            return tuple(n for n in (a, b) if n is not None and n >= 0 and kind != "expression")
+        return tuple(int(n) for n in self.key.split(",")) if self.kind in ("object", "relation") else ()
+
+    @property
+    def entity(self) -> str:
+        """What it is a field of, in words: "object 3", "relation 2,5 left" where a judgement is of that."""
+        if self.kind == "review":
+            with suppress(InputError):
+                _, kind, a, b, what = judged_item(self.key)
+                ends = "" if kind == "expression" else f"{a}" if b is None else f"{a},{b}"
+                return " ".join(filter(None, (kind, ends, what)))
+        return f"{self.kind} {self.key}".rstrip()
+
+    def __str__(self) -> str:
+        return f"{self.field} of {self.entity} in {self.frame}"
+
+
+def object_cell(frame: str, number: int, field: str) -> Cell:
+    return Cell("object", frame, str(int(number)), field)
+
+
+def relation_cell(frame: str, a: int, b: int, relation: str) -> Cell:
+    return Cell("relation", frame, f"{int(a)},{int(b)}", relation)
+
+
+def judged_item(key: str) -> tuple[str, str, int, int | None, str]:
+    """Author, kind, a, b and what of the key of a judgement.
+
+    Raises
+    ------
+    InputError
+        It is none, or not as this release writes it: one item has one key.
+    """
+    try:
+        author, kind, a, b, what = found = json.loads(key)
+        written = judged_key(*found)
+    except (ValueError, TypeError, RecursionError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError("not the key of a review", got=repr(key)[:60]) from error
+    numbers = type(a) is int and (b is None or type(b) is int)
+    sound = kind in ("object", "relation", "expression") and isinstance(author, str) and isinstance(what, str)
+    if not (numbers and sound and -1 <= a < 2**31 and -1 <= (b or 0) < 2**31) or written != key:
+        raise InputError("not the key of a review", got=repr(key)[:60])
+    if author != OF_ALL:
+        plain_text(author, "an author", LONGEST_NAME)
+    if kind == "relation" and (what not in PAIRWISE or b is None or min(a, b) < 0):
+        raise InputError("not the key of a relation's review", got=repr(key)[:60])
+    if what:
+        plain_text(what, "what is judged", LONGEST_NAME)
+    return author, kind, a, b, what
+
+
+def judged_key(author: str, kind: str, a: int, b: int | None, what: str) -> str:
+    """The reverse of `judged_item`."""
+    return json.dumps([author, kind, a, b, what], ensure_ascii=False, separators=(",", ":"))
+
+
+def _is_number(text: str) -> bool:
+    return text.isascii() and text.isdigit() and len(text) <= 10 and str(int(text)) == text and int(text) < 2**31
+
+
+def plain_text(value: Any, what: str, longest: int) -> str:
+    """A text that every database keeps as it is.
+
+    Raises
+    ------
+    InputError
+        It is no text, empty, too long, or holds what is no character.
+    """
+    if not isinstance(value, str) or not value.strip():
+        raise InputError(f"{what} must be a text that is not empty", got=repr(value)[:60])
+    if len(value) > longest:
+        raise InputError(f"{what} is too long", got=f"{len(value)} characters", expected=f"at most {longest}")
+    if "\x00" in value or any("\ud800" <= c <= "\udfff" for c in value):
+        raise InputError(f"{what} holds a character that cannot be kept", got=ascii(value)[:60])
+    return value
+
+
+def checked(cell: Cell, value: Any) -> Any:
+    """A value as the cell keeps it: JSON with plain numbers.
+
+    Raises
+    ------
+    InputError
+        It is not a value of that field.
+    """
+    return None if value is None and cell.field in _NULLABLE[cell.kind] else FIELDS[cell.kind][cell.field](value)
+
+
+def same_value(a: Any, b: Any) -> bool:
+    """Whether two values are one: numbers to within rounding."""
+    if isinstance(a, bool) or isinstance(b, bool):
+        return a is b
+    if isinstance(a, (int, float)) and isinstance(b, (int, float)):
+        return math.isclose(a, b, rel_tol=TOLERANCE, abs_tol=TOLERANCE)
+    if isinstance(a, (list, tuple)) and isinstance(b, (list, tuple)):
+        return len(a) == len(b) and all(map(same_value, a, b))
+    if isinstance(a, dict) and isinstance(b, dict):
+        return a.keys() == b.keys() and all(same_value(a[k], b[k]) for k in a)
+    return a == b
+
+
+def shown_value(cell: Cell, value: Any) -> str:
+    """A value in a few words, for messages and lists."""
+    if value is None:
+        return "nothing"
+    if cell.kind == "relation" and cell.field in PAIRWISE:
+        return letter(value)
+    if cell.field == "mask":
+        runs = run_lengths(value)
+        return "a mask" if isinstance(runs, str) else f"a mask ({int(runs[1::2].sum())} pixels)"
+    if cell.kind == "review":
+        state = value.get("value")
+        return value["status"] if state is None else f"{value['status']}: {letter(state)}"
+    if cell.field == "exists":
+        return f"a new {value['label']}"
+    if cell.field == "box":
+        middle, size = (" ".join(f"{x:.3f}" for x in value[n]) for n in ("center", "size"))
+        # Seen from the camera: what is up is not known here.
+        turn = math.degrees(math.atan2(value["R"][6], value["R"][0]))
+        return f"a box at {middle}, size {size}, turned {turn:.0f} deg"
+    return str(value) if len(str(value)) <= 60 else f"{str(value)[:57]}..."
+
+
+def box_value(box: Box3D) -> dict[str, list[float]]:
+    """A 3D box as a cell keeps it."""
+    return {"center": box.center.tolist(), "R": box.R.ravel().tolist(), "size": box.size.tolist()}
+
+
+def box_of(value: Any) -> Box3D:
+    """The 3D box of a kept value.
+
+    Raises
+    ------
+    InputError
+        It is none.
+    """
+    try:
+        center, R, size = (np.array(value[n], np.float64) for n in ("center", "R", "size"))
+        shaped = R.reshape(3, 3)
+    except (KeyError, TypeError, ValueError, IndexError) as error:
+        raise InputError("a 3D box must have center, R and size", got=repr(value)[:60]) from error
+    return Box3D(center, shaped, size)
+
+
+def _name(value: Any) -> str:
+    return plain_text(value, "a class name", LONGEST_NAME)
+
+
+def _sentence(value: Any) -> str:
+    return plain_text(value, "a text", LONGEST_TEXT)
+
+
+def _status(value: Any) -> str:
+    if value not in STATUSES:
+        raise InputError("no such status", got=repr(value)[:60], expected=" | ".join(STATUSES))
+    return value
+
+
+def _judgement(value: Any) -> dict[str, Any]:
+    if not isinstance(value, dict) or set(value) - {"status", "value"} or "status" not in value:
+        raise InputError("a judgement has a status, and of a relation a value", got=repr(value)[:60])
+    state = value.get("value")
+    return {"status": _status(value["status"]), "value": None if state is None else _state(state)}
+
+
+def _mark(value: Any) -> str:
+    from pipeline.diagnosis.verdict import MARKS
+
+    if value not in MARKS:
+        raise InputError("no such mark", got=repr(value)[:60], expected=" | ".join(MARKS))
+    return value
+
+
+def _flag(value: Any) -> bool:
+    if not isinstance(value, bool):
+        raise InputError("must be true or false", got=repr(value)[:60])
+    return value
+
+
+def _state(value: Any) -> int:
+    if isinstance(value, bool) or value not in (-1, 0, 1):
+        raise InputError("no such state", got=repr(value)[:60], expected="1 (T), 0 (U) or -1 (F)")
+    return int(value)
+
+
+def _numbers(value: Any) -> list[int]:
+    sound = isinstance(value, (list, tuple)) and all(isinstance(n, int) and not isinstance(n, bool) for n in value)
+    if not sound or min(value, default=0) < 0 or max(value, default=0) >= 2**31:
+        raise InputError("must be a list of numbers of objects", got=repr(value)[:60])
+    return sorted({int(n) for n in value})
+
+
+def _rectangle(value: Any) -> list[float]:
+    try:
+        box = [float(x) for x in value]
+    except (TypeError, ValueError) as error:
+        raise InputError("a 2D box must be four numbers", got=repr(value)[:60]) from error
+    if len(box) != 4 or not all(map(math.isfinite, box)) or box[2] <= box[0] or box[3] <= box[1]:
+        raise InputError("a 2D box must be x0 y0 x1 y1 with x1 > x0 and y1 > y0", got=repr(value)[:60])
+    return box
+
+
+def _mask(value: Any) -> str:
+    problem = run_lengths(value) if isinstance(value, str) else "it is no text"
+    if isinstance(problem, str):
+        raise InputError("not COCO's compressed run-length code of a mask", got=problem)
+    return value
+
+
+def _box(value: Any) -> dict[str, list[float]]:
+    return box_value(box_of(value))
+
+
+def _new_object(value: Any) -> dict[str, Any]:
+    if not isinstance(value, dict) or set(value) - {"label", "mask", "bbox", "box"}:
+        raise InputError("a new object has a label and a mask, a 2D box or a 3D box", got=repr(value)[:60])
+    found: dict[str, Any] = {"label": _name(value.get("label"))}
+    for name, check in (("mask", _mask), ("bbox", _rectangle), ("box", _box)):
+        if value.get(name) is not None:
+            found[name] = check(value[name])
+    if len(found) == 1:
+        raise InputError("a new object needs a mask, a 2D box or a 3D box")
+    return found
+
+
+FIELDS: dict[Kind, dict[str, Callable[[Any], Any]]] = {
+    "object": {
+        "label": _name, "status": _status, "mask": _mask, "bbox": _rectangle, "box": _box, "exists": _new_object,
+    },
+    "relation": {**dict.fromkeys(PAIRWISE, _state), **{f"{r}.status": _status for r in PAIRWISE}},
+    "expression": {
+        "text": _sentence, "targets": _numbers, "acceptable": _numbers, "ambiguous": _flag, "mark": _mark,
+        "status": _status,
+    },
+    "frame": {"status": _status, "note": _sentence},
+    "review": {"said": _judgement, "settled": _judgement},
+}  # fmt: skip
+"""What checks a value, by kind of entity and field."""
+_NULLABLE: dict[Kind, frozenset[str]] = {
+    "object": frozenset({"status", "mask", "box", "exists"}),
+    "relation": frozenset({*PAIRWISE, *(f"{r}.status" for r in PAIRWISE)}),
+    "expression": frozenset({"mark", "status"}),
+    "frame": frozenset({"status", "note"}),
+    "review": frozenset({"said", "settled"}),
+}

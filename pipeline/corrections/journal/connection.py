@@ -1,0 +1,234 @@
+"""Connections to a journal's database: SQLite so that what is saved is on the disk, or PostgreSQL by URL."""
+
+from __future__ import annotations
+
+import re
+import sqlite3
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import sqlalchemy as sa
+from sqlalchemy.exc import DBAPIError, SQLAlchemyError
+
+from pipeline.corrections.journal.chain import FIRST
+from pipeline.corrections.journal.examining import examine
+from pipeline.corrections.journal.postgres import ask_for_turn, postgres_engine, state_of
+from pipeline.corrections.journal.schema import VERSION, create, version_of
+from pipeline.corrections.journal.sqlite_file import (
+    BUSY_S,
+    READING,
+    can_be_written,
+    check_in_place,
+    plain_reason,
+    sqlite_engine,
+)
+from pipeline.corrections.journal.taking_over import believed, take_over
+from pipeline.system.errors import InputError
+
+NETWORK_FILE_SYSTEMS = frozenset(
+    {"nfs", "nfs3", "nfs4", "cifs", "smb3", "smbfs", "fuse.sshfs", "9p", "lustre", "gpfs", "beegfs", "afs", "ceph",
+     "fuse.ceph", "glusterfs", "fuse.glusterfs", "ocfs2", "gfs2", "fuse.s3fs", "fuse.gcsfuse", "davfs", "fuse.davfs2"}
+)  # fmt: skip
+DATABASE_ERRORS = (SQLAlchemyError, sqlite3.Error, OSError)
+"""What goes wrong in a database; the second where a connection is only being made, the third on the network."""
+_HELP = (
+    (("is full", "no space", "quota"), "the disk is full: free some space and save again"),
+    (("disk i/o error",), "the disk is full, over a limit, read-only or broken: mend that and save again"),
+    (("file is gone", "no such table"), "put the journal back where it was, and save again"),
+    (("read-only transaction",), "the database takes no edits now: save again when it does"),
+    (("readonly", "read-only", "unable to open", "permission denied"),
+     "the folder cannot be written: check that it is there, and its rights, and save again"),
+    (("locked",), "another program holds the journal: close it, and save again"),
+    (("connect", "network", "terminat", "closed", "shutting down", "starting up", "recovery mode", "timed out",
+      "name or service"), "the database cannot be reached: save again when it can"),
+)  # fmt: skip
+"""Words of a reason, and what helps."""
+_ADVISORY = 0x5350_4A4C
+"""Key of the lock by which PostgreSQL's writers take turns: events are numbered in the order of their saving."""
+_ESCAPE = re.compile(r"\\([0-7]{3})")
+
+
+def is_url(where: str | Path) -> bool:
+    """Whether a journal is named by a URL."""
+    return "://" in str(where)
+
+
+def make_engine(where: str | Path) -> sa.Engine:
+    """An engine for the path of an SQLite file, or a URL "postgresql://...".
+
+    Raises
+    ------
+    InputError
+        A URL that cannot be used.
+    MissingExtra
+        PostgreSQL's driver is not installed.
+    """
+    if not is_url(where):
+        return sqlite_engine(where, _come_instead)
+    return postgres_engine(str(where))
+
+
+def _come_instead(path: Path) -> None:
+    """Believe a file that has come in the place of a journal that is open."""
+    found = examine(path).believe()
+    if found.version != VERSION:
+        raise InputError("another file stands in the place of the journal", cause="open it anew", path=path)
+
+
+def place_of(engine: sa.Engine) -> str:
+    """Where a journal is, without its password."""
+    if engine.dialect.name == "sqlite":
+        return str(engine.url.database)
+    return engine.url.set(drivername="postgresql").render_as_string(hide_password=True)
+
+
+@contextmanager
+def reading(engine: sa.Engine) -> Iterator[sa.Connection]:
+    """A connection that waits for no writer.
+
+    Raises
+    ------
+    InputError
+        The journal cannot be read.
+    """
+    try:
+        with engine.connect().execution_options(**{READING: True}) as connection, connection.begin():
+            yield connection
+    except InputError:
+        raise
+    except (*DATABASE_ERRORS, ValueError, TypeError) as error:
+        # Of a file that was whole when it was opened.
+        cause = None if isinstance(error, DATABASE_ERRORS) else "spatialviz journal LABELS --check says what is wrong"
+        place = place_of(engine)
+        raise InputError("the journal cannot be read", got=reason_of(error, place), cause=cause, path=place) from error
+
+
+@contextmanager
+def writing(engine: sa.Engine) -> Iterator[sa.Connection]:
+    """A connection whose turn it is to write; when the block ends, what it wrote is on the disk."""
+    file = Path(place_of(engine)) if engine.dialect.name == "sqlite" else None
+    if file is not None and file.exists() and not can_be_written(file):
+        raise sqlite3.OperationalError("attempt to write a readonly database")
+    with engine.connect() as connection, _turn(connection):
+        yield connection
+        if engine.dialect.name == "sqlite":
+            check_in_place(connection)
+
+
+def _turn(connection: sa.Connection) -> sa.RootTransaction:
+    """A transaction whose turn it is."""
+    until = time.monotonic() + BUSY_S
+    while True:
+        turn = connection.begin()
+        if connection.dialect.name != "postgresql" or ask_for_turn(connection, _ADVISORY):
+            return turn
+        turn.rollback()
+        if time.monotonic() > until:
+            raise TimeoutError("locked by another program, which goes on writing")
+
+
+def prepare(engine: sa.Engine) -> tuple[str, ...]:
+    """Make an empty database a journal, or chain an older one; what a user should know of it is returned.
+
+    An SQLite file that is there was examined before.
+
+    Raises
+    ------
+    InputError
+        It cannot be opened, is of a newer release, or holds something else.
+    DamagedJournal
+        Events of a server, or of an older journal, are not as they were saved.
+    """
+    place = place_of(engine)
+    try:
+        on_server = engine.dialect.name != "sqlite"
+        writable = on_server or can_be_written(Path(place))
+        if not on_server and writable:
+            _use_write_ahead_log(engine)
+        # Head and events of one moment: on a server others go on writing while they are read.
+        snapshot: dict[str, Any] = {"isolation_level": "REPEATABLE READ"} if on_server else {}
+        with engine.connect().execution_options(**{READING: True}, **snapshot) as connection, connection.begin():
+            found = version_of(connection)
+            if found == VERSION:
+                if on_server:
+                    believed(connection, place, chain=True)
+                return ()
+        if not writable:
+            if found != 1:
+                raise InputError("no journal can be made", cause="the folder cannot be written", path=place)
+            return (f"{place} can only be read here: its events are checked, and not chained",)
+        with writing(engine) as connection:
+            found = version_of(connection)
+            if found is not None and found > VERSION:
+                raise InputError(
+                    "the journal is of a newer release", got=f"version {found}", expected=f"at most {VERSION}",
+                    cause="install the release that wrote it", path=place,
+                )  # fmt: skip
+            if found == 0:
+                raise InputError("the database holds something else than a journal", path=place)
+            if found is None:
+                create(connection, FIRST)
+            elif found < VERSION:
+                kept = take_over(connection, place)
+                return (f"{place} is chained now: as the release before left it, it stands in {kept}",)
+        return ()
+    except DATABASE_ERRORS as error:
+        reason = reason_of(error, place)
+        raise InputError("the journal cannot be opened", got=reason, cause=likely_cause(reason), path=place) from error
+
+
+def _use_write_ahead_log(engine: sa.Engine) -> None:
+    """Set once for the file; two that open a new file at the same time get in each other's way, and one tries again."""
+    until = time.monotonic() + BUSY_S
+    while True:
+        connection = engine.raw_connection()
+        try:
+            connection.cursor().execute("PRAGMA journal_mode = WAL")
+            return
+        except sqlite3.OperationalError as error:
+            if "locked" not in str(error) or time.monotonic() > until:
+                raise
+            time.sleep(0.02)
+        finally:
+            connection.close()
+
+
+def reason_of(error: BaseException, place: str = "") -> str:
+    """The database's own words, in one line; of a full disk plainer ones, where `place` is a file."""
+    inner = error.orig if isinstance(error, DBAPIError) and error.orig is not None else error
+    said = state_of(inner).get("M") or str(inner)
+    if isinstance(inner.__cause__, OSError) and str(inner.__cause__) not in said:
+        said = f"{said}: {inner.__cause__}"
+    said = next((line.strip() for line in said.splitlines() if line.strip()), type(inner).__name__)
+    return said if not place else plain_reason(said, Path(place))
+
+
+def likely_cause(reason: str) -> str | None:
+    """What helps against a reason of `reason_of`."""
+    said = reason.lower()
+    return next((help for words, help in _HELP if any(word in said for word in words)), None)
+
+
+def network_file_system(path: str | Path, mounts: str | Path = "/proc/self/mounts") -> str | None:
+    """The kind of network file system that a path lies on; None where it is a local one or cannot be known.
+
+    SQLite's write-ahead log needs memory that all writers share, and so one machine (sqlite.org/wal.html).
+    """
+    try:
+        lines = Path(mounts).read_text(encoding="utf-8", errors="replace").splitlines()
+    except OSError:
+        return None
+    place = str(Path(path).expanduser().resolve())
+    found = ("", "")
+    for line in lines:
+        fields = line.split(" ")
+        if len(fields) < 3:
+            continue
+        point = _ESCAPE.sub(lambda m: chr(int(m[1], 8)), fields[1])
+        within = place == point or place.startswith(point.rstrip("/") + "/")
+        if within and len(point) >= len(found[0]):
+            found = point, fields[2]
+    return found[1] if found[1] in NETWORK_FILE_SYSTEMS else None

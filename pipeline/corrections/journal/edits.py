@@ -1,0 +1,410 @@
+"""What a person can do to labels: each action as the edits that it comes down to, made on what the person sees.
+
+Every function takes the frame as it is now (`EffectiveFrame`) and gives the
+edits of one action, for `Journal.append`. What follows from them (answers,
+relations of a new geometry) is no edit: see `effective_frame`.
+"""
+
+from __future__ import annotations
+
+import random
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+import numpy as np
+
+from pipeline.corrections.journal.cells import (
+    FIRST_NEW_OBJECT,
+    OF_ALL,
+    Cell,
+    box_value,
+    checked,
+    object_cell,
+    relation_cell,
+)
+from pipeline.corrections.journal.effective_frame import EffectiveFrame
+from pipeline.corrections.journal.events import Edit
+from pipeline.corrections.journal.judgements import judgement_cell
+from pipeline.geometry.boxes import Box3D
+from pipeline.geometry.run_length import decode_run_length, encode_run_length
+from pipeline.system.errors import InputError
+
+Edits = tuple[Edit, ...]
+Rectangle = Sequence[float] | np.ndarray
+
+
+def set_class(frame: EffectiveFrame, number: int, label: str, reason: str = "") -> Edits:
+    """Another class name."""
+    return (_object_edit(frame, number, "label", label, reason),)
+
+
+def set_status(
+    frame: EffectiveFrame, cell: Cell, status: str | None, reason: str = "", author: str | None = None
+) -> Edits:
+    """Accept or reject an object, an expression, a frame, or a relation of a pair ("left.status"): see `STATUSES`.
+
+    With an author the status is that person's own judgement, which no other's
+    gets in the way of (`pipeline.corrections.journal.judgements`); only what leaves an
+    object or expression out of the labels, or brings back what this person
+    has left out, is set for all then.
+    """
+    if author is not None:
+        own = judge(frame, cell, status, author, reason)
+        if cell.kind not in ("object", "expression"):
+            return own
+        out = frame.statuses.get(cell) == "rejected"
+        if status == "rejected":
+            return own if out else (*own, *set_status(frame, cell, status, reason))
+        mine = out and frame.origin(cell).author == author
+        return (*own, *set_status(frame, cell, None, reason)) if mine else own
+    if not cell.field.endswith("status"):
+        raise InputError("not a status", got=cell.field)
+    if cell.kind == "object":
+        return (_object_edit(frame, cell.numbers[0], "status", status, reason),)
+    _check_expression(frame, cell)
+    _check_pair(frame, cell)
+    return (_edit(frame, cell, status, reason),)
+
+
+def set_mask(frame: EffectiveFrame, number: int, mask: np.ndarray | str | None, reason: str = "") -> Edits:
+    """Other pixels: (H, W) bool, or COCO's compressed run-length code; None for the whole 2D box."""
+    code = None if mask is None else _code(frame, mask)
+    return (_object_edit(frame, number, "mask", code, reason),)
+
+
+def set_bbox(frame: EffectiveFrame, number: int, bbox: Rectangle, reason: str = "") -> Edits:
+    """Another 2D box: x0, y0, x1, y1, pixels."""
+    return (_object_edit(frame, number, "bbox", _within(frame, bbox), reason),)
+
+
+def set_box(frame: EffectiveFrame, number: int, box: Box3D | None, reason: str = "") -> Edits:
+    """Another 3D box, in the camera frame; the object's points move with it. None for the one that they make."""
+    return (_object_edit(frame, number, "box", None if box is None else box_value(box), reason),)
+
+
+def add_object(
+    frame: EffectiveFrame,
+    label: str,
+    *,
+    mask: np.ndarray | str | None = None,
+    bbox: Rectangle | None = None,
+    box: Box3D | None = None,
+    number: int | None = None,
+    reason: str = "",
+) -> Edits:
+    """An object that the labeller has missed, from its pixels, a 2D box, a 3D box, or several of them.
+
+    Parameters
+    ----------
+    number : int, optional
+        From FIRST_NEW_OBJECT on; by chance, so that two people who add
+        something at the same time do not get in each other's way.
+    """
+    if number is None:
+        # Seven digits: people read them.
+        number = random.SystemRandom().randrange(FIRST_NEW_OBJECT, 10 * FIRST_NEW_OBJECT)
+    if number < FIRST_NEW_OBJECT:
+        raise InputError("the number of a new object is too small", got=number, expected=f"from {FIRST_NEW_OBJECT} on")
+    seed: dict[str, Any] = {"label": label}
+    if mask is not None:
+        seed["mask"] = _code(frame, mask)
+    if bbox is not None:
+        seed["bbox"] = _within(frame, bbox)
+    if box is not None:
+        seed["box"] = box_value(box)
+    return (_edit(frame, object_cell(frame.frame, number, "exists"), seed, reason),)
+
+
+def remove_object(frame: EffectiveFrame, number: int, reason: str = "") -> Edits:
+    """Reject an object: it is left out, with its relations and what is said of it."""
+    return (_object_edit(frame, number, "status", "rejected", reason),)
+
+
+def merge_objects(frame: EffectiveFrame, numbers: Iterable[int], reason: str = "") -> Edits:
+    """One object of several: the first gets the pixels of all, the others are rejected."""
+    ids = list(dict.fromkeys(numbers))
+    if len(ids) < 2:
+        raise InputError("a merge needs two objects", got=ids)
+    mask = np.logical_or.reduce([pixels_of(frame, n) for n in ids])
+    note = reason or f"merged into object {ids[0]}"
+    first = _object_edit(frame, ids[0], "mask", _code(frame, mask), reason or f"merged with {_listed(ids[1:])}")
+    return (first, *(_object_edit(frame, n, "status", "rejected", note) for n in ids[1:]))
+
+
+def split_object(
+    frame: EffectiveFrame, number: int, masks: Sequence[np.ndarray | str], reason: str = ""
+) -> Edits:
+    """Several objects of one: it keeps the first mask, each other one makes a new object of its class."""
+    if len(masks) < 2:
+        raise InputError("a split needs two masks", got=len(masks))
+    label = _row(frame, number)["label"]
+    note = reason or f"split off object {number}"
+    first = _object_edit(frame, number, "mask", _code(frame, masks[0]), reason or f"split in {len(masks)}")
+    return (first, *(e for m in masks[1:] for e in add_object(frame, label, mask=m, reason=note)))
+
+
+def set_relation(
+    frame: EffectiveFrame, a: int, b: int, relation: str, state: int | None, reason: str = ""
+) -> Edits:
+    """T (1), U (0) or F (-1) for "a RELATION b"; the inverse, "b INVERSE a", gets the same state.
+
+    Raises
+    ------
+    InputError
+        No such pair or relation, or a state that is none.
+    """
+    cells = [relation_cell(frame.frame, a, b, relation)]
+    _check_pair(frame, cells[0])
+    inverse = frame.setting.inverse(relation)
+    if inverse is not None:
+        cells.append(relation_cell(frame.frame, b, a, inverse))
+    return tuple(_edit(frame, cell, state, reason) for cell in cells)
+
+
+def judge(frame: EffectiveFrame, cell: Cell, status: str | None, author: str, reason: str = "") -> Edits:
+    """What a reviewer says of an item, for this person alone; None takes it back. No label changes by it.
+
+    Parameters
+    ----------
+    cell : Cell
+        The status of an object, an expression, or of a relation ("left.status"). What is accepted of a relation is
+        its state as it is now.
+    """
+    _check_judged(frame, cell)
+    state = frame.value(_state_cell(cell)) if cell.kind == "relation" and status == "accepted" else None
+    return (_judgement(frame, cell, status, state, author, reason),)
+
+
+def judge_relation(
+    frame: EffectiveFrame, a: int, b: int, relation: str, state: int, author: str, reason: str = ""
+) -> Edits:
+    """T (1), U (0) or F (-1) as a reviewer has it, for this person alone, and of the inverse the same.
+
+    It is "accepted" where the label says so, else "corrected", and the label stays what it is: for a second opinion.
+    """
+    cells = [Cell("relation", frame.frame, f"{a},{b}", f"{relation}.status")]
+    _check_judged(frame, cells[0])
+    inverse = frame.setting.inverse(relation)
+    if inverse is not None:
+        cells.append(Cell("relation", frame.frame, f"{b},{a}", f"{inverse}.status"))
+    return tuple(
+        _judgement(frame, c, "accepted" if frame.value(_state_cell(c)) == state else "corrected", state, author, reason)
+        for c in cells
+    )
+
+
+def judge_both_ways(
+    frame: EffectiveFrame, cell: Cell, status: str | None, author: str, reason: str = ""
+) -> Edits:
+    """As `judge` of a relation, and of what says the same the other way round, unless the labels contradict it."""
+    _check_judged(frame, cell)
+    cells, inverse = [cell], frame.setting.inverse(cell.field.removesuffix(".status"))
+    if inverse is not None:
+        a, b = cell.numbers
+        mirror = Cell("relation", frame.frame, f"{b},{a}", f"{inverse}.status")
+        if frame.value(_state_cell(mirror)) == frame.value(_state_cell(cell)):
+            cells.append(mirror)
+    return tuple(e for c in cells for e in judge(frame, c, status, author, reason))
+
+
+def judge_missing(frame: EffectiveFrame, what: str, status: str | None, author: str, reason: str = "") -> Edits:
+    """What a reviewer says of a place where an object may be missing: "rejected" where there is none."""
+    cell = judgement_cell(frame.frame, "object", -1, None, what, author)
+    return (_edit(frame, cell, None if status is None else {"status": status}, reason),)
+
+
+def settle(frame: EffectiveFrame, cell: Cell, status: str, reason: str = "", state: int | None = None) -> Edits:
+    """The last word on an item that reviewers judge differently: for all of them, and a judgement of none.
+
+    Parameters
+    ----------
+    cell : Cell
+        As of `judge`.
+    state : int, optional
+        Of a relation: what it is to be, T, U or F; the labels follow. Default: what it is.
+    """
+    _check_judged(frame, cell)
+    made: Edits = ()
+    if cell.kind == "relation":
+        now = frame.value(_state_cell(cell))
+        state = now if state is None else state
+        if state != now:
+            a, b = cell.numbers
+            made = set_relation(frame, a, b, cell.field.removesuffix(".status"), state, reason)
+    elif (status == "rejected") != (frame.statuses.get(cell) == "rejected"):
+        made = set_status(frame, cell, status, reason)
+    return (*made, _judgement(frame, cell, status, state, OF_ALL, reason))
+
+
+def _state_cell(cell: Cell) -> Cell:
+    return Cell(cell.kind, cell.frame, cell.key, cell.field.removesuffix(".status"))
+
+
+def _check_judged(frame: EffectiveFrame, cell: Cell) -> None:
+    if cell.kind not in ("object", "relation", "expression") or not cell.field.endswith("status"):
+        raise InputError("only objects, relations and expressions are judged", got=str(cell))
+    if cell.kind == "object":
+        _row(frame, cell.numbers[0])
+    _check_expression(frame, cell)
+    _check_pair(frame, cell)
+
+
+def _judgement(
+    frame: EffectiveFrame, cell: Cell, status: str | None, state: int | None, author: str, reason: str
+) -> Edit:
+    a, b, what = -1, None, cell.key
+    if cell.kind == "object":
+        a, what = cell.numbers[0], ""
+    elif cell.kind == "relation":
+        (a, b), what = cell.numbers, cell.field.removesuffix(".status")
+    own = judgement_cell(frame.frame, cell.kind, a, b, what, author)
+    return _edit(frame, own, None if status is None else {"status": status, "value": state}, reason)
+
+
+def set_text(frame: EffectiveFrame, expression: str, text: str, reason: str = "") -> Edits:
+    """Another sentence for the same question."""
+    return (_expression_edit(frame, expression, "text", text, reason),)
+
+
+def set_answers(
+    frame: EffectiveFrame,
+    expression: str,
+    targets: Iterable[int],
+    acceptable: Iterable[int] | None = None,
+    reason: str = "",
+) -> Edits:
+    """The objects that an expression is true of: beyond doubt, and with doubt; by default nothing is in doubt.
+
+    Raises
+    ------
+    InputError
+        No such expression, no answer, an object that is not there, or a target that is not acceptable.
+    """
+    sure = sorted(set(targets))
+    likely = sorted({*sure, *acceptable}) if acceptable is not None else sure
+    if not likely:
+        raise InputError("an expression needs an answer", cause='is it wrong? then mark it "BAD_LABEL"')
+    for number in likely:
+        _row(frame, number)
+    return (
+        _expression_edit(frame, expression, "targets", sure, reason),
+        _expression_edit(frame, expression, "acceptable", likely, reason),
+        _expression_edit(frame, expression, "ambiguous", len(likely) > 1, reason),
+    )
+
+
+def set_ambiguous(frame: EffectiveFrame, expression: str, ambiguous: bool, reason: str = "") -> Edits:
+    """Whether more than one object is an acceptable answer."""
+    return (_expression_edit(frame, expression, "ambiguous", ambiguous, reason),)
+
+
+def set_mark(frame: EffectiveFrame, expression: str, mark: str | None, reason: str = "") -> Edits:
+    """Say that an expression's label or box is wrong: BAD_LABEL, BAD_BOX, None to take it off."""
+    return (_expression_edit(frame, expression, "mark", mark, reason),)
+
+
+def set_note(frame: EffectiveFrame, note: str | None, reason: str = "") -> Edits:
+    """A note on the frame."""
+    return (_edit(frame, Cell("frame", frame.frame, "", "note"), note, reason),)
+
+
+def set_value(frame: EffectiveFrame, cell: Cell, value: Any, reason: str = "") -> Edits:
+    """Any one cell, as it is kept; nothing else is set with it."""
+    if cell.kind == "object" and cell.field != "exists":
+        return (_object_edit(frame, cell.numbers[0], cell.field, value, reason),)
+    _check_expression(frame, cell)
+    _check_pair(frame, cell)
+    return (_edit(frame, cell, value, reason),)
+
+
+def reapply(frame: EffectiveFrame, cell: Cell, value: Any, reason: str = "") -> Edits:
+    """Correct again what no longer applied since the labels were made again; as `set_value`."""
+    return set_value(frame, cell, value, reason or "applied again")
+
+
+def _edit(frame: EffectiveFrame, cell: Cell, after: Any, reason: str) -> Edit:
+    if cell.frame != frame.frame:
+        raise InputError("an edit of another frame", got=cell.frame, expected=frame.frame)
+    boxes = frame.auto.objects
+    anchor = {str(n): [float(x) for x in boxes[n]["bbox"]] for n in cell.numbers if n in boxes}
+    return Edit(cell, frame.value(cell), checked(cell, after), frame.version(cell), reason, anchor)
+
+
+def _object_edit(frame: EffectiveFrame, number: int, field: str, after: Any, reason: str) -> Edit:
+    _row(frame, number)
+    return _edit(frame, object_cell(frame.frame, number, field), after, reason)
+
+
+def _expression_edit(frame: EffectiveFrame, expression: str, field: str, after: Any, reason: str) -> Edit:
+    cell = Cell("expression", frame.frame, expression, field)
+    _check_expression(frame, cell)
+    return _edit(frame, cell, after, reason)
+
+
+def _row(frame: EffectiveFrame, number: int) -> dict[str, Any]:
+    row = frame.objects.get(number) or frame.left_out.get(number)
+    if row is None:
+        raise InputError(f"frame {frame.frame} has no object {number}", expected=_listed(frame.objects))
+    return row
+
+
+def _check_expression(frame: EffectiveFrame, cell: Cell) -> None:
+    if cell.kind == "expression" and cell.key not in frame.auto.expressions:
+        raise InputError(f"frame {frame.frame} has no such expression", got=repr(cell.key))
+
+
+def _check_pair(frame: EffectiveFrame, cell: Cell) -> None:
+    if cell.kind != "relation":
+        return
+    relation = cell.field.removesuffix(".status")
+    if relation not in frame.setting.relations:
+        expected = _listed(frame.setting.relations)
+        raise InputError("the labels hold no such relation", got=repr(relation), expected=expected)
+    a, b = cell.numbers
+    if a == b:
+        raise InputError("an object has no relation to itself", got=a)
+    for number in (a, b):
+        _row(frame, number)
+        if frame.pairs.place(number) is None:
+            raise InputError(f"object {number} takes part in no relation", cause="is it background, or rejected?")
+
+
+def _code(frame: EffectiveFrame, mask: np.ndarray | str) -> str:
+    size = frame.row["height"], frame.row["width"]
+    if isinstance(mask, str):
+        pixels = decode_run_length(size, mask)
+    else:
+        pixels = mask
+        if pixels.dtype != np.bool_ or pixels.shape != size:
+            raise InputError(f"a mask must be bool {size}", got=f"{pixels.dtype} {pixels.shape}")
+    if not pixels.any():
+        raise InputError("the mask is empty")
+    return mask if isinstance(mask, str) else encode_run_length(pixels)
+
+
+def pixels_of(frame: EffectiveFrame, number: int) -> np.ndarray:
+    """(H, W) bool: an object's mask, or the filled 2D box where it has none; InputError where there is no object."""
+    from pipeline.proposals.annotations import box_mask
+
+    row = _row(frame, number)
+    height, width = frame.row["height"], frame.row["width"]
+    if row["mask"] is None:
+        return box_mask(np.array(row["bbox"], np.float32), height, width)
+    return decode_run_length((height, width), row["mask"], f"object {number}")
+
+
+def _within(frame: EffectiveFrame, bbox: Rectangle) -> list[float]:
+    cell = object_cell(frame.frame, 0, "bbox")
+    x0, y0, x1, y1 = checked(cell, [float(x) for x in bbox])
+    width, height = float(frame.row["width"]), float(frame.row["height"])
+    inside = [max(x0, 0.0), max(y0, 0.0), min(x1, width), min(y1, height)]
+    if inside[2] <= inside[0] or inside[3] <= inside[1]:
+        raise InputError("the 2D box is outside the picture", got=[x0, y0, x1, y1], expected=f"{width:g}x{height:g}")
+    return inside
+
+
+def _listed(names: Iterable[Any], most: int = 12) -> str:
+    found = [str(n) for n in names]
+    return ", ".join(found[:most]) + (" ..." if len(found) > most else "")
+
+

@@ -1,0 +1,255 @@
+"""Effective labels: what the labeller made with what people corrected, as the same four tables, with provenance."""
+
+from __future__ import annotations
+
+import threading
+from collections import Counter, OrderedDict
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+from pipeline.corrections.journal.cells import Cell, judged_item
+from pipeline.corrections.journal.effective_expressions import Withdrawn
+from pipeline.corrections.journal.effective_frame import EffectiveFrame, effective_frame
+from pipeline.corrections.journal.events import Event
+from pipeline.corrections.journal.frame_rows import FrameIndex
+from pipeline.corrections.journal.journal import Journal
+from pipeline.corrections.journal.origins import provenance_schema
+from pipeline.corrections.journal.relifting import Relifter, labelled_ups
+from pipeline.corrections.journal.replay import Unapplied, all_gone, by_cell
+from pipeline.corrections.journal.setting import Setting, setting_of
+from pipeline.datasets import Dataset
+from pipeline.labels.reading import Labels
+from pipeline.labels.schema import TABLES, Manifest
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+
+_NAMED = ("table", "frame", "key", "column")
+_KEYS = {"objects": ("object",), "relations": ("a", "b"), "expressions": ("id",)}
+DECIDED = ("accepted", "corrected")
+"""Statuses that say of a label that it is right as it is; a judgement that would correct it leaves it as it was."""
+FRAMES_KEPT = 8
+"""Effective frames that a corrector keeps: the one that is looked at, and those next in a queue."""
+GEOMETRY = ("bbox", "mask", "center")
+"""Columns of which a correction makes another object of what the dataset annotates."""
+
+
+class Corrector:
+    """Automatic labels, opened once, and their effective frames: what a face or a job keeps while it works.
+
+    The latest frames are kept, by the ULIDs of their events; several threads may ask for them.
+
+    Parameters
+    ----------
+    labels : Labels
+    dataset : Dataset, optional
+        Without it, what follows from new pixels and boxes is marked stale.
+    """
+
+    def __init__(self, labels: Labels, dataset: Dataset | None = None) -> None:
+        self.labels, self.dataset = labels, dataset
+        self.setting: Setting = setting_of(labels)
+        self.index = FrameIndex({name: getattr(labels, name) for name in TABLES})
+        self.relifter = None if dataset is None else Relifter(dataset, self.setting, labelled_ups(labels.frames))
+        self._kept: OrderedDict[tuple[str, tuple[str, ...]], EffectiveFrame] = OrderedDict()
+        self._lock = threading.RLock()
+
+    def frame(self, frame: str, journal: Journal | Sequence[Event]) -> EffectiveFrame:
+        """A frame as it is now.
+
+        Raises
+        ------
+        InputError
+            The labels have no such frame, or the dataset cannot load it.
+        """
+        from pipeline.system.errors import InputError
+
+        if frame not in self.index.of_frame:
+            raise InputError("the labels have no such frame", got=repr(frame), path=self.labels.root)
+        events = journal.events(frame=frame) if isinstance(journal, Journal) else tuple(journal)
+        key = frame, tuple(e.ulid for e in events)
+        with self._lock:
+            if key not in self._kept:
+                self._kept[key] = effective_frame(self.index.rows(frame), events, self.setting, self.relifter)
+                while len(self._kept) > FRAMES_KEPT:
+                    self._kept.popitem(last=False)
+            self._kept.move_to_end(key)
+            return self._kept[key]
+
+
+@dataclass(frozen=True)
+class EffectiveLabels:
+    """Labels after all corrections; tables as those of `pipeline.labels.reading.Labels`.
+
+    Attributes
+    ----------
+    labels : Labels
+        The automatic ones.
+    tables : dict of str to pyarrow.Table
+    provenance : pyarrow.Table
+        See `origins.provenance_schema`: a value that is not listed is the labeller's.
+    unapplied : tuple of Unapplied
+        Events that say nothing of these labels, each with the reason.
+    withdrawn : tuple of Withdrawn
+    marks : dict of (str, str) to str
+        BAD_LABEL or BAD_BOX by (frame, id of the expression).
+    events : int
+        How many there are in the journal.
+    statuses : dict of Cell to JSON value
+        What reviewers said, and notes.
+    last : str or None
+        ULID of the newest event.
+    relifted : bool
+        Whether the dataset was at hand.
+    """
+
+    labels: Labels
+    tables: dict[str, pa.Table]
+    provenance: pa.Table
+    unapplied: tuple[Unapplied, ...]
+    withdrawn: tuple[Withdrawn, ...]
+    marks: dict[tuple[str, str], str]
+    events: int
+    statuses: dict[Cell, Any]
+    last: str | None
+    relifted: bool
+
+    @property
+    def manifest(self) -> Manifest:
+        return self.labels.manifest
+
+    @property
+    def relation_names(self) -> tuple[str, ...]:
+        return self.labels.relation_names
+
+    def table(self, name: str) -> pa.Table:
+        """One of the four tables, in canonical order."""
+        return self.tables[name]
+
+    @property
+    def frames(self) -> pa.Table:
+        return self.tables["frames"]
+
+    @property
+    def objects(self) -> pa.Table:
+        return self.tables["objects"]
+
+    @property
+    def relations(self) -> pa.Table:
+        return self.tables["relations"]
+
+    @property
+    def expressions(self) -> pa.Table:
+        return self.tables["expressions"]
+
+    @cached_property
+    def counts(self) -> dict[str, int]:
+        """Objects with other pixels or boxes; values that are human, recomputed, stale; events that do not apply."""
+        by_source = Counter(self.provenance.column("origin").to_pylist())
+        named = zip(*(self.provenance.column(n).to_pylist() for n in _NAMED), strict=True)
+        changed = {(frame, key) for table, frame, key, column in named if table == "objects" and column in GEOMETRY}
+        return {
+            "objects": len(changed),
+            **{source: by_source.get(source, 0) for source in ("human", "recomputed", "stale")},
+            "unapplied": len(self.unapplied),
+            "withdrawn": len(self.withdrawn),
+            "marks": len(self.marks),
+        }
+
+    @cached_property
+    def decided(self) -> dict[str, tuple[int, int]]:
+        """How much people decided (set, accepted, judged), and of how much: objects, relations of pairs, sentences."""
+        by_table: dict[str, set[tuple[str, str, str]]] = {table: set() for table in _KEYS}
+        entries = zip(*(self.provenance.column(n).to_pylist() for n in (*_NAMED, "origin")), strict=True)
+        for table, frame, key, column, origin in entries:
+            # What is said of a label is no value of it.
+            if origin == "human" and table in by_table and column.rpartition(".")[2] not in ("status", "mark", "note"):
+                by_table[table].add((frame, key, column if table == "relations" else ""))
+        for cell, value in self.statuses.items():
+            if cell.kind in ("object", "relation", "expression") and value in DECIDED:
+                by_table[f"{cell.kind}s"].add((cell.frame, cell.key, cell.field.removesuffix("status").rstrip(".")))
+            elif cell.kind == "review" and cell.field == "said" and value["status"] == "accepted":
+                _, kind, a, b, what = judged_item(cell.key)
+                key = what if kind == "expression" else f"{a}" if b is None else f"{a},{b}"
+                by_table[f"{kind}s"].add((cell.frame, key, what if kind == "relation" else ""))
+        counted = {}
+        for table, found in by_table.items():
+            columns = (self.tables[table].column(n).to_pylist() for n in ("frame", *_KEYS[table]))
+            there = {(frame, ",".join(map(str, key))) for frame, *key in zip(*columns, strict=True)}
+            cells = len(self.relation_names) if table == "relations" else 1
+            counted[table] = (sum((frame, key) in there for frame, key, _ in found), len(there) * cells)
+        return counted
+
+
+def effective_tables(
+    labels: Labels, journal: Journal | Iterable[Event], *, dataset: Dataset | None = None
+) -> EffectiveLabels:
+    """Apply a journal to labels.
+
+    Frames without events are taken over as they are; a rejected frame is left out.
+
+    Parameters
+    ----------
+    labels : Labels
+    journal : Journal or iterable of Event
+        Events in the order of their saving.
+    dataset : Dataset, optional
+        For corrections of masks and boxes: without it, what follows from them is marked stale.
+
+    Raises
+    ------
+    InputError
+        The labels, the journal or a frame of the dataset cannot be read.
+    """
+    import pyarrow as pa
+
+    events = journal.events() if isinstance(journal, Journal) else tuple(journal)
+    corrector = Corrector(labels, dataset)
+    by_frame: dict[str, list[Event]] = {}
+    for event in events:
+        by_frame.setdefault(event.cell.frame, []).append(event)
+    known = [name for name in by_frame if name in corrector.index.of_frame]
+    pieces: dict[str, list[pa.Table]] = {name: [] for name in TABLES}
+    at = dict.fromkeys(TABLES, 0)
+    provenance: list[dict] = []
+    unapplied: list[Unapplied] = []
+    withdrawn: list[Withdrawn] = []
+    marks: dict[tuple[str, str], str] = {}
+    statuses: dict[Cell, Any] = {}
+    for name in sorted(known, key=corrector.index.of_frame.__getitem__):
+        found = corrector.frame(name, by_frame[name])
+        changed = found.tables()
+        for table in TABLES:
+            whole = corrector.index.tables[table]
+            first, stop = corrector.index.span(table, found.auto.index)
+            pieces[table].append(whole.slice(at[table], first - at[table]))
+            if found.stands:
+                pieces[table].append(changed[table].cast(whole.schema))
+            at[table] = stop
+        provenance += found.origins.rows()
+        unapplied += found.unapplied
+        withdrawn += found.withdrawn
+        statuses |= {cell: value for cell, value in found.statuses.items() if cell.field != "exists"}
+        marks |= {(name, key): mark for key, mark in found.marks.items()}
+    tables = {
+        name: pa.concat_tables([*pieces[name], whole.slice(at[name])]).combine_chunks()
+        for name, whole in corrector.index.tables.items()
+    }
+    for name in by_frame.keys() - set(known):
+        for members in by_cell(by_frame[name]).values():
+            unapplied += all_gone(None, members, "the labels have no such frame any more").unapplied
+    return EffectiveLabels(
+        labels,
+        tables,
+        pa.Table.from_pylist(provenance, provenance_schema()),
+        tuple(sorted(unapplied, key=lambda u: u.event.id)),
+        tuple(withdrawn),
+        marks,
+        len(events),
+        statuses,
+        events[-1].ulid if events else None,
+        dataset is not None,
+    )

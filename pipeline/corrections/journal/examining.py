@@ -1,0 +1,375 @@
+"""A journal's file, examined in full before it is believed: SQLite's checks, the chain, and what the log has lost."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import sqlite3
+import struct
+import tempfile
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, replace
+from datetime import datetime, timezone
+from functools import lru_cache
+from itertools import groupby
+from pathlib import Path
+from typing import Any
+
+from pipeline.corrections.journal.before_chain import judged_alone
+from pipeline.corrections.journal.chain import CONTENT, Head, Row, Verdict, judged
+from pipeline.corrections.journal.log_file import lost_in_log
+from pipeline.corrections.journal.schema import BEFORE, REVISION, STATEMENTS, TABLES, VERSION, fingerprint
+from pipeline.corrections.journal.sqlite_file import connected, plain_reason, read_plainly
+from pipeline.system.errors import InputError
+
+_NOT_DAMAGE = ("locked", "unable to open", "disk i/o", "readonly", "full", "permission", "out of memory", "busy")
+"""Words of SQLite's errors that say nothing of the file."""
+_MAGIC, _FIXED = b"SQLite format 3\0", b"\0@  "
+"""What every file of SQLite's has in its bytes 0 to 15, and 20 to 23."""
+_ERRORS = (sqlite3.Error, UnicodeError)
+"""The second where SQLite's message quotes what is no UTF-8."""
+_SHOWN = 3
+"""Pieces of damage that one line tells."""
+_KEPT = "it was not changed: keep a copy of it with its -wal file; "
+_RECOVER = f"{_KEPT}spatialviz journal LABELS --recover NEW.sqlite writes what is intact into a new journal"
+_BACKUP = f"{_KEPT}none of it can be written into a new journal: put a backup in its place, or begin anew without it"
+
+
+class DamagedJournal(InputError):
+    """A journal that is not as it was saved. The message is one line: what is damaged, what is intact, how to go on."""
+
+    def __init__(self, examined: Examined) -> None:
+        said = "; ".join(examined.damage[:_SHOWN])
+        if len(examined.damage) > _SHOWN:
+            said += f"; and {len(examined.damage) - _SHOWN} more"
+        super().__init__(f"the journal is damaged: {said}; {examined.said}", cause=examined.help, path=examined.place)
+        self.examined = examined
+
+
+@dataclass(frozen=True)
+class Examined:
+    """What was found.
+
+    Attributes
+    ----------
+    place : str
+    version : int or None
+        See `schema.version_of`.
+    events : int or None
+        How many were saved; None where that cannot be known.
+    intact : tuple of dict
+        The events that are as they were saved, in the order of their saving.
+    damage : tuple of str
+        What is wrong, each in a clause; empty where nothing is.
+    """
+
+    place: str
+    version: int | None
+    events: int | None
+    intact: tuple[Row, ...]
+    damage: tuple[str, ...]
+
+    @property
+    def ranges(self) -> tuple[tuple[int, int], ...]:
+        """First and last id of each run of intact events."""
+        ids = [row["id"] for row in self.intact]
+        runs = [[n for _, n in run] for _, run in groupby(enumerate(ids), key=lambda x: x[1] - x[0])]
+        return tuple((run[0], run[-1]) for run in runs)
+
+    @property
+    def said(self) -> str:
+        """How many events are intact, in words."""
+        of = "" if self.events is None else f" of {self.events:,}"
+        runs = [f"{a:,}" if a == b else f"{a:,} to {b:,}" for a, b in self.ranges]
+        if not runs:
+            return "none of its events can be read"
+        if len(runs) > _SHOWN:
+            return f"{len(self.intact):,}{of} events are intact"
+        return f"events {', '.join(runs)}{of} are intact"
+
+    @property
+    def standing(self) -> tuple[Row, ...]:
+        """The intact events without those that take back what is not intact: what a new journal can hold."""
+        known: set[str] = set()
+        found = []
+        for row in self.intact:
+            if row["undo_of"] is None or row["undo_of"] in known:
+                known.add(row["ulid"])
+                found.append(row)
+        return tuple(found)
+
+    @property
+    def help(self) -> str | None:
+        """How to go on with a damaged one; None with one that is not."""
+        return None if not self.damage else _RECOVER if self.standing else _BACKUP
+
+    @property
+    def chained(self) -> bool:
+        return self.version is not None and self.version > 1
+
+    def believe(self) -> Examined:
+        """Itself.
+
+        Raises
+        ------
+        DamagedJournal
+            It is damaged.
+        InputError
+            As `known`.
+        """
+        if self.damage:
+            raise DamagedJournal(self)
+        return self.known()
+
+    def known(self) -> Examined:
+        """Itself, damaged or not.
+
+        Raises
+        ------
+        InputError
+            It is of a newer release, or no journal.
+        """
+        if self.version is not None and self.version > VERSION and not self.damage:
+            raise InputError(
+                "the journal is of a newer release", got=f"version {self.version}", expected=f"at most {VERSION}",
+                cause="install the release that wrote it", path=self.place,
+            )  # fmt: skip
+        if self.version == 0:
+            raise InputError("the database holds something else than a journal", path=self.place)
+        return self
+
+
+def is_empty(path: Path) -> bool:
+    """Whether the file is there, and neither it nor its log holds a byte."""
+    return path.exists() and not any(f.exists() and f.stat().st_size for f in (path, Path(f"{path}-wal")))
+
+
+def empty_file(path: Path) -> InputError:
+    """The error of a file that `is_empty`."""
+    return InputError("the journal is an empty file", cause="put a copy in its place, or remove it", path=path)
+
+
+def examine(path: Path) -> Examined:
+    """Read all of an SQLite journal, and change nothing.
+
+    Raises
+    ------
+    InputError
+        It cannot be opened, which says nothing of what is in it.
+    """
+    # Where nobody has it open no log is there, and none need be made to read it.
+    alone = not Path(f"{path}-wal").exists()
+    found = _examine(path, alone)
+    return _examine(path, False) if found.damage and alone and Path(f"{path}-wal").exists() else found
+
+
+def _examine(path: Path, alone: bool) -> Examined:
+    # What this process has open it has examined before.
+    head, lost = read_plainly(path, lambda: (_header(path), lost_in_log(path))) or (None, None)
+    if lost is not None:
+        # SQLite would write a new index of what it reads of the log, and nobody would know any more what is missing.
+        found = Examined(str(path), None, None, (), (lost,))
+    else:
+        damage = [] if head is None else [head]
+        try:
+            with read_only(path, alone) as connection:
+                found = _contents(path, connection, damage)
+        except _ERRORS as error:
+            found = Examined(str(path), None, None, (), (*damage, _reason(error, path)))
+    if not found.damage or found.intact:
+        return found
+    mended = _mended(path)
+    if mended is None:
+        return found
+    # What the log has lost is counted nowhere.
+    events = None if lost is not None else mended.events
+    return replace(mended, place=str(path), events=events, damage=found.damage)
+
+
+def _mended(path: Path) -> Examined | None:
+    """What is in a copy whose first bytes are made anew: they hold nothing of a journal's own; None if it is no use."""
+    with suppress(*_ERRORS, OSError, InputError), tempfile.TemporaryDirectory(prefix="spatialviz-") as folder:
+        copy, log = Path(folder) / path.name, Path(f"{path}-wal")
+        data = bytearray(read_plainly(path, path.read_bytes) or b"")
+        if len(data) < 512:
+            return None
+        size = int.from_bytes(data[16:18], "big")
+        size = size if size >= 512 and size & (size - 1) == 0 else 4_096
+        data[:24] = struct.pack(">16sH6B", _MAGIC, size, *([2, 2] if log.exists() else [1, 1]), *_FIXED)
+        # Pages, no free ones; a schema of format 4 without automatic vacuum, in UTF-8.
+        struct.pack_into(">4I", data, 24, 1, len(data) // size, 0, 0)
+        struct.pack_into(">4I", data, 44, 4, 0, 0, 1)
+        struct.pack_into(">I", data, 64, 0)
+        struct.pack_into(">I", data, 92, 1)
+        copy.write_bytes(data)
+        if log.exists():
+            shutil.copy(log, f"{copy}-wal")
+        with read_only(copy, not log.exists()) as connection:
+            # Statements that cannot be parsed are passed over.
+            connection.execute("PRAGMA writable_schema = ON")
+            return _contents(copy, connection, ())
+    return None
+
+
+@contextmanager
+def read_only(path: Path, alone: bool = False) -> Iterator[sqlite3.Connection]:
+    """A connection that changes nothing, also where it is the last to be closed.
+
+    Parameters
+    ----------
+    alone : bool
+        Nobody has the file open, and it has no log.
+    """
+    connection = connected(path.expanduser().absolute(), "ro&immutable=1" if alone else "ro")
+    try:
+        connection.isolation_level = None
+        connection.text_factory = _any_text
+        connection.execute("BEGIN")
+        yield connection
+    finally:
+        connection.close()
+
+
+def _any_text(text: bytes) -> str:
+    """Also where it is no UTF-8."""
+    return text.decode("utf-8", "surrogateescape")
+
+
+def _header(path: Path) -> str | None:
+    """What is wrong with the file's first bytes that SQLite itself lets pass (sqlite.org/fileformat.html, 1.3)."""
+    try:
+        with open(path, "rb") as file:
+            head = file.read(100)
+    except OSError:
+        return None
+    if not head:
+        return None
+    sound = head[:16] == _MAGIC and head[18] == head[19] and head[18] in (1, 2)
+    if len(head) < 100 or not sound or head[20:24] != _FIXED or head[56:60] not in (b"\0\0\0\1", b"\0\0\0\0"):
+        return "its first bytes are not those of a journal"
+    return None
+
+
+def _contents(path: Path, connection: sqlite3.Connection, lost: Sequence[str]) -> Examined:
+    damage = list(lost)
+    (kept,) = connection.execute("PRAGMA user_version").fetchone()
+    tables = {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
+    try:
+        said = "\n".join(str(line) for (line,) in connection.execute("PRAGMA integrity_check(10)")).splitlines()
+        damage += [f"SQLite finds {line[:80]}" for line in said if line != "ok" and not line.startswith("***")]
+    except _ERRORS as error:
+        damage.append(_reason(error, path))
+    if not tables:
+        if connection.execute("PRAGMA page_count").fetchone()[0] > 1 or kept:
+            damage.append("its tables are gone")
+        return Examined(str(path), None, None, (), tuple(damage))
+    if not tables & {*TABLES, BEFORE} or tables == {"events"}:
+        # Whatever is wrong with another program's file is not ours to say.
+        return Examined(str(path), 0, None, (), ())
+    if TABLES[1] in tables:
+        return _with_head(path, connection, kept, damage)
+    said = _one(connection, f"SELECT version_num FROM {BEFORE}", damage)
+    if said is not None and said != (REVISION,):
+        damage.append(f"its revision is {said[0]!r}, and only {REVISION!r} was ever written")
+    rows = _rows(connection, CONTENT, damage)
+    last = _one(connection, "SELECT seq FROM sqlite_sequence WHERE name = 'events'", []) or ((None,) if rows else (0,))
+    found = judged_alone(rows)
+    damage += found.damage
+    if [n for n, _ in rows] != list(range(1, len(rows) + 1)) or last[0] != len(rows):
+        damage.append(f"{len(rows)} events stand where {last[0]} were saved")
+    return Examined(str(path), 1, _saved(rows, last[0]), found.intact, tuple(damage))
+
+
+def _with_head(path: Path, connection: sqlite3.Connection, kept: int, damage: list[str]) -> Examined:
+    row = _one(connection, "SELECT version, events, last, hash, tables FROM journal_head WHERE one = 1", damage)
+    if row is not None and isinstance(row[0], int) and row[0] > VERSION and row[0] == kept:
+        return Examined(str(path), row[0], None, (), tuple(damage))
+    version = row[0] if row is not None and isinstance(row[0], int) else VERSION
+    if row is not None and not (row[0] == kept == VERSION):
+        damage.append(f"its version is {row[0]!r} in one place and {kept!r} in another")
+    made = fingerprint(str(text) for (text,) in connection.execute(STATEMENTS))
+    if row is not None and row[4] != made:
+        damage.append("its tables are not those that were made")
+    rows = _rows(connection, (*CONTENT, "hash"), damage)
+    sound = row is not None and isinstance(row[1], int) and isinstance(row[2], int) and isinstance(row[3], str)
+    head = Head(*row[1:4]) if sound and row is not None else None
+    found: Verdict = judged(rows, head)
+    events = head.events if head is not None and not found.damage else _saved(rows, head and head.events)
+    return Examined(str(path), version, events, found.intact, (*damage, *found.damage))
+
+
+def _saved(rows: Sequence[tuple[int, Row | None]], said: Any) -> int | None:
+    """How many events were saved, as far as it can be known: numbers begin with 1 and have no gaps."""
+    return max(rows[-1][0] if rows else 0, said if isinstance(said, int) and said < 100_000_000 else 0)
+
+
+def _one(connection: sqlite3.Connection, query: str, damage: list[str]) -> tuple[Any, ...] | None:
+    """The only row of a query."""
+    try:
+        found = connection.execute(query).fetchall()
+    except _ERRORS as error:
+        damage.append(_reason(error, None))
+        return None
+    if len(found) != 1:
+        damage.append(f"{len(found)} rows stand where one was")
+        return None
+    return found[0]
+
+
+def _rows(connection: sqlite3.Connection, names: Sequence[str], damage: list[str]) -> list[tuple[int, Row | None]]:
+    """All events by their ids, without an index; None of one that cannot be read."""
+    columns = ", ".join(f'"{name}"' for name in names)
+    found: list[tuple[int, Row | None]] = []
+    query = f"SELECT {columns} FROM events NOT INDEXED ORDER BY id"
+    try:
+        connection.text_factory = str
+        return [(values[0], _row(names, values)) for values in connection.execute(query)]
+    except _ERRORS:
+        # What is no UTF-8 comes with what is.
+        connection.text_factory = _any_text
+    try:
+        for values in connection.execute(query):
+            found.append((values[0], _row(names, values)))
+        return found
+    except _ERRORS as error:
+        damage.append(_reason(error, None))
+    # Beyond a page that is broken: one by one, each from the top of the tree.
+    last = found[-1][0] if found else 0
+    (pages,) = connection.execute("PRAGMA page_count").fetchone()
+    for query in ("SELECT last FROM journal_head", "SELECT seq FROM sqlite_sequence WHERE name = 'events'"):
+        with suppress(*_ERRORS):
+            last = max([last, *(n for (n,) in connection.execute(query) if isinstance(n, int) and n < 100 * pages)])
+    for number in range(found[-1][0] + 1 if found else 1, last + 1):
+        row = None
+        with suppress(*_ERRORS):
+            values = connection.execute(f"SELECT {columns} FROM events NOT INDEXED WHERE id = ?", (number,)).fetchone()
+            row = None if values is None else _row(names, values)
+        found.append((number, row))
+    return found
+
+
+def _row(names: Sequence[str], values: Sequence[Any]) -> Row | None:
+    """An event as `schema.EVENTS` reads it; None where a column holds what is no value of it."""
+    row = dict(zip(names, values, strict=True))
+    try:
+        for name in ("before", "after", "anchor"):
+            # SQLite keeps JSON's numbers as numbers.
+            row[name] = row[name] if type(row[name]) in (int, float) else _parsed(row[name])
+        row["time"] = datetime.fromisoformat(row["time"]).replace(tzinfo=timezone.utc)
+    except (TypeError, ValueError, RecursionError):
+        return None
+    return row
+
+
+_parsed = lru_cache(maxsize=4_096)(json.loads)
+"""Few values are of one event alone. Nothing changes what it returns."""
+
+
+def _reason(error: Exception, path: Path | None) -> str:
+    """SQLite's words on damage, in a clause; InputError where they are on something else."""
+    said = " ".join(str(error).split())
+    if any(word in said.lower() for word in _NOT_DAMAGE):
+        raise InputError("the journal cannot be opened", got=said if path is None else plain_reason(said, path),
+                         path=path) from error  # fmt: skip
+    return f"SQLite says {said}"

@@ -1,0 +1,370 @@
+"""Corrections in COCO files: what `export --format coco` wrote, edited by a person, a script or an annotation tool.
+
+Tools such as CVAT write polygons for masks, round boxes, number annotations
+anew and keep none of our keys. Pictures are told by `frame`, else by the file
+name that the export gave them; annotations by `object`, also as an attribute.
+Where no annotation of a file has it any more, by where they lie: by the greatest
+overlap of 2D boxes in a picture, of one half at least, or within an object's box
+and with its class name. What is left is new.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.corrections.journal.cells import Cell, object_cell
+from pipeline.corrections.journal.effective_frame import EffectiveFrame
+from pipeline.corrections.journal.incoming.claims import Claims
+from pipeline.corrections.journal.incoming.outlines import is_rectangle, mask_of, polygons_of, same_outline
+from pipeline.geometry.boxes import iou_2d
+from pipeline.geometry.run_length import decode_run_length, encode_run_length
+from pipeline.labels.exports.provenance import ExportedFrom
+from pipeline.system.errors import InputError
+
+LARGEST = 1 << 31
+"""Bytes of a file that is read as a whole."""
+SAME_PLACE = 0.5
+WITHIN = 0.9
+ROUNDED = 0.02
+"""Pixels by which a 2D box may differ and be the same: tools write two decimals."""
+_NAMED = re.compile(r"(?:.*[/\\])?(\d{6,})\.\w+")
+Row = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class CocoOptions:
+    """How annotations are read.
+
+    Attributes
+    ----------
+    reject_deleted : bool
+        An object that the file lacks, in a picture that it has, is rejected.
+    crowds : bool
+        New annotations with `iscrowd` 1 are objects too.
+    outline : float
+        Pixels by which a polygon may differ from the mask that was exported.
+    """
+
+    reject_deleted: bool = False
+    crowds: bool = False
+    outline: float = 1.5
+
+
+def load_coco(path: Path) -> Any:
+    """The content of a JSON file.
+
+    Raises
+    ------
+    InputError
+        Missing, too large, or no JSON.
+    """
+    try:
+        if path.stat().st_size > LARGEST:
+            raise InputError("the file is too large", got=f"{path.stat().st_size} bytes", expected=LARGEST, path=path)
+        return json.loads(path.read_text(encoding="utf-8"), parse_constant=_no_number)
+    except (OSError, ValueError, RecursionError, MemoryError) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError("not a readable JSON file", got=str(error)[:100], path=path) from error
+
+
+def _no_number(word: str) -> float:
+    raise ValueError(f"{word} is no number")
+
+
+def listed(content: Any, key: str, name: str) -> list[Any]:
+    """A list in a file; InputError where it is none."""
+    found = content.get(key) if isinstance(content, dict) else None
+    if not isinstance(found, list):
+        raise InputError(f"{name} lacks the list {key!r}", cause="is it COCO?")
+    return found
+
+
+def read_instances(
+    content: Any, name: str, claims: Claims, state_of: Callable[[Any], ExportedFrom], options: CocoOptions
+) -> None:
+    """Read `instances.json`; raises InputError where it is no COCO at all."""
+    info = content.get("info") if isinstance(content, dict) else None
+    state = state_of(info.get("base") if isinstance(info, dict) else None)
+    categories = _categories(listed(content, "categories", name), name, claims)
+    frames = images_of(listed(content, "images", name), name, claims)
+    by_image: dict[Any, list[tuple[str, Row]]] = {image: [] for image in frames}
+    ids: set[Any] = set()
+    for place, row in enumerate(listed(content, "annotations", name)):
+        if not isinstance(row, dict):
+            claims.problem(f"{name} annotation at {place}", f"not an object of JSON, got {type(row).__name__}")
+            continue
+        where = f"{name} annotation {row.get('id')!r}"
+        image = row.get("image_id")
+        if type(row.get("id")) is not int or row["id"] in ids:
+            claims.problem(f"{where} at {place}", "its id must be a whole number of its own")
+        elif type(image) is not int or image not in by_image:
+            claims.problem(where, f"it is of image {image!r}, which the file does not list")
+        else:
+            by_image[image].append((where, row))
+        if isinstance(row.get("id"), int):
+            ids.add(row["id"])
+    bare = not any(_has_number(row) for found in by_image.values() for _, row in found)
+    for image, found in by_image.items():
+        frame = frames[image]
+        reader = _Reader(claims, claims.base(frame, state), state, categories, options)
+        numbers = reader.told_by_place(found) if bare else {}
+        seen: set[int] = set()
+        for place, (where, row) in enumerate(found):
+            claims.compared += 1
+            try:
+                number = numbers.get(place) if bare else number_of(row)
+                if number in seen:
+                    raise InputError(f"a second annotation of object {number}")
+                if number is not None:
+                    # Also one that cannot be read was not deleted.
+                    seen.add(number)
+                reader.annotation(where, row, number)
+            except InputError as error:
+                claims.problem(where, error)
+        if options.reject_deleted:
+            claims.say_deleted(f"{name} image {image}", frame, seen, state)
+
+
+def images_of(images: list[Any], name: str, claims: Claims) -> dict[int, str]:
+    """Frames by the id of their image; what is wrong with an image is a problem of the file."""
+    found: dict[int, str] = {}
+    taken: set[str] = set()
+    for place, image in enumerate(images):
+        where = f"{name} image {image.get('id') if isinstance(image, dict) else place!r}"
+        try:
+            if not isinstance(image, dict) or type(image.get("id")) is not int or image["id"] in found:
+                raise InputError("an image has a whole number of its own as id")
+            frame = _frame_of(image, claims)
+            if frame in taken:
+                raise InputError(f"the second image of frame {frame}")
+            taken.add(frame)
+            found[image["id"]] = frame
+        except InputError as error:
+            claims.problem(where, error)
+    return found
+
+
+def _frame_of(image: Row, claims: Claims) -> str:
+    frame, file_name = image.get("frame"), image.get("file_name")
+    if frame is None and isinstance(file_name, str):
+        named = _NAMED.fullmatch(file_name)
+        frame = claims.states.frame_of_index(int(named[1])) if named else None
+        if frame is None:
+            raise InputError("no file name of an export", got=repr(file_name)[:60], expected="such as 000012.jpg")
+    if not isinstance(frame, str) or frame not in claims.states:
+        raise InputError("the labels have no such frame", got=repr(frame)[:60])
+    row = claims.base(frame, claims.states.now).auto.row
+    size = [image.get(key, row[key]) for key in ("width", "height")]
+    if size != [row["width"], row["height"]]:
+        raise InputError("the picture has another size", got=size, expected=[row["width"], row["height"]])
+    return frame
+
+
+def _categories(categories: list[Any], name: str, claims: Claims) -> dict[int, str]:
+    found: dict[int, str] = {}
+    for place, category in enumerate(categories):
+        where = f"{name} category {category.get('id') if isinstance(category, dict) else place!r}"
+        if not isinstance(category, dict) or type(category.get("id")) is not int or category["id"] in found:
+            claims.problem(where, "a category has a whole number of its own as id")
+        elif not isinstance(category.get("name"), str):
+            claims.problem(where, "a category has a name")
+        else:
+            found[category["id"]] = category["name"]
+    return found
+
+
+def _has_number(row: Row) -> bool:
+    attributes = row.get("attributes")
+    return row.get("object") is not None or (isinstance(attributes, dict) and attributes.get("object") is not None)
+
+
+def number_of(row: Row) -> int | None:
+    """The object that an annotation is of; None for a new one; InputError where it is no number."""
+    attributes = row.get("attributes")
+    value = row.get("object")
+    if value is None and isinstance(attributes, dict):
+        value = attributes.get("object")
+        if isinstance(value, str):
+            value = int(value) if value.isascii() and value.isdigit() and len(value) <= 10 else value
+    if value is not None and (type(value) is not int or not 0 <= value < 2**31):
+        raise InputError("object must be a number", got=repr(value)[:40])
+    return value
+
+
+def rectangle_of(value: Any) -> list[float]:
+    """x0, y0, x1, y1 of COCO's x, y, width, height; InputError where it is none."""
+    sound = isinstance(value, list) and len(value) == 4 and all(type(x) in (int, float) for x in value)
+    # Beyond 1e9 is no picture; NaN is not below it either.
+    if not sound or not all(abs(x) < 1e9 for x in value) or value[2] <= 0 or value[3] <= 0:
+        raise InputError("bbox is x, y, width, height above 0", got=repr(value)[:60])
+    x, y, w, h = map(float, value)
+    return [x, y, x + w, y + h]
+
+
+@dataclass(frozen=True)
+class _Reader:
+    """Reads the annotations of one picture."""
+
+    claims: Claims
+    base: EffectiveFrame
+    state: ExportedFrom
+    categories: dict[int, str]
+    options: CocoOptions
+
+    @property
+    def size(self) -> tuple[int, int]:
+        return self.base.row["height"], self.base.row["width"]
+
+    def told_by_place(self, found: list[tuple[str, Row]]) -> dict[int, int]:
+        """Objects by the place of annotations that lie where they lay; see the module."""
+        from scipy.optimize import linear_sum_assignment
+
+        boxes: dict[int, list[float]] = {}
+        for place, (_, row) in enumerate(found):
+            try:
+                boxes[place] = rectangle_of(row.get("bbox"))
+            except InputError:
+                continue
+        objects = self.base.objects
+        if not boxes or not objects:
+            return {}
+        theirs, ours = np.array(list(boxes.values())), np.array([row["bbox"] for row in objects.values()])
+        overlap = iou_2d(theirs, ours)
+        names = [self.categories.get(found[p][1].get("category_id", -1)) for p in boxes]  # pyright: ignore
+        same = np.array([[n == row["label"] for row in objects.values()] for n in names])
+        # Tools drop thin parts of an object: what is left lies within its box, and is called as it was.
+        within = same & (_share_within(theirs, ours) >= WITHIN)
+        likely = np.where(overlap >= SAME_PLACE, 1 + overlap + 0.01 * same, np.where(within, overlap, 0))
+        rows, columns = linear_sum_assignment(likely, maximize=True)
+        places, numbers = list(boxes), list(objects)
+        matched = {places[r]: numbers[c] for r, c in zip(rows, columns, strict=True) if likely[r, c] > 0}
+        self.claims.notes["annotations told by where they lie, for none says which object it is of"] += len(matched)
+        return matched
+
+    def annotation(self, where: str, row: Row, number: int | None) -> None:
+        category = row.get("category_id")
+        if type(category) is not int or category not in self.categories:
+            raise InputError("no such category", got=repr(category)[:40])
+        label = self.categories[category]
+        pixels = mask_of(row.get("segmentation"), self.size)
+        box = _box3d(row["box3d"]) if "box3d" in row else None
+        if number is None:
+            self._new(where, row, label, pixels, box)
+            return
+        was = self.base.objects.get(number) or self.base.left_out.get(number)
+        if was is None:
+            raise InputError(f"frame {self.base.frame} had no object {number}", cause="a new one has no number")
+        self._say(where, number, "label", label)
+        if "status" in row:
+            self._say(where, number, "status", row["status"])
+        if "box3d" in row:
+            self._say(where, number, "box", box)
+        drawn = pixels is not None and not self._same_pixels(row, pixels, was)
+        if drawn and pixels is not None:
+            if not pixels.any():
+                raise InputError("the mask is empty")
+            self._say(where, number, "mask", encode_run_length(pixels))
+        self._rectangle(where, row, number, was, pixels if drawn else None)
+
+    def _say(self, where: str, number: int, field: str, value: Any) -> None:
+        self.claims.say(where, object_cell(self.base.frame, number, field), value, self.state)
+
+    def _same_pixels(self, row: Row, pixels: np.ndarray, was: Row) -> bool:
+        polygons = isinstance(row.get("segmentation"), list)
+        if was["mask"] is None:
+            # Exported as the corners of its 2D box: what moves them moves the box.
+            return is_rectangle(row["segmentation"])
+        before = decode_run_length(self.size, was["mask"])
+        if polygons:
+            return same_outline(before, pixels, self.options.outline)
+        return bool((before == pixels).all())
+
+    def _rectangle(self, where: str, row: Row, number: int, was: Row, drawn: np.ndarray | None) -> None:
+        """The 2D box, where it was changed on purpose: that of a new mask follows from it."""
+        if "bbox" not in row:
+            return
+        box, before = rectangle_of(row["bbox"]), list(was["bbox"])
+        if _near(box, before, ROUNDED):
+            drawn_as = row.get("segmentation")
+            if was["mask"] is None and is_rectangle(drawn_as):
+                box = bounds_of(polygons_of(drawn_as)[0])
+            if _near(box, before, ROUNDED):
+                own = row.get("bbox_xyxy")
+                if own is None or own == before:
+                    return
+                box = own
+        # The box around the pixels that the file has follows from them, and was not moved.
+        slack, outline = max(self.options.outline, 1), row.get("segmentation")
+        if drawn is not None and _near(box, bounds(drawn), slack):
+            return
+        if outline and isinstance(outline, list) and was["mask"] is not None:
+            corners = np.concatenate(polygons_of(outline))
+            if _near(box, before, slack) or _near(box, bounds_of(corners), slack):
+                return
+        self._say(where, number, "bbox", box)
+
+    def _new(self, where: str, row: Row, label: str, pixels: np.ndarray | None, box: Any) -> None:
+        if row.get("iscrowd") == 1 and not self.options.crowds:
+            self.claims.notes["new annotations with iscrowd 1 left out: they may be groups (--crowds takes them)"] += 1
+            return
+        seed: Row = {"label": label}
+        if pixels is not None and not pixels.any():
+            raise InputError("the mask is empty")
+        if pixels is not None and not is_rectangle(row["segmentation"]):
+            seed["mask"] = encode_run_length(pixels)
+        elif row.get("bbox") is not None or box is None:
+            seed["bbox"] = rectangle_of(row.get("bbox"))
+        if box is not None:
+            seed["box"] = box
+        self.claims.say_new(where, self.base.frame, seed, self.state)
+
+
+def bounds(mask: np.ndarray) -> list[float]:
+    """x0, y0, x1, y1 around the pixels of a mask that has some."""
+    v, u = np.nonzero(mask)
+    return [float(u.min()), float(v.min()), float(u.max() + 1), float(v.max() + 1)]
+
+
+def bounds_of(corners: np.ndarray) -> list[float]:
+    """The rectangle around corners, (N, 2)."""
+    return [*corners.min(axis=0).tolist(), *corners.max(axis=0).tolist()]
+
+
+def _share_within(boxes: np.ndarray, others: np.ndarray) -> np.ndarray:
+    """(N, M) share of each box that lies within each of the others."""
+    low = np.maximum(boxes[:, None, :2], others[None, :, :2])
+    high = np.minimum(boxes[:, None, 2:], others[None, :, 2:])
+    size = boxes[:, 2:] - boxes[:, :2]
+    return np.clip(high - low, 0, None).prod(axis=2) / size.prod(axis=1)[:, None]
+
+
+def _near(one: list[float], other: list[float], slack: float) -> bool:
+    return all(math.isclose(x, y, abs_tol=slack, rel_tol=0) for x, y in zip(one, other, strict=True))
+
+
+def _box3d(value: Any) -> Any:
+    """As a cell keeps it: R row by row in one list."""
+    if value is None:
+        return None
+    if not isinstance(value, dict):
+        raise InputError("box3d is center, size and R", got=repr(value)[:40])
+    R = value.get("R")
+    flat = [x for line in R for x in line] if isinstance(R, list) and all(isinstance(x, list) for x in R) else R
+    found = {"center": value.get("center"), "R": flat, "size": value.get("size")}
+    for name, numbers in found.items():
+        if not isinstance(numbers, list) or not all(type(x) in (int, float) and abs(x) < 1e9 for x in numbers):
+            raise InputError(f"{name} of box3d is a list of numbers", got=repr(numbers)[:40])
+    return found
+
+
+def expression_cell(frame: str, name: str, field: str) -> Cell:
+    return Cell("expression", frame, name, field)

@@ -1,0 +1,125 @@
+"""The labels as they were when they were exported, and as they are now, frame by frame."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from collections import OrderedDict
+from collections.abc import Callable, Sequence
+
+from pipeline.corrections.journal.effective import Corrector
+from pipeline.corrections.journal.effective_frame import EffectiveFrame
+from pipeline.corrections.journal.events import Event
+from pipeline.corrections.journal.journal import labels_version
+from pipeline.datasets import Dataset
+from pipeline.labels.exports.provenance import ExportedFrom
+from pipeline.labels.reading import Labels
+from pipeline.system.errors import InputError
+
+FRAMES_KEPT = 16
+_OF_PIXELS = ("mask", "bbox", "box", "exists", "label")
+
+
+class States:
+    """The states of labels that a journal has been through.
+
+    Parameters
+    ----------
+    labels : Labels
+        The automatic ones.
+    events : sequence of Event
+        All of the journal, in the order of their saving.
+    open_dataset : callable, optional
+        Gives the dataset, or None where it is not at hand; called when it is needed.
+    """
+
+    def __init__(
+        self, labels: Labels, events: Sequence[Event], open_dataset: Callable[[], Dataset | None] | None = None
+    ) -> None:
+        self.labels = labels
+        self.version = labels_version(labels.manifest)
+        self._events: dict[str, list[Event]] = {}
+        for event in events:
+            self._events.setdefault(event.cell.frame, []).append(event)
+        self._last = events[-1] if events else None
+        self._id_of = {e.ulid: e.id for e in events}
+        self._pixels = any(e.cell.kind == "object" and e.cell.field in _OF_PIXELS for e in events)
+        self._bare = Corrector(labels)
+        self._open = open_dataset
+        self._full: Corrector | None = None
+        self._frames: OrderedDict[tuple[str, int, bool], EffectiveFrame] = OrderedDict()
+
+    @property
+    def now(self) -> ExportedFrom:
+        """The newest state; computed with the dataset where any correction needs it and it is at hand."""
+        full = self._pixels and self._corrector(True) is not None
+        return ExportedFrom(self.version, None if self._last is None else self._last.ulid, full)
+
+    def __contains__(self, frame: object) -> bool:
+        return frame in self._bare.index.of_frame
+
+    def frame_of_index(self, index: int) -> str | None:
+        """The id of a frame by its place in the dataset."""
+        if not hasattr(self, "_of_index"):
+            self._of_index = {i: name for name, i in self._bare.index.of_frame.items()}
+        return self._of_index.get(index)
+
+    def index_of(self, frame: str) -> int:
+        """The place of a frame in the dataset."""
+        return self._bare.index.of_frame[frame]
+
+    def check(self, state: ExportedFrom) -> None:
+        """Refuse a state that these labels and their journal have never been in, or that cannot be computed again.
+
+        Raises
+        ------
+        InputError
+            Labels that were made again since, another journal, or the dataset is needed and not at hand.
+        """
+        if state.labels != self.version:
+            raise InputError(
+                "the file was exported from other automatic labels", got=state.labels, expected=self.version,
+                cause="were the labels made again since?", path=self.labels.root,
+            )  # fmt: skip
+        if state.event is not None and state.event not in self._id_of:
+            raise InputError(
+                "the file was exported with another journal", got=f"no event {state.event}", cause="is --journal right?"
+            )
+        if state.relifted and self._pixels and self._corrector(True) is None:
+            raise InputError(
+                "the dataset is needed", cause="what follows from corrected pixels is in the file",
+                expected="--dataset says where it is",
+            )
+
+    def frame(self, frame: str, state: ExportedFrom) -> EffectiveFrame:
+        """A frame as it was in a state that `check` let pass."""
+        last = 0 if state.event is None else self._id_of[state.event]
+        return self._at(frame, last, state.relifted)
+
+    def frame_now(self, frame: str, like: ExportedFrom) -> EffectiveFrame:
+        """A frame with all corrections, computed in the same way as that state."""
+        return self._at(frame, 0 if self._last is None else self._last.id, like.relifted)
+
+    def newest(self, frame: str, cell: object) -> Event | None:
+        """The newest event of a cell."""
+        return next((e for e in reversed(self._events.get(frame, ())) if e.cell == cell), None)
+
+    def _at(self, frame: str, last: int, relifted: bool) -> EffectiveFrame:
+        events = self._events.get(frame, [])
+        count = bisect_right([e.id for e in events], last)
+        key = frame, count, relifted and self._pixels
+        if key not in self._frames:
+            corrector = self._corrector(key[2])
+            assert corrector is not None
+            self._frames[key] = corrector.frame(frame, events[:count])
+            while len(self._frames) > FRAMES_KEPT:
+                self._frames.popitem(last=False)
+        self._frames.move_to_end(key)
+        return self._frames[key]
+
+    def _corrector(self, full: bool) -> Corrector | None:
+        if not full:
+            return self._bare
+        if self._full is None and self._open is not None:
+            dataset, self._open = self._open(), None
+            self._full = None if dataset is None else Corrector(self.labels, dataset)
+        return self._full

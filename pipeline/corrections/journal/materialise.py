@@ -1,0 +1,135 @@
+"""Effective labels written as an ordinary labels folder, so that whatever reads labels reads corrected ones."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any
+
+from pipeline import __version__
+from pipeline.corrections.journal.cells import shown_value
+from pipeline.corrections.journal.effective import EffectiveLabels, effective_tables
+from pipeline.corrections.journal.journal import Journal, labels_version
+from pipeline.corrections.journal.records import who_and_what
+from pipeline.corrections.journal.replay import Unapplied
+from pipeline.datasets import Dataset
+from pipeline.labels.card import croissant, dataset_card
+from pipeline.labels.corrections import MARKS_FILE, PROVENANCE_FILE, STATUSES_FILE
+from pipeline.labels.makers import makers_of
+from pipeline.labels.merge import CARD_FILE, CROISSANT_FILE, environment, write_merged
+from pipeline.labels.reading import MANIFEST_FILE, Labels
+from pipeline.labels.schema import SCHEMA_VERSION, TABLES, Manifest
+from pipeline.labels.schema_files import write_schemas
+from pipeline.labels.tables import write_table
+from pipeline.system.errors import InputError
+from pipeline.system.whole_files import temporary_beside, write_synced
+
+UNAPPLIED_FILE = "unapplied.json"
+
+
+def materialise(
+    labels: Labels, journal: Journal, out: str | Path, *, dataset: Dataset | None = None
+) -> tuple[Manifest, EffectiveLabels]:
+    """Apply a journal to labels and write the result whole, or not at all.
+
+    Beside the tables stand `provenance.parquet` (each value that is not the
+    labeller's), `unapplied.json` (events that say nothing of these labels, and
+    expressions that were withdrawn), `marks.json` (for `eval --marks`) and
+    `statuses.json` (what reviewers said, and notes).
+
+    Parameters
+    ----------
+    out : str or Path
+        A folder that is new or empty.
+    dataset : Dataset, optional
+        For corrections of masks and boxes: without it, what follows from them is marked stale.
+
+    Raises
+    ------
+    InputError
+        The folder holds something, or the labels, the journal or a frame cannot be read.
+    """
+    folder = Path(out).expanduser().absolute()
+    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
+        raise InputError("corrected labels go into a new or empty folder", path=folder)
+    if not folder.parent.is_dir():
+        raise InputError("the folder to write into does not exist", path=folder.parent)
+    found = effective_tables(labels, journal, dataset=dataset)
+    staging = temporary_beside(folder)
+    staging.mkdir()
+    try:
+        manifest = _write(found, journal, staging)
+        if folder.exists():
+            folder.rmdir()
+        staging.rename(folder)
+    finally:
+        shutil.rmtree(staging, ignore_errors=True)
+    return manifest, found
+
+
+def _write(found: EffectiveLabels, journal: Journal, folder: Path) -> Manifest:
+    was = found.labels.manifest
+    tables = {name: write_merged(folder, name, iter([found.tables[name]])) for name in TABLES}
+    write_table(found.provenance, folder / PROVENANCE_FILE)
+    listed = {
+        "events": [unapplied_record(u) for u in found.unapplied],
+        "expressions": [
+            {"frame": w.frame, "id": w.id, "text": w.text, "reason": w.reason} for w in found.withdrawn
+        ],
+    }
+    write_synced(folder / UNAPPLIED_FILE, json.dumps(listed, indent=1, ensure_ascii=False).encode())
+    marks = [{"frame": frame, "id": name, "mark": mark} for (frame, name), mark in sorted(found.marks.items())]
+    write_synced(folder / MARKS_FILE, json.dumps(marks, indent=1, ensure_ascii=False).encode())
+    said = [
+        {"kind": cell.kind, "frame": cell.frame, "key": cell.key, "field": cell.field, "value": value}
+        for cell, value in sorted(found.statuses.items())
+    ]
+    write_synced(folder / STATUSES_FILE, json.dumps(said, indent=1, ensure_ascii=False).encode())
+    usable = sum(found.frames.column("ok").to_pylist())
+    manifest = was.model_copy(
+        update={
+            "schema_version": SCHEMA_VERSION,
+            "version": __version__,
+            "counts": {
+                **was.counts,
+                "frames": tables["frames"].rows,
+                "frames_usable": usable,
+                "objects": tables["objects"].rows,
+                "pairs": tables["relations"].rows,
+                "expressions": tables["expressions"].rows,
+            },
+            "tables": tables,
+            "environment": environment(),
+            "created": datetime.now(timezone.utc).isoformat(timespec="seconds"),
+            "corrections": {
+                "journal": journal.place,
+                "project": journal.project,
+                "events": found.events,
+                "last": found.last,
+                "relifted": found.relifted,
+                "automatic": labels_version(was),
+                **found.counts,
+                "decided": {what: list(counts) for what, counts in found.decided.items()},
+            },
+        }
+    )
+    manifest.makers = makers_of(manifest).record()
+    after = Labels(folder, manifest)
+    write_synced(folder / CARD_FILE, dataset_card(after).encode())
+    write_synced(folder / CROISSANT_FILE, json.dumps(croissant(after), indent=1, ensure_ascii=False).encode())
+    write_schemas(folder / "schemas")
+    write_synced(folder / MANIFEST_FILE, manifest.model_dump_json(indent=1).encode())
+    return manifest
+
+
+def unapplied_record(entry: Unapplied) -> dict[str, Any]:
+    """An event that does not apply, as JSON."""
+    event = entry.event
+    return {
+        **who_and_what(event),
+        "wanted": shown_value(event.cell, event.after),
+        "because": entry.kind,
+        "reason": entry.reason,
+    }

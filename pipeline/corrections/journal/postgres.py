@@ -1,0 +1,292 @@
+"""Connections to PostgreSQL by pg8000, from a URL as libpq reads it (postgresql.org/docs/current/libpq-connect.html).
+
+pg8000 is BSD-licensed and pure Python. What libpq does around the protocol is
+done here: the environment's defaults, the password file, `sslmode`, sockets in
+the file system, and a limit on how long a connection may take.
+"""
+
+from __future__ import annotations
+
+import getpass
+import os
+import re
+import socket
+import ssl
+import stat
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import sqlalchemy as sa
+from sqlalchemy import event
+from sqlalchemy.exc import ArgumentError, DBAPIError, InvalidatePoolError
+
+from pipeline.corrections.journal.server import server_at
+from pipeline.system.errors import InputError, MissingExtra
+
+CONNECT_S = 5.0
+PING_S = 3.0
+"""A connection that says nothing for so long when it is taken up again is broken."""
+SILENCE_S = 10.0
+"""A server that has not answered a query for so long is taken to be away."""
+TURN_S = 2.0
+"""A writer's wait for its turn is answered by so late, and then asked for again: less than SILENCE_S."""
+IDLE_S = 20.0
+"""A writer that says nothing for so long loses its turn: nobody waits for one that the network has lost."""
+OPTIONS = ("host", "port", "sslmode", "sslrootcert", "sslcert", "sslkey", "connect_timeout", "application_name")
+SSL_MODES = ("disable", "allow", "prefer", "require", "verify-ca", "verify-full")
+_SOCKETS = "/var/run/postgresql"
+_GONE = ("57P", "08")
+"""SQLSTATE classes of a server that shuts down or starts, and of a connection that broke."""
+_LOCKED = "55P03"
+"""SQLSTATE of a lock that was not given in time."""
+_ANSWERED = "spatialviz_answered"
+_FIELD = re.compile(r"((?:\\.|[^:\\])*)(?::|$)")
+
+
+@dataclass(frozen=True)
+class Address:
+    """Where a database is, and as whom it is used.
+
+    Attributes
+    ----------
+    host : str
+        A name, or the folder of a socket.
+    port : int
+    user, database : str
+    password : str or None
+    ssl : ssl.SSLContext or bool or None
+        As pg8000 takes it: False is never, None where the server can, True always.
+    connect_s : float
+    application : str
+    """
+
+    host: str
+    port: int
+    user: str
+    database: str
+    password: str | None = field(repr=False)
+    ssl: ssl.SSLContext | bool | None
+    connect_s: float = CONNECT_S
+    application: str = "spatialviz"
+
+
+def postgres_engine(where: str) -> sa.Engine:
+    """An engine for a URL "postgresql://...".
+
+    Raises
+    ------
+    InputError
+        A URL that cannot be used.
+    MissingExtra
+        The driver is not installed.
+    """
+    try:
+        url = sa.make_url(where)
+        port = url.port
+    except (ArgumentError, ValueError) as error:
+        raise InputError("the journal's URL cannot be read", expected="postgresql://user@host/database") from error
+    if url.drivername not in ("postgresql", "postgres", "postgresql+pg8000"):
+        raise InputError("no such kind of journal", got=url.drivername, expected="a path, or postgresql://...")
+    try:
+        import pg8000  # noqa: F401
+    except ImportError as error:
+        raise MissingExtra("a journal in PostgreSQL", "postgres") from error
+    address = address_of(url)
+    plain = url.set(drivername="postgresql+pg8000", port=port)
+    engine = sa.create_engine(plain, creator=lambda: _connect(address))
+
+    def check(link: Any, record: Any, _: Any) -> None:
+        # One that was just made answers.
+        if record.info.setdefault(_ANSWERED, None) is None:
+            record.info[_ANSWERED] = True
+            return
+        try:
+            server_at(address.host, address.port).ask(link.ping, lambda: _opened(address))
+        except Exception as error:
+            # The pool lets go of all that it holds, and connects, or fails, anew.
+            raise InvalidatePoolError(str(error)) from error
+
+    event.listen(engine, "checkout", check)
+    def drop_what_broke(context: sa.engine.ExceptionContext) -> None:
+        # A server that shut down, and a socket that failed, leave connections that cannot be used again.
+        error = context.original_exception
+        if isinstance(error, OSError) or state_of(error).get("C", "").startswith(_GONE):
+            context.is_disconnect = True
+        if isinstance(error, TimeoutError):
+            server_at(address.host, address.port).is_silent(error)
+
+    event.listen(engine, "handle_error", drop_what_broke)
+    return engine
+
+
+def address_of(url: sa.URL) -> Address:
+    """What a URL leaves open is taken from the environment and the password file, as libpq does.
+
+    Raises
+    ------
+    InputError
+        An option that is not understood, or a certificate that cannot be read.
+    """
+    query = {name: value if isinstance(value, str) else value[-1] for name, value in url.query.items()}
+    unknown = sorted(set(query) - set(OPTIONS))
+    if unknown:
+        raise InputError("no such option in the journal's URL", got=", ".join(unknown), expected=" | ".join(OPTIONS))
+    sockets = _SOCKETS if os.path.isdir(_SOCKETS) else "localhost"
+    host = url.host or query.get("host") or os.environ.get("PGHOST") or sockets
+    if "," in host:
+        raise InputError("a journal is in one database", got=host, expected="one host")
+    port = url.port or _number("port", query.get("port") or os.environ.get("PGPORT") or "5432")
+    user = url.username or os.environ.get("PGUSER") or getpass.getuser()
+    database = url.database or os.environ.get("PGDATABASE") or user
+    password = url.password or os.environ.get("PGPASSWORD")
+    if password is None:
+        local = "localhost" if host.startswith("/") else host
+        password = password_in_file((local, str(port), database, user))
+    limit = _number("connect_timeout", query["connect_timeout"]) if query.get("connect_timeout") else CONNECT_S
+    mode = query.get("sslmode") or os.environ.get("PGSSLMODE") or "prefer"
+    context = False if host.startswith("/") else _ssl(mode, query)
+    return Address(
+        host, port, user, database, password, context, limit, query.get("application_name") or "spatialviz"
+    )
+
+
+def password_in_file(wanted: tuple[str, str, str, str], path: Path | None = None) -> str | None:
+    """The password for (host, port, database, user) in ~/.pgpass or $PGPASSFILE; None where there is none.
+
+    As libpq, a file that others may read is not used (postgresql.org/docs/current/libpq-pgpass.html).
+    """
+    path = path or Path(os.environ.get("PGPASSFILE") or "~/.pgpass").expanduser()
+    try:
+        if os.name == "posix" and path.stat().st_mode & (stat.S_IRWXG | stat.S_IRWXO):
+            return None
+        lines = path.read_text(encoding="utf-8").splitlines()
+    except (OSError, UnicodeDecodeError):
+        return None
+    for line in lines:
+        raw = _FIELD.findall(line)[:5]
+        fields = [re.sub(r"\\(.)", r"\1", f) for f in raw]
+        if line.startswith("#") or len(fields) < 5:
+            continue
+        if all(r == "*" or f == w for r, f, w in zip(raw, fields, wanted, strict=False)):
+            return fields[4]
+    return None
+
+
+def _number(name: str, value: str) -> int:
+    if not value.isdecimal() or not 0 < int(value) < 1 << 16:
+        raise InputError(f"{name} in the journal's URL must be a number", got=value)
+    return int(value)
+
+
+def _ssl(mode: str, query: dict[str, str]) -> ssl.SSLContext | bool | None:
+    if mode not in SSL_MODES:
+        raise InputError("no such sslmode", got=mode, expected=" | ".join(SSL_MODES))
+    root, own = query.get("sslrootcert"), query.get("sslcert")
+    if mode == "disable":
+        return False
+    if mode in ("allow", "prefer") and not own:
+        return None
+    try:
+        context = ssl.create_default_context(cafile=root)
+        # With a root certificate "require" checks it, as libpq does.
+        verified = mode.startswith("verify") or (mode == "require" and root is not None)
+        context.check_hostname = mode == "verify-full"
+        context.verify_mode = ssl.CERT_REQUIRED if verified else ssl.CERT_NONE
+        if own:
+            context.load_cert_chain(own, query.get("sslkey"))
+    except OSError as error:
+        raise InputError("a certificate cannot be read", got=str(error), path=root or own) from error
+    return context
+
+
+def _connect(address: Address) -> Any:
+    """A new connection; whatever goes wrong on the way is an error of the driver."""
+    import pg8000
+
+    def opened() -> Any:
+        return _opened(address)
+
+    try:
+        return server_at(address.host, address.port).ask(opened, opened)
+    except pg8000.Error:
+        raise
+    except Exception as error:
+        said = (error.strerror if isinstance(error, OSError) else None) or str(error)
+        raise pg8000.InterfaceError(f"cannot connect to {address.host}:{address.port}: {said}") from None
+
+
+def _opened(address: Address) -> Any:
+    import pg8000
+
+    class Connection(pg8000.Connection):
+        def close(self) -> None:
+            # One that broke says so a second time when it is let go of, and the pool would print it.
+            with suppress(pg8000.Error, OSError):
+                super().close()
+
+        def limit(self, seconds: float) -> None:
+            # With SSL this is another socket than the one that was given.
+            if self._usock is not None:
+                self._usock.settimeout(seconds)
+
+        def ping(self) -> None:
+            self.limit(PING_S)
+            self.execute_simple("SELECT 1")
+            self.limit(SILENCE_S)
+
+    link = _socket(address)
+    try:
+        # Where a password is asked for and there is none, the driver fails in its own code: "" is refused instead.
+        opened = Connection(
+            address.user, host=address.host, database=address.database, port=address.port,
+            password=address.password or "", ssl_context=address.ssl, application_name=address.application, sock=link,
+        )  # fmt: skip
+        opened.limit(SILENCE_S)
+        return opened
+    except BaseException:
+        link.close()
+        raise
+
+
+def _socket(address: Address) -> socket.socket:
+    if address.host.startswith("/"):
+        link = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+        link.settimeout(address.connect_s)
+        try:
+            link.connect(f"{address.host}/.s.PGSQL.{address.port}")
+        except OSError:
+            link.close()
+            raise
+    else:
+        link = socket.create_connection((address.host, address.port), address.connect_s)
+        link.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+        link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    return link
+
+
+def state_of(error: BaseException | None) -> dict[str, str]:
+    """The fields of a server's message (postgresql.org/docs/current/protocol-error-fields.html); empty for another."""
+    said = error.args[0] if error is not None and error.args else None
+    return said if isinstance(said, dict) else {}
+
+
+def ask_for_turn(connection: sa.Connection, key: int) -> bool:
+    """Wait for a writer's turn in the transaction that has begun; False where it did not come within TURN_S.
+
+    The settings are those of the transaction alone (postgresql.org/docs/current/runtime-config-client.html). They are
+    made in the same query, whose columns are computed from left to right.
+    """
+    columns = (
+        sa.func.set_config("lock_timeout", str(int(1000 * TURN_S)), True),
+        sa.func.set_config("idle_in_transaction_session_timeout", str(int(1000 * IDLE_S)), True),
+        sa.func.pg_advisory_xact_lock(key),
+    )
+    try:
+        connection.execute(sa.select(*columns))
+    except DBAPIError as error:
+        if state_of(error.orig).get("C") != _LOCKED:
+            raise
+        return False
+    return True

@@ -1,0 +1,124 @@
+"""What is done with a journal as a whole: it is checked, copied, or what is intact of it is written into a new one."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from pathlib import Path
+
+from pipeline.corrections.journal.connection import (
+    DATABASE_ERRORS,
+    is_url,
+    make_engine,
+    place_of,
+    prepare,
+    reading,
+    reason_of,
+    writing,
+)
+from pipeline.corrections.journal.examining import Examined, empty_file, examine, is_empty
+from pipeline.corrections.journal.schema import VERSION, version_of
+from pipeline.corrections.journal.taking_over import copy_whole, examined_server, write_rows
+from pipeline.system.errors import InputError
+
+
+def check_journal(where: str | Path) -> Examined:
+    """Examine a journal in full, and change nothing.
+
+    Parameters
+    ----------
+    where : str or Path
+        As `open_journal` takes it.
+
+    Raises
+    ------
+    InputError
+        There is none, or it cannot be opened.
+    """
+    if is_url(where):
+        engine = make_engine(where)
+        try:
+            with reading(engine) as connection:
+                version = version_of(connection)
+                if version is not None and 0 < version <= VERSION:
+                    return examined_server(connection, place_of(engine), chain=version == VERSION)
+        finally:
+            engine.dispose()
+        return Examined(place_of(engine), version, None, (), ()).believe()
+    path = Path(where).expanduser()
+    if not path.is_file():
+        raise InputError("no journal here", path=path)
+    if is_empty(path):
+        raise empty_file(path)
+    return examine(path)
+
+
+def back_up(where: str | Path, to: Path) -> Examined:
+    """Write a copy of a journal, with what is in its log, and examine it; others may save meanwhile.
+
+    Raises
+    ------
+    InputError
+        It is in a server, the copy's name is taken, or it cannot be written.
+    DamagedJournal
+        The journal is damaged.
+    """
+    path = _file(where, to, "pg_dump copies it")
+    check_journal(path).believe()
+    return _written(to, lambda: copy_whole(path, to))
+
+
+def recover(where: str | Path, to: Path) -> tuple[Examined, Examined]:
+    """Write what is intact of a journal into a new one; the damaged one is not changed.
+
+    An undo or redo is left out where what it takes back is.
+
+    Returns
+    -------
+    damaged, made : Examined
+
+    Raises
+    ------
+    InputError
+        It is in a server, nothing is intact, the new name is taken, or it cannot be written.
+    """
+    path = _file(where, to, "its own backups hold it")
+    found = check_journal(path)
+    rows = found.standing
+    if not rows:
+        what = "those of its events that are intact take back others, which are not" if found.intact else found.said
+        raise InputError(f"nothing of the journal can be recovered: {what}", cause="a backup may have it", path=path)
+
+    def write() -> None:
+        part = Path(f"{to}.part")
+        try:
+            engine = make_engine(part)
+            try:
+                prepare(engine)
+                with writing(engine) as connection:
+                    write_rows(connection, rows)
+            finally:
+                engine.dispose()
+            os.replace(part, to)
+        finally:
+            for end in ("", "-wal", "-shm"):
+                Path(f"{part}{end}").unlink(missing_ok=True)
+
+    return found, _written(to, write)
+
+
+def _file(where: str | Path, to: Path, instead: str) -> Path:
+    if is_url(where):
+        raise InputError("a journal in a server is not copied into a file", cause=instead)
+    if to.exists() or not to.parent.is_dir():
+        what = "there is a file of this name" if to.exists() else "the folder is not there"
+        raise InputError(f"no journal can be written: {what}", path=to)
+    return Path(where).expanduser()
+
+
+def _written(to: Path, write: Callable[[], None]) -> Examined:
+    try:
+        write()
+    except DATABASE_ERRORS as error:
+        raise InputError("the copy cannot be written", got=reason_of(error, str(to)), path=to) from error
+    return examine(to).believe()

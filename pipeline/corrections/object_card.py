@@ -1,0 +1,251 @@
+"""What is known of one labelled object, field by field, and where it comes from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pipeline.corrections.journal.cells import object_cell, same_value, shown_value
+from pipeline.corrections.journal.edits import Edits, judge, set_status, set_value
+from pipeline.corrections.journal.effective_frame import EffectiveFrame
+from pipeline.corrections.journal.effective_objects import object_value
+from pipeline.corrections.journal.judgements import said_of_items
+from pipeline.corrections.journal.origins import Origin
+from pipeline.corrections.scene import labelled_box
+from pipeline.diagnosis.whatif.box_numbers import BoxNumbers, box_numbers
+from pipeline.geometry.viewer import ViewerAxes, viewer_axes
+from pipeline.relations.relations import F, T, U
+from pipeline.system.errors import InputError
+
+FIELDS = ("label", "status", "mask", "bbox", "box")
+"""What of an object can be corrected, in the order in which it is shown."""
+
+
+@dataclass(frozen=True)
+class FieldLine:
+    """One field of an object.
+
+    Attributes
+    ----------
+    field : str
+        Of `FIELDS`.
+    value : JSON value
+    said : str
+        The same in a few words.
+    automatic : str or None
+        What the labeller had, in a few words; None where it had no such object.
+    origin : Origin
+    version : int
+        How many events it has.
+    settled : bool
+        It can be given back to the labeller.
+    """
+
+    field: str
+    value: Any
+    said: str
+    automatic: str | None
+    origin: Origin
+    version: int
+    settled: bool
+
+    def record(self) -> dict[str, Any]:
+        """As JSON."""
+        return {
+            "field": self.field,
+            "value": self.value,
+            "automatic": self.automatic,
+            "origin": self.origin.source,
+            "from": str(self.origin),
+            "author": self.origin.author,
+            "time": None if self.origin.time is None else self.origin.time.isoformat(),
+            "reason": self.origin.reason or None,
+            "version": self.version,
+        }
+
+
+@dataclass(frozen=True)
+class ObjectCard:
+    """A labelled object.
+
+    Attributes
+    ----------
+    frame : str
+    number : int
+    label : str
+    stands : bool
+        It was not rejected.
+    added_by : str
+        Who added it; "" where the labeller found it.
+    status : str or None
+        For all: "rejected", or what was said before judgements were each person's own.
+    said : dict of str to str
+        Status by reviewer.
+    concern : str
+        Why it is not asked for; "" where it is.
+    score : float
+    mask_pixels, points : int
+    distance : float or None
+        Metres.
+    numbers : BoxNumbers or None
+        Of its 3D box.
+    states : dict of str to int
+        How many of its relations, seen from it, are T, U and F.
+    expressions : int
+        How many have it as an answer or as their reference.
+    fields : tuple of FieldLine
+    """
+
+    frame: str
+    number: int
+    label: str
+    stands: bool
+    added_by: str
+    status: str | None
+    said: dict[str, str]
+    concern: str
+    score: float
+    mask_pixels: int
+    points: int
+    distance: float | None
+    numbers: BoxNumbers | None
+    states: dict[str, int]
+    expressions: int
+    fields: tuple[FieldLine, ...]
+
+    def line(self, field: str) -> FieldLine:
+        """Of that field."""
+        return next(line for line in self.fields if line.field == field)
+
+    def record(self) -> dict[str, Any]:
+        """As JSON; the box's numbers are in the viewer's axes: right, forward, up, metres, and yaw in degrees."""
+        n = self.numbers
+        box = None if n is None else {"center": list(n.center), "size": list(n.size), "yaw": n.yaw}
+        return {
+            "frame": self.frame,
+            "object": self.number,
+            "label": self.label,
+            "stands": self.stands,
+            "added_by": self.added_by or None,
+            "status": self.status,
+            "said": self.said,
+            "concern": self.concern or None,
+            "score": self.score,
+            "mask_pixels": self.mask_pixels,
+            "points": self.points,
+            "distance": self.distance,
+            "box": box,
+            "relations": self.states,
+            "expressions": self.expressions,
+            "fields": {line.field: line.record() for line in self.fields},
+        }
+
+
+def object_card(frame: EffectiveFrame, number: int) -> ObjectCard:
+    """What the labels say of an object that stands, or was rejected.
+
+    Raises
+    ------
+    InputError
+        There is no such object.
+    """
+    row = frame.objects.get(number) or frame.left_out.get(number)
+    if row is None:
+        raise InputError(f"frame {frame.frame} has no object {number}")
+    box, viewer = labelled_box(row), viewer_of(frame)
+    created = number not in frame.auto.objects
+    return ObjectCard(
+        frame.frame,
+        number,
+        row["label"],
+        number in frame.objects,
+        _added_by(frame, number) if created else "",
+        frame.statuses.get(object_cell(frame.frame, number, "status")),
+        judgements(frame, number),
+        row["reason"] or "",
+        float(row["score"]),
+        int(row["mask_pixels"]),
+        int(row["points"] or 0),
+        row["distance"],
+        None if box is None or viewer is None else box_numbers(box, viewer),
+        _states(frame, number),
+        sum(number == e["reference_object"] or number in e["acceptable"] for e in frame.expressions.values()),
+        tuple(_line(frame, number, name) for name in FIELDS),
+    )
+
+
+def viewer_of(frame: EffectiveFrame) -> ViewerAxes | None:
+    """The axes in which the frame's relations are judged; None where nothing says what is up."""
+    up = frame.row["up"]
+    return None if up is None else viewer_axes(np.array(up, np.float64), frame.row["up_source"] or "assumed")
+
+
+def back_to_automatic(frame: EffectiveFrame, number: int, field: str, reason: str = "") -> Edits:
+    """A field as the labeller had it; a 3D box as the object's points make it.
+
+    Raises
+    ------
+    InputError
+        There is no such object or field, the labeller had none, or nobody has changed it.
+    """
+    line = object_card(frame, number).line(field) if field in FIELDS else None
+    if line is None:
+        raise InputError("an object has no such field", got=repr(field), expected=", ".join(FIELDS))
+    if not line.settled:
+        raise InputError(f"nobody has changed the {field} of object {number}")
+    said = {"status": "", "box": "as its points make it"}.get(field, "as the labeller had it")
+    return set_value(frame, object_cell(frame.frame, number, field), _automatic(frame, number, field), reason or said)
+
+
+def judgements(frame: EffectiveFrame, number: int) -> dict[str, str]:
+    """What reviewers say of an object: status by author."""
+    return said_of_items(frame.statuses).get(("object", number, None, ""), {})
+
+
+def bring_back(frame: EffectiveFrame, number: int, author: str, reason: str = "") -> Edits:
+    """Have a rejected object stand again; what this person said of it is taken back with that.
+
+    Raises
+    ------
+    InputError
+        It is not rejected.
+    """
+    if number not in frame.left_out:
+        raise InputError(f"object {number} is not rejected")
+    cell = object_cell(frame.frame, number, "status")
+    own = judge(frame, cell, None, author, reason) if author in judgements(frame, number) else ()
+    return (*own, *set_status(frame, cell, None, reason))
+
+
+def _automatic(frame: EffectiveFrame, number: int, field: str) -> Any:
+    return None if field in ("status", "box") else object_value(frame.auto.objects[number], field)
+
+
+def _line(frame: EffectiveFrame, number: int, field: str) -> FieldLine:
+    cell = object_cell(frame.frame, number, field)
+    value, origin = frame.value(cell), frame.origin(cell)
+    auto = frame.auto.objects.get(number)
+    was = None if auto is None else object_value(auto, field)
+    said = "unreviewed" if field == "status" and value is None else shown_value(cell, value)
+    known = auto is not None or field in ("status", "box")
+    settled = known and frame.version(cell) > 0 and origin.source == "human"
+    if field != "box":
+        settled = settled and not same_value(value, _automatic(frame, number, field) if known else None)
+    automatic = None if auto is None else "unreviewed" if field == "status" else shown_value(cell, was)
+    return FieldLine(field, value, said, automatic, origin, frame.version(cell), settled)
+
+
+def _added_by(frame: EffectiveFrame, number: int) -> str:
+    """Every column of an added object comes from its adding, until it is corrected; this one cannot be."""
+    origin = frame.origins.get("objects", str(number), "frame")
+    return "somebody" if origin is None else str(origin.author)
+
+
+def _states(frame: EffectiveFrame, number: int) -> dict[str, int]:
+    at = frame.pairs.place(number)
+    if at is None:
+        return {"T": 0, "U": 0, "F": 0}
+    states = frame.pairs.states[at][frame.pairs.present[at]]
+    return {name: int((states == state).sum()) for name, state in (("T", T), ("U", U), ("F", F))}

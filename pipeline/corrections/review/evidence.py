@@ -1,0 +1,283 @@
+"""What speaks against a label besides the networks: the linter, a small margin, a doubt, another detector or run.
+
+Each piece of evidence has a weight, the probability that the label is wrong if
+there were nothing else. The networks' own is estimated (`confident`); the
+weights here are judgements, ordered by what a finding proves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from pipeline.corrections.review.cells import Cells, read_cells
+from pipeline.corrections.review.items import ItemKey
+from pipeline.labels.check.findings import Finding
+from pipeline.labels.reading import Labels
+from pipeline.relations.relations import INVERSE, F, T, U
+from pipeline.training.label_data import column_arrays, rows_of_frame
+
+CONTRADICTED = 0.9
+"""Of an error that names one label: the stored state contradicts the extents, an expression states what is F."""
+ONE_OF_TWO = 0.5
+"""Of two labels that cannot both be right; of n in a cycle each has 1 / n."""
+WARNED = 0.2
+DISPUTED = 0.5
+"""Another detector or run says the opposite, or another class name."""
+UNMATCHED = 0.3
+"""Another detector or run does not see the object."""
+UNDECIDED = 0.5
+"""Times how sure the networks are of a label that is U."""
+MARGIN_SIGMA_M = 0.01
+"""Metres: what a margin may be off by, from depth noise and mask borders."""
+SAME_BOX_IOU = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class CellEvidence:
+    """One kind of evidence against some cells.
+
+    Attributes
+    ----------
+    rows, columns : (E,) int64
+        Places of the cells.
+    weight : (E,) float64
+    reason : (E,) str
+    """
+
+    rows: np.ndarray
+    columns: np.ndarray
+    weight: np.ndarray
+    reason: np.ndarray
+
+
+@dataclass(frozen=True)
+class ItemEvidence:
+    """Evidence against an object or an expression.
+
+    Attributes
+    ----------
+    key : ItemKey
+    weight : float
+    reason : str
+    label : str or None
+        The class of an object that may be missing; of others the labels know it.
+    """
+
+    key: ItemKey
+    weight: float
+    reason: str
+    label: str | None = None
+
+
+def network_evidence(cells: Cells, probability: np.ndarray, wrong: np.ndarray, least: float) -> CellEvidence:
+    """Labels that networks which have not learnt from them find wrong with at least this probability."""
+    rows, columns = np.nonzero(wrong >= least)
+    states = _letters(cells.states[rows, columns])
+    p, q = probability[rows, columns], wrong[rows, columns]
+    reason = _joined(
+        "the label is ", states, ", and networks that have not learnt from it give it a probability of ",
+        np.char.mod("%.2f", np.where(cells.states[rows, columns] == T, p, 1 - p)),
+    )  # fmt: skip
+    return CellEvidence(rows, columns, q, reason)
+
+
+def doubtful_evidence(cells: Cells, probability: np.ndarray) -> CellEvidence:
+    """Cells that the rule finds too close to call (U); the surer the networks are, the more is to be gained."""
+    known = np.where(np.isnan(probability), 0.5, probability)
+    rows, columns = np.nonzero(cells.states == U)
+    p = known[rows, columns]
+    sure = np.abs(2 * p - 1)
+    answer = np.where(p > 0.5, "T", "F")
+    reason = _joined(
+        "too close to call by the rule (U); networks that have not learnt from it say ", answer, " with ",
+        np.char.mod("%.2f", np.maximum(p, 1 - p)),
+    )  # fmt: skip
+    return CellEvidence(rows, columns, UNDECIDED * sure, reason)
+
+
+def margin_evidence(cells: Cells, least: float) -> CellEvidence:
+    """Labels near a threshold of the rule: half the chance that an error of MARGIN_SIGMA_M crosses it, for it leads to
+    U and not to the opposite."""
+    from scipy.special import ndtr
+
+    near = np.abs(cells.margins)
+    weight = np.where(np.isnan(near), 0.0, 0.5 * ndtr(-np.nan_to_num(near) / MARGIN_SIGMA_M))
+    rows, columns = np.nonzero(((cells.states == T) | (cells.states == F)) & (weight >= least))
+    reason = _joined(
+        "only ", np.char.mod("%.1f", 1000 * near[rows, columns]), " mm from where the rule would be in doubt"
+    )
+    return CellEvidence(rows, columns, weight[rows, columns], reason)
+
+
+def linter_evidence(cells: Cells, findings: Iterable[Finding]) -> tuple[CellEvidence, tuple[ItemEvidence, ...], int]:
+    """The findings of `check_labels` by the labels that they are about.
+
+    Returns
+    -------
+    cells : CellEvidence
+    items : tuple of ItemEvidence
+        Objects and expressions.
+    elsewhere : int
+        Findings of files, frames and missing rows: nothing that a person settles label by label.
+    """
+    keys: list[tuple[str, int, int]] = []
+    relations: list[str] = []
+    weights: list[float] = []
+    reasons: list[str] = []
+    items: list[ItemEvidence] = []
+    elsewhere = 0
+    for found in findings:
+        group = found.rule.split("/")[0]
+        blamed = _blamed_cells(found) if group == "relation" else []
+        known = [(a, b, r, w) for a, b, r, w in blamed if r in cells.relations]
+        if found.frame is not None and known:
+            for a, b, relation, weight in known:
+                keys.append((found.frame, a, b))
+                relations.append(relation)
+                weights.append(weight if found.severity == "error" else min(weight, WARNED))
+                reasons.append(f"{found.rule}: {found.message}")
+        elif found.frame is not None and group in ("object", "expression") and found.objects:
+            items += _blamed_items(found)
+        else:
+            elsewhere += 1
+    rows = cells.rows_of(keys)
+    columns = np.array([cells.relations.index(r) for r in relations], np.int64)
+    there = rows >= 0
+    evidence = CellEvidence(
+        rows[there], columns[there], np.array(weights, np.float64)[there], np.array(reasons, object)[there]
+    )
+    return evidence, tuple(items), elsewhere + int((~there).sum())
+
+
+def _blamed_cells(found: Finding) -> list[tuple[int, int, str, float]]:
+    """(a, b, relation, weight) of the labels of which one is wrong."""
+    relation = found.figures.get("relation")
+    if not isinstance(relation, str) or len(found.objects) < 2:
+        return []
+    a, b = found.objects[:2]
+    if found.rule == "relation/geometry":
+        return [(a, b, relation, CONTRADICTED)]
+    if found.rule == "relation/inverse":
+        return [(a, b, relation, ONE_OF_TWO), (b, a, INVERSE[relation], ONE_OF_TWO)]
+    if found.rule == "relation/exclusive":
+        return [(a, b, relation, ONE_OF_TWO), (a, b, INVERSE[relation], ONE_OF_TWO)]
+    if found.rule == "relation/antisymmetry":
+        return [(a, b, relation, ONE_OF_TWO), (b, a, relation, ONE_OF_TWO)]
+    if found.rule == "relation/cycle":
+        ring = (*found.objects, found.objects[0])
+        return [(i, j, relation, 1 / len(found.objects)) for i, j in pairwise(ring)]
+    return []
+
+
+def _blamed_items(found: Finding) -> list[ItemEvidence]:
+    assert found.frame is not None
+    weight = CONTRADICTED if found.severity == "error" else WARNED
+    reason = f"{found.rule}: {found.message}"
+    if found.rule.startswith("object/"):
+        if len(found.objects) > 1 and found.severity == "error":
+            weight = ONE_OF_TWO
+        return [ItemEvidence(ItemKey(found.frame, "object", n, None, ""), weight, reason) for n in found.objects]
+    a, b = (*found.objects, None)[:2]
+    assert a is not None
+    return [ItemEvidence(ItemKey(found.frame, "expression", a, b, str(found.figures.get("id", ""))), weight, reason)]
+
+
+def disputed_evidence(labels: Labels, cells: Cells, other: Labels) -> tuple[CellEvidence, tuple[ItemEvidence, ...]]:
+    """What labels of the same dataset by another detector or run say otherwise.
+
+    Objects are the same where their 2D boxes overlap best, either way, with an
+    IoU of at least SAME_BOX_IOU. Relations count where one says T and the other F.
+
+    Parameters
+    ----------
+    labels : Labels
+    cells : Cells
+        Of these.
+    other : Labels
+    """
+    theirs = read_cells(other)
+    shared = [r for r in cells.relations if r in theirs.relations]
+    own_columns, their_columns = ([c.relations.index(r) for r in shared] for c in (cells, theirs))
+    objects = [column_arrays(x.objects.select(["frame", "frame_index", "object", "label", "bbox"]))
+               for x in (labels, other)]  # fmt: skip
+    frames = [dict(zip(x.frames.column("frame").to_pylist(), x.frames.column("frame_index").to_pylist(), strict=True))
+              for x in (labels, other)]  # fmt: skip
+    rows, columns, items = [], [], []
+    for frame, index in frames[0].items():
+        if frame not in frames[1]:
+            continue
+        mine = rows_of_frame(objects[0]["frame_index"], index)
+        others = rows_of_frame(objects[1]["frame_index"], frames[1][frame])
+        match = matched_boxes(objects[0]["bbox"][mine], objects[1]["bbox"][others])
+        numbers = objects[0]["object"][mine], objects[1]["object"][others]
+        items += _disputed_objects(
+            str(frame), numbers[0], objects[0]["label"][mine], objects[1]["label"][others], match
+        )
+        if not shared or not len(numbers[0]):
+            continue
+        own, foreign = rows_of_frame(cells.frame_index, index), rows_of_frame(theirs.frame_index, frames[1][frame])
+        at = np.full((len(numbers[1]),) * 2, -1, np.int64)
+        i, j = (np.searchsorted(numbers[1], x[foreign]) for x in (theirs.a, theirs.b))
+        at[i, j] = np.arange(foreign.start, foreign.stop)
+        i, j = (match[np.searchsorted(numbers[0], x[own])] for x in (cells.a, cells.b))
+        row = np.where((i >= 0) & (j >= 0), at[i, j] if at.size else -1, -1)
+        there = np.flatnonzero(row >= 0)
+        said = cells.states[own][there][:, own_columns] * theirs.states[row[there]][:, their_columns].astype(np.int64)
+        r, c = np.nonzero(said == -1)
+        rows.append(own.start + there[r])
+        columns.append(np.array(own_columns, np.int64)[c])
+    r = np.concatenate([np.zeros(0, np.int64), *rows])
+    c = np.concatenate([np.zeros(0, np.int64), *columns])
+    opposite = _letters(-cells.states[r, c])
+    reason = _joined("the other labels of this frame say ", opposite)
+    return CellEvidence(r, c, np.full(len(r), DISPUTED), reason), tuple(items)
+
+
+def _disputed_objects(
+    frame: str, numbers: np.ndarray, names: np.ndarray, others: np.ndarray, match: np.ndarray
+) -> Iterable[ItemEvidence]:
+    for number, name, at in zip(numbers.tolist(), names, match.tolist(), strict=True):
+        key = ItemKey(frame, "object", int(number), None, "")
+        if at < 0:
+            yield ItemEvidence(key, UNMATCHED, "the other labels have no object here")
+        elif others[at] != name:
+            yield ItemEvidence(key, DISPUTED, f"the other labels call it {others[at]!r}")
+
+
+def matched_boxes(first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    """(N,) int64: which of M second boxes each first one is, both (., 4) x0, y0, x1, y1; -1 where none is."""
+    if not len(first) or not len(second):
+        return np.full(len(first), -1, np.int64)
+    low, high = np.maximum(first[:, None, :2], second[None, :, :2]), np.minimum(first[:, None, 2:], second[None, :, 2:])
+    inner = np.clip(high - low, 0, None).prod(axis=2)
+    area = [np.clip(b[:, 2:] - b[:, :2], 0, None).prod(axis=1) for b in (first, second)]
+    iou = inner / np.maximum(area[0][:, None] + area[1][None] - inner, 1e-12)
+    best = iou.argmax(axis=1)
+    here = np.arange(len(first))
+    mutual = (iou.argmax(axis=0)[best] == here) & (iou[here, best] >= SAME_BOX_IOU)
+    return np.where(mutual, best, -1)
+
+
+
+def _letters(states: np.ndarray) -> np.ndarray:
+    return np.where(states == T, "T", np.where(states == F, "F", "U"))
+
+
+def _joined(*parts: str | np.ndarray) -> np.ndarray:
+    """Texts joined element by element."""
+    found: np.ndarray = np.array("")
+    for part in parts:
+        found = np.char.add(found, part)
+    return found
+
+
+def combined(parts: Sequence[CellEvidence], shape: tuple[int, int]) -> np.ndarray:
+    """`shape` float64: one less the product of (1 - weight) of all evidence against each cell."""
+    right = np.zeros(shape)
+    for part in parts:
+        np.add.at(right, (part.rows, part.columns), np.log1p(-np.minimum(part.weight, 1 - 1e-12)))
+    return -np.expm1(right)

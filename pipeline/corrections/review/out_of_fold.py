@@ -1,0 +1,229 @@
+"""What a relation network says of each label that has not learnt from it, nor from anything of its scene.
+
+The network's answers are antisymmetric by construction: "a left of b" and "b
+right of a" get the mean of their two logits. Both cells are of one frame, and
+so in one fold: neither label is seen by the network that judges them. A label
+is therefore never held against its mirror image; that comparison is the
+linter's (`relation/inverse`). What the network gains from the mirror image is a
+second look at the same geometry.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from pipeline.corrections.review.confident import Noise, estimate_noise, probability_wrong
+from pipeline.corrections.review.folds import FOLDS, Folds, make_folds
+from pipeline.metrics.platt import antisymmetric, sigmoid
+from pipeline.relations.features import LANGUAGE, feature_set
+from pipeline.relations.relations import VOCABULARIES, T, U
+from pipeline.system.errors import InputError
+from pipeline.system.threads import one_thread
+from pipeline.training.label_data import LabelData, LabelledFrame, pair_set
+from pipeline.training.train import OUTPUTS, TrainConfig, TrainedModel, train_pairs
+
+REVIEWED = "all"
+"""The vocabulary of the networks: every relation is judged alone; those that were not labelled teach nothing."""
+EPOCHS = 5
+"""Half of the usual: longer training ranks no better, and takes wrong labels to heart."""
+PASSES = 3
+"""One pass overlooks 1.0 % of planted errors, three 0.5 % (measured in rendered rooms: `corrections.review.bench`). Few
+that are left cost much: as many chosen at random cost at least as much F1, so it is their number that counts."""
+PRUNED = 0.5
+"""A label that is more probably wrong than right is not learnt from in the next pass."""
+
+
+@dataclass(frozen=True)
+class DoubtConfig:
+    """How labels are doubted.
+
+    Attributes
+    ----------
+    folds : int
+    passes : int
+        After the first, networks are trained once more without the labels that were found probably wrong: better, for
+        as long again. Which labels are left out is then known from networks that have seen the others.
+    train : TrainConfig
+        Its features are those of the labels' rows; every relation is judged alone, whatever its vocabulary.
+    """
+
+    folds: int = FOLDS
+    passes: int = PASSES
+    train: TrainConfig = field(default_factory=lambda: TrainConfig(vocabulary=REVIEWED, epochs=EPOCHS))
+
+    def check(self) -> None:
+        """Raise InputError where the numbers make no sense."""
+        self.train.check()
+        if self.folds < 2 or self.passes < 1:
+            raise InputError("there must be two folds and a pass", got=f"{self.folds} folds, {self.passes} passes")
+        if self.train.features.endswith(LANGUAGE):
+            raise InputError("labels are reviewed by geometry, without class names", got=self.train.features)
+
+
+@dataclass(frozen=True, eq=False)
+class Doubts:
+    """What networks that did not learn from them say of labels.
+
+    Attributes
+    ----------
+    vocabulary : tuple of str
+        The order of R, that of the frames' states.
+    probabilities : tuple of (N, N, R) float64
+        Of each frame: how probably the relation holds. Of the diagonal it means nothing.
+    wrong : tuple of (N, N, R) float64
+        How probably the label is wrong; NaN where it is U.
+    noise : dict of str to Noise
+        By relation.
+    folds : Folds
+    """
+
+    vocabulary: tuple[str, ...]
+    probabilities: tuple[np.ndarray, ...]
+    wrong: tuple[np.ndarray, ...]
+    noise: dict[str, Noise]
+    folds: Folds
+
+
+def doubt_labels(
+    data: LabelData,
+    config: DoubtConfig | None = None,
+    *,
+    trusted: Sequence[np.ndarray] | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> Doubts:
+    """Confident learning over a labels folder.
+
+    Parameters
+    ----------
+    data : LabelData
+    config : DoubtConfig, optional
+    trusted : sequence of (N, N, R) bool, optional
+        Of each frame: labels that a person has settled. They are learnt from in every pass, and are not wrong: no
+        noise is estimated from them, and what is estimated is of the others.
+    progress : callable, optional
+        Called with (networks trained, of how many).
+
+    Raises
+    ------
+    InputError
+        There is nothing to learn from, or the configuration makes no sense.
+    MissingExtra
+        torch is not installed.
+    """
+    config = config or DoubtConfig(train=TrainConfig(data.features, REVIEWED, epochs=EPOCHS))
+    config.check()
+    if config.train.features != data.features:
+        raise InputError("the labels were read for other features", got=data.features, expected=config.train.features)
+    train = replace(config.train, vocabulary=REVIEWED)
+    folds = make_folds([f.key for f in data.frames], config.folds, train.seed)
+    tell = progress or (lambda done, of: None)
+    done, total = 0, config.passes * len(folds)
+
+    def trained() -> None:
+        nonlocal done
+        done += 1
+        tell(done, total)
+
+    learnt_from, found, wrong, noise = data.frames, (), (), {}
+    for number in range(config.passes):
+        if number:
+            learnt_from = [
+                replace(f, states=np.where((w > PRUNED) & ~(False if trusted is None else trusted[k]), U, f.states))
+                for k, (f, w) in enumerate(zip(data.frames, wrong, strict=True))
+            ]
+        found = out_of_fold(learnt_from, data.vocabulary, train, folds, trained)
+        wrong, noise = _wrong(data.frames, found, data.vocabulary, trusted)
+    return Doubts(data.vocabulary, found, wrong, noise, folds)
+
+
+@one_thread()
+def out_of_fold(
+    frames: Sequence[LabelledFrame],
+    vocabulary: Sequence[str],
+    config: TrainConfig,
+    folds: Folds,
+    trained: Callable[[], None] | None = None,
+) -> tuple[np.ndarray, ...]:
+    """(N, N, R) float64 of each frame: probabilities by networks trained on the other folds.
+
+    Parameters
+    ----------
+    frames : sequence of LabelledFrame
+    vocabulary : sequence of str
+        Of the frames' states.
+    config : TrainConfig
+    folds : Folds
+        Of these frames.
+    trained : callable, optional
+        Called after each network.
+    """
+    if OUTPUTS[config.vocabulary] != "sigmoid":
+        raise InputError("labels are judged one by one, not as the one that fits best", got=config.vocabulary)
+    outputs = VOCABULARIES[config.vocabulary]
+    places = [outputs.index(relation) for relation in vocabulary]
+    found: list[np.ndarray] = [np.zeros(0)] * len(frames)
+    for held, learnt in zip(folds.held, folds.learnt, strict=True):
+        if not held.any():
+            continue
+        inside = [_padded(frames[k], places, len(outputs)) for k in np.flatnonzero(learnt).tolist()]
+        model = train_pairs(pair_set(inside, config.features, config.output), config)
+        for k in np.flatnonzero(held).tolist():
+            found[k] = network_probabilities(model, frames[k].rows)[..., places]
+        if trained is not None:
+            trained()
+    return tuple(found)
+
+
+def network_probabilities(model: TrainedModel, rows: np.ndarray) -> np.ndarray:
+    """(N, N, R) float64 bare probabilities of a sigmoid network, antisymmetric, from (N, K) described objects."""
+    pairs = feature_set(model.config.features).pair(rows)
+    x = ((pairs - model.mean) / model.std).reshape(-1, len(model.mean)).astype(np.float32)
+    for number, (w, b) in enumerate(model.layers, start=1):
+        x = x @ w + b
+        if number < len(model.layers):
+            np.maximum(x, 0, out=x)
+    logits = x.astype(np.float64).reshape(*pairs.shape[:-1], len(model.vocabulary))
+    return sigmoid(antisymmetric(logits, model.vocabulary))
+
+
+def _padded(frame: LabelledFrame, places: Sequence[int], outputs: int) -> LabelledFrame:
+    states = np.full((*frame.states.shape[:2], outputs), U, np.int8)
+    states[..., list(places)] = frame.states
+    return replace(frame, states=states)
+
+
+def _wrong(
+    frames: Sequence[LabelledFrame],
+    found: Sequence[np.ndarray],
+    vocabulary: Sequence[str],
+    trusted: Sequence[np.ndarray] | None = None,
+) -> tuple[tuple[np.ndarray, ...], dict[str, Noise]]:
+    states, p = stacked([f.states for f in frames]), stacked(found)
+    sure = np.zeros(p.shape, np.bool_) if trusted is None else stacked(trusted)
+    wrong, noise = np.where(sure & (states != U), 0.0, np.nan), {}
+    for k, relation in enumerate(vocabulary):
+        known = (states[:, k] != U) & ~sure[:, k]
+        says = states[known, k] == T
+        noise[relation] = estimate_noise(p[known, k], says)
+        wrong[known, k] = probability_wrong(p[known, k], says, noise[relation])
+    return unstacked(wrong, [len(f.rows) for f in frames]), noise
+
+
+def stacked(matrices: Sequence[np.ndarray]) -> np.ndarray:
+    """(P, R) cells of the pairs of different objects of all frames, from (N, N, R) of each."""
+    rows = [m[~np.eye(len(m), dtype=np.bool_)] for m in matrices]
+    return np.concatenate(rows)
+
+
+def unstacked(cells: np.ndarray, sizes: Sequence[int]) -> tuple[np.ndarray, ...]:
+    """The reverse of `stacked` for frames of so many objects; diagonals are NaN, or 0 where there is none."""
+    found, start = [], 0
+    for n in sizes:
+        matrix = np.full((n, n, cells.shape[1]), np.nan if cells.dtype.kind == "f" else 0, cells.dtype)
+        matrix[~np.eye(n, dtype=np.bool_)] = cells[start : start + n * (n - 1)]
+        start += n * (n - 1)
+        found.append(matrix)
+    return tuple(found)

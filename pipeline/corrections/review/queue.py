@@ -1,0 +1,279 @@
+"""The review queue: labels ranked by how probably they are wrong, each with the reasons in words."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.corrections.review.cells import Cells, doubts_of_cells, read_cells
+from pipeline.corrections.review.evidence import (
+    CellEvidence,
+    ItemEvidence,
+    combined,
+    disputed_evidence,
+    doubtful_evidence,
+    linter_evidence,
+    margin_evidence,
+    network_evidence,
+)
+from pipeline.corrections.review.items import SETTLED, ItemKey
+from pipeline.corrections.review.out_of_fold import DoubtConfig, Doubts, doubt_labels
+from pipeline.corrections.review.reviewed import (
+    automatic_version,
+    disagreement_evidence,
+    settled_cells,
+    states_on_labels,
+    trusted_of_data,
+    without_settled,
+)
+from pipeline.corrections.review.states import Judgements
+from pipeline.labels.check.linter import check_labels
+from pipeline.labels.reading import Labels
+from pipeline.relations.relations import F, T
+from pipeline.training.label_data import LabelData, read_label_data
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+LEAST = 0.02
+"""Evidence that is weaker is not worth a reason, and a label without any is not in the queue."""
+
+
+@dataclass(frozen=True)
+class QueueConfig:
+    """What a queue is made from.
+
+    Attributes
+    ----------
+    doubts : DoubtConfig or None
+        None: without networks.
+    linter, margins, doubtful : bool
+        Whether findings of `check_labels`, small margins, and U cells are looked at.
+    limit : int or None
+        At most so many items.
+    """
+
+    doubts: DoubtConfig | None = field(default_factory=DoubtConfig)
+    linter: bool = True
+    margins: bool = True
+    doubtful: bool = True
+    limit: int | None = None
+
+
+def review_queue(
+    labels: Labels,
+    config: QueueConfig | None = None,
+    *,
+    other: Labels | None = None,
+    found_elsewhere: Sequence[ItemEvidence] = (),
+    judgements: Judgements | None = None,
+    doubts: tuple[LabelData, Doubts] | None = None,
+    progress: Callable[[int, int], None] | None = None,
+) -> pa.Table:
+    """The labels that are most probably wrong, the worst first.
+
+    Parameters
+    ----------
+    labels : Labels
+    config : QueueConfig, optional
+    other : Labels, optional
+        Of the same dataset, by another detector or run: what they say otherwise counts too.
+    found_elsewhere : sequence of ItemEvidence
+        More evidence against objects, as of `detector_evidence`.
+    judgements : Judgements, optional
+        What people said of these labels, which are effective ones then: see `reviewed_labels`. What is settled has no
+        evidence against it, and stands last, with a score of 0.
+    doubts : (LabelData, Doubts), optional
+        Where the networks were already asked.
+    progress : callable, optional
+        Called with (networks trained, of how many).
+
+    Returns
+    -------
+    pyarrow.Table
+        One row an item: frame (string), frame_index (int32), kind ("relation", "object", "expression"), a, b (int32,
+        numbers of objects; b null for objects), relation, expression (its id), place, label (T, U or F; the class
+        name; the text), probability (float64, that the relation holds, by networks that have not learnt from it; null
+        without), wrong (float64, that the label is wrong by confident learning alone; null for U, for what is settled,
+        and without networks), score (float64, the same by all evidence), reasons (list of string, the strongest first).
+        Metadata: `estimated_wrong` relation labels of those that are not settled; `elsewhere`, findings that are of no
+        single label; `labels_version`, the automatic labels that it is of. Where an object may be missing, `place`
+        tells where (x0,y0,x1,y1), `a` is -1, and the label is the class. The label of an object that was left out is
+        null.
+
+    Raises
+    ------
+    InputError
+        The labels are damaged, or hold nothing to learn from.
+    MissingExtra
+        torch is not installed.
+    """
+    config = config or QueueConfig()
+    cells = read_cells(labels)
+    probability = wrong = np.full(cells.states.shape, np.nan)
+    parts: list[CellEvidence] = []
+    items: list[ItemEvidence] = []
+    metadata = {"elsewhere": "0", "labels_version": automatic_version(labels.manifest)}
+    states = {} if judgements is None else states_on_labels(judgements, cells)
+    settled = settled_cells(cells, states)
+    if doubts is None and config.doubts is not None:
+        data = read_label_data(labels, config.doubts.train.features, labels.relation_names)
+        trusted = trusted_of_data(cells, settled, data)
+        doubts = data, doubt_labels(data, config.doubts, trusted=trusted, progress=progress)
+    if doubts is not None:
+        probability, wrong = doubts_of_cells(cells, *doubts)
+        wrong = np.where(settled, np.nan, wrong)
+        parts.append(network_evidence(cells, probability, wrong, LEAST))
+        metadata["estimated_wrong"] = f"{sum(n.wrong for n in doubts[1].noise.values()):.0f}"
+    if config.linter:
+        found, of_items, elsewhere = linter_evidence(cells, check_labels(labels))
+        parts.append(found)
+        items += of_items
+        metadata["elsewhere"] = str(elsewhere)
+    if config.margins:
+        parts.append(margin_evidence(cells, LEAST))
+    if config.doubtful:
+        parts.append(doubtful_evidence(cells, probability))
+    if other is not None:
+        found, of_items = disputed_evidence(labels, cells, other)
+        parts.append(found)
+        items += of_items
+    items += found_elsewhere
+    if judgements is not None:
+        parts = [without_settled(part, settled) for part in parts]
+        items = [item for item in items if states.get(item.key.plain) not in SETTLED]
+        found, of_items = disagreement_evidence(cells, judgements)
+        parts.append(found)
+        items += of_items
+        items += [ItemEvidence(k, 0.0, "") for k, s in states.items() if s in SETTLED and k.kind != "relation"]
+    columns = _merged(_relation_rows(cells, parts, probability, wrong, settled), _item_rows(labels, items))
+    return _ranked(columns, config.limit, metadata)
+
+
+def _relation_rows(
+    cells: Cells, parts: Sequence[CellEvidence], probability: np.ndarray, wrong: np.ndarray, settled: np.ndarray
+) -> dict[str, Any]:
+    score = combined(parts, (len(cells), len(cells.relations)))
+    row, column = np.nonzero((score >= LEAST) | settled)
+    number = np.full(score.shape, -1, np.int64)
+    number[row, column] = np.arange(len(row))
+    evidence = [(number[p.rows, p.columns], p.weight, p.reason) for p in parts]
+    states = cells.states[row, column]
+    return {
+        "frame": cells.frame[row],
+        "frame_index": cells.frame_index[row],
+        "kind": np.full(len(row), "relation", object),
+        "a": cells.a[row],
+        "b": cells.b[row].astype(np.float64),
+        "relation": np.array(cells.relations, object)[column],
+        "expression": np.full(len(row), None, object),
+        "place": np.full(len(row), None, object),
+        "label": np.where(states == T, "T", np.where(states == F, "F", "U")).astype(object),
+        "probability": probability[row, column],
+        "wrong": wrong[row, column],
+        "score": score[row, column],
+        "order": column,
+        "evidence": evidence,
+    }
+
+
+def _item_rows(labels: Labels, items: Sequence[ItemEvidence]) -> dict[str, Any]:
+    """One row an object or expression, whatever the number of findings."""
+    place: dict[ItemKey, int] = {}
+    for item in items:
+        place.setdefault(item.key.plain, len(place))
+    at = np.array([place[item.key.plain] for item in items], np.int64)
+    weight = np.array([item.weight for item in items], np.float64)
+    right = np.zeros(len(place))
+    np.add.at(right, at, np.log1p(-weight))
+    names, texts, ends, index = _names(labels, place)
+    missing = {item.key: item.label for item in items if item.label is not None}
+    keys = list(place)
+    label = [
+        missing.get(k) or (names.get((k.frame, k.a)) if k.kind == "object" else texts.get((k.frame, k.what)))
+        for k in keys
+    ]
+    numbers = [ends.get((k.frame, k.what), (k.a, k.b)) if k.kind == "expression" else (k.a, k.b) for k in keys]
+    nothing = np.full(len(keys), np.nan)
+    return {
+        "frame": _objects([k.frame for k in keys]),
+        "frame_index": np.array([index.get(k.frame, 0) for k in keys], np.int64),
+        "kind": _objects([k.kind for k in keys]),
+        "a": np.array([a for a, _ in numbers], np.int64),
+        "b": np.array([np.nan if b is None else b for _, b in numbers], np.float64),
+        "relation": np.full(len(keys), None, object),
+        "expression": _objects([k.what if k.kind == "expression" else None for k in keys]),
+        "place": _objects([k.what if k.kind == "object" and k.what else None for k in keys]),
+        "label": _objects(label),
+        "probability": nothing,
+        "wrong": nothing,
+        "score": -np.expm1(right),
+        "order": np.full(len(keys), -1, np.int64),
+        "evidence": [(at, weight, _objects([item.reason for item in items]))],
+    }
+
+
+Texts = dict[tuple[str, str], str]
+Ends = dict[tuple[str, str], tuple[int, int]]
+
+
+def _names(
+    labels: Labels, wanted: dict[ItemKey, int]
+) -> tuple[dict[tuple[str, int], str], Texts, Ends, dict[str, int]]:
+    """Class names of objects, texts and objects of expressions, places of frames; only where something is wanted."""
+    if not wanted:
+        return {}, {}, {}, {}
+    objects, expressions, frames = labels.objects, labels.expressions, labels.frames
+
+    def table(source: pa.Table, key: str, value: str) -> dict[tuple[str, Any], Any]:
+        columns = (source.column(name).to_pylist() for name in ("frame", key, value))
+        return {(frame, k): v for frame, k, v in zip(*columns, strict=True)}
+
+    index = zip(frames.column("frame").to_pylist(), frames.column("frame_index").to_pylist(), strict=True)
+    targets, references = (table(expressions, "id", f"{end}_object") for end in ("target", "reference"))
+    ends = {key: (target, references[key]) for key, target in targets.items()}
+    return table(objects, "object", "label"), table(expressions, "id", "text"), ends, dict(index)
+
+
+def _objects(values: Sequence[Any]) -> np.ndarray:
+    found = np.empty(len(values), object)
+    found[:] = values
+    return found
+
+
+def _merged(first: dict[str, Any], second: dict[str, Any]) -> dict[str, Any]:
+    shift = len(first["a"])
+    merged = {k: np.concatenate([first[k], second[k]]) for k in first if k != "evidence"}
+    moved = [(at + shift, weight, reason) for at, weight, reason in second["evidence"]]
+    return {**merged, "evidence": [*first["evidence"], *moved]}
+
+
+def _ranked(columns: dict[str, Any], limit: int | None, metadata: dict[str, str]) -> pa.Table:
+    import pyarrow as pa
+
+    keys = ("order", "b", "a", "frame_index", "score")
+    order = np.lexsort([-columns[k] if k == "score" else np.nan_to_num(columns[k], nan=-1) for k in keys])
+    order = order if limit is None else order[: max(limit, 0)]
+    rank = np.full(len(columns["a"]), -1, np.int64)
+    rank[order] = np.arange(len(order))
+    evidence = columns["evidence"]
+    at = rank[np.concatenate([e[0] for e in evidence])] if evidence else np.zeros(0, np.int64)
+    # A label whose evidence is all too weak has no row: its place is -1.
+    weight = np.concatenate([e[1] for e in evidence]) if evidence else np.zeros(0)
+    kept = np.flatnonzero((at >= 0) & (weight >= LEAST))
+    kept = kept[np.lexsort((-weight[kept], at[kept]))]
+    texts = np.concatenate([e[2].astype(object) for e in evidence]) if evidence else np.zeros(0, object)
+    offsets = np.concatenate([[0], np.cumsum(np.bincount(at[kept], minlength=len(order)))])
+    reasons = pa.ListArray.from_arrays(pa.array(offsets, pa.int32()), pa.array(texts[kept], pa.string()))
+    kinds = {"frame_index": pa.int32(), "a": pa.int32(), "b": pa.int32()}
+    arrays = {}
+    for name in ("frame", "frame_index", "kind", "a", "b", "relation", "expression", "place", "label", "probability",
+                 "wrong", "score"):  # fmt: skip
+        values = columns[name][order]
+        kind = kinds.get(name, pa.string() if values.dtype == object else pa.float64())
+        arrays[name] = pa.array(values, kind, from_pandas=True, safe=False)
+    table = pa.table({**arrays, "reasons": reasons})
+    return table.replace_schema_metadata(metadata)

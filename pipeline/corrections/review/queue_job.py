@@ -1,0 +1,169 @@
+"""Making the review queue of corrected labels, as a job for a process of its own."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from pipeline.answering.source import Source
+from pipeline.corrections.journal.journal import journal_of
+from pipeline.corrections.journal.setting import setting_of
+from pipeline.corrections.review.agreement import pair_agreements
+from pipeline.corrections.review.cells import read_cells
+from pipeline.corrections.review.detector_evidence import SecondDetector, detector_evidence
+from pipeline.corrections.review.following import NOTHING, Mark, mark_of
+from pipeline.corrections.review.items import with_states
+from pipeline.corrections.review.ordering import by_frame
+from pipeline.corrections.review.out_of_fold import DoubtConfig
+from pipeline.corrections.review.queue import QueueConfig, review_queue
+from pipeline.corrections.review.reviewed import Reviewed, reviewed_labels, states_on_labels
+from pipeline.corrections.review.worklist import write_queue
+from pipeline.datasets import Dataset
+from pipeline.labels.pictures import labelled_dataset
+from pipeline.labels.reading import Labels, open_labels
+from pipeline.language.naming import Synonyms
+from pipeline.proposals.detector_setup import DetectorSetup, made_by
+from pipeline.system.errors import InputError
+
+Step = tuple[str, int, int]
+"""What is asked ("frames" of a detector, "networks"), how many are done, of how many."""
+
+
+@dataclass(frozen=True)
+class QueueJob:
+    """What a queue is made of.
+
+    Attributes
+    ----------
+    labels : Path
+        As they were made.
+    out : Path
+        Parquet file to write.
+    journal, project : str or None
+        See `journal_of`.
+    dataset : str or None
+        For what follows from corrected pixels and boxes; without it, as the labels name it.
+    networks : bool
+        Ask networks that have not learnt from a label; that takes the most time.
+    options : dict
+        Of the dataset, for `labelled_dataset`: intrinsics, depth_scale.
+    detector : DetectorSetup or None
+        Asked about the labelled frames too; see `second_setup`.
+    called : str or None
+        What the detector is called. Default: its own name.
+    """
+
+    labels: Path
+    out: Path
+    journal: str | None = None
+    project: str | None = None
+    dataset: str | None = None
+    networks: bool = True
+    options: dict[str, Any] = field(default_factory=dict)
+    detector: DetectorSetup | None = None
+    called: str | None = None
+
+
+def second_setup(source: Source, labels: Labels) -> tuple[str, DetectorSetup] | None:
+    """The detector that can say something new of labels: the one beside the source's, else the source's own.
+
+    One that the labels were made from is none; None where there is no other.
+
+    Returns
+    -------
+    (its name, see `Source.sides`; what it is made from)
+    """
+    said = labels.manifest.models.get("detector")
+    own, other = source.sides
+    known = ((other, source.beside, source.beside_setup), (own, source.detector, source.setup))
+    for name, detector, setup in known:
+        if detector is not None and setup is not None and not made_by(said, detector):
+            return name, setup
+    return None
+
+
+def make_queue(job: QueueJob, report: Callable[[Step], None]) -> dict[str, Any]:
+    """Make the queue, ordered for working through, and store it.
+
+    Parameters
+    ----------
+    report : callable
+        Called with a Step.
+
+    Returns
+    -------
+    dict
+        items (how many), detector (the one that was asked: its name, frames it looked at, skipped ones with the reason;
+        None without one), estimated_wrong (relation labels that networks hold for wrong; None without networks),
+        agreement (each two reviewers, how many items both have judged, and Cohen's kappa; None where it means nothing),
+        and last (the newest event that surely counts in it, a `following.Mark`). The states of the items then are the
+        queue's column `state`.
+
+    Raises
+    ------
+    InputError
+        The labels or the journal cannot be read, or hold nothing to learn from; the detector cannot be made, or
+        could look at no frame.
+    MissingExtra
+        torch is not installed, and networks are to be asked.
+    """
+    labels = open_labels(job.labels)
+    with tempfile.TemporaryDirectory(prefix="spatialviz-") as folder:
+        reviewed, last = _reviewed(job, labels, Path(folder) / "labels")
+        config = QueueConfig(DoubtConfig() if job.networks else None)
+        name, seen = _seen(job, labels, reviewed.labels, report)
+        queue = review_queue(
+            reviewed.labels,
+            config,
+            found_elsewhere=() if seen is None else seen.items,
+            judgements=reviewed.judgements,
+            progress=lambda done, of: report(("networks", done, of)),
+        )
+        states = states_on_labels(reviewed.judgements, read_cells(reviewed.labels))
+    metadata = queue.schema.metadata
+    write_queue(with_states(by_frame(queue), states).replace_schema_metadata(metadata), job.out)
+    wrong = (metadata or {}).get(b"estimated_wrong")
+    pairs = [pair.record() for pair in pair_agreements(reviewed.judgements, setting_of(labels).inverse)]
+    return {
+        "items": queue.num_rows,
+        "last": last,
+        "detector": None if seen is None else {"name": name, "frames": seen.frames, "skipped": seen.skipped},
+        "estimated_wrong": None if wrong is None else float(wrong),
+        "agreement": [{key: pair[key] for key in ("reviewers", "items", "kappa")} for pair in pairs],
+    }
+
+
+def _seen(
+    job: QueueJob, automatic: Labels, labels: Labels, report: Callable[[Step], None]
+) -> tuple[str, SecondDetector | None]:
+    if job.detector is None:
+        return "", None
+    dataset = labelled_dataset(automatic.manifest, job.dataset, **job.options)
+    table = Synonyms.load(job.detector.synonyms)
+    detector = job.detector.open(dataset.class_names, table)
+    name = job.called or detector.name
+    found = detector_evidence(
+        labels, dataset, detector, synonyms=table, progress=lambda n, of: report(("frames", n, of)), name=name
+    )
+    return name, found
+
+
+def _reviewed(job: QueueJob, labels: Labels, folder: Path) -> tuple[Reviewed, Mark]:
+    try:
+        journal = journal_of(labels, job.journal, project=job.project, must_exist=True)
+    except InputError:
+        return Reviewed(labels), NOTHING
+    with journal:
+        newest = journal.events(last=1)
+        return reviewed_labels(labels, journal, folder, _dataset(job, labels)), mark_of(newest)
+
+
+def _dataset(job: QueueJob, labels: Labels) -> Dataset | None:
+    try:
+        return labelled_dataset(labels.manifest, job.dataset, **job.options)
+    except InputError:
+        # What follows from corrected pixels and boxes is then marked stale.
+        return None

@@ -1,0 +1,360 @@
+"""What mending labels was worth: networks learnt before and after, measured on the same held-out pairs.
+
+Both are trained with one configuration, one seed and one split of the frames.
+The truth of the held-out pairs is that of the labels after.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.corrections.review.out_of_fold import stacked
+from pipeline.labels.reading import Labels
+from pipeline.metrics.intervals import BootstrapConfig
+from pipeline.metrics.relation_intervals import RelationEstimates, relation_estimates
+from pipeline.metrics.relation_metrics import CellOutcomes, cell_outcomes
+from pipeline.metrics.significance import McNemar, mcnemar
+from pipeline.metrics.splits import PARTS, TEST, SplitKind, SplitPlan, split_frames
+from pipeline.metrics.tables import Row, Table, markdown
+from pipeline.relations.features import LANGUAGE
+from pipeline.relations.model import OnnxScorer
+from pipeline.relations.relations import PHRASE, VOCABULARIES, U, letter
+from pipeline.system.errors import InputError
+from pipeline.training.card import network_path, rounded
+from pipeline.training.label_data import LabelData, LabelledFrame, read_label_data
+from pipeline.training.label_training import LabelTraining, train_on_labels
+from pipeline.training.train import Epoch, TrainConfig, require_training
+
+SHOWN_CELLS = 200
+"""Of the cells that got better and of those that got worse, at most so many are listed: the largest changes."""
+
+
+@dataclass(frozen=True)
+class RetrainConfig:
+    """How both networks are trained.
+
+    Attributes
+    ----------
+    train : TrainConfig
+    split : str or None
+        See `split_frames`.
+    bootstrap : BootstrapConfig
+    """
+
+    train: TrainConfig = field(default_factory=TrainConfig)
+    split: SplitKind | None = None
+    bootstrap: BootstrapConfig = field(default_factory=BootstrapConfig)
+
+    def check(self) -> None:
+        """Raise InputError where the comparison could not be made."""
+        self.train.check()
+        if self.train.output != "sigmoid" or self.train.features.endswith(LANGUAGE):
+            raise InputError(
+                "networks are compared relation by relation, by geometry",
+                got=f"{self.train.features}, {self.train.vocabulary}",
+                expected="the vocabulary avd, features without +lang",
+            )
+
+
+@dataclass(frozen=True)
+class Retraining:
+    """Two networks on the same held-out pairs.
+
+    Attributes
+    ----------
+    relations : tuple of str
+    pairs, frames : int
+        Held out.
+    before, after, gain : RelationEstimates
+        `gain` is after less before, paired.
+    tests : dict of str to McNemar
+        By relation, and "all": `b` counts cells that only the network after got right, `c` only the one before.
+    changed : dict of str to dict of str to int
+        Labels that differ, by part of the split ("train", "validation", "test", "dropped") and relation.
+    better, worse : tuple of dict
+        Held-out cells that became right, became wrong: frame, a, b, relation, label, before, after (probabilities).
+    counts : tuple of int
+        How many became right, became wrong.
+    split : dict
+        See `SplitPlan.record`.
+    cluster : str
+        What intervals are drawn over, "scene" or "frame".
+    cards : tuple of dict
+        Of both networks.
+    caveats : tuple of str
+        What the figures cannot show, since a network and the labels have a maker in common.
+    """
+
+    relations: tuple[str, ...]
+    pairs: int
+    frames: int
+    before: RelationEstimates
+    after: RelationEstimates
+    gain: RelationEstimates
+    tests: dict[str, McNemar]
+    changed: dict[str, dict[str, int]]
+    better: tuple[dict[str, Any], ...]
+    worse: tuple[dict[str, Any], ...]
+    counts: tuple[int, int]
+    split: dict[str, Any]
+    cluster: str
+    cards: tuple[dict[str, Any], dict[str, Any]]
+    caveats: tuple[str, ...] = ()
+
+    def table(self) -> Table:
+        """F1 before and after, relation by relation and together."""
+        columns = ("F1 before", "F1 after", "gain", "became right", "became wrong", "McNemar p", "labels changed")
+        rows = []
+        changed = {r: sum(part.get(r, 0) for part in self.changed.values()) for r in self.relations}
+        for k, relation in enumerate(self.relations):
+            figures = (self.before.f1[k], self.after.f1[k], self.gain.f1[k])
+            rows.append(Row(PHRASE[relation], (*figures, *_tested(self.tests[relation]), changed[relation])))
+        overall = (self.before.micro_f1, self.after.micro_f1, self.gain.micro_f1)
+        rows.append(Row("all (micro-F1)", (*overall, *_tested(self.tests["all"]), sum(changed.values()))))
+        return Table(
+            "retrain",
+            "Relation networks before and after labels were mended",
+            columns,
+            tuple(rows),
+            f"Percent, on {self.pairs} pairs of {self.frames} frames that neither network has seen, against the labels "
+            f"after. Brackets: 95 % bootstrap intervals over {self.cluster}s, paired for the gain. McNemar's exact "
+            "test takes cells as independent, which those of one scene are not: trust the interval.",
+            self.caveats,
+        )
+
+    def record(self) -> dict[str, Any]:
+        """As JSON."""
+
+        def figures(found: RelationEstimates) -> dict[str, Any]:
+            by_relation = {r: found.f1[k].record() for k, r in enumerate(found.relations)}
+            return {"f1": by_relation, "micro_f1": found.micro_f1.record(), "macro_f1": found.macro_f1.record()}
+
+        return rounded(
+            {
+                "held_out": {"pairs": self.pairs, "frames": self.frames, "cluster": self.cluster},
+                "before": figures(self.before),
+                "after": figures(self.after),
+                "gain": figures(self.gain),
+                "mcnemar": {k: {"n": t.n, "b": t.b, "c": t.c, "p_value": t.p_value} for k, t in self.tests.items()},
+                "labels_changed": self.changed,
+                "became_right": {"cells": self.counts[0], "listed": list(self.better)},
+                "became_wrong": {"cells": self.counts[1], "listed": list(self.worse)},
+                "split": self.split,
+                "caveats": list(self.caveats),
+                "networks": [
+                    {"weights_xxh3_128": card["weights_xxh3_128"], "labels": card["labels"], "file": card["file"]}
+                    for card in self.cards
+                ],
+            }
+        )
+
+    def markdown(self) -> str:
+        """The table, and the cells that changed most."""
+        parts = [markdown([self.table()])]
+        for title, count, listed in (
+            ("Became right", self.counts[0], self.better),
+            ("Became wrong", self.counts[1], self.worse),
+        ):
+            lines = [f"## {title}: {count} held-out cells", ""]
+            for cell in listed[:20]:
+                lines.append(
+                    f"- frame {cell['frame']}: object {cell['a']} {PHRASE[cell['relation']]} object {cell['b']} is "
+                    f"{cell['label']}; probability {cell['before']:.2f} before, {cell['after']:.2f} after"
+                )
+            parts.append("\n".join(lines) + "\n")
+        return "\n".join(parts)
+
+
+def retrain(
+    before: Labels,
+    after: Labels,
+    out: Path,
+    config: RetrainConfig | None = None,
+    *,
+    progress: Callable[[str, Epoch], None] | None = None,
+) -> Retraining:
+    """Train on labels as they were and as they are, compare, and write the network of the latter.
+
+    Writes `out`, its card beside it (.json), and the comparison (.comparison.json and .comparison.md); all of it or
+    nothing.
+
+    Parameters
+    ----------
+    before, after : Labels
+        Of one dataset.
+    out : Path
+        The ONNX file to write.
+    config : RetrainConfig, optional
+    progress : callable, optional
+        Called after each epoch with ("before" or "after", the epoch).
+
+    Raises
+    ------
+    InputError
+        The labels have no held-out frame in common, cannot be used, or the configuration makes no sense.
+    MissingExtra
+        torch or onnx is not installed.
+    """
+    config = config or RetrainConfig()
+    config.check()
+    out = network_path(out)
+    require_training()
+    vocabulary = VOCABULARIES[config.train.vocabulary]
+    was, now = (read_label_data(labels, config.train.features, vocabulary) for labels in (before, after))
+    plan = shared_split(was, now, config)
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=out.parent, prefix=".retrain-") as folder:
+        files = Path(folder) / "before" / out.name, Path(folder) / out.name
+        cards = []
+        for labels, file, name in ((before, files[0], "before"), (after, files[1], "after")):
+            job = LabelTraining(labels.root, config.train, config.split)
+            tell = None if progress is None else lambda epoch, name=name: progress(name, epoch)
+            cards.append(train_on_labels(job, file, tell, plan=plan))
+        found = compare_networks(
+            OnnxScorer(files[0]), OnnxScorer(files[1]), was, now, plan, (cards[0], cards[1]), config.bootstrap
+        )
+        texts = {
+            ".comparison.json": json.dumps(found.record(), indent=1) + "\n",
+            ".comparison.md": found.markdown(),
+        }
+        for suffix, text in texts.items():
+            files[1].with_suffix(suffix).write_text(text, encoding="utf-8")
+        # The network last: one that is there has its card and its comparison.
+        for suffix in (*texts, ".json", out.suffix):
+            os.replace(files[1].with_suffix(suffix), out.with_suffix(suffix))
+    return found
+
+
+def shared_split(was: LabelData, now: LabelData, config: RetrainConfig) -> SplitPlan:
+    """One split of the frames of both."""
+    keys = {frame.key.frame: frame.key for data in (was, now) for frame in data.frames}
+    plan = split_frames(sorted(keys.values(), key=lambda k: k.index), config.split, config.train.seed)
+    for data, name in ((was, "before"), (now, "after")):
+        parts = plan.for_frames([f.key for f in data.frames]).part
+        lacking = [PARTS[k] for k in range(len(PARTS)) if not (parts == k).any()]
+        if lacking and (name == "after" or lacking != ["test"]):
+            raise InputError(f"the labels {name} have no frames to {lacking[0]} on", cause="are both of one dataset?")
+    return plan
+
+
+def _rows_of(frames: Sequence[LabelledFrame], data: LabelData) -> list[np.ndarray]:
+    """The rows of the same objects of the same frames out of other data; NaN for one that it does not have."""
+    known = {(f.key.frame, int(n)): row for f in data.frames for n, row in zip(f.objects, f.rows, strict=True)}
+    unknown = np.full(data.frames[0].rows.shape[1], np.nan)
+    return [np.stack([known.get((f.key.frame, int(n)), unknown) for n in f.objects]) for f in frames]
+
+
+def compare_networks(
+    before: OnnxScorer,
+    after: OnnxScorer,
+    was: LabelData,
+    now: LabelData,
+    plan: SplitPlan,
+    cards: tuple[dict[str, Any], dict[str, Any]],
+    config: BootstrapConfig | None = None,
+    fed_before: LabelData | None = None,
+) -> Retraining:
+    """Both networks on the frames of `now` that the plan holds out; see `Retraining`.
+
+    `fed_before` is `now` as the network before is fed it, where that is something else.
+    """
+    own = plan.for_frames([f.key for f in now.frames])
+    test = [now.frames[k] for k in own.places(TEST)]
+    truth = stacked([f.states for f in test])
+    rows = _rows_of(test, fed_before or now), [f.rows for f in test]
+    p = [
+        stacked([scorer.probabilities(r) for r in fed])
+        for scorer, fed in zip((before, after), rows, strict=True)
+    ]
+    scenes = {f.key.scene for f in test}
+    names = [f.key.scene if len(scenes) > 1 else f.key.frame for f in test]
+    clusters = np.repeat(np.array(names, np.str_), [len(f.rows) * (len(f.rows) - 1) for f in test])
+    cells = [cell_outcomes(x, truth) for x in p]
+    relations = now.vocabulary
+    estimates = [
+        relation_estimates(c, clusters, other=o, relations=relations, config=config)
+        for c, o in ((cells[0], None), (cells[1], None), (cells[1], cells[0]))
+    ]
+    known, (old, new) = truth != U, (_right(c) for c in cells)
+    tests = {r: mcnemar(new[known[:, k], k], old[known[:, k], k]) for k, r in enumerate(relations)}
+    tests["all"] = mcnemar(new[known], old[known])
+    better, worse = (
+        _listed(test, relations, truth, p, chosen) for chosen in (new & ~old & known, old & ~new & known)
+    )
+    return Retraining(
+        relations=relations,
+        pairs=len(truth),
+        frames=len(test),
+        before=estimates[0],
+        after=estimates[1],
+        gain=estimates[2],
+        tests=tests,
+        changed=_changed(was, now, plan),
+        better=better,
+        worse=worse,
+        counts=(tests["all"].b, tests["all"].c),
+        split=own.record(),
+        cluster="scene" if len(scenes) > 1 else "frame",
+        cards=cards,
+    )
+
+
+def _right(cells: CellOutcomes) -> np.ndarray:
+    return cells.tp | cells.tn
+
+
+def _tested(test: McNemar) -> tuple[int, int, str]:
+    return test.b, test.c, f"{test.p_value:.2g}"
+
+
+def _changed(was: LabelData, now: LabelData, plan: SplitPlan) -> dict[str, dict[str, int]]:
+    """Labels of pairs that both have, and that differ; by part and relation."""
+    earlier = {f.key.frame: f for f in was.frames}
+    parts = plan.for_frames([f.key for f in now.frames]).part
+    names = {**dict(enumerate(PARTS)), -1: "dropped"}
+    found = {name: dict.fromkeys(now.vocabulary, 0) for name in names.values()}
+    for frame, part in zip(now.frames, parts.tolist(), strict=True):
+        other = earlier.get(frame.key.frame)
+        if other is None:
+            continue
+        _, i, j = np.intersect1d(frame.objects, other.objects, return_indices=True)
+        differ = (frame.states[np.ix_(i, i)] != other.states[np.ix_(j, j)]).sum(axis=(0, 1))
+        for relation, count in zip(now.vocabulary, differ.tolist(), strict=True):
+            found[names[part]][relation] += count
+    return found
+
+
+def _listed(
+    frames: list[LabelledFrame], relations: tuple[str, ...], truth: np.ndarray, p: list[np.ndarray], chosen: np.ndarray
+) -> tuple[dict[str, Any], ...]:
+    rows, columns = np.nonzero(chosen)
+    change = np.abs(p[1][rows, columns] - p[0][rows, columns])
+    order = np.argsort(-change, kind="stable")[:SHOWN_CELLS]
+    start = np.cumsum([0, *(len(f.rows) * (len(f.rows) - 1) for f in frames)])
+    found = []
+    for row, column in zip(rows[order].tolist(), columns[order].tolist(), strict=True):
+        number = int(np.searchsorted(start, row, side="right") - 1)
+        frame, inside = frames[number], row - int(start[number])
+        a, b = divmod(inside, len(frame.rows) - 1)
+        # A row of pairs leaves out the object itself.
+        b += b >= a
+        found.append(
+            {
+                "frame": frame.key.frame,
+                "a": int(frame.objects[a]),
+                "b": int(frame.objects[b]),
+                "relation": relations[column],
+                "label": letter(int(truth[row, column])),
+                "before": float(p[0][row, column]),
+                "after": float(p[1][row, column]),
+            }
+        )
+    return tuple(found)

@@ -1,0 +1,308 @@
+"""A stored queue with what became of its items: what a reviewer is shown next, at the price of a look."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pipeline.corrections.review.items import (
+    KINDS,
+    SETTLED,
+    STATES,
+    ItemKey,
+    State,
+    checked_states,
+    disputed_rows,
+    item_keys,
+)
+from pipeline.labels.tables import write_table
+from pipeline.system.errors import InputError
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+VERSION_KEY = b"labels_version"
+_UNREVIEWED, _UNSURE = STATES.index("unreviewed"), STATES.index("unsure")
+
+
+@dataclass(frozen=True, eq=False)
+class Worklist:
+    """The items of a queue in their order, and their states; `worklist` makes one.
+
+    Attributes
+    ----------
+    queue : pyarrow.Table
+    keys : tuple of ItemKey
+        Of its rows.
+    places : dict of ItemKey to int
+        The reverse.
+    codes : (N,) int8
+        States as places in STATES.
+    tally : tuple of int
+        How many items are in each of STATES, of those that have not gone.
+    kinds : (N,) int8
+        Places in KINDS.
+    disputed : (N,) bool
+        What reviewers judged differently when the queue was made.
+    frames : dict of str to (K,) int64
+        The places of each frame's items.
+    gone : (N,) bool
+        Items of which nothing is left, since what they are about was left out: not shown and not counted, until they
+        come back.
+    """
+
+    queue: pa.Table
+    keys: tuple[ItemKey, ...]
+    places: Mapping[ItemKey, int]
+    codes: np.ndarray
+    tally: tuple[int, ...]
+    kinds: np.ndarray
+    disputed: np.ndarray
+    frames: Mapping[str, np.ndarray]
+    gone: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.keys)
+
+    @property
+    def counts(self) -> dict[str, int]:
+        """`items` that have not gone, those in each state, and `settled`."""
+        by_state = dict(zip(STATES, self.tally, strict=True))
+        return {"items": sum(self.tally), **by_state, "settled": sum(by_state[s] for s in SETTLED)}
+
+    def state(self, key: ItemKey) -> State:
+        """The state of an item; InputError where the queue has no such item."""
+        return STATES[self.codes[self._place(key)]]
+
+    def is_disputed(self, key: ItemKey) -> bool:
+        """Whether reviewers differ on an item, and nobody has settled it since."""
+        place = self.places.get(key.plain)
+        return place is not None and bool(self.disputed[place]) and self.codes[place] == _UNSURE
+
+    def is_gone(self, key: ItemKey) -> bool:
+        """Whether nothing is left of an item; InputError where the queue has no such item."""
+        return bool(self.gone[self._place(key)])
+
+    def row(self, key: ItemKey) -> dict:
+        """The item's row of the queue; InputError where it has none."""
+        return self.queue.slice(self._place(key), 1).to_pylist()[0]
+
+    def with_state(self, key: ItemKey, state: State) -> Worklist:
+        """The list after one item's state has changed. Nothing is ranked anew: one byte an item is copied.
+
+        An item that the queue does not hold changes nothing: people also edit what nobody doubted.
+
+        Raises
+        ------
+        InputError
+            There is no such state.
+        """
+        checked_states({key: state})
+        place = self.places.get(key.plain)
+        if place is None or STATES[self.codes[place]] == state:
+            return self
+        codes, tally, code = self.codes.copy(), list(self.tally), STATES.index(state)
+        if not self.gone[place]:
+            tally[codes[place]] -= 1
+            tally[code] += 1
+        codes[place] = code
+        codes.flags.writeable = False
+        return replace(self, codes=codes, tally=tuple(tally))
+
+    def with_states(self, states: Mapping[ItemKey, State]) -> Worklist:
+        """The list after the states of several items have changed; as `with_state`."""
+        found = self
+        for key, state in states.items():
+            found = found.with_state(key, state)
+        return found
+
+    @property
+    def touched(self) -> tuple[str, ...]:
+        """The frames with an item that is not unreviewed, or has gone."""
+        marked = (self.codes != _UNREVIEWED) | self.gone
+        return tuple(frame for frame, places in self.frames.items() if marked[places].any())
+
+    def untouched(self) -> Worklist:
+        """The list as nobody has reviewed it."""
+        codes, gone = np.full_like(self.codes, _UNREVIEWED), np.zeros_like(self.gone)
+        codes.flags.writeable = gone.flags.writeable = False
+        return replace(self, codes=codes, gone=gone, tally=_tally(codes))
+
+    def with_gone(self, frame: str, gone: Collection[ItemKey]) -> Worklist:
+        """The list after these items of a frame have gone, and all others of it have not."""
+        if frame not in self.frames:
+            return self
+        places = self.frames[frame]
+        now = np.array([self.keys[place] in gone for place in places.tolist()], np.bool_)
+        if (now == self.gone[places]).all():
+            return self
+        marks = self.gone.copy()
+        marks[places] = now
+        marks.flags.writeable = False
+        return replace(self, gone=marks, tally=_tally(self.codes[~marks]))
+
+    def next_item(
+        self, after: ItemKey | None = None, skip: Collection[ItemKey] = (), kind: str | None = None
+    ) -> ItemKey | None:
+        """The next item to review: the first open one behind `after`, else from the top; those that somebody is
+        unsure of come when no other is left, unless reviewers differ on them. None where nothing is.
+
+        Parameters
+        ----------
+        after : ItemKey, optional
+            None, and one that the queue does not hold, stand before the first.
+        skip : collection of ItemKey
+            Put off: not shown.
+        kind : str, optional
+            Only items of this kind.
+        """
+        start = -1 if after is None else self.places.get(after.plain, -1)
+        put_off = [self.places[k.plain] for k in skip if k.plain in self.places]
+        unsure = self.codes == _UNSURE
+        for wanted in ((self.codes == _UNREVIEWED) | (unsure & self.disputed), unsure & ~self.disputed):
+            wanted = wanted & ~self.gone
+            wanted[put_off] = False
+            if kind is not None:
+                wanted &= self.kinds == KINDS.index(kind)
+            # The item itself comes last: it is shown again only where it is the only one.
+            for found, first in ((wanted[start + 1 :], start + 1), (wanted[: start + 1], 0)):
+                at = int(found.argmax()) if len(found) else 0
+                if len(found) and found[at]:
+                    return self.keys[first + at]
+        return None
+
+    def previous(self, before: ItemKey | None = None) -> ItemKey | None:
+        """The item above that has not gone, whatever its state: to look again at what was settled just now. None above
+        the first.
+
+        None, and one that the queue does not hold, stand behind the last.
+        """
+        place = len(self) if before is None else self.places.get(before.plain, len(self))
+        above = np.flatnonzero(~self.gone[:place])
+        return self.keys[above[-1]] if len(above) else None
+
+    def _place(self, key: ItemKey) -> int:
+        place = self.places.get(key.plain)
+        if place is None:
+            raise InputError("the queue holds no such item", got=key.text())
+        return place
+
+
+def worklist(queue: pa.Table, states: Mapping[ItemKey, State] | None = None) -> Worklist:
+    """A queue with the states of its items; what the mapping lacks is unreviewed.
+
+    Without a mapping they are those of the queue's column `state`, where it has one.
+
+    Raises
+    ------
+    InputError
+        A state is none, or the queue holds an item twice.
+    """
+    keys = tuple(item_keys(queue))
+    if states is None:
+        stored = queue.column("state").to_pylist() if "state" in queue.column_names else []
+        states = dict(zip(keys, stored, strict=False))
+    checked_states(states)
+    places = {key: k for k, key in enumerate(keys)}
+    if len(places) < len(keys):
+        raise InputError("the queue holds an item twice", got=f"{len(keys) - len(places)} of {len(keys)} items")
+    codes = np.full(len(keys), _UNREVIEWED, np.int8)
+    for key, state in states.items():
+        place = places.get(key.plain)
+        if place is not None:
+            codes[place] = STATES.index(state)
+    codes.flags.writeable = False
+    kinds = np.array([KINDS.index(key.kind) for key in keys], np.int8)
+    gone = np.zeros(len(keys), np.bool_)
+    gone.flags.writeable = False
+    of_frame: dict[str, list[int]] = {}
+    for place, key in enumerate(keys):
+        of_frame.setdefault(key.frame, []).append(place)
+    frames = {frame: np.array(found, np.int64) for frame, found in of_frame.items()}
+    return Worklist(queue, keys, places, codes, _tally(codes), kinds, disputed_rows(queue), frames, gone)
+
+
+def _tally(codes: np.ndarray) -> tuple[int, ...]:
+    return tuple(np.bincount(codes, minlength=len(STATES)).tolist())
+
+
+def write_queue(queue: pa.Table, path: Path) -> None:
+    """Store a queue as Parquet, whole or not at all; it knows which labels it is of.
+
+    Raises
+    ------
+    InputError
+        It cannot be written.
+    """
+    path = Path(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_table(queue, path)
+    except OSError as error:
+        raise InputError("the queue cannot be written", got=error.strerror or str(error), path=path) from error
+
+
+def read_queue(path: str | Path, version: str | None = None) -> pa.Table:
+    """A stored queue.
+
+    Parameters
+    ----------
+    path : str or Path
+    version : str, optional
+        Of the automatic labels that it must be of: see `reviewed.automatic_version`.
+
+    Raises
+    ------
+    InputError
+        It is no queue, damaged, or of other labels.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    path = Path(path)
+    try:
+        queue = pq.ParquetFile(path).read()
+    except (pa.ArrowException, OSError, ValueError) as error:
+        raise InputError("the queue cannot be read", got=str(error).split("\n")[0], path=path) from error
+    metadata = queue.schema.metadata or {}
+    if VERSION_KEY not in metadata:
+        raise InputError("not a review queue", cause="was it written by `spatialviz review --out`?", path=path)
+    found = metadata[VERSION_KEY].decode("utf-8", "replace")
+    if version is not None and found != version:
+        raise InputError(
+            "the queue is of other labels", got=found, expected=version,
+            cause="were the labels made again? then make the queue again: spatialviz review LABELS --out", path=path,
+        )  # fmt: skip
+    _check_columns(queue, path)
+    return queue
+
+
+def _check_columns(queue: pa.Table, path: Path) -> None:
+    import pyarrow as pa
+
+    text, number, real = pa.string(), pa.int32(), pa.float64()
+    wanted = {
+        "frame": text, "frame_index": number, "kind": text, "a": number, "b": number, "relation": text,
+        "expression": text, "place": text, "label": text, "probability": real, "wrong": real, "score": real,
+        "reasons": pa.list_(text),
+    }  # fmt: skip
+    for name, kind in wanted.items():
+        if len(queue.schema.get_all_field_indices(name)) != 1:
+            raise InputError(f"the queue lacks the column {name!r}", path=path)
+        have = queue.schema.field(name).type
+        same = pa.types.is_list(have) and have.value_type == text if name == "reasons" else have == kind
+        if not same and not (pa.types.is_null(have) and not queue.num_rows):
+            raise InputError(f"the queue's column {name!r} is damaged", got=have, expected=kind, path=path)
+    for name in ("frame", "kind", "a", "score"):
+        if queue.column(name).null_count:
+            raise InputError(f"the queue's column {name!r} has gaps", got=queue.column(name).null_count, path=path)
+    strange = [k for k in queue.column("kind").unique().to_pylist() if k not in KINDS]
+    if strange:
+        raise InputError("the queue holds an unknown kind of item", got=repr(strange[0])[:60], path=path)
+    keys = item_keys(queue)
+    if len(set(keys)) < len(keys):
+        raise InputError("the queue holds an item twice", path=path)

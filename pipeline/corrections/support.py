@@ -1,0 +1,285 @@
+"""What an object stands on, found in the depth around its box, and the box brought down to it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import cv2
+import numpy as np
+
+from pipeline.answering.objects import FrameContext, SceneObject
+from pipeline.diagnosis.whatif.box_numbers import SMALLEST_SIDE
+from pipeline.geometry.boxes import Box3D
+from pipeline.geometry.camera import lift_pixels
+from pipeline.geometry.normals import surface_normals
+from pipeline.geometry.viewer import ViewerAxes
+from pipeline.system.errors import InputError
+
+Way = Literal["extend", "move"]
+"""extend: the top stays, the bottom goes to the support. move: the whole box does, with the height that it has."""
+
+LEVEL_DEG = 25.0
+"""A pixel's surface is level up to this tilt: normals of a depth camera are some 10 degrees off."""
+STEEPEST_DEG = 8.0
+"""A fitted plane that is steeper follows the noise; its points' median height is taken."""
+AROUND_M, AROUND_SHARE = 0.06, 0.15
+"""How far around the footprint is looked: metres, and share of its longer side."""
+WINDOW_M = 0.025
+"""Points of one surface lie this close in height."""
+LEAST_POINTS = 25
+LEAST_SHARE = 0.08
+"""Of the level points around the footprint; fewer are the edge of something else."""
+CARRIED_SHARE = 0.5
+"""Of the footprint that lies over an object which is to carry it."""
+FARTHEST_M = 0.45
+"""A support is not farther below, but for what is itself larger: the height of the lowest tables."""
+CLOSE_M, TOUCH_M = 0.03, 0.05
+"""A box made of points ends so close to what the thing stands on; and in all but the worst views so close."""
+BESIDE_M, LEAST_LENGTH = 0.3, 0.7
+"""So far beyond what is seen of it an object may still reach, where that is not much shorter in plan than the box."""
+OWN_BORDER_PX = 3
+"""Pixels just outside a mask may still be the object's."""
+MOST_LEVELS = 6
+_SAMPLES = 60_000
+
+
+@dataclass(frozen=True)
+class Support:
+    """A level surface.
+
+    Attributes
+    ----------
+    height : float
+        Under the middle of the box, metres along the viewer's up from the camera.
+    number : int or None
+        The object whose surface it is; None for the floor, or for what nobody labelled.
+    points : int
+        It was fitted to so many.
+    spread : float
+        Root of the mean square of their distances from it, metres.
+    """
+
+    height: float
+    number: int | None
+    points: int
+    spread: float
+
+    def record(self) -> dict[str, Any]:
+        """As JSON."""
+        return {"height": self.height, "object": self.number, "points": self.points, "spread": self.spread}
+
+
+@dataclass(frozen=True)
+class _Level:
+    """Points of level surfaces: along (right, forward) and up, and whose they are (-1: nobody's)."""
+
+    plan: np.ndarray
+    height: np.ndarray
+    owner: np.ndarray
+
+
+@dataclass(frozen=True)
+class _Candidate:
+    """A level surface that may carry the box; its points are places in `_Level`, none where only height is known."""
+
+    height: float
+    owner: int
+    points: np.ndarray
+
+
+def find_support(context: FrameContext, box: Box3D, objects: Sequence[SceneObject], number: int) -> Support:
+    """The highest level surface under a box that can carry it.
+
+    An object can carry where at least half of the footprint lies within its
+    extents: the book beside a mug does not carry it. Its level points are
+    grouped by height, those in and around the footprint where there are enough,
+    else all; where none are near its upper extent, that extent counts, too: of a
+    book under another one no level pixel is seen. What nobody labelled can carry
+    where its level points are in and around the footprint, and the floor, the
+    lowest large level surface of the picture, everywhere. Of what is not above
+    the middle of the box the highest is fitted with a plane. Where that is not
+    close, the longest object beside the footprint whose surface the box nearly
+    touches is taken before it: of the desk behind the laptop little is seen.
+
+    Parameters
+    ----------
+    context : FrameContext
+    box : Box3D
+        Camera frame.
+    objects : sequence of SceneObject
+        All of the frame, `id` their numbers.
+    number : int
+        The object that is to stand.
+
+    Raises
+    ------
+    InputError
+        Nothing level is seen under it, or only far below.
+    """
+    level = _level_points(context, objects, number)
+    viewer = context.viewer
+    middle, highest = _in_plan(box.center[None], viewer)[0], float(box.center @ viewer.up)
+    corners = _in_plan(box.corners, viewer)
+    lo, hi = corners.min(axis=0), corners.max(axis=0)
+    around = AROUND_M + AROUND_SHARE * float((hi - lo).max())
+    near = ((level.plan >= lo - around) & (level.plan <= hi + around)).all(axis=1)
+    others = [o for o in objects if o.id != number]
+    found = _loose_surfaces(level, near) + _floor(level)
+    found += [c for o in others if _covered(o, lo, hi) >= CARRIED_SHARE for c in _surfaces_of(o, level, near)]
+    found = [c for c in found if c.height <= highest]
+    best = max(found, key=lambda c: c.height, default=None)
+    bottom = gap_below(box, Support(0.0, None, 0, 0.0), viewer)
+    if best is None or bottom - best.height > CLOSE_M:
+        least = LEAST_LENGTH * float((hi - lo).max())
+        beside = sorted((o for o in others if _length(o) >= least), key=_length, reverse=True)
+        reached = (o for o in beside if _covered(o, lo, hi, BESIDE_M) >= CARRIED_SHARE)
+        touched = (c for o in reached for c in _surfaces_of(o, level, near) if abs(bottom - c.height) <= TOUCH_M)
+        best = next(touched, best)
+    if best is None:
+        raise InputError("nothing level is seen under the box: there is nothing to stand it on")
+    height, spread = best.height, 0.0
+    if len(best.points):
+        height, spread = _plane(level.plan[best.points] - middle, level.height[best.points])
+    support = Support(height, None if best.owner < 0 else best.owner, len(best.points), spread)
+    gap = bottom - height
+    if gap > max(FARTHEST_M, float((hi - lo).max()), 2 * (highest - bottom)):
+        raise InputError(
+            "no level surface is seen close under the box", got=f"the next is {gap:.2f} m lower",
+            cause="does it hang, or is what it stands on not seen?",
+        )  # fmt: skip
+    return support
+
+
+def snapped(box: Box3D, support: Support, viewer: ViewerAxes, way: Way = "extend") -> Box3D:
+    """The box with the middle of its bottom at the height of a support; its size in plan stays.
+
+    Parameters
+    ----------
+    box : Box3D
+        Camera frame.
+    way : str
+        See `Way`. A box too flat to be extended up to a support inside of it is moved.
+    """
+    up = viewer.up
+    axis = int(np.abs(box.R.T @ up).argmax())
+    down = box.R[:, axis] * -np.sign(box.R[:, axis] @ up)
+    bottom = box.center + down * box.size[axis] / 2
+    # Along the box's own axis, which need not be quite upright.
+    drop = (float(bottom @ up) - support.height) / float(-down @ up)
+    if way == "extend" and box.size[axis] + drop >= SMALLEST_SIDE:
+        size = box.size.copy()
+        size[axis] += drop
+        return Box3D(box.center + down * drop / 2, box.R, size)
+    return Box3D(box.center + down * drop, box.R, box.size)
+
+
+def gap_below(box: Box3D, support: Support, viewer: ViewerAxes) -> float:
+    """Metres between a support and the middle of the bottom of a box over it; negative where it sinks in."""
+    axis = int(np.abs(box.R.T @ viewer.up).argmax())
+    reach = abs(float(box.R[:, axis] @ viewer.up)) * box.size[axis] / 2
+    return float(box.center @ viewer.up) - float(reach) - support.height
+
+
+def _level_points(context: FrameContext, objects: Sequence[SceneObject], number: int) -> _Level:
+    frame, viewer = context.frame, context.viewer
+    normals, known = surface_normals(frame.depth, frame.camera)
+    level = known & (normals @ viewer.up.astype(np.float32) > np.cos(np.deg2rad(LEVEL_DEG)))
+    owners = np.full(frame.depth.shape, -1, np.int64)
+    # Of two masks that hold a pixel the smaller one is in front.
+    for entry in sorted(objects, key=lambda o: -int(np.count_nonzero(o.mask))):
+        if entry.id != number:
+            owners[entry.mask] = entry.id
+            continue
+        side = 2 * OWN_BORDER_PX + 1
+        level &= cv2.dilate(entry.mask.view(np.uint8), np.ones((side, side), np.uint8)) == 0
+    v, u = np.nonzero(level)
+    if len(v) > _SAMPLES:
+        even = np.linspace(0, len(v) - 1, _SAMPLES).astype(np.int64)
+        v, u = v[even], u[even]
+    points = lift_pixels(frame.depth[v, u], frame.camera, v, u).astype(np.float64)
+    return _Level(_in_plan(points, viewer), points @ viewer.up, owners[v, u])
+
+
+def _in_plan(points: np.ndarray, viewer: ViewerAxes) -> np.ndarray:
+    """(N, 2) along right and forward."""
+    return points @ np.stack([viewer.right, viewer.forward], axis=1)
+
+
+def _covered(entry: SceneObject, lo: np.ndarray, hi: np.ndarray, margin: float = 0.0) -> float:
+    """The share of a footprint that lies within an object's extents in plan, or at most `margin` m beside them."""
+    own_lo, own_hi = entry.lifted.lo[[0, 2]] - margin, entry.lifted.hi[[0, 2]] + margin
+    shared = np.clip(np.minimum(own_hi, hi) - np.maximum(own_lo, lo), 0, None)
+    return float(np.prod(shared / np.maximum(hi - lo, 1e-6)))
+
+
+def _length(entry: SceneObject) -> float:
+    """Of the longer side of an object's extents in plan, metres; 0 where they are not known."""
+    return float(np.nan_to_num((entry.lifted.hi - entry.lifted.lo)[[0, 2]].max()))
+
+
+def _surfaces_of(entry: SceneObject, level: _Level, near: np.ndarray) -> list[_Candidate]:
+    """The level surfaces of an object, and its upper extent where none of them is there."""
+    own = level.owner == entry.id
+    mine = np.flatnonzero(own & near)
+    if len(mine) < LEAST_POINTS:
+        mine = np.flatnonzero(own)
+    found = [_Candidate(h, entry.id, mine[at]) for h, at in _levels(level.height[mine], LEAST_POINTS)]
+    top = float(entry.lifted.hi[1])
+    if np.isfinite(top) and all(abs(c.height - top) > 2 * WINDOW_M for c in found):
+        found.append(_Candidate(top, entry.id, np.zeros(0, np.int64)))
+    return found
+
+
+def _loose_surfaces(level: _Level, near: np.ndarray) -> list[_Candidate]:
+    """The level surfaces in and around a footprint that are no object's."""
+    least = max(LEAST_POINTS, round(LEAST_SHARE * int(near.sum())))
+    mine = np.flatnonzero(near & (level.owner < 0))
+    return [_Candidate(h, -1, mine[at]) for h, at in _levels(level.height[mine], least)]
+
+
+def _floor(level: _Level) -> list[_Candidate]:
+    """The lowest of the large level surfaces of the picture."""
+    everywhere = _levels(level.height, max(LEAST_POINTS, len(level.height) // 20))
+    return [_Candidate(h, -1, at) for h, at in sorted(everywhere, key=lambda entry: entry[0])[:1]]
+
+
+def _levels(heights: np.ndarray, least: int) -> list[tuple[float, np.ndarray]]:
+    """The heights where many points lie, fullest first, with the points: places in `heights`."""
+    found: list[tuple[float, np.ndarray]] = []
+    left = np.argsort(heights)
+    for _ in range(MOST_LEVELS):
+        if len(left) < least:
+            break
+        ordered = heights[left]
+        stop = np.searchsorted(ordered, ordered + WINDOW_M, side="right")
+        counts = stop - np.arange(len(left))
+        first = int(counts.argmax())
+        if counts[first] < least:
+            break
+        at = left[first : stop[first]]
+        found.append((float(np.median(heights[at])), at))
+        # Its noise reaches beyond the window, and is no surface of its own.
+        keep = np.abs(ordered - found[-1][0]) > WINDOW_M
+        left = left[keep]
+    return found
+
+
+def _plane(plan: np.ndarray, heights: np.ndarray) -> tuple[float, float]:
+    """Height at the origin of the plan, of the plane through points, and how far they lie from it."""
+    middle = float(np.median(heights))
+    kept = np.ones(len(heights), np.bool_)
+    fitted, slope = np.array([0.0, 0.0, middle]), np.tan(np.deg2rad(STEEPEST_DEG))
+    for _ in range(2):
+        design = np.column_stack([plan[kept], np.ones(int(kept.sum()))])
+        fitted = np.linalg.lstsq(design, heights[kept], rcond=None)[0]
+        off = np.abs(heights - plan @ fitted[:2] - fitted[2])
+        kept = off <= max(2.5 * float(np.median(off)), 1e-4)
+    lo, hi = plan.min(axis=0), plan.max(axis=0)
+    # A plane through a strip of points says nothing of what is far beside it.
+    beyond = bool((np.maximum(lo, -hi) > (hi - lo) / 2).any())
+    if beyond or np.hypot(*fitted[:2]) > slope:
+        return middle, float(np.sqrt(np.mean((heights - middle) ** 2)))
+    off = heights[kept] - plan[kept] @ fitted[:2] - fitted[2]
+    return float(fitted[2]), float(np.sqrt(np.mean(off**2)))

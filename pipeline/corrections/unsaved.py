@@ -1,0 +1,196 @@
+"""Actions that could not be saved yet, or that somebody else was in the way of: kept until they are saved or given up.
+
+They belong to the process and to the author, not to a page: a page that is
+loaded again finds them, and two pages of one author share them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from datetime import datetime
+from threading import Lock
+from typing import Any
+
+from pipeline.corrections.journal.cells import Cell
+from pipeline.corrections.journal.events import Conflict, Edit, Event, Rival, Saved
+from pipeline.corrections.journal.journal import Journal
+from pipeline.system.errors import InputError
+
+
+@dataclass(frozen=True)
+class Waiting:
+    """An action that could not be saved, kept until it can be.
+
+    Attributes
+    ----------
+    edits : tuple of Edit
+    author, group : str
+        The group keeps an action from being saved twice.
+    time : datetime
+    problem : str
+        Why it could not be saved.
+    """
+
+    edits: tuple[Edit, ...]
+    author: str
+    group: str
+    time: datetime
+    problem: str
+
+    def events(self, first: int, labels: str) -> list[Event]:
+        """As they will stand in the journal, numbered from `first` on."""
+        return [
+            Event(first + k, f"{self.group}-{k}", self.author, self.time, e.cell, e.before, e.after, e.base, e.base + 1,
+                  labels, e.reason, self.group, "edit", None, e.anchor)
+            for k, e in enumerate(self.edits)
+        ]  # fmt: skip
+
+
+class Unsaved:
+    """What waits of everyone who corrects the same labels in one process. May be shared by threads."""
+
+    def __init__(self) -> None:
+        self._waiting: dict[str, tuple[Waiting, ...]] = {}
+        self._disputed: dict[str, tuple[Conflict, ...]] = {}
+        self._lock = Lock()
+        self._saving = Lock()
+
+    @property
+    def authors(self) -> tuple[str, ...]:
+        """Everyone of whom something is not saved."""
+        with self._lock:
+            return tuple(sorted({a for kept in (self._waiting, self._disputed) for a, some in kept.items() if some}))
+
+    def waiting(self, author: str) -> tuple[Waiting, ...]:
+        """What an author's actions are that could not be saved, in the order in which they were made."""
+        return self._waiting.get(author, ())
+
+    def disputed(self, author: str) -> tuple[Conflict, ...]:
+        """What an author has to decide, because others were faster."""
+        return self._disputed.get(author, ())
+
+    def keep(self, action: Waiting) -> None:
+        """Keep an action until it is saved."""
+        with self._lock:
+            self._waiting[action.author] = (*self.waiting(action.author), action)
+
+    def dispute(self, author: str, conflict: Conflict) -> None:
+        """Keep an action until its author decides."""
+        with self._lock:
+            self._disputed[author] = (*self.disputed(author), conflict)
+
+    def settle(self, author: str, conflict: Conflict) -> None:
+        """A conflict was decided."""
+        with self._lock:
+            self._disputed[author] = tuple(c for c in self.disputed(author) if c is not conflict)
+
+    def drop_last(self, author: str) -> Waiting | None:
+        """Give up the newest action that waits; None where none does.
+
+        Raises
+        ------
+        InputError
+            It is being saved at this moment.
+        """
+        if not self._saving.acquire(timeout=1.0):
+            raise InputError("it is being saved at this moment", expected="try again")
+        try:
+            with self._lock:
+                kept = self.waiting(author)
+                self._waiting[author] = kept[:-1]
+                return kept[-1] if kept else None
+        finally:
+            self._saving.release()
+
+    def retry(
+        self, author: str, journal: Callable[[], Journal], saved: Callable[[Saved], None] = lambda _: None
+    ) -> tuple[Saved | Conflict | Waiting, ...]:
+        """Try again to save what waits of an author, oldest first, until one fails.
+
+        What others have changed in the meantime is a conflict: it no longer
+        waits, and its author has to decide. Later actions on the same fields
+        were made on what is not saved now, and so are a part of it. Nothing is
+        tried while another thread does. `saved` is told what was saved before
+        it waits no longer.
+        """
+        if not self._saving.acquire(blocking=False):
+            return ()
+        done: list[Saved | Conflict | Waiting] = []
+        try:
+            while self.waiting(author):
+                first = self.waiting(author)[0]
+                try:
+                    outcome = journal().append(first.edits, first.author, group=first.group)
+                except InputError as error:
+                    self._replace(author, replace(first, problem=str(error)))
+                    return (*done, self.waiting(author)[0])
+                if isinstance(outcome, Conflict):
+                    outcome = self._disputed_with_later(author, outcome)
+                else:
+                    saved(outcome)
+                    self._replace(author, None)
+                done.append(outcome)
+        finally:
+            self._saving.release()
+        return tuple(done)
+
+    def _disputed_with_later(self, author: str, conflict: Conflict) -> Conflict:
+        """The conflict of the first action that waits, with all that was made on it, from waiting to disputed.
+
+        Their versions are those of fields as their author saw them: saved on
+        their own, they could hit the version that somebody else has made.
+        """
+        with self._lock:
+            first, *rest = self.waiting(author)
+            edits, left = list(conflict.edits or first.edits), []
+            cells = {e.cell for e in edits}
+            for action in rest:
+                if cells.isdisjoint(e.cell for e in action.edits):
+                    left.append(action)
+                else:
+                    edits += action.edits
+                    cells |= {e.cell for e in action.edits}
+            wanted = {e.cell: e for e in _merged(edits)}
+            rivals = tuple(Rival(wanted[r.edit.cell], r.event) for r in conflict.rivals)
+            whole = Conflict(rivals, tuple(wanted.values()))
+            self._waiting[author] = tuple(left)
+            self._disputed[author] = (*self.disputed(author), whole)
+        return whole
+
+    def _replace(self, author: str, first: Waiting | None) -> None:
+        with self._lock:
+            rest = self.waiting(author)[1:]
+            self._waiting[author] = rest if first is None else (first, *rest)
+
+
+def unsaved_actions(unsaved: Unsaved, author: str) -> list[list[dict[str, Any]]]:
+    """What is not saved of an author, as lists of actions that `spatialviz correct` takes, one after the other.
+
+    The fields of objects that are not in the journal yet follow them in a
+    second list. What others were in the way of is in the last ones, to be told so again.
+    """
+    lists: list[list[Edit]] = []
+    waiting = _merged(e for w in unsaved.waiting(author) for e in w.edits)
+    new = {(e.cell.frame, n) for e in waiting if e.cell.field == "exists" for n in e.cell.numbers}
+    later = [e for e in waiting if e.cell.field != "exists" and new & {(e.cell.frame, n) for n in e.cell.numbers}]
+    lists += [[e for e in waiting if e not in later], later]
+    lists += [list(_merged(c.edits)) for c in unsaved.disputed(author)]
+    return [[_action(e) for e in edits] for edits in lists if edits]
+
+
+def _merged(edits: Iterable[Edit]) -> tuple[Edit, ...]:
+    """One edit a cell: from what was first seen to what was last wanted."""
+    found: dict[Cell, Edit] = {}
+    for edit in edits:
+        first = found.get(edit.cell)
+        found[edit.cell] = edit if first is None else replace(first, after=edit.after, reason=edit.reason)
+    return tuple(found.values())
+
+
+def _action(edit: Edit) -> dict[str, Any]:
+    cell = edit.cell
+    return {
+        "edit": "value", "frame": cell.frame, "kind": cell.kind, "key": cell.key, "field": cell.field, "to": edit.after,
+        "base": edit.base, "reason": edit.reason,
+    }  # fmt: skip

@@ -1,0 +1,152 @@
+"""The class names that a person may give to an object, and what they mean while they type one."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+from pipeline.language.naming import Synonyms, default_synonyms, normal_form
+
+if TYPE_CHECKING:
+    from pipeline.corrections.journal.journal import Journal
+    from pipeline.datasets import Dataset
+    from pipeline.labels.reading import Labels
+
+MOST = 8
+_EXACT, _PREFIX, _WORD, _WITHIN, _NONE = range(5)
+
+
+@dataclass(frozen=True)
+class Completion:
+    """A class name that was perhaps meant.
+
+    Attributes
+    ----------
+    name : str
+        As the labels, else the dataset, else the table of synonyms write it.
+    via : str
+        What of it was typed, where that is another name of the same thing; "" where it is the name itself.
+    count : int
+        Objects of the labels that have it.
+    known : bool
+        The labels or the dataset have the class.
+    """
+
+    name: str
+    via: str
+    count: int
+    known: bool
+
+    def record(self) -> dict[str, Any]:
+        """As JSON."""
+        return {"name": self.name, "via": self.via or None, "count": self.count, "known": self.known}
+
+
+@dataclass(frozen=True, eq=False)
+class Vocabulary:
+    """The names of classes.
+
+    Attributes
+    ----------
+    counts : mapping of str to int
+        Names of the labels' classes and of the dataset's, and how many objects have each.
+    synonyms : Synonyms
+    """
+
+    counts: Mapping[str, int]
+    synonyms: Synonyms
+
+    @classmethod
+    def of(
+        cls, labelled: Iterable[str], of_dataset: Iterable[str] = (), synonyms: Synonyms | None = None
+    ) -> Vocabulary:
+        """From the class of every labelled object, and the class names of the dataset."""
+        counts = Counter(labelled)
+        return cls({**dict.fromkeys(of_dataset, 0), **counts}, synonyms or default_synonyms())
+
+    def with_names(self, names: Iterable[str]) -> Vocabulary:
+        """The same with more names, such as those that people have given."""
+        more = dict.fromkeys((n for n in names if n not in self.counts), 1)
+        return Vocabulary({**self.counts, **more}, self.synonyms) if more else self
+
+    def __contains__(self, name: str) -> bool:
+        """Whether a class is called exactly so."""
+        return name in self.counts
+
+    @cached_property
+    def _spoken(self) -> tuple[tuple[str, str, str], ...]:
+        """(what may be typed, its class name, "" or what it is an alias of that): all of it, in normal form."""
+        found: dict[tuple[str, str], str] = {}
+        for name in self.counts:
+            own = normal_form(name)
+            found[own, name] = ""
+            for alias in self.synonyms.of(name) - {own}:
+                found.setdefault((alias, name), alias)
+        of_classes = {spoken for spoken, _ in found}
+        for group in self.synonyms.groups:
+            if of_classes.isdisjoint(group):
+                found.update({(alias, alias): "" for alias in group})
+        return tuple((spoken, name, via) for (spoken, name), via in found.items())
+
+
+def vocabulary_of(labels: Labels, dataset: Dataset | None = None, journal: Journal | None = None) -> Vocabulary:
+    """The class names of labels, of their dataset, and those that people have given since."""
+    words = Vocabulary.of(labels.objects.column("label").to_pylist(), () if dataset is None else dataset.class_names)
+    events = () if journal is None else journal.events(kind="object")
+    given = (e.after if e.cell.field == "label" else e.after.get("label") for e in events
+             if e.cell.field == "label" or (e.cell.field == "exists" and e.after is not None))  # fmt: skip
+    return words.with_names(name for name in given if name)
+
+
+def completions(typed: str, vocabulary: Vocabulary, most: int = MOST) -> tuple[Completion, ...]:
+    """The class names that what was typed may mean, best first.
+
+    What begins with it comes before what has a word that does, and that before
+    what only holds it. A class of the labels comes before another name of one
+    (`trash can` for `trashcan`, `couch` for `sofa`), and that before a word of
+    the table of synonyms that no class has. Frequent classes come first.
+
+    Parameters
+    ----------
+    typed : str
+        The beginning of a name; nothing means the most frequent classes.
+    vocabulary : Vocabulary
+    most : int
+        At most so many.
+    """
+    # The end of what is typed is open: "book s" must not lose its last letter as a plural.
+    wanted = " ".join(typed.lower().replace("_", " ").split())
+    best: dict[str, tuple[tuple[int, ...], Completion]] = {}
+    for spoken, name, via in vocabulary._spoken:
+        how = min(_how(wanted, spoken), _how(normal_form(typed), spoken)) if wanted else _PREFIX
+        known = name in vocabulary.counts
+        if how == _NONE or (not wanted and (via or not known)):
+            continue
+        count = vocabulary.counts.get(name, 0)
+        rank = (how, not known, bool(via), -count)
+        if name not in best or rank < best[name][0]:
+            best[name] = rank, Completion(name, via, count, known)
+    ranked = sorted(best.values(), key=lambda entry: (entry[0], entry[1].name))
+    return tuple(completion for _, completion in ranked[:most])
+
+
+def _how(wanted: str, spoken: str) -> int:
+    """How a name answers to what was typed; `trash can` and `trashcan` are one name."""
+    if not wanted:
+        return _NONE
+    joined, short = spoken.replace(" ", ""), wanted.replace(" ", "")
+    if joined == short:
+        return _EXACT
+    if joined.startswith(short):
+        return _PREFIX
+    if any(word.startswith(wanted) for word in _tails(spoken)):
+        return _WORD
+    return _WITHIN if short in joined else _NONE
+
+
+def _tails(name: str) -> list[str]:
+    words = name.split()
+    return [" ".join(words[k:]) for k in range(1, len(words))]

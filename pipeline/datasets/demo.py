@@ -1,0 +1,37 @@
+"""The built-in demo dataset, its labels, and a run of a simulated detector over it."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pipeline.system.assets import asset_path
+
+DEMO_NAME = "demo"
+DEMO_EXPRESSION = "mug left of the laptop"
+DEMO_RUN_NAME = "demo_run"
+
+
+def demo_path() -> Path:
+    """The folder of the built-in demo dataset.
+
+    Raises
+    ------
+    InputError
+        Where the installation lacks it.
+    """
+    return asset_path(DEMO_NAME)
+
+
+def demo_labels() -> Path:
+    """The merged labels of the demo that its run was evaluated on; raises as `demo_path`."""
+    return asset_path(DEMO_RUN_NAME, "labels")
+
+
+def demo_run() -> Path:
+    """The run folder: failures of every verdict; raises as `demo_path`."""
+    return asset_path(DEMO_RUN_NAME, "run")
+
+
+def demo_detector() -> Path:
+    """The options of the simulated detector of the run; raises as `demo_path`."""
+    return asset_path(DEMO_RUN_NAME, "simulated.toml")

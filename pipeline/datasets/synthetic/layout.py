@@ -1,0 +1,276 @@
+"""A room as placed instances of models, and the rules of placing: rest on something, touch nothing else."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from pipeline.datasets.synthetic.model import Model, Part, axis_rotation
+from pipeline.geometry.boxes import Box3D
+
+FLOOR, WALL = -1, -2
+"""What an instance rests on, where that is not another instance."""
+
+TOUCH_M = 0.0015
+"""Boxes of parts may share this much before two things count as interpenetrating."""
+
+SKIRTING_M = 0.022
+"""Clearance to the walls, past the skirting board."""
+
+
+@dataclass(frozen=True)
+class Instance:
+    """A model put into the world.
+
+    Attributes
+    ----------
+    model : Model
+    position : (3,) float64
+        Where the model's origin (middle of its foot) is, metres, world.
+    yaw : float
+        Turn about the world's z axis, radians.
+    support : int
+        Index of the instance it rests on, or FLOOR, or WALL.
+    """
+
+    model: Model
+    position: np.ndarray
+    yaw: float
+    support: int
+
+    @property
+    def R(self) -> np.ndarray:
+        """(3, 3) world-from-model rotation."""
+        return axis_rotation(self.yaw, 2)
+
+    @property
+    def T_world_model(self) -> np.ndarray:
+        """(4, 4) world-from-model pose."""
+        T = np.eye(4)
+        T[:3, :3], T[:3, 3] = self.R, self.position
+        return T
+
+    @property
+    def box(self) -> Box3D:
+        """The exact box in the world."""
+        middle = (self.model.low + self.model.high) / 2
+        return Box3D(self.position + self.R @ middle, self.R, self.model.size)
+
+
+@dataclass(frozen=True)
+class Focus:
+    """A place worth looking at.
+
+    `target` (3,) in metres, world; `heading` the direction of view in plan, radians from +x;
+    `spread` how far the heading may turn; `near` and `far` bound the distance.
+    """
+
+    target: np.ndarray
+    heading: float
+    spread: float
+    near: float
+    far: float
+
+
+@dataclass(frozen=True, eq=False)
+class Room:
+    """A furnished room: x in 0..width, y in 0..depth, z up from the floor at 0, metres.
+
+    Attributes
+    ----------
+    seed : int
+    kind : str
+    width, depth, height : float
+    shell : tuple of Part
+        Floor, walls, ceiling, window and door, in world coordinates; not annotated.
+    instances : tuple of Instance
+    focuses : tuple of Focus
+    sun : (3,) float64
+        Unit vector towards the sun.
+    opening : (4,) tuple of float
+        y0, y1, z0, z1 of the window in the wall x = width: the only way in for the sun.
+    """
+
+    seed: int
+    kind: str
+    width: float
+    depth: float
+    height: float
+    shell: tuple[Part, ...]
+    instances: tuple[Instance, ...]
+    focuses: tuple[Focus, ...]
+    sun: np.ndarray
+    opening: tuple[float, float, float, float]
+
+
+def part_boxes(model: Model, position: np.ndarray, yaw: float) -> np.ndarray:
+    """(P, 7): centre xyz, half size xyz and yaw of the box of each part."""
+    low = np.array([part.low for part in model.parts])
+    high = np.array([part.high for part in model.parts])
+    centre = (low + high) / 2 @ axis_rotation(yaw, 2).T + position
+    return np.concatenate([centre, (high - low) / 2, np.full((len(low), 1), yaw)], axis=1)
+
+
+def foot_of(model: Model) -> tuple[np.ndarray, np.ndarray]:
+    """The plan rectangle (low (2,), high (2,)) of the parts the model stands on, in its own frame."""
+    parts = [part for part in model.parts if part.low[2] < 0.01]
+    return np.min([part.low[:2] for part in parts], axis=0), np.max([part.high[:2] for part in parts], axis=0)
+
+
+def overlaps(a: np.ndarray, b: np.ndarray, touch: float = TOUCH_M) -> np.ndarray:
+    """(A, B) bool: which upright boxes share more than `touch` metres along every separating axis.
+
+    The separating axis theorem in plan (the two axes of each rectangle) and an interval test in height.
+    """
+    delta = b[None, :, :3] - a[:, None, :3]
+    hit = np.abs(delta[..., 2]) < a[:, None, 5] + b[None, :, 5] - touch
+    ya, yb = a[:, None, 6], b[None, :, 6]
+    shape = (len(a), len(b))
+    for yaw in (ya, ya + np.pi / 2, yb, yb + np.pi / 2):
+        c, s = np.cos(yaw), np.sin(yaw)
+        reach = np.zeros(shape)
+        for boxes, own in ((a[:, None], ya), (b[None], yb)):
+            reach = reach + boxes[..., 3] * np.abs(c * np.cos(own) + s * np.sin(own))
+            reach = reach + boxes[..., 4] * np.abs(-c * np.sin(own) + s * np.cos(own))
+        hit &= np.abs(delta[..., 0] * c + delta[..., 1] * s) < reach - touch
+    return hit
+
+
+@dataclass
+class Layout:
+    """A room being furnished."""
+
+    width: float
+    depth: float
+    height: float
+    rng: np.random.Generator
+    instances: list[Instance] = field(default_factory=list)
+    rugs: list[int] = field(default_factory=list)
+    _boxes: list[np.ndarray] = field(default_factory=list)
+
+    def free(self, model: Model, position: np.ndarray, yaw: float) -> bool:
+        """Whether the model fits there: inside the walls and clear of everything placed."""
+        boxes = part_boxes(model, position, yaw)
+        c, s = np.abs(np.cos(yaw)), np.abs(np.sin(yaw))
+        middle = position + axis_rotation(yaw, 2) @ ((model.low + model.high) / 2)
+        half = model.size / 2
+        hx, hy = half[0] * c + half[1] * s, half[0] * s + half[1] * c
+        if not (middle[0] - hx >= SKIRTING_M and middle[0] + hx <= self.width - SKIRTING_M):
+            return False
+        if not (middle[1] - hy >= SKIRTING_M and middle[1] + hy <= self.depth - SKIRTING_M):
+            return False
+        return not self._boxes or not overlaps(boxes, np.concatenate(self._boxes)).any()
+
+    def add(self, model: Model, position: np.ndarray, yaw: float, support: int) -> int:
+        """Put the model there without asking; returns its index."""
+        self.instances.append(Instance(model, position, float(yaw), support))
+        self._boxes.append(part_boxes(model, position, yaw))
+        return len(self.instances) - 1
+
+    def stand(self, model: Model, x: float, y: float, yaw: float = 0.0) -> int | None:
+        """Put the model on the floor, or on the rug it stands wholly on; None where it does not fit."""
+        z, support = 0.0, FLOOR
+        low, high = foot_of(model)
+        corners = np.array([[low[0], low[1]], [low[0], high[1]], [high[0], low[1]], [high[0], high[1]]])
+        corners = corners @ axis_rotation(yaw, 2)[:2, :2].T + [x, y]
+        for index in self.rugs:
+            rug = self.instances[index]
+            local = (corners - rug.position[:2]) @ rug.R[:2, :2]
+            if (np.abs(local) < rug.model.size[:2] / 2).all():
+                z, support = float(rug.position[2] + rug.model.high[2]), index
+        position = np.array([x, y, z])
+        return self.add(model, position, yaw, support) if self.free(model, position, yaw) else None
+
+    def stand_near(
+        self, model: Model, x: float, y: float, yaw: float = 0.0, wander: float = 0.15, tries: int = 40
+    ) -> int | None:
+        """`stand` at the first place that is free, searching ever farther around (x, y)."""
+        for k in range(tries):
+            dx, dy = self.rng.uniform(-wander, wander, 2) * (k / 8)
+            index = self.stand(model, x + dx, y + dy, yaw)
+            if index is not None:
+                return index
+        return None
+
+    def put(
+        self,
+        model: Model,
+        on: int | None,
+        at: tuple[float, float] | None = None,
+        yaw: float = 0.0,
+        surface: int = 0,
+        wander: float = 0.04,
+    ) -> int | None:
+        """Rest the model on a surface of instance `on`.
+
+        `at` is in the surface's own -1..1 coordinates (x, y); without it any
+        free place is taken. `yaw` is relative to the supporting object. None
+        where nothing is free, or where `on` itself found no place.
+        """
+        if on is None:
+            return None
+        base = self.instances[on]
+        top = base.model.surfaces[surface]
+        if model.size[2] > top.room:
+            return None
+        low, high = foot_of(model)
+        corners = np.array([[low[0], low[1]], [low[0], high[1]], [high[0], low[1]], [high[0], high[1]]])
+        corners = corners @ axis_rotation(yaw, 2)[:2, :2].T
+        x0, y0 = np.array([top.x0, top.y0]) - corners.min(axis=0)
+        x1, y1 = np.array([top.x1, top.y1]) - corners.max(axis=0)
+        if x1 < x0 or y1 < y0:
+            return None
+        for k in range(30):
+            u, v = self.rng.uniform(-1, 1, 2)
+            x, y = (x0 + x1) / 2 + u * (x1 - x0) / 2, (y0 + y1) / 2 + v * (y1 - y0) / 2
+            if at is not None:
+                x = (top.x0 + top.x1) / 2 + at[0] * (top.x1 - top.x0) / 2 + u * wander * k / 4
+                y = (top.y0 + top.y1) / 2 + at[1] * (top.y1 - top.y0) / 2 + v * wander * k / 4
+                x, y = float(np.clip(x, x0, x1)), float(np.clip(y, y0, y1))
+            position = base.position + base.R @ np.array([x, y, top.z])
+            if self.free(model, position, base.yaw + yaw):
+                return self.add(model, position, base.yaw + yaw, on)
+        return None
+
+    def stack(self, model: Model, on: int | None, yaw: float = 0.0) -> int | None:
+        """Rest the model in the middle of the flat top of instance `on`, which is at least as large."""
+        if on is None:
+            return None
+        base = self.instances[on]
+        position = base.position + np.array([0, 0, base.model.high[2]])
+        turn = base.yaw + yaw
+        return self.add(model, position, turn, on) if self.free(model, position, turn) else None
+
+    def hang(self, model: Model, wall: str, along: float, z: float) -> int | None:
+        """Hang the model on a wall ("back", "left", "right", "front"), its foot at height z."""
+        gap, reach = 0.001, float(model.high[1])
+        x, y, yaw = {
+            "back": (along, self.depth - reach - gap, 0.0),
+            "left": (reach + gap, along, np.pi / 2),
+            "right": (self.width - reach - gap, along, -np.pi / 2),
+            "front": (along, reach + gap, np.pi),
+        }[wall]
+        position = np.array([x, y, z])
+        boxes = part_boxes(model, position, yaw)
+        if self._boxes and overlaps(boxes, np.concatenate(self._boxes)).any():
+            return None
+        return self.add(model, position, yaw, WALL)
+
+    def against(self, model: Model, wall: str, along: float, gap: float = 0.03) -> int | None:
+        """Stand the model with its back to a wall."""
+        reach = float(model.high[1]) + SKIRTING_M + gap
+        x, y, yaw = {
+            "back": (along, self.depth - reach, 0.0),
+            "left": (reach, along, np.pi / 2),
+            "right": (self.width - reach, along, -np.pi / 2),
+            "front": (along, reach, np.pi),
+        }[wall]
+        return self.stand(model, x, y, yaw)
+
+    def lay_rug(self, model: Model, x: float, y: float, yaw: float = 0.0) -> int | None:
+        """Lay a rug on the floor; what comes later may stand on it."""
+        index = self.stand(model, x, y, yaw)
+        if index is not None:
+            self.rugs.append(index)
+        return index

@@ -1,0 +1,226 @@
+"""Light in a room: the sun through the window, a ceiling lamp, and one bounce from everything else."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from pipeline.datasets.synthetic.raycast import Scene
+from pipeline.datasets.synthetic.surfaces import OFFSET_M, Looks, Surfaces, looks, resolve
+
+SUN = np.array([3.7, 3.2, 2.5], dtype=np.float32)
+LAMP = np.array([3.3, 2.9, 2.4], dtype=np.float32)
+AMBIENT = np.array([0.60, 0.565, 0.53], dtype=np.float32)
+SKY = np.array([3.4, 3.9, 4.6], dtype=np.float32)
+"""Irradiance of the sun, intensity of the lamp, the room's mean light at a bounce, radiance of the sky."""
+
+BOUNCES = 4
+LAMPS = 2
+"""Rays an entry of the light map: into the room, and towards places on the lamp."""
+
+
+@dataclass(frozen=True)
+class LightMap:
+    """Indirect and lamp light at every second pixel.
+
+    `entries` (rows * columns, 9) float32: irradiance, and the position and
+    normal of the surface it belongs to, side by side so that each is fetched once.
+    """
+
+    entries: np.ndarray
+    rows: int
+    columns: int
+
+
+def sunlight(scene: Scene, s: Surfaces) -> np.ndarray:
+    """Irradiance of the sun: only the window lets it in, so most points are in shade."""
+    room = scene.room
+    sun = room.sun.astype(np.float32)
+    cosine = s.normal @ sun
+    out = np.zeros_like(s.position)
+    # Where the way to the sun crosses the window's wall; what sticks out of it has crossed already.
+    way = (np.float32(room.width) - s.position[:, 0]) / sun[0]
+    y, z = s.position[:, 1] + way * sun[1], s.position[:, 2] + way * sun[2]
+    y0, y1, z0, z1 = room.opening
+    through = (y > y0) & (y < y1) & (z > z0) & (z < z1) | (way < 0.01)
+    facing = np.flatnonzero(through & (cosine > 0) & s.hit)
+    facing = facing[s.flat[facing] @ sun > 0]
+    if len(facing):
+        start = s.position[facing] + OFFSET_M * s.flat[facing]
+        clear = ~scene.blocked(start, np.broadcast_to(sun, start.shape))
+        lit = facing[clear]
+        out[lit] = cosine[lit, None] * SUN
+    return out
+
+
+def _lamp_place(scene: Scene) -> np.ndarray:
+    room = scene.room
+    return np.array([room.width * 0.48, room.depth * 0.42, room.height - 0.12], dtype=np.float32)
+
+
+def radiance(scene: Scene, look: Looks, start: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    """Radiance ((N, 3)) that comes back along rays, from mean colours and unshadowed lamp light."""
+    found = resolve(scene, scene.trace(start, directions), start, directions, round_off=False)
+    to_lamp = _lamp_place(scene) - found.position
+    square = np.maximum(np.einsum("ij,ij->i", to_lamp, to_lamp), 0.25)
+    cosine = np.clip(np.einsum("ij,ij->i", found.normal, to_lamp) / np.sqrt(square), 0, 1)
+    light = AMBIENT + (0.6 * cosine / square)[:, None] * LAMP + sunlight(scene, found)
+    out = look.mean[found.part] * (light + look.emission[found.part][:, None])
+    out[~found.hit] = sky(directions[~found.hit])
+    return out
+
+
+def sky(directions: np.ndarray) -> np.ndarray:
+    """Radiance outside the window: a pale sky over hazy green."""
+    slope = directions[:, 2] / np.maximum(np.linalg.norm(directions[:, :2], axis=1), 1e-6)
+    up = np.clip(slope * 2.5, 0, 1)[:, None]
+    haze = np.array([4.2, 4.1, 3.8], dtype=np.float32)
+    ground = np.array([1.25, 1.45, 0.85], dtype=np.float32)
+    wave = 0.05 * np.sin(9 * np.arctan2(directions[:, 1], directions[:, 0]))
+    sky = haze + up * (SKY - haze)
+    return np.where((slope < -0.03 + wave)[:, None], ground, sky).astype(np.float32)
+
+
+@lru_cache(maxsize=1)
+def _directions() -> np.ndarray:
+    """(16, BOUNCES, 3) cosine-distributed directions about +z: one set for each cell of a 4x4 tile.
+
+    The points are the R2 low-discrepancy sequence (Roberts 2018); consecutive
+    points go to different cells, so any 4x4 window holds the whole sequence.
+    """
+    n = np.arange(16 * BOUNCES)
+    a, b = (0.5 + n * 0.7548776662) % 1, (0.5 + n * 0.5698402910) % 1
+    radius, angle = np.sqrt(a), 2 * np.pi * b
+    points = np.stack([radius * np.cos(angle), radius * np.sin(angle), np.sqrt(1 - a)], -1)
+    return points.reshape(BOUNCES, 16, 3).transpose(1, 0, 2).astype(np.float32)
+
+
+def light_map(scene: Scene, s: Surfaces, h: int, w: int) -> LightMap:
+    look = looks(scene)
+    keep = np.zeros((h, w), dtype=bool)
+    keep[::2, ::2] = True
+    chosen = np.flatnonzero(keep)
+    rows, columns = -(-h // 2), -(-w // 2)
+    position, normal = s.position[chosen], s.normal[chosen]
+    start = position + OFFSET_M * normal
+    y, x = np.meshgrid(np.arange(rows), np.arange(columns), indexing="ij")
+    cell = ((y % 4) * 4 + x % 4).ravel()
+    # A frame about each normal (Duff et al. 2017).
+    sign = np.where(normal[:, 2] >= 0, 1.0, -1.0).astype(np.float32)
+    a = -1.0 / (sign + normal[:, 2])
+    b = normal[:, 0] * normal[:, 1] * a
+    tangent = np.stack([1 + sign * normal[:, 0] ** 2 * a, sign * b, -sign * normal[:, 0]], -1)
+    other = np.stack([b, sign + normal[:, 1] ** 2 * a, -normal[:, 1]], -1)
+    total = np.zeros_like(position)
+    for k in range(BOUNCES):
+        d = _directions()[cell, k]
+        rays = d[:, :1] * tangent + d[:, 1:2] * other + d[:, 2:] * normal
+        total += np.minimum(radiance(scene, look, start, rays), 4.5)
+    total /= BOUNCES
+    place = _lamp_place(scene)
+    for k in range(LAMPS):
+        n = cell * LAMPS + k
+        panel = np.stack([(n * 0.7548776662) % 1 - 0.5, (n * 0.5698402910) % 1 - 0.5, np.zeros(len(n))], -1)
+        to_lamp = (place + 0.9 * panel - start).astype(np.float32)
+        square = np.einsum("ij,ij->i", to_lamp, to_lamp)
+        distance = np.sqrt(square)
+        cosine = np.einsum("ij,ij->i", normal, to_lamp) / distance
+        facing = np.flatnonzero((cosine > 0) & (to_lamp[:, 2] > 0))
+        found = scene.trace(start[facing], to_lamp[facing])
+        lit = facing[~(found.t < 0.98)]
+        down = to_lamp[lit, 2] / distance[lit]
+        total[lit] += (cosine[lit] * (0.25 + 0.75 * down) / np.maximum(square[lit], 0.2) / LAMPS)[:, None] * LAMP
+    shape = (rows, columns, 3)
+    total, position, normal = total.reshape(shape), position.reshape(shape), normal.reshape(shape)
+    depth = s.depth[chosen].reshape(rows, columns)
+    # The wide passes even out what so few rays leave on walls; contact shadows differ by more than they may.
+    total = _tame(total, position, depth)
+    for step, reach, likeness in ((1, (-1, 3), 0.0), (3, (-1, 2), 0.0), (5, (-1, 2), 0.12), (9, (-1, 2), 0.06)):
+        total = _smooth(total, position, normal, depth, step, reach, likeness)
+    return LightMap(np.concatenate([total, position, normal], axis=2).reshape(-1, 9), rows, columns)
+
+
+def _tame(light: np.ndarray, position: np.ndarray, depth: np.ndarray) -> np.ndarray:
+    """Bring entries much darker or brighter than what is about them closer to it.
+
+    On folds finer than the map no neighbour lies on the same smooth surface,
+    so that the noise of an entry's few rays would stay.
+    """
+    h, w = depth.shape
+    widths = ((2, 2), (2, 2), (0, 0))
+    L, P = (np.pad(a, widths, mode="edge") for a in (light, position))
+    total, weight = np.full_like(light, 1e-6), np.full((h, w), 1e-6, dtype=np.float32)
+    reach = np.square(0.04 * np.maximum(depth, 0.3))
+    for dy in (-2, 0, 2):
+        for dx in (-2, 0, 2):
+            window = (slice(2 + dy, 2 + dy + h), slice(2 + dx, 2 + dx + w))
+            away = P[window] - position
+            near = np.einsum("ijk,ijk->ij", away, away) < reach
+            total += near[..., None] * L[window]
+            weight += near
+    mean = total / weight[..., None]
+    return np.clip(light, 0.72 * mean, 1.8 * mean)
+
+
+def _smooth(
+    light: np.ndarray,
+    position: np.ndarray,
+    normal: np.ndarray,
+    depth: np.ndarray,
+    step: int,
+    reach: tuple[int, int],
+    likeness: float,
+) -> np.ndarray:
+    """Mean over neighbours `step` apart that lie on the same smooth surface.
+
+    With a `likeness` above 0, only over those whose light is within that share of its own.
+    """
+    h, w = depth.shape
+    offsets = [step * k for k in range(*reach)]
+    pad = step * max(abs(reach[0]), reach[1])
+    widths = ((pad, pad), (pad, pad), (0, 0))
+    L, P, N = (np.pad(a, widths, mode="edge") for a in (light, position, normal))
+    tolerance = 1.0 / (0.006 * np.maximum(depth, 0.3))
+    total, weight = np.zeros_like(light), np.zeros((h, w), dtype=np.float32)
+    for dy in offsets:
+        for dx in offsets:
+            window = (slice(pad + dy, pad + dy + h), slice(pad + dx, pad + dx + w))
+            # A chord of a round surface lies across the mean of the normals at its ends.
+            off = 0.5 * np.abs(np.einsum("ijk,ijk->ij", normal + N[window], P[window] - position))
+            alike = np.einsum("ijk,ijk->ij", normal, N[window])
+            k = np.clip(1.5 - off * tolerance, 0, 1) * np.clip(4 * alike - 3, 0.0, 1)
+            if likeness:
+                change = np.abs(L[window][..., 1] / light[..., 1] - 1) / likeness
+                k *= np.clip(2 - 2 * change, 0, 1)
+            if dy == dx == 0:
+                k += 1e-4
+            total += k[..., None] * L[window]
+            weight += k
+    return total / weight[..., None]
+
+
+def gather(lights: LightMap, s: Surfaces, v: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """Light map values at samples, from the four nearest entries on the same surface."""
+    rows, columns = lights.rows, lights.columns
+    y, x = (
+        np.clip(np.asarray(v, dtype=np.float32) / 2, 0, rows - 1),
+        np.clip(np.asarray(u, dtype=np.float32) / 2, 0, columns - 1),
+    )
+    y0, x0 = np.minimum(y.astype(np.int32), max(rows - 2, 0)), np.minimum(x.astype(np.int32), max(columns - 2, 0))
+    fy, fx = y - y0.astype(np.float32), x - x0.astype(np.float32)
+    here = np.einsum("ij,ij->i", s.normal, s.position)
+    total, weight = np.zeros_like(s.position), np.zeros(len(y), dtype=np.float32)
+    tolerance = 1.0 / (0.01 * np.maximum(s.depth, 0.3))
+    for dy in (0, 1):
+        for dx in (0, 1):
+            index = np.minimum(y0 + dy, rows - 1) * columns + np.minimum(x0 + dx, columns - 1)
+            bilinear = (fy if dy else 1 - fy) * (fx if dx else 1 - fx)
+            entry = lights.entries.take(index, axis=0)
+            off = np.abs(np.einsum("ij,ij->i", s.normal, entry[:, 3:6]) - here)
+            alike = np.einsum("ij,ij->i", s.normal, entry[:, 6:])
+            k = (bilinear + 0.02) * (np.clip(1.5 - off * tolerance, 0, 1) * np.clip(2 * alike - 1, 0, 1) + 1e-4)
+            total += k[:, None] * entry[:, :3]
+            weight += k
+    return total / weight[:, None]

@@ -1,0 +1,108 @@
+"""One picture of a room: colour, sensed and exact depth, instances and exact boxes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.datasets.synthetic.layout import Room
+from pipeline.datasets.synthetic.raycast import build_scene, pixel_rays
+from pipeline.datasets.synthetic.sensor import sense
+from pipeline.datasets.synthetic.shading import render_colour
+from pipeline.datasets.synthetic.surfaces import find_surfaces
+from pipeline.geometry.boxes import Box3D
+from pipeline.geometry.camera import Camera
+from pipeline.system.errors import InputError
+
+
+@dataclass(frozen=True)
+class RenderedFrame:
+    """A synthetic RGB-D frame with its truth.
+
+    Attributes
+    ----------
+    rgb : (H, W, 3) uint8
+    depth : (H, W) float32
+        Metres as the sensor reports them; 0 where nothing came back.
+    depth_exact : (H, W) float32
+        Metres without noise; 0 where the ray left through the window.
+    instances : (H, W) int32
+        Index into the room's instances; -1 for the shell and the outside.
+    boxes : tuple of Box3D
+        The exact box of every instance of the room, in the camera frame.
+    camera : Camera
+    """
+
+    rgb: np.ndarray
+    depth: np.ndarray
+    depth_exact: np.ndarray
+    instances: np.ndarray
+    boxes: tuple[Box3D, ...]
+    camera: Camera
+
+
+def render_view(room: Room, camera: Camera, rng: np.random.Generator) -> RenderedFrame:
+    """Render the room from a posed camera; `rng` drives the depth sensor's errors only.
+
+    Raises
+    ------
+    InputError
+        The camera has no pose.
+    MissingExtra
+        embreex is not installed.
+    """
+    T_world_camera = _pose(camera)
+    scene = build_scene(room)
+    shape = (camera.height, camera.width)
+    directions = _all_rays(camera)
+    surfaces = find_surfaces(scene, camera, directions)
+    exact = surfaces.depth.reshape(shape)
+    index = np.where(surfaces.hit, scene.part_instance[surfaces.part], -1).reshape(shape).astype(np.int32)
+    T_camera_world = np.linalg.inv(T_world_camera)
+    return RenderedFrame(
+        render_colour(scene, camera, surfaces, directions),
+        sense(exact, rng),
+        exact,
+        index,
+        tuple(instance.box.transformed(T_camera_world) for instance in room.instances),
+        camera,
+    )
+
+
+def sense_view(room: Room, camera: Camera, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
+    """Only the `depth` and the `instances` of `render_view`, many times as fast: colour is what costs.
+
+    Raises
+    ------
+    InputError
+        The camera has no pose.
+    MissingExtra
+        embreex is not installed.
+    """
+    exact, instances = exact_view(room, camera)
+    return sense(exact, rng), instances
+
+
+def exact_view(room: Room, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
+    """Only the `depth_exact` and the `instances` of `render_view`; raises as `sense_view`."""
+    T_world_camera = _pose(camera)
+    scene = build_scene(room)
+    shape = (camera.height, camera.width)
+    hits = scene.trace(T_world_camera[:3, 3].astype(np.float32), _all_rays(camera))
+    hit = hits.face >= 0
+    exact = np.where(hit, hits.t, np.float32(0)).reshape(shape)
+    owner = scene.part_instance[scene.face_part[np.where(hit, hits.face, 0)]]
+    return exact.astype(np.float32), np.where(hit, owner, -1).reshape(shape).astype(np.int32)
+
+
+def _pose(camera: Camera) -> np.ndarray:
+    if camera.T_world_camera is None:
+        raise InputError("a camera must have a pose to be rendered from", got="T_world_camera=None")
+    return camera.T_world_camera
+
+
+def _all_rays(camera: Camera) -> np.ndarray:
+    """Directions of the rays through all pixels, row by row."""
+    v, u = np.meshgrid(np.arange(camera.height), np.arange(camera.width), indexing="ij")
+    return pixel_rays(camera, v.ravel(), u.ravel())

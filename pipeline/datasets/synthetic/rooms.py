@@ -1,0 +1,245 @@
+"""Four kinds of room, furnished by rule and seed: study, dining room, living room, bedroom."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pipeline.datasets.synthetic import decor as c
+from pipeline.datasets.synthetic import furniture as f
+from pipeline.datasets.synthetic import objects as o
+from pipeline.datasets.synthetic import shelves
+from pipeline.datasets.synthetic.layout import Focus, Layout, Room
+from pipeline.datasets.synthetic.palettes import PALETTES, Palette
+from pipeline.datasets.synthetic.shell import build_shell, palette_of, window_opening
+from pipeline.system.errors import InputError
+
+KINDS = ("study", "dining room", "living room", "bedroom")
+
+
+def make_room(seed: int) -> Room:
+    """The room of this seed; its kind is `KINDS[seed % 4]`. Equal seeds give equal rooms.
+
+    Raises
+    ------
+    InputError
+        The seed is negative.
+    """
+    if seed < 0:
+        raise InputError("a seed must not be negative", got=seed)
+    rng = np.random.default_rng([seed, 7])
+    kind = KINDS[seed % 4]
+    # The first four seeds are the demo's; each has a colour scheme of its own.
+    palette = palette_of(seed if seed < len(KINDS) else int(rng.integers(len(PALETTES))))
+    width, depth = rng.uniform(4.3, 4.7), rng.uniform(4.3, 4.7)
+    height = 2.65
+    room = Layout(width, depth, height, rng)
+    furnish = {"study": _study, "dining room": _dining, "living room": _living, "bedroom": _bedroom}[kind]
+    focuses = furnish(room, palette)
+    window = (depth * rng.uniform(0.46, 0.54), 1.5)
+    shell = build_shell(palette, rng, width, depth, height, window, ("front", width * 0.72))
+    azimuth, elevation = np.deg2rad(rng.uniform(-28, 24)), np.deg2rad(rng.uniform(30, 40))
+    sun = np.array([np.cos(elevation) * np.cos(azimuth), np.cos(elevation) * np.sin(azimuth), np.sin(elevation)])
+    opening = window_opening(window)
+    return Room(seed, kind, width, depth, height, shell, tuple(room.instances), focuses, sun, opening)
+
+
+def _focus(x: float, y: float, z: float, heading_deg: float, spread_deg: float, near: float, far: float) -> Focus:
+    return Focus(np.array([x, y, z]), np.deg2rad(heading_deg), np.deg2rad(spread_deg), near, far)
+
+
+def _turn(room: Layout, degrees: float) -> float:
+    return float(np.deg2rad(room.rng.uniform(-degrees, degrees)))
+
+
+def _book_pile(
+    room: Layout, p: Palette, on: int | None, at: tuple[float, float], count: int, surface: int = 0
+) -> int | None:
+    """Books lying on each other, each no larger than the one below; returns the top one."""
+    books = sorted((o.book(p, room.rng) for _ in range(count)), key=lambda b: -float(b.size[0]))
+    top = room.put(books[0], on, at, _turn(room, 14), surface)
+    for book in books[1:]:
+        top = room.stack(book, top, _turn(room, 9))
+    return top
+
+
+def _study(room: Layout, p: Palette) -> tuple[Focus, ...]:
+    rng, w, d = room.rng, room.width, room.depth
+    x = w * 0.42
+    table = room.against(f.desk(p, rng), "back", x, 0.02)
+    room.stand_near(c.plant(p, rng, 1.15), 0.40, d - 0.42, 0.4, 0.05)
+    room.put(o.laptop(p, rng), table, (-0.08, 0.05), _turn(room, 5))
+    room.put(o.mug(p, rng, p.accents[0]), table, (-0.50, -0.20), _turn(room, 40))
+    room.put(o.mug(p, rng, p.accents[1]), table, (0.38, -0.30), _turn(room, 40))
+    room.put(c.desk_lamp(p, rng), table, (-0.80, 0.60))
+    _book_pile(room, p, table, (0.72, 0.30), 3)
+    room.put(o.bottle(p, rng), table, (0.42, 0.70))
+    room.put(o.mouse(p, rng), table, (0.21, -0.25), _turn(room, 10))
+    room.put(c.plant(p, rng, 0.30), table, (-0.42, 0.75))
+    shelves.furnish_wall_shelf(room, p, room.hang(shelves.stocked_wall_shelf(p, rng), "back", x - 0.25, 1.42))
+    room.hang(c.picture(p, rng, 0.44, 0.58), "back", x + 0.62, 1.25)
+    seat = room.stand_near(f.office_chair(p, rng), x + 1.00, d - 1.32, np.pi + np.deg2rad(rng.uniform(30, 60)), 0.06)
+    room.stand_near(c.trash_can(p, rng), x - 0.95, d - 0.85, 0, 0.04)
+    room.stand_near(c.box(p, rng), x - 0.15, d - 0.36, _turn(room, 8), 0.05)
+    tall = room.against(shelves.stocked_bookshelf(p, rng), "back", w - 0.62, 0.02)
+    shelves.furnish_bookshelf(room, p, tall)
+    room.put(c.plant(p, rng, 0.36), tall, (-0.4, 0.0), surface=0)
+    room.lay_rug(f.rug(p, rng, 1.5, 1.5), w * 0.58, d * 0.42)
+    arm = room.stand_near(f.armchair(p, rng), w * 0.77, d * 0.50, -np.pi / 2 + 0.35, 0.1)
+    room.put(f.throw_pillow(p, rng), arm, (0.0, 0.9), _turn(room, 6))
+    stool = room.stand_near(f.stool(p, rng), w * 0.60, d * 0.35, 0.2)
+    _book_pile(room, p, stool, (0, 0), 2)
+    room.stand_near(c.backpack(p, rng), x - 1.05, d - 1.35, np.deg2rad(rng.uniform(-40, -10)), 0.1)
+    room.stand_near(c.floor_lamp(p, rng), w - 0.40, d * 0.70, 0, 0.1)
+    chest = room.against(f.cabinet(p, rng, 1.1), "left", d * 0.42)
+    room.put(o.vase(p, rng), chest, (-0.6, 0.1))
+    room.put(c.basket(p, rng), chest, (0.55, 0.0))
+    room.put(c.clock(p, rng), chest, None) if seat is None else room.hang(c.clock(p, rng), "left", d * 0.42, 1.55)
+    room.hang(c.picture(p, rng, 0.6, 0.45), "front", w * 0.3, 1.35)
+    return (
+        _focus(x + 0.05, d - 0.45, 0.78, 90, 9, 1.45, 1.75),
+        _focus(w * 0.34, d * 0.70, 0.60, 122, 12, 2.2, 3.2),
+        _focus(w * 0.50, d * 0.60, 0.60, 24, 8, 2.0, 2.8),
+        _focus(w * 0.40, d * 0.60, 0.60, 165, 10, 2.2, 3.0),
+    )
+
+
+def _dining(room: Layout, p: Palette) -> tuple[Focus, ...]:
+    rng, w, d = room.rng, room.width, room.depth
+    x, y = w * 0.47, d * 0.53
+    room.lay_rug(f.rug(p, rng, 2.45, 2.3), x, y)
+    table = room.stand(f.dining_table(p, rng), x, y)
+    model = f.chair(p, rng)
+    for dx, side, out in ((-0.36, 1, 0.63), (0.38, 1, 0.66), (-0.38, -1, 0.64), (0.42, -1, 0.82)):
+        turn = (0.0 if side > 0 else np.pi) + _turn(room, 10)
+        room.stand_near(model, x + dx, y + side * out, turn, 0.04)
+    room.put(o.bowl(p, rng), table, (-0.05, 0.15))
+    room.put(o.vase(p, rng), table, (0.28, 0.2))
+    cup = o.mug(p, rng, p.accents[0])
+    for k, (u, v) in enumerate(((-0.46, 0.52), (0.55, 0.50), (-0.28, -0.55))):
+        room.put(cup if k == 0 else o.mug(p, rng, p.accents[k]), table, (u, v), _turn(room, 60))
+    for u, v in ((-0.62, 0.55), (0.42, -0.55), (-0.5, -0.60)):
+        room.put(o.plate(p, rng), table, (u, v))
+    room.put(o.bottle(p, rng), table, (0.06, 0.35))
+    room.put(c.teapot(p, rng), table, (0.66, 0.0), _turn(room, 50))
+    room.stand_near(c.trash_can(p, rng), x - 1.62, y + 0.15, 0, 0.04)
+    room.stand_near(c.box(p, rng), x + 0.05, y + 0.02, 0.3, 0.05)
+    side = room.against(f.cabinet(p, rng, 1.55, 0.80), "back", w * 0.47)
+    room.put(c.teapot(p, rng), side, (-0.72, 0.1), 0.5)
+    room.put(c.lamp(p, rng), side, (0.78, 0.1))
+    room.put(c.basket(p, rng), side, (0.35, 0.0))
+    room.put(o.bottle(p, rng), side, (-0.34, 0.1))
+    _book_pile(room, p, side, (0.0, 0.0), 3)
+    room.hang(c.picture(p, rng, 0.52, 0.68), "back", w * 0.47 - 0.36, 1.32)
+    room.hang(c.picture(p, rng, 0.52, 0.68), "back", w * 0.47 + 0.36, 1.32)
+    room.stand_near(c.plant(p, rng, 1.2), 0.48, d - 0.50, 1.0)
+    tall = room.against(shelves.stocked_bookshelf(p, rng), "back", w - 0.56)
+    shelves.furnish_bookshelf(room, p, tall)
+    room.put(c.candle(p, rng), side, (0.12, -0.5))
+    room.put(c.candle(p, rng), side, (0.18, 0.3))
+    room.stand_near(c.plant(p, rng, 0.95), 0.45, d * 0.24, 0.6)
+    room.hang(c.clock(p, rng), "left", d * 0.60, 1.55)
+    room.stand_near(f.stool(p, rng), w - 0.50, d * 0.40)
+    room.stand_near(c.basket(p, rng), w - 0.45, d * 0.66, 0.3)
+    room.stand_near(c.plant(p, rng, 0.8), w - 0.5, d * 0.18, 1.0)
+    return (
+        _focus(x - 0.05, y + 0.2, 0.62, 90, 8, 2.3, 2.7),
+        _focus(x, y + 0.25, 0.62, 58, 12, 2.4, 3.2),
+        _focus(x, y + 0.05, 0.62, 154, 10, 2.2, 3.0),
+        _focus(x, y + 0.10, 0.62, 18, 10, 2.2, 3.0),
+    )
+
+
+def _living(room: Layout, p: Palette) -> tuple[Focus, ...]:
+    rng, w, d = room.rng, room.width, room.depth
+    x = w * 0.46
+    couch = room.stand(f.sofa(p, rng), x, d - 1.26)
+    for u in (-0.82, -0.35, 0.72):
+        room.put(f.throw_pillow(p, rng), couch, (u, 0.95), _turn(room, 7))
+    room.put(c.teddy_bear(p, rng), couch, (0.28, 0.4), _turn(room, 10))
+    room.put(o.book(p, rng), couch, (-0.60, -0.9), 0.3)
+    room.stand_near(c.plant(p, rng, 1.3), x - 0.72, d - 0.42, 0.0, 0.02)
+    room.stand_near(c.floor_lamp(p, rng), x + 0.95, d - 0.30, 0, 0.05)
+    room.stand_near(c.box(p, rng), x + 0.25, d - 0.30, 0.05, 0.05)
+    room.hang(c.picture(p, rng, 0.62, 0.80), "back", x - 0.1, 1.22)
+    room.hang(c.picture(p, rng, 0.36, 0.46), "back", x + 0.58, 1.52)
+    room.lay_rug(f.rug(p, rng, 1.8, 1.5), x, d - 2.50)
+    low = room.stand(f.coffee_table(p, rng), x, d - 2.36)
+    top = _book_pile(room, p, low, (-0.45, 0.2), 2)
+    room.stack(c.candle(p, rng), top)
+    room.put(o.mug(p, rng), low, (0.10, -0.45), _turn(room, 60))
+    room.put(o.mug(p, rng), low, (0.62, 0.10), _turn(room, 60))
+    room.put(o.bowl(p, rng), low, (0.3, 0.5))
+    room.stand_near(c.toy_ball(p, rng), x - 0.85, d - 2.75, 0.5)
+    stand = room.against(f.cabinet(p, rng, 1.55, 0.52), "left", d * 0.44)
+    room.put(o.tv(p, rng), stand, (0.0, 0.4))
+    room.put(o.vase(p, rng), stand, (-0.90, -0.2))
+    room.put(c.candle(p, rng), stand, (0.92, -0.1))
+    arm = room.stand_near(f.armchair(p, rng), x + 1.64, d - 2.45, np.deg2rad(-76), 0.05)
+    room.put(f.throw_pillow(p, rng), arm, (0, 0.9), _turn(room, 8))
+    tall = room.against(shelves.stocked_bookshelf(p, rng), "back", w - 0.56)
+    shelves.furnish_bookshelf(room, p, tall)
+    room.stand_near(c.basket(p, rng), x - 1.45, d - 1.55, 0.2, 0.1)
+    stool = room.stand_near(f.stool(p, rng), x + 1.42, d - 1.35, 0.3, 0.06)
+    room.put(o.mug(p, rng), stool, (0, 0))
+    room.stand_near(c.trash_can(p, rng), 0.35, d * 0.70, 0, 0.08)
+    room.stand_near(c.plant(p, rng, 0.9), 0.42, d * 0.14, 0.8)
+    room.hang(c.clock(p, rng), "left", d * 0.72, 1.65)
+    room.hang(c.picture(p, rng, 0.5, 0.65), "front", w * 0.28, 1.3)
+    return (
+        _focus(x + 0.1, d - 1.75, 0.50, 90, 10, 2.3, 2.7),
+        _focus(x - 0.35, d - 1.75, 0.52, 132, 12, 2.2, 3.2),
+        _focus(x + 0.15, d - 1.95, 0.48, 24, 8, 2.0, 2.7),
+        _focus(x - 0.5, d - 2.2, 0.5, 172, 12, 2.0, 3.0),
+    )
+
+
+def _bedroom(room: Layout, p: Palette) -> tuple[Focus, ...]:
+    rng, w, d = room.rng, room.width, room.depth
+    x = w * 0.53
+    place = room.against(f.bed(p, rng), "back", x)
+    half = 0.0 if place is None else float(room.instances[place].model.size[0]) / 2
+    pillow = f.bed_pillow(p, rng)
+    room.put(pillow, place, (-0.52, 0.1), _turn(room, 4))
+    room.put(f.bed_pillow(p, rng), place, (0.52, 0.1), _turn(room, 4))
+    room.put(c.teddy_bear(p, rng), place, (0.05, 0.55), _turn(room, 12), surface=1)
+    room.put(o.book(p, rng), place, (-0.45, 0.2), 0.4, surface=1)
+    room.put(c.backpack(p, rng), place, None, 0.3, surface=1) if rng.random() < 0.2 else None
+    stand = f.nightstand(p, rng)
+    for s in (-1, 1):
+        spot = room.against(stand, "back", x + s * (half + 0.36))
+        room.put(c.lamp(p, rng), spot, (0.1 * s, 0.35))
+        if s < 0:
+            room.put(c.alarm_clock(p, rng), spot, (0.6, -0.5), 0.2)
+            room.put(o.mug(p, rng), spot, (-0.55, -0.55), _turn(room, 60))
+        else:
+            room.put(o.book(p, rng), spot, (-0.5, -0.7), 0.2)
+    room.hang(c.picture(p, rng, 0.9, 0.6), "back", x, 1.32)
+    room.lay_rug(f.rug(p, rng, 0.70, 1.7), x - half - 0.46, d - 1.60)
+    closet = room.against(f.wardrobe(p, rng), "left", d - 1.15)
+    room.stand_near(c.basket(p, rng), 0.55, d - 0.32, 0.2, 0.06)
+    room.put(c.box(p, rng), closet, (0.3, 0.0))
+    table = room.against(f.desk(p, rng), "left", d * 0.30)
+    room.put(o.laptop(p, rng), table, (0.0, 0.0), _turn(room, 8))
+    room.put(o.mug(p, rng), table, (-0.5, -0.1), _turn(room, 50))
+    room.put(o.mug(p, rng), table, (0.45, -0.3), _turn(room, 50))
+    room.put(c.desk_lamp(p, rng), table, (0.8, 0.5))
+    _book_pile(room, p, table, (-0.8, 0.4), 3)
+    room.stand_near(f.chair(p, rng), 1.12, d * 0.30, np.deg2rad(-105), 0.05)
+    room.stand_near(c.trash_can(p, rng), 0.38, d * 0.30 + 1.0, 0, 0.06)
+    room.stand_near(c.toy_ball(p, rng), x - half - 0.55, d - 2.25, 0.3, 0.1)
+    room.stand_near(c.backpack(p, rng), x - half - 0.28, d - 2.45, np.deg2rad(-30), 0.08)
+    stool = room.stand_near(f.stool(p, rng), x + 0.25, d - 2.55, 0.2, 0.1)
+    _book_pile(room, p, stool, (0, 0), 2)
+    room.stand_near(c.plant(p, rng, 1.2), w - 0.45, d - 1.35, 0.3)
+    room.stand_near(c.box(p, rng), x + half + 0.35, d - 1.0, 0.1, 0.1)
+    chest = room.against(f.cabinet(p, rng, 1.1, 0.78), "right", d * 0.27)
+    room.put(c.plant(p, rng, 0.4), chest, (-0.6, 0.1))
+    room.put(o.vase(p, rng), chest, (0.6, 0.0))
+    room.put(c.teapot(p, rng), chest, (0.0, 0.0), 0.4)
+    room.hang(c.clock(p, rng), "left", d * 0.32, 1.6)
+    return (
+        _focus(x - 0.1, d - 1.15, 0.55, 90, 12, 2.4, 2.9),
+        _focus(x - 0.1, d - 1.25, 0.55, 62, 12, 2.3, 3.2),
+        _focus(w * 0.40, d * 0.52, 0.55, 158, 10, 2.0, 3.0),
+        _focus(x - 0.35, d - 1.30, 0.55, 122, 14, 2.4, 3.3),
+    )

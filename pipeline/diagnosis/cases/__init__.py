@@ -1,0 +1,24 @@
+"""Cases that are kept: a frame, its detections, an expression and the answer, as a folder that can be run again.
+
+`saving` writes one, `opening` reads it back as a source, `answered` answers and
+judges, `replay` runs it again and says what changed, `truth_record` and
+`kept_proposals` are the two larger parts of the folder.
+"""
+
+from pipeline.diagnosis.cases.answered import Answered, answer, answer_record
+from pipeline.diagnosis.cases.opening import OpenedCase, open_case
+from pipeline.diagnosis.cases.replay import Replay, find_cases, replay_case, update_case
+from pipeline.diagnosis.cases.saving import save_case
+
+__all__ = [
+    "Answered",
+    "OpenedCase",
+    "Replay",
+    "answer",
+    "answer_record",
+    "find_cases",
+    "open_case",
+    "replay_case",
+    "save_case",
+    "update_case",
+]

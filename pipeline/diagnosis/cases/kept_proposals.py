@@ -1,0 +1,202 @@
+"""What a detector gave for each asked name, before K and suppression, with and without its minimum score.
+
+The file is also a recording of one frame (`pipeline.proposals.recorded`): what
+a recording does not have stands beside its "frames". Scores and boxes are
+written so that reading gives the same float32 numbers.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from pipeline.datasets.saved_case import Four, damaged
+from pipeline.geometry.frame import Frame
+from pipeline.geometry.run_length import RunLength, decode_run_length, encode_run_length
+from pipeline.proposals.annotations import box_mask
+from pipeline.proposals.base import Detector, Proposals, no_proposals
+from pipeline.system.errors import InputError, UnknownClass
+
+
+class KeptDetection(BaseModel):
+    """One detection; `id` is left out where the detector gives none, `mask` where it gives a box only."""
+
+    model_config = ConfigDict(extra="forbid")
+    label: str = Field(min_length=1)
+    score: float = Field(ge=0, le=1)
+    bbox: Four
+    mask: RunLength | None = None
+    id: int | None = Field(default=None, ge=0, lt=2**63)
+    segmented: bool = False
+
+
+class KeptAnswer(BaseModel):
+    """Places of the detections of one name, in the detector's order, or why it refused the name."""
+
+    model_config = ConfigDict(extra="forbid")
+    given: tuple[int, ...] = ()
+    unfiltered: tuple[int, ...] = ()
+    refused: str | None = None
+
+
+class KeptProposals(BaseModel):
+    """The file."""
+
+    model_config = ConfigDict(extra="forbid")
+    frames: dict[str, list[KeptDetection]] = Field(min_length=1, max_length=1)
+    asked: dict[str, KeptAnswer]
+
+
+def keep_proposals(frame: Frame, detector: Detector, unfiltered: Detector, names: Sequence[str]) -> dict[str, Any]:
+    """Ask a detector for each name; the file's content."""
+    detections: list[dict[str, Any]] = []
+    places: dict[str, int] = {}
+    asked: dict[str, Any] = {}
+
+    def keep(found: Proposals) -> list[int]:
+        rows = [_detection_record(frame, found, i) for i in range(len(found))]
+        index = []
+        for row in rows:
+            # Without an identity two equal detections are two things.
+            key = json.dumps(row) if "id" in row else f"{len(detections)}"
+            if key not in places:
+                places[key] = len(detections)
+                detections.append(row)
+            index.append(places[key])
+        return index
+
+    for name in dict.fromkeys(names):
+        try:
+            found = detector.detect(frame, [name])
+        except InputError as error:
+            asked[name] = {"refused": str(error)}
+            continue
+        given = keep(found)
+        # The same detector twice would keep what has no identity twice.
+        every = given if unfiltered is detector else keep(unfiltered.detect(frame, [name]))
+        asked[name] = {"given": given, "unfiltered": every}
+    return {"frames": {frame.id: detections}, "asked": asked}
+
+
+def _detection_record(frame: Frame, found: Proposals, i: int) -> dict[str, Any]:
+    row: dict[str, Any] = {
+        "label": found.label(i), "score": float(found.scores[i]), "bbox": [float(v) for v in found.boxes[i]],
+    }  # fmt: skip
+    masked = found.masks is not None and (found.has_mask is None or bool(found.has_mask[i]))
+    if found.masks is not None and masked:
+        row["mask"] = {"size": (frame.height, frame.width), "counts": encode_run_length(found.masks[i])}
+        if found.segmented is not None and bool(found.segmented[i]):
+            row["segmented"] = True
+    if found.ids[i] >= 0:
+        row["id"] = int(found.ids[i])
+    return row
+
+
+@dataclass(frozen=True)
+class KeptDetector:
+    """Plays back kept proposals.
+
+    Attributes
+    ----------
+    name : str
+        That of the detector they are from.
+    exact : bool
+    vocabulary : tuple of str or None
+    kept : KeptProposals
+    path : Path
+        The file, for errors.
+    print : str
+        Hash of the file.
+    everything : bool
+        Without the detector's minimum score.
+    """
+
+    name: str
+    exact: bool
+    vocabulary: tuple[str, ...] | None
+    kept: KeptProposals
+    path: Path
+    print: str
+    everything: bool = False
+    _answers: dict[tuple[str, ...] | None, Proposals] = field(default_factory=dict, compare=False, repr=False)
+
+    def fingerprint(self) -> str:
+        # Unfiltered detections have the same identities and pixels.
+        return f"kept:{self.print}"
+
+    def detect(self, frame: Frame, labels: Sequence[str] | None) -> Proposals:
+        key = None if labels is None else tuple(labels)
+        if key not in self._answers:
+            self._answers[key] = self._answer(frame, key)
+        return self._answers[key]
+
+    def _answer(self, frame: Frame, labels: tuple[str, ...] | None) -> Proposals:
+        index: list[int] = []
+        for name in self.kept.asked if labels is None else labels:
+            answer = self.kept.asked.get(name)
+            if answer is None:
+                raise UnknownClass(
+                    f"the case has no detections of {name!r}", expected=", ".join(self.kept.asked), path=self.path
+                )
+            if answer.refused is not None and labels is not None:
+                raise UnknownClass(answer.refused)
+            index += answer.unfiltered if self.everything else answer.given
+        rows = self.kept.frames.get(frame.id)
+        if rows is None:
+            raise InputError(f"the case has no detections in frame {frame.id}", path=self.path)
+        return _proposals([rows[i] for i in dict.fromkeys(index)], (frame.height, frame.width))
+
+
+def _proposals(rows: Sequence[KeptDetection], shape: tuple[int, int]) -> Proposals:
+    if not rows:
+        return no_proposals(*shape)
+    names = tuple(dict.fromkeys(r.label for r in rows))
+    boxes = np.array([r.bbox for r in rows], np.float32)
+    masks = np.zeros((len(rows), *shape), np.bool_)
+    for k, row in enumerate(rows):
+        if row.mask is None:
+            masks[k] = box_mask(boxes[k], *shape)
+            continue
+        if row.mask.size != shape:
+            raise InputError(f"the mask of detection {k} has another size", got=row.mask.size, expected=shape)
+        masks[k] = decode_run_length(row.mask.size, row.mask.counts, f"detection {k}")
+    return Proposals(
+        boxes,
+        np.array([r.score for r in rows], np.float32),
+        np.array([names.index(r.label) for r in rows], np.int64),
+        names,
+        masks,
+        np.array([-1 if r.id is None else r.id for r in rows], np.int64),
+        np.array([r.mask is not None for r in rows]),
+        np.array([r.segmented for r in rows]),
+    )
+
+
+def read_proposals(path: Path) -> tuple[KeptProposals, str]:
+    """The file, and its hash.
+
+    Raises
+    ------
+    InputError
+        It is damaged; the message names the place.
+    """
+    data = path.read_bytes()
+    try:
+        kept = KeptProposals.model_validate(json.loads(data))
+    except ValidationError as error:
+        raise damaged(error, path) from error
+    except (ValueError, RecursionError) as error:
+        raise InputError("the detections of the case are not JSON", got=str(error)[:120], path=path) from error
+    (rows,) = kept.frames.values()
+    highest = max((i for a in kept.asked.values() for i in (*a.given, *a.unfiltered)), default=-1)
+    lowest = min((i for a in kept.asked.values() for i in (*a.given, *a.unfiltered)), default=0)
+    if highest >= len(rows) or lowest < 0:
+        raise InputError("the case names a detection that it does not hold", got=highest, expected=len(rows), path=path)
+    return kept, hashlib.sha256(data).hexdigest()

@@ -1,0 +1,174 @@
+"""Running kept cases again: has the answer changed, by object and by verdict?
+
+What decides is the target, the reference, whether they stand in the relation, and the verdict. Probabilities that
+move by more than a tolerance, and another detail of the same verdict, are warnings.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.answering.objects import SAME_BOX_IOU
+from pipeline.datasets.saved_case import MANIFEST
+from pipeline.diagnosis.cases.answered import Answered, answer_record
+from pipeline.diagnosis.cases.manifest import Expected, ExpectedObject, checked_expected
+from pipeline.diagnosis.cases.opening import OpenedCase
+from pipeline.diagnosis.cases.saving import write_expected
+from pipeline.geometry.boxes import iou_2d
+from pipeline.system.errors import InputError
+
+TOLERANCE = 1e-4
+"""By how much a probability may move without a word."""
+SAME_BOX_PIXELS = 0.05
+"""Of kept detections, those with edges this close are one; their boxes are written with two digits."""
+
+
+@dataclass(frozen=True)
+class Replay:
+    """A case that was run again.
+
+    Attributes
+    ----------
+    path : Path
+    name : str
+    before, after : Expected
+        The kept answer and that of now, as far as they are compared.
+    changes : tuple of str
+        What is another now, in words; empty where the answer is the same.
+    warnings : tuple of str
+        What moved without changing the answer, and what the case was run with besides its own.
+    record : dict
+        The whole answer of now.
+    answered : Answered
+    """
+
+    path: Path
+    name: str
+    before: Expected
+    after: Expected
+    changes: tuple[str, ...]
+    warnings: tuple[str, ...]
+    record: dict[str, Any]
+    answered: Answered
+
+    @property
+    def same(self) -> bool:
+        """The answer is the kept one."""
+        return not self.changes
+
+
+def find_cases(path: str | Path) -> tuple[Path, ...]:
+    """The cases in a folder, or the folder itself where it is one.
+
+    Raises
+    ------
+    InputError
+        There is none.
+    """
+    path = Path(path)
+    if (path / MANIFEST).is_file():
+        return (path,)
+    if not path.is_dir():
+        raise InputError("there is no such case", path=path)
+    # A half-written case has a hidden name.
+    found = []
+    for folder, inside, files in os.walk(path):
+        inside[:] = sorted(name for name in inside if not name.startswith("."))
+        if MANIFEST in files:
+            found.append(Path(folder))
+    if not found:
+        raise InputError("the folder holds no saved case", expected=f"folders with {MANIFEST}", path=path)
+    return tuple(found)
+
+
+def replay_case(opened: OpenedCase, tolerance: float = TOLERANCE, *, live: bool = False) -> Replay:
+    """Answer a case again and compare.
+
+    Parameters
+    ----------
+    opened : OpenedCase
+    tolerance : float
+        A probability that moves by more is warned of.
+    live : bool
+        The detections are new ones: objects are the same where their 2D boxes overlap by 0.7.
+
+    Raises
+    ------
+    InputError
+        The case cannot be answered: it is damaged, or lacks its network.
+    """
+    if not (np.isfinite(tolerance) and tolerance >= 0):
+        raise InputError("a tolerance must be at least 0", got=tolerance)
+    now = opened.answer()
+    record = answer_record(now)
+    after = checked_expected(record, opened.root)
+    changes, warnings = _compare(opened.expected, after, tolerance, live)
+    return Replay(
+        opened.root, opened.manifest.name, opened.expected, after, tuple(changes), (*opened.notes, *warnings), record,
+        now,
+    )  # fmt: skip
+
+
+def update_case(opened: OpenedCase, replay: Replay) -> None:
+    """Take the answer of now as the expected one."""
+    write_expected(opened.root, opened.table, replay.record)
+
+
+def _compare(before: Expected, after: Expected, tolerance: float, live: bool) -> tuple[list[str], list[str]]:
+    changes: list[str] = []
+    warnings: list[str] = []
+    a, b = before.answer, after.answer
+    if a is None or b is None:
+        if a is not None:
+            changes.append(f"there was an answer, and now there is none: {after.reason}")
+        elif b is not None:
+            changes.append(f"there was no answer ({before.reason}), and now there is one: {_named(b.target)}")
+        elif before.reason != after.reason:
+            warnings.append(f"no answer, for another reason: {before.reason} -> {after.reason}")
+    else:
+        for role in ("target", "reference", "second_reference"):
+            one, other = getattr(a, role), getattr(b, role)
+            if not _same_object(one, other, live):
+                changes.append(f"{role.replace('_', ' ')}: {_named(one)} -> {_named(other)}")
+            elif one is not None:
+                warnings += _moved(f"score of the {role.replace('_', ' ')}", one.score, other.score, tolerance)
+        if a.holds is not None and a.holds != b.holds:
+            stands = ("there is no such pair", "the pair stands in the relation")
+            changes.append(f"{stands[a.holds]} ({a.p_relation:.2f}) -> {stands[bool(b.holds)]} ({b.p_relation:.2f})")
+        for what in ("p_relation", "product", "probability"):
+            warnings += _moved(what, getattr(a, what), getattr(b, what), tolerance)
+    one, other = before.judgement, after.judgement
+    verdicts = [None if j is None else j.verdict for j in (one, other)]
+    if verdicts[0] != verdicts[1]:
+        changes.append(f"verdict: {verdicts[0] or 'none'} -> {verdicts[1] or 'none'}")
+    elif one is not None and other is not None:
+        if one.detail != other.detail:
+            warnings.append(f"detail of the verdict: {one.detail} -> {other.detail}")
+        if one.lucky != other.lucky:
+            warnings.append("right by luck now" if other.lucky else "right and no longer by luck")
+    return changes, warnings
+
+
+def _same_object(one: ExpectedObject | None, other: ExpectedObject | None, live: bool) -> bool:
+    if one is None or other is None:
+        return one is other
+    if live:
+        return bool(iou_2d(np.array([one.bbox]), np.array([other.bbox]))[0, 0] >= SAME_BOX_IOU)
+    near = max(abs(p - q) for p, q in zip(one.bbox, other.bbox, strict=True)) <= SAME_BOX_PIXELS
+    return one.id == other.id and near
+
+
+def _named(entry: ExpectedObject | None) -> str:
+    if entry is None:
+        return "nothing"
+    x0, y0, x1, y1 = entry.bbox
+    return f"{entry.label} at ({(x0 + x1) / 2:.0f}, {(y0 + y1) / 2:.0f})"
+
+
+def _moved(what: str, before: float, after: float, tolerance: float) -> list[str]:
+    return [f"{what}: {before:.4f} -> {after:.4f}"] if abs(after - before) > tolerance else []

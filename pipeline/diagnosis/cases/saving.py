@@ -1,0 +1,215 @@
+"""Writing a case: a small folder that holds all that its answer depends on, whole or not at all."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+from collections.abc import Mapping
+from datetime import datetime, timezone
+from pathlib import Path
+from typing import Any
+
+from pipeline import __version__
+from pipeline.answering.objects import FrameContext
+from pipeline.answering.source import Source
+from pipeline.datasets.saved_case import CASE_FORMAT, MANIFEST, saved_frame
+from pipeline.diagnosis.cases.answered import Answered, Edited, answer, answer_record
+from pipeline.diagnosis.cases.kept_proposals import keep_proposals
+from pipeline.diagnosis.cases.manifest import NETWORK, PROPOSALS, ScorerRecord, checked_expected, config_record
+from pipeline.diagnosis.cases.opening import open_case
+from pipeline.diagnosis.cases.truth_record import truth_record
+from pipeline.labels.cases import Case, FrameCases
+from pipeline.language.naming import Synonyms, default_synonyms
+from pipeline.relations import RelationScorer, RuleScorer, shipped_network
+from pipeline.system.errors import InputError
+from pipeline.system.whole_files import temporary_beside, write_synced
+
+LARGEST_COPY = 16 * 2**20
+"""Bytes of a relation network that may be copied into a case."""
+
+
+def save_case(
+    folder: str | Path,
+    source: Source,
+    context: FrameContext,
+    text: str,
+    *,
+    truth: FrameCases | None = None,
+    case: Case | None = None,
+    mark: str | None = None,
+    confidence: float | None = None,
+    edits: Edited | None = None,
+    run: Mapping[str, Any] | None = None,
+    name: str | None = None,
+    expected: Mapping[str, Any] | None = None,
+    copy_network: bool = False,
+) -> Answered:
+    """Write a case, and run it once from its folder to be sure that it answers as here.
+
+    Parameters
+    ----------
+    folder : str or Path
+        Must not exist, or be empty.
+    source : Source
+        What answers; its detector is asked once more, without its minimum score too.
+    context : FrameContext
+    text : str
+        The expression.
+    truth : FrameCases, optional
+        What is true of the frame; without it there is no verdict.
+    case, mark, confidence
+        As for `pipeline.diagnosis.live.judge_trace`.
+    edits : mapping, optional
+        Edits as JSON (`pipeline.diagnosis.whatif.edits_record`).
+    run : mapping, optional
+        Where the case comes from, for people: plain JSON.
+    name : str, optional
+        Its title; the expression and the frame by default.
+    expected : mapping, optional
+        The answer that a replay is compared with, as `answer_record` gives it; by default the answer now.
+    copy_network : bool
+        Put the ONNX file of the relation network into the folder.
+
+    Returns
+    -------
+    Answered
+        The answer now.
+
+    Raises
+    ------
+    InputError
+        No detector, a folder that is in use, edits that cannot be applied, or a source whose answer does not come
+        back from what it gave; nothing is written then.
+    """
+    folder = Path(folder)
+    if folder.exists() and not (folder.is_dir() and not any(folder.iterdir())):
+        raise InputError("the folder for the case is not empty", expected="a new one", path=folder)
+    now = answer(
+        source, context, text, truth=truth, case=case, mark=mark, confidence=confidence, edits=edits
+    )
+    frame, files = saved_frame(context.frame)
+    files[PROPOSALS] = _json(_proposals(source, context, now, case)).encode()
+    scorer, network = _scorer_record(source.scorer, copy_network)
+    if network is not None:
+        files[NETWORK] = network
+    judged = now.judgement
+    known = None if judged is None else truth_record(judged.truth, judged.case, mark, confidence)
+    record = answer_record(now)
+    detector = source.needed_detector()
+    manifest = {
+        "format": CASE_FORMAT,
+        "name": name or f"{text} in {context.frame.id}",
+        "tool": f"spatialviz {__version__}",
+        "created": datetime.now(timezone.utc).isoformat(timespec="seconds"),
+        "files": {file: hashlib.sha256(data).hexdigest() for file, data in files.items()},
+        "text": text,
+        "frame": frame.model_dump(mode="json"),
+        "dataset": {"format": source.dataset.format, "name": source.dataset.root.resolve().name},
+        "class_names": list(source.dataset.class_names),
+        "synonyms": _synonyms_record(source.synonyms),
+        "detector": {
+            "name": detector.name,
+            "exact": detector.exact,
+            "vocabulary": None if source.dataset.class_names or detector.vocabulary is None else detector.vocabulary,
+            "fingerprint_sha256": hashlib.sha256(detector.fingerprint().encode()).hexdigest(),
+        },
+        "scorer": scorer.model_dump(mode="json"),
+        "config": config_record(source.config),
+        "truth": known,
+        "edits": dict(edits) if edits else None,
+        "run": dict(run or {}),
+        "expected": record if expected is None else dict(expected),
+    }
+    checked_expected(manifest["expected"], folder / MANIFEST)
+    try:
+        files[MANIFEST] = _json(manifest).encode()
+    except (TypeError, ValueError) as error:
+        raise InputError("the case cannot be written as JSON", got=str(error)) from error
+    _write_whole(folder, files, source, record)
+    return now
+
+
+def _write_whole(folder: Path, files: dict[str, bytes], source: Source, record: dict[str, Any]) -> None:
+    """Write beside the place, replay, and rename."""
+    partial = temporary_beside(folder)
+    try:
+        folder.parent.mkdir(parents=True, exist_ok=True)
+        partial.mkdir()
+        for file, data in files.items():
+            write_synced(partial / file, data)
+        opened = open_case(partial, scorer=source.scorer)
+        again = answer_record(opened.answer())
+        if again != record:
+            if "proposals" not in record:
+                raise InputError("an expression that cannot be asked cannot be kept", got=record["reason"])
+            which = next((k for k in record if record[k] != again.get(k)), "a part")
+            raise InputError(
+                "the answer does not come back from what was kept", got=f"another {which}",
+                cause="does the detector or the scorer look at more than the frame?", path=folder,
+            )  # fmt: skip
+        if folder.exists():
+            folder.rmdir()
+        os.replace(partial, folder)
+    except OSError as error:
+        raise InputError("the case cannot be written", got=error.strerror, path=folder) from error
+    finally:
+        shutil.rmtree(partial, ignore_errors=True)
+
+
+def _proposals(source: Source, context: FrameContext, now: Answered, case: Case | None) -> dict[str, Any]:
+    names: list[str] = [] if now.trace is None else list(now.trace.query.labels)
+    case = now.judgement.case if now.judgement is not None else case
+    if case is not None:
+        names += [case.target, case.reference]
+    return keep_proposals(context.frame, source.needed_detector(), source.unfiltered_detector(), names)
+
+
+def _json(record: dict[str, Any]) -> str:
+    return json.dumps(record, ensure_ascii=False, allow_nan=False, indent=1) + "\n"
+
+
+def _synonyms_record(table: Synonyms | None) -> dict[str, Any] | None:
+    if table is None or table == default_synonyms():
+        return None
+    return {"groups": [sorted(g) for g in table.groups], "exceptions": sorted(table.exceptions)}
+
+
+def _scorer_record(scorer: RelationScorer, copy: bool) -> tuple[ScorerRecord, bytes | None]:
+    """What scores relations, and its file where it goes into the case."""
+    if isinstance(scorer, RuleScorer):
+        return ScorerRecord(kind="rule", name=scorer.name), None
+    path = getattr(scorer, "path", None)
+    if not isinstance(path, Path):
+        raise InputError("the relation scorer has no file to be known by", got=scorer.name)
+    data = path.read_bytes()
+    record = ScorerRecord(
+        kind="trained" if path.resolve() == shipped_network().resolve() else "file",
+        name=scorer.name, file=path.name, sha256=hashlib.sha256(data).hexdigest(), in_case=copy,
+    )  # fmt: skip
+    if not copy:
+        return record, None
+    if len(data) > LARGEST_COPY:
+        raise InputError(
+            "the relation network is too large for a case", got=f"{len(data) / 2**20:.0f} MB",
+            expected=f"at most {LARGEST_COPY >> 20} MB", path=path,
+        )  # fmt: skip
+    return record, data
+
+
+def _with_expected(table: dict[str, Any], record: dict[str, Any]) -> bytes:
+    return _json({**table, "expected": record}).encode()
+
+
+def write_expected(root: Path, table: dict[str, Any], record: dict[str, Any]) -> None:
+    """Put another expected answer into a case's manifest, whole or not at all."""
+    path = root / MANIFEST
+    temporary = temporary_beside(path)
+    try:
+        write_synced(temporary, _with_expected(table, record))
+        os.replace(temporary, path)
+    except OSError as error:
+        raise InputError("the case cannot be written", got=error.strerror, path=path) from error
+    finally:
+        temporary.unlink(missing_ok=True)

@@ -1,0 +1,259 @@
+"""Relations of all pairs of a list of objects, of which only the pairs that are new are scored.
+
+A pair is scored as a scene of its own with two objects in it, many at once: the
+rule and the network judge each pair by these two alone, and so this gives the
+numbers that scoring the whole list gives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.answering.objects import SceneObject
+from pipeline.geometry.frame import Frame
+from pipeline.geometry.lifting import LiftedObject
+from pipeline.geometry.viewer import ViewerAxes
+from pipeline.relations.appearance import appearance_of
+from pipeline.relations.contact import enclosed_share, points_decide, surface_heights
+from pipeline.relations.model import OnnxScorer
+from pipeline.relations.relations import (
+    PAIRWISE,
+    Profile,
+    known_extents,
+    measure_pairs,
+    measured_states,
+    pairwise_states,
+)
+from pipeline.relations.scorer import RelationScorer, RelationScores, RuleScorer, rule_probabilities, stacked_extents
+
+_WHOLE = 0.5
+"""From this share of new pairs on everything is scored anew, as one scene."""
+
+_FEW_POINTS = 20
+
+_Identity = tuple[int, str, bytes]
+
+
+@dataclass(frozen=True)
+class PairTables:
+    """What was scored, and what it was scored from.
+
+    Attributes
+    ----------
+    objects : tuple of SceneObject
+    place : dict
+        Identity of an object -> its place.
+    lo, hi : (N, 3) float64
+        Extents along (right, up, forward), metres.
+    clouds : tuple of (M, 3) float32
+        Points along (right, up, forward).
+    rows : (N, K) float64
+        What the network is given of each object; K is 0 for the rule.
+    scores : RelationScores
+        Of PAIRWISE.
+    scored : int
+        How many unordered pairs were scored anew.
+    """
+
+    objects: tuple[SceneObject, ...]
+    place: dict[_Identity, int]
+    lo: np.ndarray
+    hi: np.ndarray
+    clouds: tuple[np.ndarray, ...]
+    rows: np.ndarray
+    scores: RelationScores
+    scored: int
+
+
+def identity(entry: SceneObject) -> _Identity:
+    """What an object is to a scorer."""
+    # `PairTables.objects` keeps the object alive, so that its number stays its own.
+    return id(entry.lifted), entry.label, entry.bbox.tobytes()
+
+
+def score_pairs(
+    objects: Sequence[SceneObject],
+    viewer: ViewerAxes,
+    frame: Frame,
+    scorer: RelationScorer,
+    profile: Profile,
+    before: PairTables | None = None,
+) -> PairTables:
+    """All relations of all ordered pairs.
+
+    Parameters
+    ----------
+    before : PairTables, optional
+        Scored by the same scorer, profile and viewer; pairs of two objects that are in it are taken from it.
+    """
+    objects = tuple(objects)
+    n = len(objects)
+    identities = [identity(o) for o in objects]
+    known = {} if before is None else before.place
+    old = np.array([known.get(i, -1) for i in identities], np.int64).reshape(-1)
+    fresh = np.flatnonzero(old < 0)
+    lo, hi = stacked_extents([o.lifted for o in objects])
+    axes = viewer.matrix.T.astype(np.float32)
+    clouds = tuple(
+        o.lifted.points @ axes if k < 0 or before is None else before.clouds[k]
+        for o, k in zip(objects, old.tolist(), strict=True)
+    )
+    rows = _described(objects, fresh, old, viewer, frame, scorer, before)
+    new = np.triu((old < 0)[:, None] | (old < 0)[None, :], 1)
+    first, second = np.nonzero(new)
+    if not isinstance(scorer, RuleScorer | OnnxScorer):
+        scores = _by_any(objects, viewer, frame, scorer, lo, hi, clouds, profile)
+    elif before is None or len(first) > _WHOLE * n * (n - 1) / 2:
+        states = pairwise_states(lo, hi, clouds, profile)
+        scores = combined(states, scorer.probabilities(rows) if isinstance(scorer, OnnxScorer) else None, scorer)
+    else:
+        scores = _renewed(old, first, second, (lo, hi), clouds, rows, scorer, profile, before)
+    place = {one: at for at, one in enumerate(identities)}
+    return PairTables(objects, place, lo, hi, clouds, rows, scores, len(first))
+
+
+def _described(
+    objects: tuple[SceneObject, ...],
+    fresh: np.ndarray,
+    old: np.ndarray,
+    viewer: ViewerAxes,
+    frame: Frame,
+    scorer: RelationScorer,
+    before: PairTables | None,
+) -> np.ndarray:
+    if not isinstance(scorer, OnnxScorer):
+        return np.zeros((len(objects), 0))
+    new = describe([objects[k] for k in fresh], viewer, frame, scorer)
+    rows = np.empty((len(objects), new.shape[1]))
+    rows[fresh] = new
+    if before is not None:
+        rows[old >= 0] = before.rows[old[old >= 0]]
+    return rows
+
+
+def describe(objects: Sequence[SceneObject], viewer: ViewerAxes, frame: Frame, scorer: OnnxScorer) -> np.ndarray:
+    """(N, K) float64: what a network is given of each object."""
+    appearance = appearance_of(objects, frame)
+    lifted: list[LiftedObject] = [o.lifted for o in objects]
+    return scorer.with_words(scorer.features.describe(lifted, viewer, appearance), appearance.labels)
+
+
+def combined(states: np.ndarray, network: np.ndarray | None, scorer: RelationScorer) -> RelationScores:
+    """Scores of PAIRWISE, as the scorer itself puts them together; states (..., N, N, 9), network (..., N, N, V)."""
+    probabilities = rule_probabilities(states)
+    scored_by: dict[str, str] = dict.fromkeys(PAIRWISE, RuleScorer.name)
+    if network is not None and isinstance(scorer, OnnxScorer):
+        own = np.eye(states.shape[-2], dtype=np.bool_)
+        kept = probabilities[..., own, :]
+        for k, relation in enumerate(scorer.contract.vocabulary):
+            if relation in PAIRWISE:
+                probabilities[..., PAIRWISE.index(relation)] = network[..., k]
+                scored_by[relation] = scorer.name
+        probabilities[..., own, :] = kept
+    return RelationScores(PAIRWISE, states, probabilities, scored_by)
+
+
+def _renewed(
+    old: np.ndarray,
+    first: np.ndarray,
+    second: np.ndarray,
+    extents: tuple[np.ndarray, np.ndarray],
+    clouds: tuple[np.ndarray, ...],
+    rows: np.ndarray,
+    scorer: RuleScorer | OnnxScorer,
+    profile: Profile,
+    before: PairTables,
+) -> RelationScores:
+    """The pairs (first, second) scored, all others taken from before."""
+    n, kept = len(old), np.flatnonzero(old >= 0)
+    states = np.empty((n, n, len(PAIRWISE)), np.int8)
+    probabilities = np.empty((n, n, len(PAIRWISE)))
+    if len(kept):
+        block = np.ix_(old[kept], old[kept])
+        states[np.ix_(kept, kept)] = before.scores.states[block]
+        probabilities[np.ix_(kept, kept)] = before.scores.probabilities[block]
+    pair = np.stack([first, second], axis=1)
+    found = of_pairs(pair, extents, clouds, rows, scorer, profile)
+    states[first, second], states[second, first] = found.states[:, 0, 1], found.states[:, 1, 0]
+    probabilities[first, second] = found.probabilities[:, 0, 1]
+    probabilities[second, first] = found.probabilities[:, 1, 0]
+    # Of an object to itself nothing holds, by rule.
+    own = np.arange(n)
+    states[own, own] = -1
+    probabilities[own, own] = rule_probabilities(np.array(-1))
+    return RelationScores(PAIRWISE, states, probabilities, found.scored_by)
+
+
+def of_pairs(
+    pair: np.ndarray,
+    extents: tuple[np.ndarray, np.ndarray],
+    clouds: Sequence[np.ndarray],
+    rows: np.ndarray,
+    scorer: RuleScorer | OnnxScorer,
+    profile: Profile,
+) -> RelationScores:
+    """Scores of pairs of objects, each pair as a scene of two.
+
+    Parameters
+    ----------
+    pair : (P, 2) int
+        Places in the lists.
+    extents : ((N, 3), (N, 3)) float64
+        Along (right, up, forward), metres.
+    clouds : sequence of (M, 3)
+    rows : (N, K) float64
+
+    Returns
+    -------
+    RelationScores
+        With arrays (P, 2, 2, 9): [p, 0, 1] is "first RELATION second".
+    """
+    known = known_extents(*extents)
+    lo, hi = (np.where(known[:, None], e, 0.0) for e in extents)
+    surface, share = (np.zeros((len(pair), 2, 2)) for _ in range(2))
+    measures = measure_pairs(lo[pair], hi[pair], profile)
+    seen, held = points_decide(measures, profile)
+    # Of a few points one is more than extents can leave out.
+    held |= np.array([len(cloud) < _FEW_POINTS for cloud in clouds], np.bool_)[pair][:, :, None]
+    for side in (0, 1):
+        a, b = pair[:, side], pair[:, 1 - side]
+        for one, at in _grouped(b, seen[:, side, 1 - side]):
+            heights = surface_heights(lo[a[at]], hi[a[at]], clouds[one], hi[one, 1], profile)
+            surface[at, side, 1 - side] = heights
+        for one, at in _grouped(a, held[:, side, 1 - side]):
+            share[at, side, 1 - side] = enclosed_share(lo[one], hi[one], clouds[one], lo[b[at]], hi[b[at]], profile)
+    states = measured_states(measures, known[pair], surface, share, profile)
+    return combined(states, scorer.probabilities(rows[pair]) if isinstance(scorer, OnnxScorer) else None, scorer)
+
+
+def _grouped(places: np.ndarray, wanted: np.ndarray) -> list[tuple[int, np.ndarray]]:
+    """Each object ((P,) places) with those of the wanted pairs ((P,) bool) in which it stands."""
+    order = np.flatnonzero(wanted)
+    order = order[np.argsort(places[order], kind="stable")]
+    if not len(order):
+        return []
+    cuts = np.flatnonzero(np.diff(places[order])) + 1
+    return [(int(places[group[0]]), group) for group in np.split(order, cuts)]
+
+
+def _by_any(
+    objects: tuple[SceneObject, ...],
+    viewer: ViewerAxes,
+    frame: Frame,
+    scorer: RelationScorer,
+    lo: np.ndarray,
+    hi: np.ndarray,
+    clouds: tuple[np.ndarray, ...],
+    profile: Profile,
+) -> RelationScores:
+    """A scorer of which nothing is known: the whole list, with the profile where the rule scored."""
+    found = scorer.score([o.lifted for o in objects], viewer, appearance_of(objects, frame))
+    if profile == Profile() or tuple(found.relations) != PAIRWISE:
+        return found
+    states = pairwise_states(lo, hi, clouds, profile)
+    ruled = np.array([found.scored_by.get(r) == RuleScorer.name for r in PAIRWISE])
+    probabilities = np.where(ruled, rule_probabilities(states), found.probabilities)
+    return RelationScores(PAIRWISE, states, probabilities, found.scored_by)

@@ -1,0 +1,398 @@
+"""Answering again with edits: what an edit does not touch is not computed again.
+
+`rerun` gives the trace that the whole pipeline gives with those edits. Kept are
+the detector's whole runs, every lifted object, and the relations of all pairs
+that were scored; a dragged box costs its own points and the pairs it stands in.
+"""
+
+from __future__ import annotations
+
+from collections import OrderedDict, defaultdict
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from threading import RLock
+from time import perf_counter
+from typing import Any, TypeVar
+
+import numpy as np
+
+from pipeline.answering.ask import Trace, joined, relation_lookup
+from pipeline.answering.objects import FrameContext, SceneObject, same_object
+from pipeline.answering.ranking import Candidates, RelationLookup, rank
+from pipeline.answering.source import Source
+from pipeline.diagnosis.whatif.edits import Edits, PlacedBox, RunLengthMask
+from pipeline.diagnosis.whatif.keys import detection_keys
+from pipeline.diagnosis.whatif.pair_tables import PairTables, identity, score_pairs
+from pipeline.geometry.lifting import LiftedObject, lift
+from pipeline.geometry.mask_crop import MaskCrop
+from pipeline.language.expression import Attachment, parse
+from pipeline.proposals.base import Proposals
+from pipeline.proposals.selection import top_k_places
+from pipeline.relations import make_scorer
+from pipeline.relations.relations import PAIRWISE, Profile
+from pipeline.relations.scorer import RelationScorer, RelationScores
+from pipeline.system.errors import InputError
+
+_NO_EDITS = Edits()
+_T = TypeVar("_T")
+_MOST_KEPT = {"context": 3, "scorer": 3, "tables": 6, "selected": 64, "same": 4}
+"""What a dragged slider would make without end; of objects so many contexts full are kept."""
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """An answer under edits.
+
+    Attributes
+    ----------
+    trace : Trace
+    keys : tuple of str
+        Of `trace.objects`, in their order.
+    pairs_scored : int
+        Unordered pairs whose relations were computed for this answer.
+    """
+
+    trace: Trace
+    keys: tuple[str, ...]
+    pairs_scored: int
+
+
+class Baseline:
+    """One question about one frame, and everything that edits do not change. Safe to use from several threads.
+
+    Parameters
+    ----------
+    source : Source
+    context : FrameContext
+    text : str
+        The expression.
+
+    Attributes
+    ----------
+    query : Query
+    found : dict of str to Proposals
+        The detector's whole run for each name, before suppression and K.
+    keys : dict of str to tuple of str
+        Of `found`.
+    outcome : Outcome
+        The answer without edits.
+
+    Raises
+    ------
+    InputError
+        As `pipeline.answering.ask.ask`.
+    """
+
+    def __init__(self, source: Source, context: FrameContext, text: str) -> None:
+        self.source, self.context, self.text = source, context, text
+        self.detector = source.needed_detector()
+        start = perf_counter()
+        self.query = parse(
+            text,
+            class_names=tuple(source.dataset.class_names or ()) or (self.detector.vocabulary or ()),
+            relations=source.config.relations,
+            synonyms=source.synonyms,
+        )
+        read = perf_counter()
+        self.found: dict[str, Proposals] = {n: self.detector.detect(context.frame, [n]) for n in self.query.labels}
+        self.seconds = {"parse": read - start, "opm": perf_counter() - read}
+        self.keys = {name: detection_keys(name, found) for name, found in self.found.items()}
+        self._lock = RLock()
+        self._shelves: defaultdict[str, OrderedDict[Hashable, Any]] = defaultdict(OrderedDict)
+        self._most_objects = _MOST_KEPT["context"] * max(1, sum(len(keys) for keys in self.keys.values()))
+        self.outcome = rerun(self, _NO_EDITS)
+
+    @property
+    def trace(self) -> Trace:
+        """The answer without edits."""
+        return self.outcome.trace
+
+    @property
+    def all_keys(self) -> frozenset[str]:
+        """Every detection that an edit of this question may name."""
+        return frozenset(key for keys in self.keys.values() for key in keys)
+
+    def kept(self, kind: str, key: Hashable, make: Callable[[], _T]) -> _T:
+        """What was made under a key before, else made now."""
+        shelf = self._shelves[kind]
+        return shelf[key] if key in shelf else self.keep(kind, key, make())
+
+    def last(self, kind: str, key: Hashable) -> Any:
+        """What is kept under a key; None for nothing."""
+        return self._shelves[kind].get(key)
+
+    def keep(self, kind: str, key: Hashable, value: _T) -> _T:
+        """Put something in place of what was kept under a key; of each kind the oldest is forgotten."""
+        shelf = self._shelves[kind]
+        shelf[key] = value
+        shelf.move_to_end(key)
+        while len(shelf) > _MOST_KEPT.get(kind, self._most_objects):
+            shelf.popitem(last=False)
+        return value
+
+    def scorer(self, spec: str | None) -> RelationScorer:
+        """The relation scorer of an edit; InputError for one that cannot be used."""
+        if spec is None:
+            return self.source.scorer
+        name: str | Path = spec if spec in ("rule", "trained") else Path(spec)
+        return self.kept("scorer", spec, lambda: make_scorer(name))
+
+    def same(self, objects: tuple[SceneObject, ...]) -> np.ndarray:
+        """Which are one thing; that depends on ids, 2D boxes and masks, and not on where a box was dragged to."""
+        marks = tuple((o.id, o.bbox.tobytes(), id(o.mask), o.lifted.quality.mask_source) for o in objects)
+        before = self.last("same", len(objects))
+        if before is not None and before[0] == marks:
+            return before[2]
+        # The masks are kept too, so that their numbers stay their own.
+        kept = marks, tuple(o.mask for o in objects), same_object(objects, self.detector.exact)
+        return self.keep("same", len(objects), kept)[2]
+
+
+def apply(baseline: Baseline, edits: Edits) -> Trace:
+    """The trace that the whole pipeline gives with these edits; see `rerun`."""
+    return rerun(baseline, edits).trace
+
+
+def foreign_keys(baseline: Baseline, edits: Edits) -> tuple[str, ...]:
+    """The objects that edits name and that the question's detections do not hold; their edits do nothing here."""
+    return tuple(sorted(edits.keys - baseline.all_keys))
+
+
+def rerun(baseline: Baseline, edits: Edits) -> Outcome:
+    """Answer again with edits.
+
+    With `Edits()` this is `Source.ask`'s own trace; only the timings differ:
+    they say what this answer cost, what was kept costs nothing.
+
+    Raises
+    ------
+    InputError
+        For a mask of another picture size, a scorer that cannot be used, or a
+        probability of a relation that has none for two objects alone.
+    """
+    with baseline._lock:
+        return _rerun(baseline, edits)
+
+
+def _rerun(baseline: Baseline, edits: Edits) -> Outcome:
+    config, detector = baseline.source.config, baseline.detector
+    stages = {"parse": baseline.seconds["parse"]}
+    clock = _Clock(stages)
+    context = _context(baseline, edits)
+    stages["frame"] = context.seconds
+    clock.start()
+    places = {name: _selected(baseline, edits, name) for name in baseline.found}
+    clock.stop("opm")
+    found = {}
+    keys: dict[int, str] = {}
+    for name, at in places.items():
+        entries = [_edited(baseline, context, edits, name, int(k)) for k in at]
+        for entry, k in zip(entries, at.tolist(), strict=True):
+            keys[id(entry)] = baseline.keys[name][k]
+        # Masks are megabytes, and joining looks only at who is who.
+        found[name] = replace(baseline.found[name], masks=None, has_mask=None, segmented=None).take(at), entries
+    calibration = None if detector.exact else config.score_calibration
+    objects, candidates = joined(found, calibration)
+    object_keys = tuple(keys[id(o)] for o in objects)
+    candidates = _with_confidences(candidates, object_keys, edits)
+    clock.stop("lift")
+    scorer = baseline.scorer(edits.scorer)
+    tables = _tables(baseline, context, edits, scorer, objects)
+    scores = _with_relations(tables.scores, object_keys, edits)
+    clock.stop("srm")
+    missing = tuple(name for name in baseline.query.labels if not len(candidates[name].index))
+    ranking = None
+    if not missing:
+        same = baseline.same(objects)
+        lookup = with_superlatives(relation_lookup(scores, objects, same), object_keys, edits)
+        sizes = np.array([o.lifted.quality.mask_pixels for o in objects])
+        rank_config = replace(config.rank, **edits.rank)
+        ranking = rank(baseline.query.readings, candidates, lookup, same, sizes, rank_config)
+        clock.stop("prm")
+    trace = Trace(
+        frame=context.frame,
+        viewer=context.viewer,
+        query=baseline.query,
+        objects=objects,
+        candidates=candidates,
+        scores=scores,
+        ranking=ranking,
+        missing=missing,
+        timings=stages,
+        detector=detector.name,
+        scorer=scorer.name,
+        exact=detector.exact,
+        score_calibration=calibration,
+    )
+    return Outcome(trace, object_keys, tables.scored)
+
+
+class _Clock:
+    """Seconds of each stage, one after the other."""
+
+    def __init__(self, stages: dict[str, float]) -> None:
+        self.stages = stages
+        self.start()
+
+    def start(self) -> None:
+        self._since = perf_counter()
+
+    def stop(self, stage: str) -> None:
+        now = perf_counter()
+        self.stages[stage] = self.stages.get(stage, 0.0) + now - self._since
+        self._since = now
+
+
+def _context(baseline: Baseline, edits: Edits) -> FrameContext:
+    """The frame under the edited cleaning; the viewer and the pixels are the same."""
+    if not edits.lift:
+        return baseline.context
+    config = replace(baseline.context.config, **edits.lift)
+    if config == baseline.context.config:
+        return baseline.context
+    return baseline.kept("context", config, lambda: FrameContext(baseline.context.frame, config))
+
+
+def _selected(baseline: Baseline, edits: Edits, name: str) -> np.ndarray:
+    """Places in the whole run of what goes on for a name."""
+    found, keys = baseline.found[name], baseline.keys[name]
+    hidden = frozenset(key for key in edits.hidden if key in keys)
+    k = edits.k or baseline.source.config.k
+    least = edits.min_score or 0.0
+
+    def select() -> np.ndarray:
+        shown = np.flatnonzero([key not in hidden for key in keys]).astype(np.int64)
+        if baseline.detector.exact:
+            return shown
+        bare = replace(found, masks=None, has_mask=None, segmented=None)
+        return shown[top_k_places(bare.take(shown), k, min_score=least)]
+
+    return baseline.kept("selected", (name, hidden, k, least), select)
+
+
+def _edited(baseline: Baseline, context: FrameContext, edits: Edits, name: str, at: int) -> SceneObject:
+    """A detection in 3D, with the edits of its mask and its box."""
+    key = baseline.keys[name][at]
+    config = context.config
+    mask, box = edits.masks.get(key), edits.boxes.get(key)
+
+    def lifted() -> SceneObject:
+        return context.lift(baseline.found[name].take(np.array([at])), baseline.detector)[0]
+
+    slot = (config, name, at)
+    entry = baseline.kept("lifted", slot, lifted)
+    if mask is not None:
+        entry = _last_made(baseline, "masked", slot, (mask,), lambda: _repainted(baseline, context, entry, key, mask))
+    if box is None:
+        return entry
+    moved = _last_made(
+        baseline, "moved", (config, key), (entry.lifted, box), lambda: entry.lifted.moved_to(box.box(), context.viewer)
+    )
+    return _last_made(baseline, "placed", slot, (entry, moved), lambda: replace(entry, lifted=moved))
+
+
+def _last_made(
+    baseline: Baseline, kind: str, slot: Hashable, inputs: tuple[Any, ...], make: Callable[[], _T]
+) -> _T:
+    """What was made last in a slot, where it was made of the same; else it is made anew."""
+    before = baseline.last(kind, slot)
+    if before is not None and all(_alike(a, b) for a, b in zip(before[0], inputs, strict=True)):
+        return before[1]
+    return baseline.keep(kind, slot, (inputs, make()))[1]
+
+
+def _alike(a: Any, b: Any) -> bool:
+    return a is b or (isinstance(a, PlacedBox | RunLengthMask) and a == b)
+
+
+def _repainted(
+    baseline: Baseline, context: FrameContext, entry: SceneObject, key: str, code: RunLengthMask
+) -> SceneObject:
+    """The object by other pixels; one thing that several names found is lifted once, and stays one thing."""
+    frame = context.frame
+
+    def relift() -> tuple[np.ndarray, LiftedObject]:
+        mask = code.decoded(frame.height, frame.width, key)
+        found = lift(frame.depth, frame.camera, [mask], context.viewer, config=context.config, edges=context.edges)
+        return mask, found[0]
+
+    mask, lifted = _last_made(baseline, "relifted", (context.config, key), (code,), relift)
+    bbox = np.array(MaskCrop(0, 0, mask).box, np.float32) if mask.any() else entry.bbox
+    return replace(entry, mask=mask, bbox=bbox, lifted=lifted)
+
+
+def _with_confidences(
+    candidates: dict[str, Candidates], keys: tuple[str, ...], edits: Edits
+) -> dict[str, Candidates]:
+    if not edits.confidences:
+        return candidates
+    result = dict(candidates)
+    for name, own in candidates.items():
+        given = [edits.confidences.get((name, keys[at])) for at in own.index.tolist()]
+        scores = np.array([s if p is None else p for s, p in zip(own.scores.tolist(), given, strict=True)], np.float64)
+        result[name] = replace(own, scores=scores)
+    return result
+
+
+def _tables(
+    baseline: Baseline,
+    context: FrameContext,
+    edits: Edits,
+    scorer: RelationScorer,
+    objects: tuple[SceneObject, ...],
+) -> PairTables:
+    """Scores of all pairs, from the last of this kind and from those without edits of objects."""
+    profile = replace(Profile(), **edits.profile)
+    plain = not edits.boxes and not edits.masks
+    kind = (context.config, edits.scorer, profile)
+    known = [t for t in (baseline.last("tables", (kind, p)) for p in (False, True)) if t is not None]
+    places = {identity(o) for o in objects}
+    before = max(known, key=lambda t: len(places & t.place.keys()), default=None)
+    tables = score_pairs(objects, context.viewer, context.frame, scorer, profile, before)
+    widest = baseline.last("tables", (kind, True))
+    # What was scored for a larger K serves a smaller one again.
+    if not plain or widest is None or len(tables.objects) >= len(widest.objects):
+        baseline.keep("tables", (kind, plain), tables)
+    return tables
+
+
+def _with_relations(scores: RelationScores, keys: tuple[str, ...], edits: Edits) -> RelationScores:
+    for relation, _, _ in edits.relations:
+        if relation not in (*PAIRWISE, "closest", "farthest"):
+            raise InputError(
+                "there is no probability of this relation for two objects",
+                got=repr(relation),
+                expected=", ".join((*PAIRWISE, "closest", "farthest")),
+            )
+    known = {r: k for k, r in enumerate(scores.relations)}
+    place = {key: at for at, key in enumerate(keys)}
+    given = [
+        (place[a], place[b], known[r], p)
+        for (r, a, b), p in edits.relations.items()
+        if r in known and a in place and b in place
+    ]
+    if not given:
+        return scores
+    probabilities = scores.probabilities.copy()
+    for a, b, r, p in given:
+        probabilities[a, b, r] = p
+    return replace(scores, probabilities=probabilities)
+
+
+def with_superlatives(lookup: RelationLookup, keys: tuple[str, ...], edits: Edits) -> RelationLookup:
+    """The lookup with the edited probabilities of closest and farthest, which stand in no table."""
+    given = {k: p for k, p in edits.relations.items() if k[0] in ("closest", "farthest")}
+    if not given:
+        return lookup
+    place = {key: at for at, key in enumerate(keys)}
+
+    def edited(attachment: Attachment, heads: np.ndarray, ends: Any) -> np.ndarray:
+        found = lookup(attachment, heads, ends)
+        for (relation, a, b), p in given.items():
+            if relation == attachment.relation and a in place and b in place:
+                at = np.ix_(np.flatnonzero(heads == place[a]), np.flatnonzero(ends[0] == place[b]))
+                found[at] = p
+        return found
+
+    return edited

@@ -1,0 +1,202 @@
+"""A view as one string: paste it back, and the same view stands there.
+
+"sv1:" and then URL-safe base64 of a zlib stream of canonical JSON (keys sorted,
+no white space). zlib's own check sum finds damage; what the JSON may hold is
+checked by a model, and how much of it there may be is bounded before it is read.
+"""
+
+from __future__ import annotations
+
+import base64
+import binascii
+import json
+import re
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Annotated, Any
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from pipeline.diagnosis.whatif.edits import Edits, Three
+from pipeline.diagnosis.whatif.edits_json import EditsModel, edits_record, validated
+from pipeline.system.errors import InputError
+
+VERSION = 1
+LONGEST_STRING = 2 * 2**20
+"""Characters."""
+LARGEST_CONTENT = 16 * 2**20
+"""Bytes of JSON; a small string can be made to unpack to any amount."""
+
+Toggle = bool | int | float | str
+
+
+@dataclass(frozen=True)
+class CameraView:
+    """Where the page's camera stands, in the frame's camera frame, metres; `up` is a direction.
+
+    Attributes
+    ----------
+    position, look_at, up : three floats
+    """
+
+    position: Three
+    look_at: Three
+    up: Three
+
+
+@dataclass(frozen=True)
+class ViewState:
+    """Everything that makes a view what it is.
+
+    Attributes
+    ----------
+    dataset : str
+        Its name on the page.
+    frame : str
+        Frame id.
+    expression : str
+    selection : tuple of str
+        Keys of the selected objects (`pipeline.diagnosis.whatif.keys`).
+    pair : pair of str or None
+        Keys of the pair that is shown; None for the winner.
+    camera : CameraView or None
+    toggles : mapping of str to bool, number or str
+        What is shown and how.
+    edits : Edits
+    run : str or None
+        Folder of the evaluation run that the expression is of.
+    expression_id : str or None
+        In that run.
+    colors : str or None
+        What the points are coloured by.
+    """
+
+    dataset: str
+    frame: str
+    expression: str = ""
+    selection: tuple[str, ...] = ()
+    pair: tuple[str, str] | None = None
+    camera: CameraView | None = None
+    toggles: Mapping[str, Toggle] = field(default_factory=dict)
+    edits: Edits = field(default_factory=Edits)
+    run: str | None = None
+    expression_id: str | None = None
+    colors: str | None = None
+
+
+Text = Annotated[str, Field(max_length=4096)]
+Number = Annotated[float, Field(ge=-1e6, le=1e6)]
+Vector = tuple[Number, Number, Number]
+
+
+class _Strict(BaseModel):
+    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+
+class _Camera(_Strict):
+    position: Vector
+    look_at: Vector
+    up: Vector
+
+
+class _State(_Strict):
+    dataset: Text
+    frame: Text
+    expression: Text = ""
+    selection: Annotated[list[Text], Field(max_length=2000)] = []
+    pair: tuple[Text, Text] | None = None
+    camera: _Camera | None = None
+    toggles: Annotated[dict[Text, bool | int | float | Text], Field(max_length=200)] = {}
+    edits: EditsModel = EditsModel()
+    run: Text | None = None
+    expression_id: Text | None = None
+    colors: Text | None = None
+
+
+def state_record(state: ViewState) -> dict[str, Any]:
+    """A view as a JSON object; what is as at the start is left out."""
+    camera = state.camera
+    record: dict[str, Any] = {
+        "dataset": state.dataset,
+        "frame": state.frame,
+        "expression": state.expression or None,
+        "selection": list(state.selection),
+        "pair": None if state.pair is None else list(state.pair),
+        "camera": None
+        if camera is None
+        else {"position": list(camera.position), "look_at": list(camera.look_at), "up": list(camera.up)},
+        "toggles": dict(state.toggles),
+        "edits": edits_record(state.edits) if state.edits else None,
+        "run": state.run,
+        "expression_id": state.expression_id,
+        "colors": state.colors,
+    }
+    return {name: value for name, value in record.items() if value is not None and value != {} and value != []}
+
+
+def read_state(record: dict[str, Any] | str | bytes) -> ViewState:
+    """A view from a JSON object; InputError where it is none."""
+    model = validated(_State, record, "the state")
+    camera = model.camera
+    return ViewState(
+        dataset=model.dataset,
+        frame=model.frame,
+        expression=model.expression,
+        selection=tuple(model.selection),
+        pair=model.pair,
+        camera=None if camera is None else CameraView(camera.position, camera.look_at, camera.up),
+        toggles=dict(model.toggles),
+        edits=model.edits.edits(),
+        run=model.run,
+        expression_id=model.expression_id,
+        colors=model.colors,
+    )
+
+
+def encode(state: ViewState) -> str:
+    """The string of a view; equal views give equal strings.
+
+    Raises
+    ------
+    InputError
+        The view holds what no string can: a number that is not finite, or more than the size limit.
+    """
+    record = state_record(state)
+    read_state(record)
+    content = json.dumps(record, sort_keys=True, separators=(",", ":"), allow_nan=False).encode("ascii")
+    packed = base64.urlsafe_b64encode(zlib.compress(content, 9)).rstrip(b"=").decode("ascii")
+    if len(content) > LARGEST_CONTENT or len(packed) > LONGEST_STRING:
+        raise InputError("the view is too large for a string", cause="many repainted masks?")
+    return f"sv{VERSION}:{packed}"
+
+
+def decode(text: str) -> ViewState:
+    """The view of a string; line breaks and blanks that came in on the way are passed over.
+
+    Raises
+    ------
+    InputError
+        It is no such string, one of a newer version, cut off, damaged, or too large.
+    """
+    if len(text) > LONGEST_STRING + 64:
+        raise InputError("the state string is too long", got=f"{len(text)} characters")
+    text = re.sub(r"\s+", "", text)
+    head = re.match(r"sv([0-9]{1,6}):", text)
+    if head is None:
+        raise InputError("this is no state string", got=repr(text[:24]), expected="sv1:...")
+    if int(head[1]) != VERSION:
+        cause = "it was made by a newer spatialviz" if int(head[1]) > VERSION else None
+        raise InputError("the state string is of another version", got=f"sv{head[1]}", expected="sv1", cause=cause)
+    body = text[head.end() :]
+    try:
+        packed = base64.b64decode(body + "=" * (-len(body) % 4), altchars=b"-_", validate=True)
+        unpacker = zlib.decompressobj()
+        content = unpacker.decompress(packed, LARGEST_CONTENT + 1)
+    except (binascii.Error, ValueError, zlib.error) as error:
+        raise InputError("the state string is damaged", got=str(error), cause="was all of it copied?") from error
+    if len(content) > LARGEST_CONTENT:
+        raise InputError("the state string unpacks to too much", expected=f"at most {LARGEST_CONTENT} bytes")
+    if not unpacker.eof or unpacker.unused_data:
+        raise InputError("the state string is damaged", cause="was all of it copied, and nothing more?")
+    return read_state(content)

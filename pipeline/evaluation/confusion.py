@@ -1,0 +1,274 @@
+"""Which relation was asked, and in which the answer really stands; and what the network takes for what."""
+
+from __future__ import annotations
+
+import glob
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.labels.database import quoted
+from pipeline.labels.reading import Labels
+from pipeline.labels.tables import read_table
+from pipeline.metrics.tables import Row, Table
+from pipeline.relations.relations import PAIRWISE, PHRASE, F, T, U
+from pipeline.system.errors import InputError
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+DOUBT, NOTHING, UNJUDGED, UNLABELLED, NO_ANSWER = "in doubt", "none", "not judged", "no such objects", "no answer"
+OTHERS = (DOUBT, NOTHING, UNJUDGED, UNLABELLED, NO_ANSWER)
+RELATION_RECORDS = "relation_records.parquet"
+
+
+@dataclass(frozen=True)
+class Confusion:
+    """Counts of what was meant against what came.
+
+    Attributes
+    ----------
+    key, title : str
+    rows, columns : tuple of str
+        Relations that were meant; relations, and other outcomes, that came.
+    counts : (R, C) int64
+        Each expression, or each relation of a pair, stands in one cell: a row sums to all of its relation.
+    note : str
+        The rule by which a cell is chosen.
+    """
+
+    key: str
+    title: str
+    rows: tuple[str, ...]
+    columns: tuple[str, ...]
+    counts: np.ndarray
+    note: str
+
+    def record(self) -> dict[str, Any]:
+        """As JSON."""
+        return {"title": self.title, "rows": list(self.rows), "columns": list(self.columns),
+                "counts": self.counts.tolist(), "note": self.note}  # fmt: skip
+
+    def table(self) -> Table:
+        """As a table of counts."""
+        rows = tuple(
+            Row(PHRASE.get(name, name), (*map(int, line), int(line.sum())))
+            for name, line in zip(self.rows, self.counts, strict=True)
+        )
+        heads = tuple(PHRASE.get(c, c) for c in self.columns)
+        return Table(self.key, self.title, (*heads, "sum"), rows, self.note)
+
+
+@dataclass(frozen=True)
+class Standings:
+    """In which relation the answer of each expression stands.
+
+    Attributes
+    ----------
+    names : tuple of str
+        The relations of the labels.
+    meant : (E,) int64
+        Which of `names` was asked.
+    cell : (E,) int64
+        Which of `columns` the answer stands in.
+    """
+
+    names: tuple[str, ...]
+    meant: np.ndarray
+    cell: np.ndarray
+
+    @property
+    def columns(self) -> tuple[str, ...]:
+        """The relations, then the other outcomes."""
+        return (*self.names, *OTHERS)
+
+    def column(self) -> list[str]:
+        """The outcome of each expression as a text, for a search."""
+        columns = self.columns
+        return [columns[k] for k in self.cell.tolist()]
+
+
+def answer_standings(records: pa.Table, labels: Labels, content_hash: str | None = None) -> Standings:
+    """In which relation the two objects of each answer stand by their labels; see `answer_confusion`."""
+    if content_hash is not None and labels.manifest.tables["expressions"].content_hash != content_hash:
+        raise InputError("these are not the labels that the run was made with", path=labels.root)
+    names = tuple(r for r in PAIRWISE if r in labels.relation_names)
+    asked = np.array(records.column("relation").to_pylist(), object)
+    unknown = sorted(set(asked.tolist()) - set(names))
+    if unknown:
+        raise InputError("the run asks for a relation that the labels do not have", got=unknown[0], path=labels.root)
+    place, states, margins = _pairs_of_answers(records, labels, names)
+    answered = records.column("box").is_valid().to_numpy(zero_copy_only=False)
+    matched = np.ones(len(asked), np.bool_)
+    for name in ("matched_target", "matched_reference"):
+        matched &= records.column(name).is_valid().to_numpy(zero_copy_only=False)
+    other = {name: len(names) + k for k, name in enumerate(OTHERS)}
+    meant = np.array([names.index(r) for r in asked.tolist()], np.int64)
+    cell = np.full(len(asked), other[NO_ANSWER], np.int64)
+    cell[answered] = other[UNLABELLED]
+    cell[answered & matched] = other[UNJUDGED]
+    cell[place] = stands_in(states, margins, meant[place], other[DOUBT], other[NOTHING])
+    return Standings(names, meant, cell)
+
+
+def answer_confusion(records: pa.Table, labels: Labels, content_hash: str | None = None) -> Confusion:
+    """The relation that was asked against the one in which the answer's two objects stand by their labels.
+
+    Parameters
+    ----------
+    records : pyarrow.Table
+        A run's records.
+    labels : Labels
+        The labels that the run was made with.
+    content_hash : str, optional
+        Of their expressions when the run was made; other labels are refused.
+
+    Raises
+    ------
+    InputError
+        The labels are damaged, or not those of the run.
+    """
+    return count_standings(answer_standings(records, labels, content_hash))
+
+
+def count_standings(found: Standings) -> Confusion:
+    """How many expressions stand where."""
+    counts = np.zeros((len(found.names), len(found.columns)), np.int64)
+    np.add.at(counts, (found.meant, found.cell), 1)
+    return Confusion(
+        "confusion",
+        "The relation that was asked, and the one in which the answer stands",
+        found.names,
+        found.columns,
+        counts,
+        "Expressions. The diagonal: the labels say that the asked relation holds of the answer's two objects; in "
+        "doubt: that it may. Else the pair stands in the column of the relation that holds of it by the largest "
+        f"margin, or under “{NOTHING}”. “{UNJUDGED}”: a pair without labels; “{UNLABELLED}”: target or reference is no "
+        "labelled object of the class that was asked. A row sums to all expressions of its relation.",
+    )
+
+
+def stands_in(states: np.ndarray, margins: np.ndarray, meant: np.ndarray, doubt: int, nothing: int) -> np.ndarray:
+    """The column of each pair: the meant relation where it holds, `doubt` where it may, else the clearest other one.
+
+    Parameters
+    ----------
+    states : (P, R) int8
+        1 holds, 0 in doubt, -1 does not hold.
+    margins : (P, R) float
+        NaN counts as 0; of equal ones the first wins.
+    meant : (P,) int
+        Column of the relation that was asked.
+    doubt, nothing : int
+        Columns where the asked one is in doubt, and where none holds.
+
+    Returns
+    -------
+    (P,) int64
+    """
+    every = np.arange(len(meant))
+    held = np.where(states == T, np.nan_to_num(np.asarray(margins, np.float64)), -np.inf)
+    clearest = np.where((states == T).any(axis=1), held.argmax(axis=1) if held.size else 0, nothing)
+    own = states[every, meant]
+    return np.where(own == T, meant, np.where(own == U, doubt, clearest)).astype(np.int64)
+
+
+def _pairs_of_answers(
+    records: pa.Table, labels: Labels, names: tuple[str, ...]
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(P,) rows of the answers whose pair was judged, their (P, R) states and (P, R) margins."""
+    import duckdb
+    import pyarrow as pa
+
+    rows = records.select(["frame_index", "matched_target", "matched_reference"])
+    rows = rows.append_column("row", pa.array(np.arange(records.num_rows)))
+    with duckdb.connect(":memory:") as connection:
+        for name in ("objects", "relations"):
+            path = labels.root / f"{name}.parquet"
+            # Reads the footer alone, and checks it.
+            read_table(path, name, [])
+            connection.read_parquet(glob.escape(str(path))).create_view(name)
+        connection.register("run", rows)
+        told = ", ".join(
+            f"coalesce(l.{quoted(n)}, {F}) AS s{k}, coalesce(l.{quoted(f'{n}_margin')}, 0) AS m{k}"
+            for k, n in enumerate(names)
+        )
+        try:
+            # The records count the objects of a frame as the labels order them.
+            found = connection.execute(
+                "WITH places AS (SELECT frame_index, object,"
+                " row_number() OVER (PARTITION BY frame_index ORDER BY object) - 1 AS place FROM objects"
+                " WHERE frame_index IN (SELECT frame_index FROM run))"
+                f" SELECT r.row, {told} FROM run r"
+                " JOIN places a ON a.frame_index = r.frame_index AND a.place = r.matched_target"
+                " JOIN places b ON b.frame_index = r.frame_index AND b.place = r.matched_reference"
+                " JOIN relations l ON l.frame_index = r.frame_index AND l.a = a.object AND l.b = b.object"
+            ).fetchnumpy()
+        except duckdb.Error as error:
+            reason = str(error).split("\n")[0]
+            raise InputError("the tables of the labels cannot be read", got=reason, path=labels.root) from error
+
+    states, margins = (np.stack([found[f"{letter}{k}"] for k in range(len(names))], axis=1) for letter in "sm")
+    return found["row"].astype(np.int64), states, margins
+
+
+def network_confusion(path: Path) -> list[Confusion]:
+    """What each scorer takes the relations of labelled pairs for, from `relation_records.parquet`; empty without it.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read.
+    """
+    import pyarrow as pa
+    import pyarrow.parquet as pq
+
+    try:
+        file = pq.ParquetFile(path)
+    except FileNotFoundError:
+        return []
+    except (pa.ArrowInvalid, OSError) as error:
+        raise InputError("the relation records cannot be read", got=str(error).split("\n")[0], path=path) from error
+    counts: dict[str, np.ndarray] = {}
+    asked: dict[str, tuple[str, ...]] = {}
+    with file:
+        schema = file.schema_arrow
+        if "state" not in schema.names or "p" not in schema.names:
+            raise InputError("not a file of relation records", path=path)
+        relations = tuple(field.name for field in schema.field("state").type)
+        for field in schema.field("p").type:
+            said = {inner.name for inner in field.type}
+            asked[field.name] = tuple(r for r in relations if r in said)
+            counts[field.name] = np.zeros((len(asked[field.name]),) * 2, np.int64)
+        for batch in file.iter_batches(columns=["state", "p"]):
+            for system, names in asked.items():
+                if names:
+                    counts[system] += _taken_for(batch.column("state"), batch.column("p").field(system), names)
+    return [
+        Confusion(
+            f"confusion-{system}",
+            f"What {system} takes a relation for",
+            names,
+            names,
+            counts[system],
+            "Labelled pairs, a pair once for each relation that holds of it. The diagonal: the relation with the "
+            "highest probability holds; else the pair stands in the column of that relation.",
+        )
+        for system, names in asked.items()
+        if names
+    ]
+
+
+def _taken_for(state: Any, said: Any, names: tuple[str, ...]) -> np.ndarray:
+    """(R, R) counts of a batch: a relation that holds against the most probable one where that one does not hold."""
+    holds = np.stack([state.field(n).fill_null(F).to_numpy(zero_copy_only=False) == T for n in names], axis=1)
+    p = np.stack([said.field(n).to_numpy(zero_copy_only=False) for n in names], axis=1).astype(np.float64)
+    known = np.isfinite(p).any(axis=1)
+    top = np.where(np.isfinite(p), p, -np.inf).argmax(axis=1)
+    pair, relation = np.nonzero(holds & np.asarray(known)[:, None])
+    right = holds[pair, top[pair]]
+    counts = np.zeros((len(names),) * 2, np.int64)
+    np.add.at(counts, (relation, np.where(right, relation, top[pair])), 1)
+    return counts

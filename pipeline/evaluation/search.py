@@ -1,0 +1,374 @@
+"""Failures by words: a search compiled to a condition of DuckDB, with every value as a parameter.
+
+    verdict:SRM relation:behind class:chair margin<0.1 -lucky frame:000002/* "trash can" repair:LIFT,SRM sort:margin
+
+Terms must all hold; values after a comma are alternatives; "-" before a term is its complement, rows without a value
+included. `field:value` asks for equality whatever the case, with `*` for anything, and `field:none` for no value;
+`field="value"` for exactly this text. Numbers take : = != < <= > >=. A yes-or-no column stands alone (`lucky`) or takes
+yes and no. `repair:LIFT,SRM` asks for one of the two, `repair=LIFT,SRM` for just these. Free words, and a phrase in
+quotes, must stand in the expression. `sort:margin`, `sort:-margin`: rows without a value come last.
+"""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+
+from pipeline.diagnosis.columns import DIAGNOSIS_COLUMNS
+from pipeline.diagnosis.oracles import ORACLES
+from pipeline.diagnosis.verdict import MODULE_OF, VERDICTS
+from pipeline.evaluation.compare import read_records
+from pipeline.evaluation.search_words import Term, Value, read_terms
+from pipeline.evaluation.summary import need_verdicts
+from pipeline.labels.database import quoted
+from pipeline.relations.relations import PAIRWISE, PHRASE
+from pipeline.system.errors import InputError
+
+if TYPE_CHECKING:
+    import duckdb
+    import pyarrow as pa
+
+Kind = Literal["text", "words", "number", "flag", "names"]
+
+ALIASES = {
+    "class": "target", "size": "object_size", "distance": "object_distance", "occlusion": "object_occluded",
+    "pixels": "object_pixels",
+}  # fmt: skip
+"""Short names of columns."""
+WORDS = ("text", "said", "problem")
+"""Columns of sentences: a value must stand in them."""
+SORT = "sort"
+RIGHT = ("CORRECT",)
+_ABOUT_RIGHT = {"verdict", "lucky", "correct", "strict_correct", "set_correct", "pair_correct", "reference_correct"}
+
+
+@dataclass(frozen=True)
+class Field:
+    """What can be asked for.
+
+    Attributes
+    ----------
+    name, column : str
+    kind : str
+        "text", "words", "number", "flag" or "names" (a list of names).
+    values : tuple of str
+        Of a text, the most frequent ones first, as `field:value` takes them; of a number the least and the greatest.
+    """
+
+    name: str
+    column: str
+    kind: Kind
+    values: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Search:
+    """A compiled search.
+
+    Attributes
+    ----------
+    where : str
+        SQL with a "?" for each parameter; columns are those of the records.
+    parameters : tuple
+    order : tuple of (str, bool)
+        Columns to sort by; True for descending.
+    columns : tuple of str
+        All that are read.
+    about_right : bool
+        A term asks for a verdict or for what is right, and not for its complement.
+    """
+
+    where: str
+    parameters: tuple[Any, ...]
+    order: tuple[tuple[str, bool], ...]
+    columns: tuple[str, ...]
+    about_right: bool = False
+
+
+def fields_of(schema: pa.Schema) -> dict[str, Field]:
+    """What a run's records can be searched by, short names first."""
+    import pyarrow as pa
+
+    kinds: dict[str, Kind] = {}
+    for field in schema:
+        if pa.types.is_string(field.type) or pa.types.is_large_string(field.type):
+            kinds[field.name] = "words" if field.name in WORDS else "text"
+        elif pa.types.is_boolean(field.type):
+            kinds[field.name] = "flag"
+        elif pa.types.is_integer(field.type) or pa.types.is_floating(field.type):
+            kinds[field.name] = "number"
+        elif pa.types.is_list(field.type) and pa.types.is_string(field.type.value_type):
+            kinds[field.name] = "names"
+    short = {name: Field(name, c, kinds[c]) for name, c in ALIASES.items() if c in kinds}
+    return short | {name: Field(name, name, kind) for name, kind in kinds.items()}
+
+
+def compile_search(query: str, schema: pa.Schema) -> Search:
+    """Read a search against the columns of a run.
+
+    Raises
+    ------
+    InputError
+        It cannot be read, names an unknown field or verdict, or compares what has no order.
+    """
+    import pyarrow as pa
+
+    fields = fields_of(schema)
+    parts, parameters, order, columns = [], [], [], []
+    about_right = False
+    for term in read_terms(query):
+        if term.field is not None and term.field.lower() == SORT:
+            if term.negated or term.operator != ":":
+                raise InputError("an order is written sort:FIELD or sort:-FIELD", got=repr(term.field + term.operator))
+            for value in term.values:
+                name = value.text.removeprefix("-")
+                order.append((_field(name, fields).column, value.text.startswith("-")))
+            continue
+        field, term = _meant(term, fields)
+        single = field.kind == "number" and pa.types.is_float32(schema.field(field.column).type)
+        condition, values = _CONDITIONS[field.kind](field, term, single)
+        if (term.operator == "!=") != term.negated:
+            condition = f"NOT {condition}"
+        else:
+            about_right |= field.column in _ABOUT_RIGHT
+        parts.append(condition)
+        parameters += values
+        columns.append(field.column)
+    columns += [name for name, _ in order]
+    where = " AND ".join(parts) or "true"
+    return Search(where, tuple(parameters), tuple(order), tuple(dict.fromkeys(columns)), about_right)
+
+
+def find(source: str | Path | pa.Table, query: str) -> pa.Table:
+    """The rows of a run that a search asks for, in the order of the run or as it asks.
+
+    Parameters
+    ----------
+    source : str, Path or pyarrow.Table
+        Run folder, its `records.parquet`, or the records themselves.
+    query : str
+        Empty for all rows.
+
+    Raises
+    ------
+    InputError
+        There is no run, or the search cannot be read.
+    """
+    records = records_of(source)
+    return _take(records, find_rows(records, query))
+
+
+def find_rows(records: pa.Table, query: str) -> np.ndarray:
+    """(N,) int64: places of the rows that `find` gives; for a page that holds the records and shows a few of them."""
+    return _rows(records, compile_search(query, records.schema))
+
+
+def find_failures(source: str | Path | pa.Table, query: str = "") -> pa.Table:
+    """Like `find`, but without what is CORRECT, unless the search asks for a verdict or for what is right (`lucky`).
+
+    Raises
+    ------
+    InputError
+        As in `find`; or the run has no verdicts.
+    """
+    records = records_of(source)
+    need_verdicts(records)
+    search = compile_search(query, records.schema)
+    if not search.about_right:
+        search = compile_search(f"-verdict:{','.join(RIGHT)} {query}", records.schema)
+    return _take(records, _rows(records, search))
+
+
+def _take(records: pa.Table, rows: np.ndarray) -> pa.Table:
+    import pyarrow as pa
+
+    return records if len(rows) == records.num_rows and (np.diff(rows) > 0).all() else records.take(pa.array(rows))
+
+
+def records_of(source: str | Path | pa.Table) -> pa.Table:
+    """The records of a run folder, of its file, or as they are given."""
+    if not isinstance(source, (str, Path)):
+        return source
+    path = Path(source)
+    return read_records(path.parent if path.name == "records.parquet" else path)
+
+
+def _rows(records: pa.Table, search: Search) -> np.ndarray:
+    import pyarrow as pa
+
+    if not search.columns:
+        return np.arange(records.num_rows)
+    place = "row of the run"
+    rows = records.select(list(search.columns)).append_column(place, pa.array(np.arange(records.num_rows)))
+    order = [f"{_defined(n, rows.schema)} {'DESC' if down else 'ASC'} NULLS LAST" for n, down in search.order]
+    sql = f"SELECT {quoted(place)} AS place FROM run WHERE {search.where} ORDER BY {', '.join([*order, quoted(place)])}"
+    with _database().cursor() as connection:
+        connection.register("run", rows)
+        found = connection.execute(sql, list(search.parameters)).fetchnumpy()
+    return np.asarray(found["place"], np.int64)
+
+
+@lru_cache(maxsize=1)
+def _database() -> duckdb.DuckDBPyConnection:
+    """One empty database, kept: opening one takes longer than a search."""
+    import duckdb
+
+    return duckdb.connect(":memory:", config={"threads": 1})
+
+
+def _defined(name: str, schema: pa.Schema) -> str:
+    """A column in which what is not a number counts as missing."""
+    import pyarrow as pa
+
+    column = quoted(name)
+    floating = pa.types.is_floating(schema.field(name).type)
+    return f"(CASE WHEN isnan({column}) THEN NULL ELSE {column} END)" if floating else column
+
+
+def _field(name: str, fields: dict[str, Field]) -> Field:
+    found = fields.get(name.lower())
+    if found is not None:
+        return found
+    if ALIASES.get(name.lower(), name.lower()) in DIAGNOSIS_COLUMNS:
+        raise InputError(f"this run has no {name}", cause="it was made by an older release; run `eval` again")
+    near = difflib.get_close_matches(name.lower(), [*fields, SORT], 3, 0.5)
+    raise InputError(
+        "the search names an unknown field",
+        got=repr(name),
+        expected=" or ".join(near) if near else "such as verdict, relation, class, margin",
+        cause="words are looked for in the text where they stand in quotes",
+    )
+
+
+def _meant(term: Term, fields: dict[str, Field]) -> tuple[Field, Term]:
+    """The field of a term; a free word is a flag that stands alone, or stands in the text."""
+    if term.field is not None:
+        return _field(term.field, fields), term
+    value = term.values[0]
+    flag = fields.get(value.text.lower())
+    if flag is not None and flag.kind == "flag" and not value.quoted:
+        return flag, Term(flag.name, ":", (Value("yes"),), term.negated)
+    return _field("text", fields), term
+
+
+def _none(value: Value) -> bool:
+    return not value.quoted and value.text.lower() == "none"
+
+
+def _any(parts: list[str]) -> str:
+    return f"coalesce({' OR '.join(parts)}, false)"
+
+
+def _equality_only(field: Field, term: Term) -> None:
+    if term.operator not in (":", "=", "!="):
+        raise InputError(f"{field.name} has no order", got=repr(term.operator), expected=f"{field.name}:VALUE")
+
+
+Condition = tuple[str, list[Any]]
+
+
+def _text(field: Field, term: Term, _single: bool) -> Condition:
+    _equality_only(field, term)
+    column, parts, values = quoted(field.column), [], []
+    for value in (v for given in term.values for v in _named(field, given)):
+        if _none(value):
+            parts.append(f"{column} IS NULL")
+            continue
+        if term.operator != ":":
+            parts.append(f"{column} = ?")
+            values.append(value.text)
+        elif field.kind == "words":
+            parts.append(f"contains(lower({column}), lower(?))")
+            values.append(value.text)
+        elif "*" in value.text and not value.quoted:
+            parts.append(f"lower({column}) LIKE lower(?) ESCAPE '\\'")
+            values.append("".join({"*": "%", "%": "\\%", "_": "\\_", "\\": "\\\\"}.get(c, c) for c in value.text))
+        else:
+            parts.append(f"lower({column}) = lower(?)")
+            values.append(value.text)
+    return _any(parts), values
+
+
+def _named(field: Field, value: Value) -> tuple[Value, ...]:
+    """A verdict or a relation by its own name; an unknown one is an error. OPM stands for the three of the detector."""
+    known = {"verdict": VERDICTS, "relation": PAIRWISE}.get(field.column)
+    if known is None or _none(value) or ("*" in value.text and not value.quoted):
+        return (value,)
+    said = value.text.lower()
+    if field.column == "verdict" and said == "opm":
+        return tuple(Value(v) for v, module in MODULE_OF.items() if module == "OPM")
+    phrases = {phrase: name for name, phrase in PHRASE.items()} if field.column == "relation" else {}
+    names = {name.lower(): name for name in known} | phrases
+    if said not in names:
+        near = difflib.get_close_matches(said, names, 1, 0.5)
+        expected = repr(names[near[0]]) if near else f"one of {', '.join(known)}"
+        raise InputError(f"no such {field.column}", got=repr(value.text), expected=expected)
+    return (Value(names[said], True),)
+
+
+def _number(field: Field, term: Term, single: bool) -> Condition:
+    column, parts, values = quoted(field.column), [], []
+    operator = {":": "=", "!=": "="}.get(term.operator, term.operator)
+    finite = f"NOT isnan(CAST({column} AS DOUBLE))"
+    for value in term.values:
+        if _none(value) and operator == "=":
+            parts.append(f"({column} IS NULL OR NOT {finite})")
+            continue
+        try:
+            number = float(value.text)
+        except ValueError:
+            number = np.nan
+        if np.isnan(number):
+            raise InputError(f"{field.name} is a number", got=repr(value.text), expected=f"such as {field.name}<0.1")
+        # 0.1 means the number nearest to it that the column can hold.
+        with np.errstate(over="ignore"):
+            values.append(float(np.float32(number)) if single else number)
+        parts.append(f"({finite} AND CAST({column} AS DOUBLE) {operator} CAST(? AS DOUBLE))")
+    return _any(parts), values
+
+
+_YES, _NO = ("yes", "true", "1"), ("no", "false", "0")
+
+
+def _flag(field: Field, term: Term, _single: bool) -> Condition:
+    _equality_only(field, term)
+    column, parts = quoted(field.column), []
+    for value in term.values:
+        said = value.text.lower()
+        if _none(value):
+            parts.append(f"{column} IS NULL")
+        elif said in (*_YES, *_NO):
+            parts.append(column if said in _YES else f"NOT {column}")
+        else:
+            raise InputError(f"{field.name} is yes or no", got=repr(value.text), expected=f"{field.name}:yes")
+    return _any(parts), []
+
+
+def _names(field: Field, term: Term, _single: bool) -> Condition:
+    _equality_only(field, term)
+    column, parts, values = quoted(field.column), [], []
+    named = [v for v in term.values if not _none(v)]
+    unknown = [v.text for v in named if v.text.upper() not in ORACLES]
+    if unknown:
+        raise InputError(f"no such {field.name}", got=repr(unknown[0]), expected=f"one of {', '.join(ORACLES)}")
+    chosen = sorted({v.text.upper() for v in named})
+    if len(named) < len(term.values):
+        parts.append(f"len(coalesce({column}, [])) = 0")
+    if term.operator == ":":
+        parts += [f"list_contains({column}, ?)" for _ in chosen]
+        values += chosen
+    elif chosen:
+        parts.append(f"list_sort({column}) = list_sort([{', '.join('?' for _ in chosen)}])")
+        values += chosen
+    return _any(parts), values
+
+
+_CONDITIONS: dict[Kind, Callable[[Field, Term, bool], Condition]] = {
+    "text": _text, "words": _text, "number": _number, "flag": _flag, "names": _names,
+}  # fmt: skip

@@ -1,0 +1,107 @@
+"""The words of a search: terms such as `-class:chair,"trash can"` or `margin<0.1`, read and taken apart."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from pipeline.system.errors import InputError
+
+OPERATORS = (":", "<=", ">=", "!=", "<", ">", "=")
+_HEAD = re.compile(r"(-)?(?:([A-Za-z_]\w*)(:|\s*(?:<=|>=|!=|<|>|=)\s*))?")
+_QUOTED = re.compile(r'"((?:[^"\\]|\\.)*)"', re.DOTALL)
+_BARE = re.compile(r'[^\s,"]+')
+_WORD = re.compile(r"\S+")
+_SPACE = re.compile(r"\s*")
+
+
+@dataclass(frozen=True)
+class Value:
+    """One value of a term.
+
+    Attributes
+    ----------
+    text : str
+    quoted : bool
+        Then `*` and `none` mean themselves.
+    """
+
+    text: str
+    quoted: bool = False
+
+
+@dataclass(frozen=True)
+class Term:
+    """One condition of a search; all of them must hold.
+
+    Attributes
+    ----------
+    field : str or None
+        None for a free word.
+    operator : str
+        One of OPERATORS; ":" for a free word.
+    values : tuple of Value
+        Any of them may hold.
+    negated : bool
+    """
+
+    field: str | None
+    operator: str
+    values: tuple[Value, ...]
+    negated: bool = False
+
+
+def read_terms(text: str) -> tuple[Term, ...]:
+    """Take a search apart.
+
+    Raises
+    ------
+    InputError
+        A quote is not closed, or a value is missing.
+    """
+    terms = []
+    at = _space(text, 0)
+    while at < len(text):
+        head = _HEAD.match(text, at)
+        assert head is not None
+        negated, field, operator = head.group(1) is not None, head.group(2), (head.group(3) or ":").strip()
+        start, at = at, head.end()
+        if field is None:
+            value, at = _value(text, at, _WORD, text[start:at])
+            values = [value]
+        else:
+            value, at = _value(text, at, _BARE, text[start:at])
+            values = [value]
+            while text.startswith(",", at):
+                value, at = _value(text, at + 1, _BARE, text[start : at + 1])
+                values.append(value)
+        if at < len(text) and not text[at].isspace():
+            raise InputError("a space is missing in the search", got=repr(text[start : at + 1]))
+        terms.append(Term(field, operator, tuple(values), negated))
+        at = _space(text, at)
+    return tuple(terms)
+
+
+def _space(text: str, at: int) -> int:
+    found = _SPACE.match(text, at)
+    return at if found is None else found.end()
+
+
+def _value(text: str, at: int, bare: re.Pattern[str], before: str) -> tuple[Value, int]:
+    if text.startswith('"', at):
+        found = _QUOTED.match(text, at)
+        if found is None:
+            raise InputError("a quote is not closed in the search", got=repr(text[at:]))
+        return Value(re.sub(r"\\(.)", r"\1", found.group(1), flags=re.DOTALL), True), found.end()
+    found = bare.match(text, at)
+    if found is None:
+        raise InputError("a value is missing in the search", got=repr(before.strip()))
+    return Value(found.group()), found.end()
+
+
+def quote(text: str) -> str:
+    """A value as it is written in a search, to mean itself."""
+    if re.fullmatch(r"[A-Za-z0-9_./+-]+", text) and text.lower() != "none":
+        return text
+    escaped = text.replace("\\", "\\\\").replace('"', '\\"')
+    return f'"{escaped}"'

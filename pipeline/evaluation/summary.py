@@ -1,0 +1,266 @@
+"""A run in figures: how often each verdict, how much of the accuracy each module costs, and what is left over."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.diagnosis.oracles import ORACLES, SUBSETS
+from pipeline.diagnosis.verdict import VERDICTS
+from pipeline.evaluation.grounding_tables import clusters_of, column
+from pipeline.evaluation.shapley import Deltas, oracle_deltas
+from pipeline.metrics.counts import ratio
+from pipeline.metrics.intervals import BootstrapConfig, Estimate, bootstrap, mean_estimate
+from pipeline.metrics.tables import Cell, Row, Table
+from pipeline.system.errors import InputError
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+EXACT = 1e-9
+"""Sums that must agree agree to this."""
+
+
+@dataclass(frozen=True)
+class Share:
+    """How many expressions, and which share of those that were diagnosed.
+
+    Attributes
+    ----------
+    count : int
+    estimate : Estimate
+    """
+
+    count: int
+    estimate: Estimate
+
+    def record(self) -> dict[str, Any]:
+        """As JSON: `count`, and `share` with its interval."""
+        return {"count": self.count, "share": self.estimate.record()}
+
+
+@dataclass(frozen=True)
+class RunSummary:
+    """A run's verdicts and deltas.
+
+    Attributes
+    ----------
+    expressions : int
+        That were diagnosed.
+    unit : str
+        What intervals are drawn over: "scene" or "frame".
+    verdicts : dict of str to Share
+        Each of VERDICTS; the shares sum to one.
+    details : dict of (str, str) to Share
+        (verdict, detail) that occur, in the order of VERDICTS, the most frequent first.
+    lucky : Share
+        CORRECT with a pair that is not acceptable.
+    accuracy : Estimate
+        Set-valued, as answered.
+    parse : Estimate
+        v(none) - accuracy: what the gold parse would gain.
+    deltas : Deltas
+    residual : Estimate
+        1 - v(all).
+    residual_causes : dict of (str, str or None) to int
+        Verdicts and details of the expressions that all oracles together do not mend.
+    """
+
+    expressions: int
+    unit: str
+    verdicts: dict[str, Share]
+    details: dict[tuple[str, str], Share]
+    lucky: Share
+    accuracy: Estimate
+    parse: Estimate
+    deltas: Deltas
+    residual: Estimate
+    residual_causes: dict[tuple[str, str | None], int]
+
+    @property
+    def loss(self) -> dict[str, Estimate]:
+        """What adds up to one: accuracy, PARSE, the Shapley value of each oracle, residual."""
+        return {"accuracy": self.accuracy, "PARSE": self.parse, **self.deltas.shapley, "residual": self.residual}
+
+    def record(self) -> dict[str, Any]:
+        """As JSON."""
+        return {
+            "expressions": self.expressions,
+            "clusters": self.unit,
+            "verdicts": {v: s.record() for v, s in self.verdicts.items()},
+            "shares_sum": float(sum(s.estimate.value for s in self.verdicts.values())),
+            "details": [
+                {"verdict": verdict, "detail": detail, **s.record()} for (verdict, detail), s in self.details.items()
+            ],
+            "lucky": self.lucky.record(),
+            "accuracy": self.accuracy.record(),
+            "parse": self.parse.record(),
+            "oracles": self.deltas.record(),
+            "residual": self.residual.record(),
+            "residual_causes": [
+                {"verdict": verdict, "detail": detail, "count": n}
+                for (verdict, detail), n in self.residual_causes.items()
+            ],
+        }
+
+
+def has_verdicts(records: pa.Table) -> bool:
+    """Whether a run's expressions were diagnosed: runs of other systems, and older ones, were not."""
+    names = records.column_names
+    return "verdict" in names and "right_with" in names and records.column("verdict").null_count < records.num_rows
+
+
+def need_verdicts(records: pa.Table) -> None:
+    """Raise InputError where a run has none."""
+    if "verdict" not in records.column_names or "right_with" not in records.column_names:
+        raise InputError("this run has no verdicts", cause="it was made by an older release; run `eval` again")
+    if not has_verdicts(records):
+        raise InputError(
+            "this run has no verdicts",
+            cause="only the pipeline's own runs have, without --no-verdicts"
+            if records.num_rows
+            else "it has no expressions",
+        )
+
+
+def summarise_run(records: pa.Table, config: BootstrapConfig | None = None) -> RunSummary:
+    """Verdicts with clustered intervals, and where the accuracy goes.
+
+    Parameters
+    ----------
+    records : pyarrow.Table
+        A run's records; expressions without a verdict do not count.
+    config : BootstrapConfig, optional
+
+    Raises
+    ------
+    InputError
+        The run has no verdicts, or unknown ones.
+    """
+    need_verdicts(records)
+    if records.column("verdict").null_count:
+        import pyarrow.compute as pc
+
+        records = records.filter(pc.is_valid(records.column("verdict")))  # pyright: ignore[reportAttributeAccessIssue]
+    clusters, unit = clusters_of(records)
+    verdict = np.array(records.column("verdict").to_pylist(), object)
+    detail = np.array(records.column("detail").to_pylist(), object)
+    unknown = sorted(set(verdict.tolist()) - set(VERDICTS))
+    if unknown:
+        raise InputError("the run has a verdict that is not known", got=unknown[0], expected=", ".join(VERDICTS))
+    lucky = column(records, "lucky") > 0
+    pairs = [
+        (str(v), str(d)) for v, d in dict.fromkeys(zip(verdict.tolist(), detail.tolist(), strict=True)) if d is not None
+    ]
+    member = np.stack(
+        [*(verdict == v for v in VERDICTS), *((verdict == v) & (detail == d) for v, d in pairs), lucky], axis=1
+    )
+    shares = _shares(member, clusters, config)
+    verdicts: dict[str, Share] = dict(zip(VERDICTS, shares, strict=False))
+    total = sum(s.estimate.value for s in verdicts.values())
+    if sum(s.count for s in verdicts.values()) != len(verdict) or abs(total - 1) > EXACT:
+        raise AssertionError(f"shares of verdicts sum to {total}, not to one")
+    details = dict(zip(pairs, shares[len(VERDICTS) :], strict=False))
+    ordered = sorted(details, key=lambda p: (VERDICTS.index(p[0]), -details[p].count, p[1]))
+    right_with = column(records, "right_with").astype(np.int64)
+    deltas = oracle_deltas(right_with, clusters, config)
+    explained = sum(e.value for e in deltas.shapley.values())
+    if abs(explained - (deltas.value[-1] - deltas.value[0])) > EXACT:
+        raise AssertionError(f"Shapley values sum to {explained}, not to v(all) - v(none)")
+    answered = column(records, "set_correct")
+    unmended = (right_with >> (SUBSETS - 1)) & 1 == 0
+    causes: dict[tuple[str, str | None], int] = {}
+    for pair in zip(verdict[unmended].tolist(), detail[unmended].tolist(), strict=True):
+        causes[pair] = causes.get(pair, 0) + 1
+    return RunSummary(
+        len(verdict),
+        unit,
+        verdicts,
+        {p: details[p] for p in ordered},
+        shares[-1],
+        mean_estimate(answered, clusters, config=config),
+        mean_estimate((right_with & 1).astype(np.float64), clusters, other=answered, config=config),
+        deltas,
+        mean_estimate(unmended.astype(np.float64), clusters, config=config),
+        dict(sorted(causes.items(), key=lambda item: (-item[1], VERDICTS.index(item[0][0])))),
+    )
+
+
+def _shares(member: np.ndarray, clusters: np.ndarray, config: BootstrapConfig | None) -> list[Share]:
+    """The share of each column of (N, K) bool, all from the same resamples."""
+    rows = np.concatenate([member, np.ones((len(member), 1))], axis=1).astype(np.float64)
+    found = bootstrap(rows, clusters, lambda sums: ratio(sums[:, :-1], sums[:, -1:]), config=config)
+    return [Share(int(n), e) for n, e in zip(member.sum(axis=0), found, strict=True)]
+
+
+def verdict_table(systems: Mapping[str, RunSummary]) -> Table:
+    """The table "verdicts": verdicts and their details, two columns a system."""
+    found = list(systems.values())
+    pairs = {p: None for s in found for p in s.details}
+    rows = []
+    for verdict in VERDICTS:
+        rows.append(Row(verdict, _cells([s.verdicts[verdict] for s in found])))
+        rows += [
+            Row(f"{verdict}: {detail}", _cells([s.details.get((v, detail)) for s in found]))
+            for v, detail in sorted(pairs, key=str)
+            if v == verdict
+        ]
+        if verdict == "CORRECT":
+            rows.append(Row("CORRECT: LUCKY", _cells([s.lucky for s in found])))
+    sums = [(float(sum(x.estimate.value for x in s.verdicts.values())), s.expressions) for s in found]
+    rows.append(Row("sum of verdicts", tuple(c for pair in sums for c in pair)))
+    return Table(
+        "verdicts",
+        "Verdicts",
+        tuple(c for name in systems for c in _heads(name, ("share", "n"), len(systems))),
+        tuple(rows),
+        "Percent of expressions. Each has one verdict, so that these sum to 100; rows after a colon are part of the "
+        "verdict before it. CORRECT: the labelled target; LUCKY: with a pair of which the expression is not true; "
+        "LABEL: AMBIGUOUS is another right answer, SUSPECT one that only the labels' relations call right. "
+        f"Brackets: 95 % bootstrap intervals over {found[0].unit}s.",
+    )
+
+
+def oracle_table(systems: Mapping[str, RunSummary]) -> Table:
+    """The table "oracles": single deltas, and Shapley values with what completes them to one."""
+    found = list(systems.values())
+
+    def line(name: str, cells: Sequence[tuple[Cell, Cell]]) -> Row:
+        return Row(name, tuple(c for pair in cells for c in pair))
+
+    rows = [line("as answered", [(None, s.accuracy) for s in found])]
+    rows.append(line("PARSE", [(s.parse, s.parse) for s in found]))
+    rows += [line(m, [(s.deltas.single[m], s.deltas.shapley[m]) for s in found]) for m in ORACLES]
+    rows.append(line("residual", [(None, s.residual) for s in found]))
+    rows.append(line("sum", [(None, float(sum(e.value for e in s.loss.values()))) for s in found]))
+    causes = " ".join(f"{name}: {residual_words(s)}." for name, s in systems.items())
+    return Table(
+        "oracles",
+        "What each module costs",
+        tuple(c for name in systems for c in _heads(name, ("alone", "Shapley"), len(systems))),
+        tuple(rows),
+        "Points of set-valued accuracy gained with a module replaced by the truth. Alone: by it only; these do not add "
+        "up, since errors overlap and make up for each other, and one below 0 made up for another's. Shapley: its fair "
+        "share over all orders of replacing; the second column adds up to 100 from top to bottom. PARSE: gained by the "
+        f"gold parse. Residual: what all oracles together do not mend. {causes} "
+        f"Brackets: 95 % bootstrap intervals over {found[0].unit}s.",
+    )
+
+
+def residual_words(summary: RunSummary) -> str:
+    """Where the residual comes from, in words."""
+    if not summary.residual_causes:
+        return "no residual"
+    causes = ", ".join(f"{v}{f' {d}' if d else ''} {n}" for (v, d), n in summary.residual_causes.items())
+    return f"residual from {causes}"
+
+
+def _cells(shares: Sequence[Share | None]) -> tuple[Cell, ...]:
+    return tuple(c for s in shares for c in ((0.0, 0) if s is None else (s.estimate, s.count)))
+
+
+def _heads(name: str, kinds: tuple[str, str], systems: int) -> tuple[str, ...]:
+    return kinds if systems == 1 else tuple(f"{name}, {kind}" for kind in kinds)

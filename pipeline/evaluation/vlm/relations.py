@@ -1,0 +1,252 @@
+"""Relations by a vision-language model: LLaVA's yes/no question about every ordered pair."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from pipeline.evaluation.vlm.answers import parse_yes_no, yes_probability
+from pipeline.evaluation.vlm.client import Answer, ChatClient, Question
+from pipeline.evaluation.vlm.view import Picture, marked, view_of
+from pipeline.geometry.frame import Frame
+from pipeline.labels.exports.vqa_wording import BRIEF, ask_relation, can_be_asked
+from pipeline.language.naming import normal_form
+from pipeline.language.noun_phrase import noun_phrase, readable
+from pipeline.relations.relations import PAIRWISE, PHRASE
+from pipeline.system.errors import InputError
+
+UNKNOWN = 0.5
+_TOP_LOGPROBS = 5
+"""As many as all servers grant; vLLM's default limit is 20, others have 5."""
+
+
+class Named(Protocol):
+    """A thing of a frame: an `Annotation`, a `SceneObject`."""
+
+    @property
+    def label(self) -> str: ...
+
+    @property
+    def bbox(self) -> np.ndarray: ...
+
+
+@dataclass(frozen=True)
+class RelationConfig:
+    """How relations are asked for.
+
+    Attributes
+    ----------
+    mark : bool
+        Draw the pair's boxes, numbered 1 and 2, and name the numbers in the question ("Is the mug (box 1) ..."), as
+        in Set-of-Mark prompting (Yang et al. 2023). Without it, as in LLaVA, things are told apart by their names only.
+    wording : int
+        Which of the house's sentences asks where nothing is marked; 0 is the plainest. See
+        `labels.wording.question_text`.
+    logprobs : bool
+        Ask for log-probabilities, and where the server gives them take P(yes) / (P(yes) + P(no)).
+    square, max_side
+        See `view.view_of`.
+    max_tokens : int
+    workers : int
+    keep_going : bool
+        Go on without an answer where one question fails for itself.
+    """
+
+    mark: bool = False
+    wording: int = 0
+    logprobs: bool = False
+    square: bool = True
+    max_side: int | None = None
+    max_tokens: int = 32
+    workers: int = 4
+    keep_going: bool = False
+
+    def __post_init__(self) -> None:
+        if not 0 <= self.wording < 2**64:
+            raise InputError("the wording of questions", got=self.wording, expected="0 .. 2**64 - 1")
+
+
+@dataclass(frozen=True)
+class PairScores:
+    """What the model says of N ordered pairs and R relations.
+
+    Attributes
+    ----------
+    relations : tuple of str
+    probabilities : (N, R) float64
+        P("a RELATION b"): 1 for yes, 0 for no, 0.5 where the answer is not known; or by log-probabilities.
+    known : (N, R) bool
+        False where the 0.5 is no answer.
+    by_logprobs : (N, R) bool
+        Where the probability comes from log-probabilities.
+    ambiguous : (N,) bool
+        Pairs that the question does not pin down: a name that another thing of the frame has too, and no marks.
+    texts : tuple of tuple of str
+        The answers, N by R.
+    reasons : dict of str to int
+        Why answers are not known, and how often.
+    """
+
+    relations: tuple[str, ...]
+    probabilities: np.ndarray
+    known: np.ndarray
+    by_logprobs: np.ndarray
+    ambiguous: np.ndarray
+    texts: tuple[tuple[str, ...], ...]
+    reasons: dict[str, int]
+
+
+def score_pairs(
+    client: ChatClient,
+    frame: Frame,
+    objects: Sequence[Named],
+    pairs: np.ndarray | Sequence[tuple[int, int]],
+    relations: Sequence[str],
+    *,
+    config: RelationConfig | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> PairScores:
+    """Ask of each pair whether each relation holds.
+
+    Parameters
+    ----------
+    objects : sequence
+        Things with a label and a bbox, such as the frame's annotations.
+    pairs : (N, 2) int
+        Places of a and b in `objects`.
+    relations : sequence of str
+        Out of `relations.PAIRWISE`.
+    progress : callable
+        Called with the number of questions answered so far, and of all.
+
+    Raises
+    ------
+    InputError
+        For arguments out of range.
+    ServerError
+        The server gives no answer.
+    """
+    config = config or RelationConfig()
+    places = _checked(pairs, len(objects), relations)
+    asked = _questions(objects, places, relations, config)
+    # Things of one name ask the same without marks, and are asked about once.
+    order = {key: n for n, key in enumerate(dict.fromkeys(k for k, text in asked if text is not None))}
+    prompts = {key: text for key, text in asked if text is not None}
+    answers = client.ask_many(
+        _with_pictures(frame, objects, [(key[0], prompts[key]) for key in order], config),
+        workers=config.workers,
+        progress=lambda done: progress(done, len(order)),
+        keep_going=config.keep_going,
+    )
+    shape = (len(places), len(relations))
+    probabilities, known = np.full(shape, UNKNOWN), np.zeros(shape, np.bool_)
+    by_logprobs, reasons, said = np.zeros(shape, np.bool_), Counter[str](), [[""] * shape[1] for _ in range(shape[0])]
+    for cell, (key, text) in enumerate(asked):
+        i, j = divmod(cell, shape[1])
+        if text is None:
+            reasons["a name that cannot stand in a question"] += 1
+            continue
+        answer = answers[order[key]]
+        said[i][j] = answer.text
+        value, exact, reason = _judged(answer)
+        if reason is not None:
+            reasons[reason] += 1
+        else:
+            probabilities[i, j], known[i, j], by_logprobs[i, j] = value, True, exact
+    return PairScores(
+        tuple(relations),
+        probabilities,
+        known,
+        by_logprobs,
+        _shared_names(objects)[places].reshape(-1, 2).any(axis=1) & np.full(len(places), not config.mark),
+        tuple(map(tuple, said)),
+        dict(reasons),
+    )
+
+
+_Key = tuple[tuple[int, int] | None, str, str, str]
+
+
+def relation_question(relation: str, a: str, b: str, wording: int = 0) -> str:
+    """LLaVA's yes/no question: "Is the mug left of the laptop?", and the wish for a short answer."""
+    return ask_relation(relation, a, b, wording)
+
+
+def marked_question(relation: str, a: str, b: str) -> str:
+    """The question about the things in the boxes 1 and 2 of a marked picture."""
+    first, second = (noun_phrase(readable(name)) for name in (a, b))
+    verb = first.verb.capitalize()
+    return f"{verb} {first.definite()} (box 1) {PHRASE[relation]} {second.definite()} (box 2)?\n{BRIEF}"
+
+
+def _questions(
+    objects: Sequence[Named], places: np.ndarray, relations: Sequence[str], config: RelationConfig
+) -> list[tuple[_Key, str | None]]:
+    """For every cell what makes its question the same as another's, and its words; None where a name cannot be said."""
+    found: list[tuple[_Key, str | None]] = []
+    for a, b in places.tolist():
+        names = objects[a].label, objects[b].label
+        for relation in relations:
+            text = None
+            if all(map(can_be_asked, names)):
+                try:
+                    text = (
+                        marked_question(relation, *names)
+                        if config.mark
+                        else relation_question(relation, *names, config.wording)
+                    )
+                except InputError:
+                    text = None
+            found.append((((a, b) if config.mark else None, relation, *names), text))
+    return found
+
+
+def _with_pictures(
+    frame: Frame, objects: Sequence[Named], asked: Sequence[tuple[tuple[int, int] | None, str]], config: RelationConfig
+) -> Iterator[Question]:
+    """The questions with their pictures, one pair's at a time: those of a whole frame would fill the memory."""
+    drawn: tuple[int, int] | None = None
+    picture: Picture | None = None
+    for pair, prompt in asked:
+        if picture is None or pair != drawn:
+            rgb = frame.rgb if pair is None else marked(frame.rgb, [objects[i].bbox for i in pair])
+            picture, drawn = view_of(rgb, square=config.square, max_side=config.max_side).picture, pair
+        yield Question(prompt, picture, config.max_tokens, _TOP_LOGPROBS if config.logprobs else None)
+
+
+def _judged(answer: Answer) -> tuple[float, bool, str | None]:
+    """Probability, whether by log-probabilities, and why there is none."""
+    if answer.failure is not None:
+        return UNKNOWN, False, "the server failed"
+    verdict = parse_yes_no(answer.text)
+    if verdict.value is None:
+        cut = answer.finish == "length"
+        return UNKNOWN, False, f"{verdict.reason}, cut off by max_tokens" if cut else verdict.reason
+    exact = yes_probability(answer.logprobs)
+    return (float(verdict.value), False, None) if exact is None else (exact, True, None)
+
+
+def _shared_names(objects: Sequence[Named]) -> np.ndarray:
+    """(M,) bool: things whose name another has too."""
+    forms = [normal_form(thing.label) for thing in objects]
+    counts = Counter(forms)
+    return np.array([counts[form] > 1 for form in forms], np.bool_)
+
+
+def _checked(pairs: np.ndarray | Sequence[tuple[int, int]], count: int, relations: Sequence[str]) -> np.ndarray:
+    places = np.asarray(pairs)
+    if not places.size:
+        places = np.zeros((0, 2), np.int64)
+    if places.ndim != 2 or places.shape[1] != 2 or not np.issubdtype(places.dtype, np.integer):
+        raise InputError("pairs must be int (N, 2)", got=f"{places.dtype} {places.shape}")
+    if places.size and (places.min() < 0 or places.max() >= count):
+        raise InputError("a pair names an object that is not there", got=f"{places.min()} to {places.max()}",
+                         expected=f"0 to {count - 1}")  # fmt: skip
+    unknown = [r for r in relations if r not in PAIRWISE]
+    if unknown:
+        raise InputError("no such relation of two things", got=repr(unknown[0]), expected=" | ".join(PAIRWISE))
+    return places

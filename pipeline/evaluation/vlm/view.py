@@ -1,0 +1,153 @@
+"""Pictures as a model gets them: squared, marked, encoded; and the way back to the frame's pixels."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import cv2
+import numpy as np
+
+from pipeline.geometry.palette import ON_DARK
+from pipeline.system.errors import InputError
+
+JPEG_QUALITY = 92
+PADDING = (122, 116, 104)
+"""CLIP's mean colour, with which LLaVA-1.5 makes pictures square (llava/mm_utils.py, expand2square)."""
+
+MARK_COLORS = (ON_DARK["target"], ON_DARK["reference"])
+
+
+@dataclass(frozen=True, eq=False)
+class Picture:
+    """A picture to be sent, encoded and hashed once.
+
+    Attributes
+    ----------
+    rgb : (H, W, 3) uint8
+    """
+
+    rgb: np.ndarray
+
+    def __post_init__(self) -> None:
+        rgb = self.rgb
+        good = isinstance(rgb, np.ndarray) and rgb.dtype == np.uint8 and rgb.ndim == 3 and rgb.shape[2] == 3
+        if not good or not rgb.size:
+            got = f"{rgb.dtype} {rgb.shape}" if isinstance(rgb, np.ndarray) else type(rgb).__name__
+            raise InputError("a picture must be uint8 (H, W, 3)", got=got)
+
+    @cached_property
+    def digest(self) -> str:
+        """SHA-256 of the pixels and of how they are encoded."""
+        found = hashlib.sha256(f"jpeg {JPEG_QUALITY} {self.rgb.shape}".encode())
+        found.update(np.ascontiguousarray(self.rgb).data)
+        return found.hexdigest()
+
+    @cached_property
+    def data_url(self) -> str:
+        """The picture as a JPEG in base64."""
+        options = [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY]
+        done, data = cv2.imencode(".jpg", cv2.cvtColor(self.rgb, cv2.COLOR_RGB2BGR), options)
+        if not done:
+            raise InputError("the picture cannot be encoded as JPEG", got=str(self.rgb.shape))
+        return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode("ascii")
+
+
+@dataclass(frozen=True)
+class View:
+    """A frame's picture as it is sent, and where the frame lies in it.
+
+    Attributes
+    ----------
+    picture : Picture
+    offset : (float, float)
+        Where the frame's upper left corner is, x and y, pixels of the picture.
+    scale : (float, float)
+        Pixels of the picture in one of the frame, along x and y.
+    frame_size : (int, int)
+        Width and height of the frame.
+    """
+
+    picture: Picture
+    offset: tuple[float, float]
+    scale: tuple[float, float]
+    frame_size: tuple[int, int]
+
+    @property
+    def size(self) -> tuple[int, int]:
+        """Width and height of the picture."""
+        height, width = self.picture.rgb.shape[:2]
+        return width, height
+
+    def to_frame(self, box: Sequence[float]) -> np.ndarray | None:
+        """A box as shares of the picture, in the frame's pixels.
+
+        Returns
+        -------
+        (4,) float32 or None
+            x0, y0, x1, y1, cut at the frame's edges; None where it lies in the padding.
+        """
+        corners = np.array(box, np.float64).reshape(2, 2) * self.size
+        corners = np.clip((corners - self.offset) / self.scale, 0, self.frame_size)
+        return corners.reshape(4).astype(np.float32) if (corners[1] > corners[0]).all() else None
+
+
+def view_of(rgb: np.ndarray, *, square: bool = True, max_side: int | None = None) -> View:
+    """A frame's picture made ready.
+
+    LLaVA-1.5 was trained on pictures padded to a square, and its boxes are shares of that square; some servers pad
+    themselves, others cut the middle out. A picture that is square already is treated alike by all.
+
+    Parameters
+    ----------
+    rgb : (H, W, 3) uint8
+    square : bool
+        Whether to pad to a square, the frame in its middle.
+    max_side : int, optional
+        Longest side in pixels; a larger picture is scaled down. LLaVA-1.5 sees no more than 336.
+    """
+    height, width = Picture(rgb).rgb.shape[:2]
+    if max_side is not None and max_side < 1:
+        raise InputError("the longest side of a picture must be at least 1 pixel", got=max_side)
+    image, longest = rgb, max(height, width)
+    if max_side is not None and longest > max_side:
+        size = [max(1, round(side * max_side / longest)) for side in (width, height)]
+        image = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)
+    inner_height, inner_width = image.shape[:2]
+    x = y = 0
+    if square and inner_height != inner_width:
+        side = max(inner_height, inner_width)
+        x, y = (side - inner_width) // 2, (side - inner_height) // 2
+        padded = np.empty((side, side, 3), np.uint8)
+        padded[:] = PADDING
+        padded[y : y + inner_height, x : x + inner_width] = image
+        image = padded
+    return View(Picture(image), (x, y), (inner_width / width, inner_height / height), (width, height))
+
+
+def marked(rgb: np.ndarray, boxes: Sequence[np.ndarray]) -> np.ndarray:
+    """(H, W, 3) uint8: a copy with the boxes drawn and numbered from 1.
+
+    Parameters
+    ----------
+    rgb : (H, W, 3) uint8
+    boxes : sequence of (4,) arrays
+        x0, y0, x1, y1, pixels.
+    """
+    image = np.ascontiguousarray(rgb.copy())
+    height, width = image.shape[:2]
+    scale = max(height, width) / 640
+    line, font = max(1, round(2 * scale)), max(0.4, 0.6 * scale)
+    for number, box in enumerate(boxes):
+        color = MARK_COLORS[number % len(MARK_COLORS)]
+        x0, y0, x1, y1 = (int(v) for v in np.clip(np.round(box), 0, (width, height, width, height)))
+        cv2.rectangle(image, (x0, y0), (max(x0, x1 - 1), max(y0, y1 - 1)), color, line)
+        (w, h), base = cv2.getTextSize(str(number + 1), cv2.FONT_HERSHEY_SIMPLEX, font, 2)
+        left, top = min(x0, max(width - w - 6, 0)), min(y0, max(height - h - base - 4, 0))
+        cv2.rectangle(image, (left, top), (left + w + 6, top + h + base + 4), color, -1)
+        at = (left + 3, top + h + 2)
+        cv2.putText(image, str(number + 1), at, cv2.FONT_HERSHEY_SIMPLEX, font, (20, 20, 20), 2, cv2.LINE_AA)
+    return image

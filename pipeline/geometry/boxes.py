@@ -1,0 +1,173 @@
+"""Boxes: axis-aligned in the image, oriented in 3D, and their overlaps."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.system.errors import InputError
+
+CORNER_SIGNS = np.array(
+    [[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)], dtype=np.float64
+)
+"""Corner k of a box has the signs of row k: bit 2 of k is x, bit 1 is y, bit 0 is z."""
+
+EDGES = np.array(
+    [(0, 1), (2, 3), (4, 5), (6, 7), (0, 2), (1, 3), (4, 6), (5, 7), (0, 4), (1, 5), (2, 6), (3, 7)]
+)
+"""The 12 edges of a box as pairs of corner numbers."""
+
+
+@dataclass(frozen=True)
+class Box3D:
+    """An oriented box.
+
+    Attributes
+    ----------
+    center : (3,) float64
+        Metres.
+    R : (3, 3) float64
+        Rotation; its columns are the box's own axes.
+    size : (3,) float64
+        Full edge lengths along those axes, metres.
+    """
+
+    center: np.ndarray
+    R: np.ndarray
+    size: np.ndarray
+
+    def __post_init__(self) -> None:
+        center, R, size = (np.asarray(a, dtype=np.float64) for a in (self.center, self.R, self.size))
+        if center.shape != (3,) or R.shape != (3, 3) or size.shape != (3,):
+            raise InputError(
+                "a 3D box needs center (3,), R (3, 3), size (3,)",
+                got=f"{center.shape}, {R.shape}, {size.shape}",
+            )
+        # A sum is finite where all of it is; thousands of boxes are made a second.
+        if not np.isfinite(center.sum() + R.sum() + size.sum()):
+            raise InputError("a 3D box must be finite", got=f"center {center}, size {size}")
+        if size.min() < 0:
+            raise InputError("a 3D box must have sizes of at least 0", got=size.tolist())
+        if not _is_rotation(R):
+            raise InputError("R of a 3D box is not a rotation", got=f"det {np.linalg.det(R):.3f}")
+        object.__setattr__(self, "center", center)
+        object.__setattr__(self, "R", R)
+        object.__setattr__(self, "size", size)
+
+    @property
+    def corners(self) -> np.ndarray:
+        """(8, 3) float64, metres, in the order of CORNER_SIGNS."""
+        return self.center + (CORNER_SIGNS * self.size / 2) @ self.R.T
+
+    @property
+    def volume(self) -> float:
+        """Cubic metres."""
+        return float(np.prod(self.size))
+
+    def transformed(self, T: np.ndarray) -> Box3D:
+        """The box seen from another frame; T is (4, 4), rigid, new-from-old."""
+        return Box3D(T[:3, :3] @ self.center + T[:3, 3], T[:3, :3] @ self.R, self.size)
+
+
+def _is_rotation(R: np.ndarray) -> bool:
+    """Orthogonal to 1e-3, and right-handed."""
+    (a, b, c), (d, e, f), (g, h, i) = R.tolist()
+    determinant = a * (e * i - f * h) - b * (d * i - f * g) + c * (d * h - e * g)
+    return determinant > 0 and bool(np.abs(R @ R.T - _IDENTITY).max() <= 1e-3)
+
+
+_IDENTITY = np.eye(3)
+
+
+def ray_entry(box: Box3D, origin: np.ndarray, direction: np.ndarray) -> float | None:
+    """How far along a ray it enters a box, in lengths of `direction`; None where it misses (slab method)."""
+    start, step = (origin - box.center) @ box.R, direction @ box.R
+    safe = np.where(np.abs(step) < 1e-12, 1e-12, step)
+    near, far = np.sort(np.stack([(-box.size / 2 - start) / safe, (box.size / 2 - start) / safe]), axis=0)
+    enter, leave = float(near.max()), float(far.min())
+    return None if leave < max(enter, 0.0) else max(enter, 0.0)
+
+
+def iou_2d(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Intersection over union of every box of `a` with every box of `b`.
+
+    Parameters
+    ----------
+    a : (N, 4) float
+    b : (M, 4) float
+        x0, y0, x1, y1 in pixels, continuous coordinates.
+
+    Returns
+    -------
+    (N, M) float64
+        0..1; 0 where either box is empty.
+    """
+    a = np.asarray(a, dtype=np.float64).reshape(-1, 4)
+    b = np.asarray(b, dtype=np.float64).reshape(-1, 4)
+    return paired_iou_2d(a[:, None], b[None])
+
+
+def paired_iou_2d(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Intersection over union of each box of `a` with the box of `b` in the same place.
+
+    Parameters
+    ----------
+    a, b : (..., 4) float64
+        As in `iou_2d`; broadcast against each other.
+
+    Returns
+    -------
+    (...) float64
+        0..1; 0 where either box is empty or NaN.
+    """
+    low = np.maximum(a[..., :2], b[..., :2])
+    high = np.minimum(a[..., 2:], b[..., 2:])
+    intersection = np.clip(high - low, 0, None).prod(axis=-1)
+    area_a = np.clip(a[..., 2:] - a[..., :2], 0, None).prod(axis=-1)
+    area_b = np.clip(b[..., 2:] - b[..., :2], 0, None).prod(axis=-1)
+    union = area_a + area_b - intersection
+    return np.divide(intersection, union, out=np.zeros_like(union), where=union > 0)
+
+
+def iou_3d(a: Box3D, b: Box3D) -> float:
+    """Exact intersection over union of two oriented boxes.
+
+    The intersection of two convex solids is the convex hull of the corners of
+    each inside the other and of the points where an edge of one crosses a face
+    of the other; its volume comes from Qhull.
+
+    Returns
+    -------
+    float
+        0..1; 0 where the boxes only touch or either is flat.
+    """
+    if a.volume <= 0 or b.volume <= 0:
+        return 0.0
+    vertices = np.concatenate([_inside(a.corners, b), _inside(b.corners, a), _crossings(a, b), _crossings(b, a)])
+    if len(vertices) < 4:
+        return 0.0
+    from scipy.spatial import ConvexHull, QhullError
+
+    try:
+        volume = float(ConvexHull(vertices).volume)
+    except QhullError:  # The shared part is flat: the boxes touch in a face or an edge.
+        return 0.0
+    return float(np.clip(volume / (a.volume + b.volume - volume), 0.0, 1.0))
+
+
+def _inside(points: np.ndarray, box: Box3D) -> np.ndarray:
+    local = (points - box.center) @ box.R
+    return points[(np.abs(local) <= box.size / 2 + 1e-9).all(axis=1)]
+
+
+def _crossings(a: Box3D, b: Box3D) -> np.ndarray:
+    """Where the edges of `a` cross the six face planes of `b` within those faces."""
+    start, end = (((a.corners[EDGES[:, k]] - b.center) @ b.R) for k in (0, 1))
+    planes = np.concatenate([b.size / 2, -b.size / 2])
+    axis = np.tile(np.arange(3), 2)
+    delta = (end - start)[:, axis]
+    t = np.divide(planes - start[:, axis], delta, out=np.full_like(delta, np.nan), where=np.abs(delta) > 1e-12)
+    hit = start[:, None, :] + t[..., None] * (end - start)[:, None, :]
+    on_face = (np.abs(hit) <= b.size / 2 + 1e-9).all(axis=2)
+    return hit[(t >= 0) & (t <= 1) & on_face] @ b.R.T + b.center

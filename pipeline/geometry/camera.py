@@ -1,0 +1,168 @@
+"""The pinhole camera: intrinsics, pose, the up vector, backprojection and projection.
+
+The camera frame is OpenCV's: x right, y down, z forward, in metres. Pixel
+(u, v) is the centre of column u and row v, so that an integer pixel
+backprojects along ((u - cx) / fx, (v - cy) / fy, 1).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from pipeline.system.errors import InputError
+
+UpSource = Literal["given", "declared", "imu", "scene", "plane", "assumed"]
+"""How an up vector is known: given by the user, declared by the dataset, measured by an
+inertial sensor, agreed by the posed frames of the scene, the normal of a level plane of
+this frame, or assumed to be image-up."""
+
+IMAGE_UP = np.array([0.0, -1.0, 0.0])
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera and what is known of its place in the world.
+
+    Attributes
+    ----------
+    K : (3, 3) float64
+        Intrinsics in pixels.
+    width, height : int
+        Image size in pixels.
+    T_world_camera : (4, 4) float64 or None
+        Pose: maps camera coordinates to world coordinates, metres.
+    up : (3,) float64 or None
+        Unit vector against gravity in the CAMERA frame, None where unknown.
+    up_source : str or None
+        How `up` is known.
+    """
+
+    K: np.ndarray
+    width: int
+    height: int
+    T_world_camera: np.ndarray | None = None
+    up: np.ndarray | None = None
+    up_source: UpSource | None = None
+
+    def __post_init__(self) -> None:
+        K = np.asarray(self.K, dtype=np.float64)
+        if K.shape != (3, 3):
+            raise InputError("intrinsics must be a 3x3 matrix", got=f"shape {K.shape}")
+        if not np.isfinite(K).all():
+            raise InputError("intrinsics are not finite", got=np.round(K, 3).tolist())
+        if K[0, 0] <= 0 or K[1, 1] <= 0:
+            raise InputError(
+                "focal lengths must be positive",
+                got=f"fx={K[0, 0]:g}, fy={K[1, 1]:g}",
+                cause="is the matrix stored column by column?",
+            )
+        if K[2, 2] != 1 or K[2, 0] != 0 or K[2, 1] != 0:
+            raise InputError(
+                "the last row of the intrinsics must be 0 0 1",
+                got=K[2].tolist(),
+                cause="is the matrix stored column by column?",
+            )
+        object.__setattr__(self, "K", K)
+        if self.T_world_camera is not None:
+            T = np.asarray(self.T_world_camera, dtype=np.float64)
+            if T.shape != (4, 4) or not np.isfinite(T).all():
+                raise InputError("a camera pose must be a finite 4x4 matrix", got=f"shape {T.shape}")
+            R = T[:3, :3]
+            if np.abs(R @ R.T - np.eye(3)).max() > 1e-2 or np.linalg.det(R) < 0:
+                raise InputError(
+                    "the rotation of a camera pose is not a rotation",
+                    got=f"det {np.linalg.det(R):.3f}",
+                    cause="is the matrix transposed, scaled, or left-handed?",
+                )
+            object.__setattr__(self, "T_world_camera", T)
+        if self.up is not None:
+            up = np.asarray(self.up, dtype=np.float64)
+            norm = float(np.linalg.norm(up))
+            if up.shape != (3,) or not np.isfinite(norm) or norm < 1e-9:
+                raise InputError("the up vector must be three finite numbers", got=self.up)
+            # A unit vector stays as it is to the last bit, so that what was written is what is read.
+            object.__setattr__(self, "up", up if abs(norm - 1) < 1e-15 else up / norm)
+
+    @property
+    def fx(self) -> float:
+        return float(self.K[0, 0])
+
+    @property
+    def fy(self) -> float:
+        return float(self.K[1, 1])
+
+    @property
+    def cx(self) -> float:
+        return float(self.K[0, 2])
+
+    @property
+    def cy(self) -> float:
+        return float(self.K[1, 2])
+
+    def with_up(self, up: np.ndarray, source: UpSource) -> Camera:
+        """The same camera with its up vector ((3,), camera frame) set."""
+        return replace(self, up=up, up_source=source)
+
+
+def intrinsics(fx: float, fy: float, cx: float, cy: float) -> np.ndarray:
+    """The (3, 3) float64 matrix of a pinhole camera without skew, pixels."""
+    return np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+
+
+def backproject(depth: np.ndarray, camera: Camera, v: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """Camera-frame points of the pixels (u, v), given the whole depth map.
+
+    Parameters
+    ----------
+    depth : (H, W) float32
+        Metres along z.
+    camera : Camera
+    v, u : (N,) int
+        Rows and columns.
+
+    Returns
+    -------
+    (N, 3) float32
+        Metres, camera frame. Pixels without depth (0) come back as zeros.
+    """
+    return lift_pixels(depth[v, u], camera, v, u)
+
+
+def lift_pixels(z: np.ndarray, camera: Camera, v: np.ndarray, u: np.ndarray) -> np.ndarray:
+    """Camera-frame points ((N, 3) float32) of pixels whose depths z ((N,)) are at hand."""
+    z = np.asarray(z, dtype=np.float32)
+    points = np.empty((len(z), 3), dtype=np.float32)
+    points[:, 0] = (np.asarray(u, dtype=np.float32) - np.float32(camera.cx)) * z / np.float32(camera.fx)
+    points[:, 1] = (np.asarray(v, dtype=np.float32) - np.float32(camera.cy)) * z / np.float32(camera.fy)
+    points[:, 2] = z
+    return points
+
+
+def project(points: np.ndarray, camera: Camera) -> np.ndarray:
+    """Pixels (u, v) of camera-frame points.
+
+    Parameters
+    ----------
+    points : (..., 3) float
+        Metres, camera frame, z > 0.
+
+    Returns
+    -------
+    (..., 2) float64
+        Pixels; NaN for points on or behind the image plane.
+    """
+    points = np.asarray(points, dtype=np.float64)
+    z = points[..., 2]
+    safe = np.where(z > 1e-9, z, np.nan)
+    return np.stack(
+        [camera.fx * points[..., 0] / safe + camera.cx, camera.fy * points[..., 1] / safe + camera.cy],
+        axis=-1,
+    )
+
+
+def to_world(points: np.ndarray, T_world_camera: np.ndarray) -> np.ndarray:
+    """Camera-frame points ((..., 3)) in the world, metres."""
+    return points @ T_world_camera[:3, :3].T + T_world_camera[:3, 3]

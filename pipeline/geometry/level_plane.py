@@ -1,0 +1,352 @@
+"""The level plane of a frame: a floor or a table-top, told from walls and ceilings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import cv2
+import numpy as np
+
+from pipeline.geometry.camera import Camera, lift_pixels
+from pipeline.geometry.normals import depth_noise, surface_normals
+from pipeline.system.errors import InputError
+
+SAME_SURFACE_DEG = 15.0
+"""Normals of one surface differ by no more than this."""
+MIN_SURFACE_PIXELS = 60
+
+STEEPEST_DEG, HIGHEST_DEG, MAX_ROLL_DEG = 77.0, 40.0, 30.0
+"""How a camera may be held: looking down and up by at most so much, and rolled by at most so much.
+A wall, taken for a floor, would say of a camera that looks down that it is upside down, and of a
+level one that it looks straight down."""
+EASY_ROLL_DEG, EASY_STEEP_DEG, EASY_HIGH_DEG = 14.0, 68.0, 16.0
+"""Up to about so much is common; beyond it, every other explanation is more likely."""
+
+PARALLEL_DEG = 8.0
+UPRIGHT_DEG = 10.0
+_UPRIGHT = float(np.sin(np.deg2rad(UPRIGHT_DEG)))
+APART_DEG = 15.0
+"""Hypotheses closer than this are one."""
+FULL_SHARE = 0.03
+"""A plane of so much of the surface counts half, a larger one more."""
+WEIGHT = {"floor": 1.0, "ceiling": 0.5, "walls": 0.5}
+"""To a camera that looks down steeply, a wall behind a table looks like a ceiling does to one that looks up."""
+LEAST_WALL = 0.05
+"""A ceiling counts only where walls are seen with it: alone, it may as well be a wall seen from above."""
+WALLS_STEEP_DEG, WALLS_HIGH_DEG = 45.0, 10.0
+"""Up is where two walls meet only while the camera looks down by no more than this, and up by no more."""
+WALLS_EXPLAIN = 0.9
+"""And while no less of what is flat goes with it: else one of the two is rather a board that leans."""
+WALL_AHEAD_DEG = 55.0
+"""A plane that is seen from above as steeply as this may as well be a wall that the camera looks up at. The two are
+alike in everything but that a floor and a table-top have other level surfaces above or below them."""
+HIGHEST_CAMERA_M = 2.7
+"""And but that no one holds a camera higher above a floor."""
+OTHER_LEVEL_SHARE, TALLEST_M = 0.003, 1.5
+"""So much of the surface is other levels where there are any; a level so much higher is none that things make."""
+MIN_SCORE = 0.15
+MIN_LEAD = 2.0
+"""The best hypothesis must be so many times as good as the best that contradicts it."""
+
+FAR_FROM_LEVEL_DEG = 45.0
+"""A surface that was called level and is so far off the frame's level planes is worth a note: a wall was meant?"""
+
+NEAREST_M, FARTHEST_M = 0.15, 10.0
+GRID_BLOCKS = 12_000
+DIRECTIONS, VOTERS = 96, 4000
+MAX_HYPOTHESES = 5
+MIN_POINTS = 50
+LEAST_SHARE = 0.01
+STRETCH_M = 0.04
+
+
+@dataclass(frozen=True)
+class UpHypothesis:
+    """An up vector that planes of the frame suggest, and what speaks for it.
+
+    Attributes
+    ----------
+    up : (3,) float64
+        Unit vector, camera frame.
+    kind : str
+        A plane seen from above (a floor, a table-top), one seen from below, or walls that stand on no floor seen.
+    share : float
+        Share of the surface seen that lies in the plane; of walls, what speaks for the less seen direction.
+    explained : float
+        Share of the flat surface that is level or upright under it, in either way.
+    told : bool
+        False for a plane seen so steeply that nothing tells it from a wall which the camera looks up at. It decides
+        nothing, but contradicts.
+    """
+
+    up: np.ndarray
+    kind: Literal["floor", "ceiling", "walls"]
+    share: float
+    explained: float
+    told: bool = True
+
+    @property
+    def score(self) -> float:
+        """0..1: how well it explains the frame, how large its plane is, how common it is to hold a camera so."""
+        held = float(_ease(self.up[None])[0])
+        return WEIGHT[self.kind] * held * self.explained**2 * self.share / (self.share + FULL_SHARE)
+
+
+@dataclass(frozen=True)
+class _Surface:
+    """The frame in blocks of pixels: `points` and `normals` (N, 3) float32 towards the camera, `flat` (N,) bool."""
+
+    points: np.ndarray
+    normals: np.ndarray
+    flat: np.ndarray
+
+    @cached_property
+    def voters(self) -> np.ndarray:
+        """Some of the flat normals, evenly: enough to weigh directions; planes are fitted to all points."""
+        normals = self.normals[self.flat]
+        return normals[:: max(1, len(normals) // VOTERS)]
+
+
+def level_plane(depth: np.ndarray, camera: Camera) -> np.ndarray | None:
+    """The up vector that the level planes of a frame give, or None where they are too few or contradict each other.
+
+    Returns
+    -------
+    (3,) float64 or None
+        Unit vector, camera frame.
+    """
+    best = decided(up_hypotheses(depth, camera))
+    return None if best is None else best.up
+
+
+def decided(found: Sequence[UpHypothesis]) -> UpHypothesis | None:
+    """The best of a frame's hypotheses (best first), None where it is weak or another contradicts it."""
+    if not found or found[0].score < MIN_SCORE or not found[0].told:
+        return None
+    best = found[0]
+    others = (h.score for h in found[1:] if h.up @ best.up < np.cos(np.deg2rad(APART_DEG)))
+    return best if best.score >= MIN_LEAD * max(others, default=0.0) else None
+
+
+def up_hypotheses(depth: np.ndarray, camera: Camera) -> tuple[UpHypothesis, ...]:
+    """What the planes of a frame suggest, the best first.
+
+    Candidate directions are normals of the surface itself, so that every hypothesis is a real patch of the
+    scene and no random numbers are needed. A plane counts only on the side it is seen from: a floor from
+    above, a ceiling from below.
+
+    Parameters
+    ----------
+    depth : (H, W) float32
+        Metres.
+    """
+    surface = _surface(depth, camera)
+    if len(surface.points) < MIN_POINTS or surface.flat.sum() < MIN_POINTS:
+        return ()
+    found = [*_of_one_side(surface, "floor"), *_of_one_side(surface, "ceiling")]
+    same = np.cos(np.deg2rad(APART_DEG))
+    # A level plane is fitted to more than the directions of walls are.
+    found += [h for h in _of_walls(surface) if not any(h.up @ level.up > same for level in found)]
+    return tuple(sorted(found, key=lambda h: -h.score))
+
+
+def _of_one_side(surface: _Surface, kind: Literal["floor", "ceiling"]) -> list[UpHypothesis]:
+    sign = np.float32(1.0 if kind == "floor" else -1.0)
+    voters = surface.voters * sign
+    candidates = voters[_ease(voters) > 0]
+    if len(candidates) < 10:
+        return []
+    candidates = candidates[np.linspace(0, len(candidates) - 1, min(DIRECTIONS, len(candidates))).astype(int)]
+    cosines = candidates @ voters.T
+    alike, same = (np.float32(np.cos(np.deg2rad(a))) for a in (PARALLEL_DEG, APART_DEG))
+    support = np.count_nonzero(cosines > alike, axis=1)
+    found: list[UpHypothesis] = []
+    for _ in range(MAX_HYPOTHESES):
+        best = int(support.argmax())
+        if support[best] < LEAST_SHARE / 2 * len(voters):
+            break
+        direction = voters[cosines[best] > alike].mean(axis=0)
+        fitted = _fitted(surface, direction / np.linalg.norm(direction), sign)
+        support[candidates @ candidates[best] > same] = 0
+        if fitted is None or _ease(fitted[0][None])[0] == 0 or any(fitted[0] @ h.up > same for h in found):
+            continue
+        up, offset, share = fitted
+        if kind == "ceiling" and np.mean(np.abs(voters @ up.astype(np.float32)) < _UPRIGHT) < LEAST_WALL:
+            continue
+        steep = bool(_pitch_deg(up) >= WALL_AHEAD_DEG)
+        told = kind == "ceiling" or not steep or _has_other_levels(surface, up, offset)
+        found.append(UpHypothesis(up, kind, share, _explained(voters, up), told))
+    return found
+
+
+def _has_other_levels(surface: _Surface, up: np.ndarray, offset: float) -> bool:
+    """Whether anything else is level above or below a plane that a camera is held over."""
+    if -offset > HIGHEST_CAMERA_M:
+        return False
+    height = surface.points @ up - offset
+    level = surface.flat & (surface.normals @ up > np.cos(np.deg2rad(1.5 * PARALLEL_DEG)))
+    level &= (np.abs(height) > np.maximum(0.02, 3 * _tolerance(surface.points))) & (height < TALLEST_M)
+    return bool(level.mean() > OTHER_LEVEL_SHARE)
+
+
+def _of_walls(surface: _Surface) -> list[UpHypothesis]:
+    """The direction that all walls run along, where nothing level is seen and they face at least two ways."""
+    normals = surface.voters.astype(np.float64)
+    up, spread = _least_seen(normals)
+    for _ in range(2):
+        upright = normals[np.abs(normals @ up) < _UPRIGHT]
+        if len(upright) < MIN_POINTS:
+            return []
+        up, spread = _least_seen(upright)
+    explained = _explained(normals, up)
+    if not -WALLS_HIGH_DEG < _pitch_deg(up) < WALLS_STEEP_DEG or _ease(up[None])[0] == 0 or explained < WALLS_EXPLAIN:
+        return []
+    share = spread / len(normals) * float(surface.flat.mean())
+    return [UpHypothesis(up, "walls", share, explained)] if share > LEAST_SHARE else []
+
+
+def _least_seen(normals: np.ndarray) -> tuple[np.ndarray, float]:
+    """Where normals ((N, 3)) point least, as a unit vector up the image, and the sum of squares of the next axis."""
+    spread, axes = np.linalg.eigh(normals.T @ normals)
+    return axes[:, 0] * (-1.0 if axes[1, 0] > 0 else 1.0), float(spread[1])
+
+
+def _explained(normals: np.ndarray, up: np.ndarray) -> float:
+    """Share of the normals ((N, 3)) that are parallel or perpendicular to an up vector."""
+    along = np.abs(normals @ up.astype(normals.dtype))
+    return float(((along > np.cos(np.deg2rad(PARALLEL_DEG))) | (along < _UPRIGHT)).mean())
+
+
+def _ease(up: np.ndarray) -> np.ndarray:
+    """0..1 of each up vector ((N, 3)): how common it is to hold a camera so; 0 is never."""
+    pitch, roll = _pitch_deg(up), np.abs(_roll_deg(up))
+    beyond = np.maximum(pitch - EASY_STEEP_DEG, 0) + np.maximum(-pitch - EASY_HIGH_DEG, 0)
+    held = np.exp(-0.5 * (np.maximum(roll - EASY_ROLL_DEG, 0) / 8) ** 2 - beyond / 12)
+    return np.where((pitch < STEEPEST_DEG) & (pitch > -HIGHEST_DEG) & (roll < MAX_ROLL_DEG), held, 0.0)
+
+
+def _pitch_deg(up: np.ndarray) -> np.ndarray:
+    """How far a camera of this up vector ((..., 3)) looks down."""
+    return np.rad2deg(np.arcsin(np.clip(-up[..., 2], -1, 1)))
+
+
+def _roll_deg(up: np.ndarray) -> np.ndarray:
+    return np.rad2deg(np.arctan2(up[..., 0], -up[..., 1]))
+
+
+def _tolerance(points: np.ndarray) -> np.ndarray:
+    """(N,) metres within which points ((N, 3)) lie in a plane."""
+    return 0.008 + 0.006 * points[:, 2] ** 2
+
+
+def _surface(depth: np.ndarray, camera: Camera) -> _Surface:
+    """Means over blocks of pixels, of inverse depth: in it a plane stays a plane."""
+    height, width = depth.shape
+    side = max(1, round(float(np.sqrt(height * width / GRID_BLOCKS))))
+    rows, columns = height // side, width // side
+    cut = depth[: rows * side, : columns * side]
+    has = (cut > NEAREST_M) & (cut < FARTHEST_M)
+    inverse = np.divide(1.0, cut, out=np.zeros(cut.shape, np.float32), where=has)
+    filled = cv2.resize(has.astype(np.float32), (columns, rows), interpolation=cv2.INTER_AREA)
+    mean = cv2.resize(inverse, (columns, rows), interpolation=cv2.INTER_AREA)
+    z = np.divide(filled, mean, out=np.zeros_like(mean), where=filled > 0.5)
+    K = camera.K.copy()
+    K[:2] /= side
+    K[:2, 2] -= (side - 1) / (2 * side)
+    blocks = Camera(K, columns, rows)
+    normals, known = surface_normals(z, blocks, radius=2)
+    v, u = np.nonzero(z > 0)
+    return _Surface(lift_pixels(z[v, u], blocks, v, u), normals[v, u], known[v, u])
+
+
+def _fitted(surface: _Surface, direction: np.ndarray, sign: np.float32) -> tuple[np.ndarray, float, float] | None:
+    """The largest plane of about this normal: unit normal, offset along it, share of the points; None if too small."""
+    points = surface.points
+    tolerance = _tolerance(points)
+    cosine = surface.normals @ direction * sign
+    near = surface.flat & (cosine > np.cos(np.deg2rad(PARALLEL_DEG)))
+    heights = np.sort(points[near] @ direction)
+    stretch = np.searchsorted(heights, heights + STRETCH_M) - np.arange(len(heights))
+    densest = int(stretch.argmax())
+    normal = direction.astype(np.float64)
+    offset = float(np.median(heights[densest : densest + stretch[densest]]))
+    near = surface.flat & (cosine > np.cos(np.deg2rad(3 * PARALLEL_DEG)))
+    cloud, tolerance = points[near].astype(np.float64), tolerance[near]
+    for slack in (2, 1, 1):
+        inside = np.abs(cloud @ normal - offset) < slack * tolerance
+        if np.count_nonzero(inside) < max(LEAST_SHARE * len(points), 20):
+            return None
+        centre, normal = _plane_of(cloud[inside], 1.0 / tolerance[inside])
+        normal = normal if normal @ direction > 0 else -normal
+        offset = float(centre @ normal)
+    if sign * offset > 0:
+        return None  # Not on the side it would be seen from.
+    return normal, offset, float(inside.sum() / len(points))
+
+
+def _plane_of(cloud: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Centre and unit normal of points; far ones are noisier by z squared and unweighted would tilt the plane."""
+    centre = np.average(cloud, axis=0, weights=weight)
+    spread = (cloud - centre) * weight[:, None]
+    return centre, np.linalg.svd(spread.T @ spread)[0][:, 2]
+
+
+def level_normal_at(depth: np.ndarray, camera: Camera, u: int, v: int) -> np.ndarray:
+    """The up vector that a person gives by naming a pixel of a level surface.
+
+    The plane around the pixel is grown to the connected region that lies in it, and fitted to that.
+
+    Parameters
+    ----------
+    depth : (H, W) float32
+        Metres, 0 where missing.
+    u, v : int
+        Column and row.
+
+    Returns
+    -------
+    (3,) float64
+        Unit normal, camera frame, on the side from which the surface is seen: that of one who looks down on it.
+
+    Raises
+    ------
+    InputError
+        The pixel is outside the picture, has no depth, or lies on no plane.
+    """
+    height, width = depth.shape
+    if not (0 <= u < width and 0 <= v < height):
+        raise InputError("no such pixel", got=f"{u},{v}", expected=f"0,0 to {width - 1},{height - 1}")
+    if depth[v, u] <= 0:
+        raise InputError("the pixel has no depth", got=f"{u},{v}", expected="a pixel of a level surface")
+    no_plane = InputError("there is no plane at the pixel", got=f"{u},{v}", expected="a pixel of a level surface")
+    normals, known = surface_normals(depth, camera)
+    if not known[v, u]:
+        raise no_plane
+    rows, columns = np.mgrid[:height, :width]
+    points = lift_pixels(depth.ravel(), camera, rows.ravel(), columns.ravel()).reshape(height, width, 3)
+    tolerance = 3 * depth_noise(depth)
+    normal = normals[v, u].astype(np.float64)
+    offset = float(points[v, u] @ normal)
+    for _ in range(4):
+        near = known & (np.abs(points @ normal - offset) < tolerance)
+        near &= normals @ normal > np.cos(np.deg2rad(SAME_SURFACE_DEG))
+        near[v, u] = True
+        _, regions = cv2.connectedComponents(near.view(np.uint8), connectivity=4)
+        region = regions == regions[v, u]
+        if region.sum() < MIN_SURFACE_PIXELS:
+            raise no_plane
+        cloud = points[region].astype(np.float64)
+        centre, normal = _plane_of(cloud, 1.0 / tolerance[region].astype(np.float64))
+        normal = normal if normal @ centre < 0 else -normal
+        offset = float(centre @ normal)
+    return normal
+
+
+def far_from_level(depth: np.ndarray, camera: Camera, up: np.ndarray) -> float | None:
+    """By how many degrees an up vector contradicts the one that the level planes of a frame give; None where not."""
+    own = level_plane(depth, camera)
+    angle = 0.0 if own is None else float(np.rad2deg(np.arccos(np.clip(own @ up / np.linalg.norm(up), -1, 1))))
+    return angle if angle > FAR_FROM_LEVEL_DEG else None

@@ -1,0 +1,402 @@
+"""LIFT: a mask and a depth map become an object's cleaned points and its 3D box.
+
+Every pixel of the mask ends as kept or as dropped for one named reason, and
+that evidence is kept with the object. Nothing is random.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from enum import IntEnum
+from typing import Literal
+
+import cv2
+import numpy as np
+
+from pipeline.geometry.boxes import Box3D
+from pipeline.geometry.camera import Camera, lift_pixels
+from pipeline.geometry.fitting import extents_of, gravity_box, pca_box
+from pipeline.geometry.viewer import ViewerAxes
+
+BoxMode = Literal["gravity", "pca", "pca-raw"]
+"""gravity: upright, yaw by PCA in plan. pca: the paper's PCA box, canonicalised
+in the level camera frame. pca-raw: the same with the axes as PCA gives them."""
+
+MaskSource = Literal["annotation", "detector", "box3d", "segmenter", "box", "human"]
+"""Whose pixels they are: the dataset's mask, the detector's, those inside the
+annotated 3D box, those a segmenter found in the 2D box, the whole 2D box, or
+those of a person who corrected the labels."""
+
+
+class Pixel(IntEnum):
+    """What became of a pixel of the mask, in the order in which it is decided."""
+
+    OUTSIDE = 0
+    KEPT = 1
+    NO_DEPTH = 2
+    OUT_OF_RANGE = 3
+    DEPTH_EDGE = 4
+    MASK_BORDER = 5
+    SMALL_PART = 6
+
+
+@dataclass(frozen=True)
+class LiftConfig:
+    """Cleaning thresholds; the defaults are the measured choice.
+
+    Attributes
+    ----------
+    near, far : float
+        Valid depths lie strictly between, metres.
+    edge, edge_relative : float
+        A pixel is at a depth edge where its 3x3 neighbourhood spans more than
+        max(edge, edge_relative * z), metres.
+    erode : float
+        Pixels to erode from the mask at an image width of 640.
+    erode_keep : float
+        Erosion stops before less than this share of the mask remains.
+    part : float
+        Connected parts smaller than this share of the largest are dropped.
+    min_pixels : int
+        With fewer pixels left, the raw mask is used instead.
+    max_points : int
+        Points are thinned evenly to this number.
+    box : str
+        How the 3D box is fitted.
+    """
+
+    near: float = 0.3
+    far: float = 10.0
+    edge: float = 0.03
+    edge_relative: float = 0.03
+    erode: float = 2.0
+    erode_keep: float = 0.4
+    part: float = 0.1
+    min_pixels: int = 30
+    max_points: int = 8000
+    box: BoxMode = "gravity"
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """The pixels of the mask and what became of each.
+
+    Attributes
+    ----------
+    codes : (h, w) uint8
+        A `Pixel` value for each pixel of the mask's bounding rectangle.
+    x0, y0 : int
+        Place of that rectangle in the image, pixels.
+    """
+
+    codes: np.ndarray
+    x0: int
+    y0: int
+
+    def counts(self) -> dict[str, int]:
+        """Pixels by what became of them, for example {"kept": 812, "depth_edge": 90}."""
+        number = np.bincount(self.codes.ravel(), minlength=len(Pixel))
+        return {p.name.lower(): int(number[p]) for p in Pixel if p is not Pixel.OUTSIDE}
+
+    def full(self, height: int, width: int) -> np.ndarray:
+        """(H, W) uint8: the codes in an image of the given size."""
+        image = np.zeros((height, width), np.uint8)
+        h, w = self.codes.shape
+        image[self.y0 : self.y0 + h, self.x0 : self.x0 + w] = self.codes
+        return image
+
+
+@dataclass(frozen=True)
+class Quality:
+    """How far an object's points can be trusted.
+
+    Attributes
+    ----------
+    mask_pixels : int
+    points : int
+        Pixels kept by the cleaning, before thinning.
+    kept : float
+        Share of the mask that was kept, 0..1.
+    depth_missing : float
+        Share of the mask without a valid depth, 0..1.
+    touches_border : bool
+        The mask reaches the image border: part of the object is not seen.
+    distance : float
+        Median depth of the kept points, metres; NaN without points.
+    fallback : bool
+        Cleaning left too few pixels and the raw mask was used.
+    mask_source : str
+    """
+
+    mask_pixels: int
+    points: int
+    kept: float
+    depth_missing: float
+    touches_border: bool
+    distance: float
+    fallback: bool
+    mask_source: MaskSource
+
+    @property
+    def concerns(self) -> tuple[str, ...]:
+        """Reasons to doubt the box, in words; empty where there are none."""
+        found = []
+        if self.points == 0:
+            found.append("no point has a valid depth")
+        elif self.points < 100:
+            found.append(f"only {self.points} points")
+        if self.depth_missing > 0.5:
+            found.append(f"{self.depth_missing:.0%} of the mask has no depth")
+        if self.fallback and self.points:
+            found.append("too small to clean, raw mask used")
+        if self.touches_border:
+            found.append("cut by the image border")
+        if self.mask_source == "box":
+            found.append("no mask: the whole 2D box was lifted")
+        elif self.mask_source == "box3d":
+            found.append("no mask: the points inside the annotated 3D box were lifted")
+        return tuple(found)
+
+
+@dataclass(frozen=True)
+class LiftedObject:
+    """An object in 3D.
+
+    Attributes
+    ----------
+    points : (N, 3) float32
+        Cleaned, camera frame, metres; N may be 0.
+    box : Box3D or None
+        In the camera frame; None where no point has a depth.
+    yaw_confidence : float
+        1 - (second / first variance) of the fit's own axes: 0 says that the
+        yaw means nothing, 1 that it is certain.
+    lo, hi : (3,) float64
+        Extents along (right, up, forward), metres; NaN without points and box.
+    extents_from : str
+        "points", or "box" where only a box was there.
+    evidence : Evidence or None
+    quality : Quality
+    """
+
+    points: np.ndarray
+    box: Box3D | None
+    yaw_confidence: float
+    lo: np.ndarray
+    hi: np.ndarray
+    extents_from: Literal["points", "box"]
+    evidence: Evidence | None
+    quality: Quality
+
+    def moved_to(self, box: Box3D, viewer: ViewerAxes) -> LiftedObject:
+        """The object after an edit of its box: its points move by the same affine map."""
+        if self.box is None or not len(self.points):
+            lo, hi, source = extents(np.empty((0, 3)), box, viewer)
+            return replace(self, box=box, lo=lo, hi=hi, extents_from=source)
+        scale = box.size / np.maximum(self.box.size, 1e-6)
+        local = (self.points - self.box.center) @ self.box.R * scale
+        points = (local @ box.R.T + box.center).astype(np.float32)
+        lo, hi, source = extents(points, box, viewer)
+        return replace(self, points=points, box=box, lo=lo, hi=hi, extents_from=source)
+
+
+def extents(
+    points: np.ndarray, box: Box3D | None, viewer: ViewerAxes
+) -> tuple[np.ndarray, np.ndarray, Literal["points", "box"]]:
+    """The one definition of an object's extents, for rules and features alike.
+
+    Returns
+    -------
+    lo, hi : (3,) float64
+        1st and 99th percentile of the points along (right, up, forward),
+        metres; of the box's corners where there are no points; NaN where there is neither.
+    source : str
+        "points" or "box".
+    """
+    if len(points):
+        lo, hi = extents_of(points @ viewer.matrix.T.astype(points.dtype))
+        return lo, hi, "points"
+    if box is not None:
+        corners = box.corners @ viewer.matrix.T
+        return corners.min(axis=0), corners.max(axis=0), "box"
+    return np.full(3, np.nan), np.full(3, np.nan), "box"
+
+
+def depth_edges(depth: np.ndarray, config: LiftConfig | None = None) -> np.ndarray:
+    """(H, W) bool: pixels whose 3x3 neighbourhood spans a depth step. Pixels without depth take no part."""
+    config = config or LiftConfig()
+    kernel = np.ones((3, 3), np.uint8)
+    missing = depth <= 0
+    highest = cv2.dilate(depth, kernel)
+    lowest = cv2.erode(np.where(missing, np.float32(np.inf), depth), kernel)
+    return highest - lowest > np.maximum(np.float32(config.edge), np.float32(config.edge_relative) * depth)
+
+
+def flying_pixels(depth: np.ndarray, neighbours: int = 3) -> np.ndarray:
+    """(H, W) bool: pixels that hang between two surfaces, for display.
+
+    A pixel flies where fewer than `neighbours` of the eight around it have its
+    depth to within max(3 cm, 3 %). The border of a surface does not fly.
+    """
+    tolerance = np.maximum(np.float32(0.03), np.float32(0.03) * depth)
+    padded = np.pad(depth, 1, constant_values=-1)
+    height, width = depth.shape
+    support = np.zeros(depth.shape, np.uint8)
+    for dy in range(3):
+        for dx in range(3):
+            if (dy, dx) != (1, 1):
+                support += np.abs(padded[dy : dy + height, dx : dx + width] - depth) < tolerance
+    return (depth > 0) & (support < neighbours)
+
+
+def clean(
+    mask: np.ndarray, depth: np.ndarray, edges: np.ndarray, config: LiftConfig | None = None
+) -> tuple[Evidence, bool]:
+    """Decide each pixel of a mask.
+
+    Parameters
+    ----------
+    mask : (H, W) bool
+    depth : (H, W) float32
+        Metres.
+    edges : (H, W) bool
+        From `depth_edges`.
+
+    Returns
+    -------
+    evidence : Evidence
+    fallback : bool
+        True where cleaning left fewer than `min_pixels` and all valid pixels of the raw mask are kept instead.
+    """
+    config = config or LiftConfig()
+    height, width = mask.shape
+    x, y, w, h = cv2.boundingRect(mask.view(np.uint8))
+    # One pixel of margin keeps erosion right at the crop; at the image border
+    # there is none, because there the object does not end.
+    x0, y0, x1, y1 = max(x - 1, 0), max(y - 1, 0), min(x + w + 1, width), min(y + h + 1, height)
+    inside = mask[y0:y1, x0:x1]
+    z = depth[y0:y1, x0:x1]
+    in_range = (z > config.near) & (z < config.far)
+
+    codes = np.full(inside.shape, Pixel.KEPT, np.uint8)
+    codes[~_eroded(inside, width, config)] = Pixel.MASK_BORDER
+    codes[edges[y0:y1, x0:x1]] = Pixel.DEPTH_EDGE
+    codes[~in_range] = Pixel.OUT_OF_RANGE
+    codes[z <= 0] = Pixel.NO_DEPTH
+    codes[~inside] = Pixel.OUTSIDE
+
+    kept = (codes == Pixel.KEPT).view(np.uint8)
+    count, part, stats, _ = cv2.connectedComponentsWithStats(kept, connectivity=4)
+    if count > 2:
+        area = stats[:, cv2.CC_STAT_AREA].copy()
+        area[0] = 0
+        small = area < config.part * area.max()
+        small[0] = False
+        codes[small[part]] = Pixel.SMALL_PART
+
+    fallback = int((codes == Pixel.KEPT).sum()) < config.min_pixels
+    if fallback:
+        codes[inside & in_range] = Pixel.KEPT
+    return Evidence(codes, x0, y0), fallback
+
+
+def _eroded(inside: np.ndarray, width: int, config: LiftConfig) -> np.ndarray:
+    steps = round(config.erode * width / 640)
+    floor = config.erode_keep * inside.sum()
+    current = inside.view(np.uint8)
+    for _ in range(steps):
+        smaller = cv2.erode(current, np.ones((3, 3), np.uint8))
+        if smaller.sum() < floor:
+            break
+        current = smaller
+    return current.view(np.bool_)
+
+
+def lift(
+    depth: np.ndarray,
+    camera: Camera,
+    masks: Sequence[np.ndarray],
+    viewer: ViewerAxes,
+    *,
+    config: LiftConfig | None = None,
+    mask_source: MaskSource = "annotation",
+    edges: np.ndarray | None = None,
+    boxes: bool = True,
+) -> tuple[LiftedObject, ...]:
+    """Lift masks to 3D.
+
+    Parameters
+    ----------
+    depth : (H, W) float32
+        Metres.
+    masks : sequence of (H, W) bool
+    viewer : ViewerAxes
+        The level frame for extents and boxes.
+    edges : (H, W) bool, optional
+        From `depth_edges`, where it is at hand already.
+    boxes : bool
+        Fit 3D boxes; without, `box` is None and `yaw_confidence` 0, all else is the same.
+
+    Returns
+    -------
+    tuple of LiftedObject
+        One for each mask, in order.
+    """
+    config = config or LiftConfig()
+    if edges is None:
+        edges = depth_edges(depth, config)
+    return tuple(_lift_one(depth, camera, m, viewer, config, mask_source, edges, boxes) for m in masks)
+
+
+def _lift_one(
+    depth: np.ndarray,
+    camera: Camera,
+    mask: np.ndarray,
+    viewer: ViewerAxes,
+    config: LiftConfig,
+    mask_source: MaskSource,
+    edges: np.ndarray,
+    boxes: bool,
+) -> LiftedObject:
+    evidence, fallback = clean(mask, depth, edges, config)
+    v, u = np.nonzero(evidence.codes == Pixel.KEPT)
+    kept = len(v)
+    if kept > config.max_points:
+        even = np.linspace(0, kept - 1, config.max_points).astype(np.int64)
+        v, u = v[even], u[even]
+    v, u = v + evidence.y0, u + evidence.x0
+    points = lift_pixels(depth[v, u], camera, v, u)
+
+    counts = evidence.counts()
+    area = int(sum(counts.values()))
+    codes = evidence.codes
+    h, w = codes.shape
+    border = bool(
+        (evidence.y0 == 0 and codes[0].any())
+        or (evidence.x0 == 0 and codes[:, 0].any())
+        or (evidence.y0 + h == depth.shape[0] and codes[-1].any())
+        or (evidence.x0 + w == depth.shape[1] and codes[:, -1].any())
+    )
+    quality = Quality(
+        mask_pixels=area,
+        points=kept,
+        kept=kept / max(area, 1),
+        depth_missing=(counts["no_depth"] + counts["out_of_range"]) / max(area, 1),
+        touches_border=border,
+        distance=float(np.median(points[:, 2])) if kept else float("nan"),
+        fallback=fallback,
+        mask_source=mask_source,
+    )
+    box, confidence = fit_box(points, viewer, config.box) if boxes else (None, 0.0)
+    lo, hi, source = extents(points, box, viewer)
+    return LiftedObject(points, box, confidence, lo, hi, source, evidence, quality)
+
+
+def fit_box(points: np.ndarray, viewer: ViewerAxes, mode: BoxMode = "gravity") -> tuple[Box3D | None, float]:
+    """The 3D box of points ((N, 3), camera frame) and its yaw confidence; (None, 0) for no points."""
+    if not len(points):
+        return None, 0.0
+    if mode == "gravity":
+        return gravity_box(points, viewer)
+    return pca_box(points, None if mode == "pca-raw" else viewer)

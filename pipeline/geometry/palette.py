@@ -1,0 +1,113 @@
+"""The fixed colours of roles and of dropped pixels: the same in 3D, 2D, tables and chips.
+
+Orange and blue stay apart under all common colour-vision deficiencies; every
+role is doubled by a word, a line width or a line style wherever it is shown.
+"""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from pipeline.geometry.lifting import Pixel
+
+Role = Literal["target", "reference", "other", "truth", "edited"]
+RGB = tuple[int, int, int]
+
+ON_DARK: dict[Role, RGB] = {
+    "target": (255, 138, 51),
+    "reference": (77, 163, 255),
+    "other": (150, 158, 170),
+    "truth": (94, 214, 150),
+    "edited": (240, 214, 84),
+}
+ON_LIGHT: dict[Role, RGB] = {
+    "target": (214, 88, 0),
+    "reference": (0, 103, 196),
+    "other": (112, 120, 132),
+    "truth": (0, 134, 84),
+    "edited": (158, 122, 0),
+}
+
+SECOND_ON_DARK: RGB = (236, 122, 214)
+SECOND_ON_LIGHT: RGB = (170, 28, 146)
+"""A second detector's boxes, always dashed: the reddish purple of Okabe and Ito, made lighter and darker."""
+
+RELATIONS: dict[str, RGB] = {
+    "left": (51, 34, 136),
+    "right": (136, 204, 238),
+    "above": (17, 119, 51),
+    "below": (68, 170, 153),
+    "front": (136, 34, 85),
+    "behind": (204, 102, 119),
+    "on": (153, 153, 51),
+    "in": (221, 204, 119),
+    "near": (170, 68, 153),
+}
+"""A colour for each relation in pictures of statistics: opposites are of one hue, dark and light. These are the nine of
+Paul Tol's scheme "muted" (SRON/EPS/TN/09-002), which stay apart under all common colour-vision deficiencies."""
+
+DROPPED: dict[Pixel, RGB] = {
+    Pixel.NO_DEPTH: (120, 124, 132),
+    Pixel.OUT_OF_RANGE: (84, 88, 96),
+    Pixel.DEPTH_EDGE: (230, 70, 110),
+    Pixel.MASK_BORDER: (250, 200, 60),
+    Pixel.SMALL_PART: (170, 110, 240),
+}
+"""Colours of the pixels that cleaning dropped, by reason."""
+
+
+def palette(dark: bool) -> dict[Role, RGB]:
+    """Role colours for a dark or a light background."""
+    return ON_DARK if dark else ON_LIGHT
+
+
+def second_color(dark: bool) -> RGB:
+    """The colour of a second detector, on a dark or a light background."""
+    return SECOND_ON_DARK if dark else SECOND_ON_LIGHT
+
+
+def hex_color(color: RGB) -> str:
+    """"#rrggbb"."""
+    return "#{:02x}{:02x}{:02x}".format(*color)
+
+
+def instance_colors(count: int) -> np.ndarray:
+    """(count, 3) uint8: one calm, distinct colour for each object, golden-ratio hues."""
+    import cv2
+
+    hues = np.round((np.arange(count) * 0.61803398875 % 1.0) * 179).astype(np.uint8)
+    hsv = np.stack([hues, np.full(count, 140, np.uint8), np.full(count, 225, np.uint8)], axis=1)
+    return cv2.cvtColor(hsv[None], cv2.COLOR_HSV2RGB)[0] if count else np.zeros((0, 3), np.uint8)
+
+
+def depth_colors(depth: np.ndarray) -> np.ndarray:
+    """(..., 3) uint8 turbo colours of depths in metres, near red to far blue over the 2nd to 98th percentile.
+
+    Pixels without depth are dark grey.
+    """
+    import cv2
+
+    valid = depth > 0
+    low, high = np.percentile(depth[valid], [2, 98]) if valid.any() else (0.0, 1.0)
+    level = 255 - np.clip((depth - low) / max(high - low, 1e-6), 0, 1) * 255
+    flat = cv2.applyColorMap(np.ascontiguousarray(level.astype(np.uint8).reshape(-1, 1)), cv2.COLORMAP_TURBO)
+    colors = flat[:, 0, ::-1].reshape(*depth.shape, 3).copy()
+    colors[~valid] = (40, 42, 46)
+    return colors
+
+
+VERDICTS: dict[str, RGB] = {
+    "CORRECT": (58, 158, 104),
+    "PARSE": (170, 68, 153),
+    "LABEL": (126, 136, 150),
+    "OPM-TARGET": (0, 101, 189),
+    "OPM-REF": (86, 180, 233),
+    "LIFT": (204, 164, 20),
+    "SRM": (213, 68, 60),
+    "OPM-CONF": (92, 92, 214),
+    "PRM": (226, 122, 24),
+    "COMPOUND": (140, 92, 60),
+}
+"""A colour for each verdict; the blues are the detector's. Wherever it is shown, the word stands beside it."""

@@ -1,0 +1,230 @@
+"""What is asked of a frame in an evaluation, and what counts as right: read from labels."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.geometry.frame import Frame
+from pipeline.labels.expressions import same_names
+from pipeline.labels.reading import Labels
+from pipeline.relations.relations import PAIRWISE, U
+from pipeline.system.errors import InputError
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+
+@dataclass(frozen=True)
+class Case:
+    """One expression with its truth.
+
+    Attributes
+    ----------
+    id, text : str
+    target, relation, reference : str
+        The gold triple.
+    target_object, reference_object : int
+        Places in the frame's objects.
+    strict, acceptable : (K,) int64
+        Places of the right targets: beyond doubt, and with the doubtful ones.
+    ambiguous : bool
+    margin : float
+        Of the labelled pair, metres.
+    """
+
+    id: str
+    text: str
+    target: str
+    relation: str
+    reference: str
+    target_object: int
+    reference_object: int
+    strict: np.ndarray
+    acceptable: np.ndarray
+    ambiguous: bool
+    margin: float
+
+
+@dataclass(frozen=True)
+class FrameCases:
+    """All expressions of a frame, and its objects as labelled.
+
+    Attributes
+    ----------
+    frame : str
+    frame_index : int
+    scene : str
+    labels : tuple of str
+    boxes : (N, 4) float64
+        x0, y0, x1, y1, pixels.
+    alike : (N, N) bool
+        Objects whose class names mean the same.
+    states : dict of str to (N, N) int8
+        By relation; -1 where a pair has no label.
+    cases : tuple of Case
+    numbers : (N,) int64
+        The objects' own numbers in the labels: the dataset's own, where they were made from its annotations.
+    judged : (N, N) bool
+        Pairs that have a label.
+    geometry : dict of str to (N, K) float64
+        "lo", "hi", "center", "R" and "size" as labelled; NaN where there is none.
+    facts : dict of str to (N,) float64
+        "distance" (metres, NaN for unknown), "occluded" (share of the border), "mask_pixels".
+    masks : tuple of str or None
+        COCO's compressed run-length codes.
+    rgb_hash : str or None
+        Content hash of the picture that was labelled; None where it is the one at hand.
+    """
+
+    frame: str
+    frame_index: int
+    scene: str
+    labels: tuple[str, ...]
+    boxes: np.ndarray
+    alike: np.ndarray
+    states: dict[str, np.ndarray]
+    cases: tuple[Case, ...]
+    numbers: np.ndarray
+    judged: np.ndarray
+    geometry: dict[str, np.ndarray]
+    facts: dict[str, np.ndarray]
+    masks: tuple[str | None, ...]
+    rgb_hash: str | None = None
+
+    def check_picture(self, frame: Frame) -> None:
+        """Refuse a frame whose picture is not the one that was labelled.
+
+        Raises
+        ------
+        InputError
+            Another dataset has a frame of the same name, or the dataset has changed.
+        """
+        if self.rgb_hash is not None and frame.content_hash != self.rgb_hash:
+            raise InputError(
+                f"frame {self.frame}: another picture than the one that was labelled",
+                cause="has the dataset changed, or are these the labels of another one?",
+            )
+
+    def acceptable_pairs(self, case: Case) -> np.ndarray:
+        """(N, N) bool: pairs of the asked classes of which the relation holds or may hold."""
+        ends = self.alike[case.target_object][:, None] & self.alike[case.reference_object][None, :]
+        return ends & (self.states[case.relation] >= U)
+
+
+def read_cases(labels: Labels, first: int, stop: int) -> Iterator[FrameCases]:
+    """The frames from index `first` up to `stop` that have expressions, in order."""
+    names = [r for r in PAIRWISE if r in labels.relation_names]
+    columns = {**_COLUMNS, "relations": ["frame_index", "a", "b", *names]}
+    rows = {table: _part(labels.root, table, chosen, first, stop) for table, chosen in columns.items()}
+    frames = {row["frame_index"]: row for row in rows["frames"].to_pylist()}
+    expressions = _by_frame(rows["expressions"])
+    objects, relations = _by_frame(rows["objects"]), _by_frame(rows["relations"])
+    for index in sorted(expressions):
+        found = expressions[index]
+        yield frame_cases(
+            found["frame"][0],
+            index,
+            frames[index]["scene"],
+            objects[index],
+            relations.get(index, {}),
+            found,
+            names,
+            frames[index]["rgb_hash"],
+        )
+
+
+def frame_cases(
+    frame: str,
+    frame_index: int,
+    scene: str,
+    objects: Mapping[str, Any],
+    relations: Mapping[str, Any],
+    expressions: Mapping[str, Any],
+    names: Sequence[str],
+    rgb_hash: str | None = None,
+) -> FrameCases:
+    """One frame's rows of the tables of labels, as columns, made ready; `names` are the relations that were judged."""
+    numbers = list(objects["object"])
+    place = {number: k for k, number in enumerate(numbers)}
+    states = {name: np.full((len(numbers), len(numbers)), -1, np.int8) for name in names}
+    judged = np.zeros((len(numbers), len(numbers)), np.bool_)
+    if relations:
+        a, b = (np.array([place[n] for n in relations[end]], np.int64) for end in ("a", "b"))
+        judged[a, b] = True
+        for name in names:
+            states[name][a, b] = relations[name]
+    cases = tuple(
+        Case(
+            id=expressions["id"][k],
+            text=expressions["text"][k],
+            target=expressions["target"][k],
+            relation=expressions["relation"][k],
+            reference=expressions["reference"][k],
+            target_object=place[expressions["target_object"][k]],
+            reference_object=place[expressions["reference_object"][k]],
+            strict=np.array([place[n] for n in expressions["targets"][k]], np.int64),
+            acceptable=np.array([place[n] for n in expressions["acceptable"][k]], np.int64),
+            ambiguous=expressions["ambiguous"][k],
+            margin=expressions["margin"][k],
+        )
+        for k in range(len(expressions["id"]) if expressions else 0)
+    )
+    return FrameCases(
+        frame,
+        frame_index,
+        scene,
+        tuple(objects["label"]),
+        np.array(objects["bbox"], np.float64).reshape(-1, 4),
+        same_names(objects["label"]),
+        states,
+        cases,
+        np.array(numbers, np.int64),
+        judged,
+        {name: _rows(objects[name], width) for name, width in _GEOMETRY.items()},
+        {name: np.array([np.nan if v is None else v for v in objects[name]], np.float64) for name in _FACTS},
+        tuple(objects["mask"]),
+        rgb_hash,
+    )
+
+
+def _rows(values: list[Any], width: int) -> np.ndarray:
+    """(N, width) float64 of lists of numbers, of which some are missing."""
+    return np.array([v if v is not None else [np.nan] * width for v in values], np.float64).reshape(-1, width)
+
+
+_GEOMETRY = {"lo": 3, "hi": 3, "center": 3, "R": 9, "size": 3}
+_FACTS = ("distance", "occluded", "mask_pixels")
+_COLUMNS = {
+    "frames": ["frame_index", "scene", "rgb_hash"],
+    "objects": ["frame_index", "object", "label", "bbox", "mask", *_GEOMETRY, *_FACTS],
+    "expressions": [
+        "frame", "frame_index", "id", "text", "target", "relation", "reference", "target_object", "reference_object",
+        "targets", "acceptable", "ambiguous", "margin",
+    ],
+}  # fmt: skip
+
+
+def _part(root: Path, name: str, columns: list[str], first: int, stop: int) -> pa.Table:
+    import pyarrow.parquet as pq
+
+    chosen = [("frame_index", ">=", first), ("frame_index", "<", stop)]
+    return pq.read_table(root / f"{name}.parquet", columns=columns, filters=chosen)
+
+
+def _by_frame(table: pa.Table) -> dict[int, dict[str, list[Any]]]:
+    """Columns as lists, by frame; rows are in order of frames."""
+    if not table.num_rows:
+        return {}
+    index = table.column("frame_index").to_numpy()
+    starts = np.flatnonzero(np.diff(index, prepend=-1))
+    stops = [*starts[1:].tolist(), len(index)]
+    columns = {name: table.column(name).to_pylist() for name in table.column_names}
+    return {
+        int(index[a]): {name: values[a:b] for name, values in columns.items()}
+        for a, b in zip(starts.tolist(), stops, strict=True)
+    }

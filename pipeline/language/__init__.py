@@ -1,0 +1,1 @@
+"""A sentence to an expression: tokens, grammar, names, relation names, phrases, text vectors."""

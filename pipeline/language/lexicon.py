@@ -1,0 +1,265 @@
+"""The words of spatial expressions, as data: which phrases say which relation, and which words say nothing.
+
+A phrase is written as lower-case words with single spaces. The grammar that reads expressions with these tables is
+in `pipeline.language.grammar`.
+"""
+
+from __future__ import annotations
+
+import re
+
+from pipeline.relations.relations import INVERSE, PHRASE
+
+RELATIONS: tuple[str, ...] = tuple(PHRASE)
+"""The canonical names of the relations."""
+
+INVERSES: dict[str, str] = {**INVERSE, "near": "near"}
+"""`a R b` says the same as `b INVERSES[R] a`. `on` and `in` have no such name, only phrases that swap."""
+
+SWAPPED_WORDING = {"on": "supporting", "in": "containing"}
+"""How `a R b` is said from b's side where the relation has no inverse of its own."""
+
+
+def _words(text: str) -> frozenset[str]:
+    return frozenset(text.split())
+
+
+def _side(side: str) -> tuple[str, ...]:
+    places = (side, f"{side} side", f"{side} hand side")
+    led = [f"{p} {the}{s} of" for p in ("to", "on", "at", "in") for the in ("the ", "") for s in places]
+    return (*(f"{s} of" for s in places), *led, f"{side} to")
+
+
+SAYS: dict[str, tuple[str, ...]] = {
+    "left": _side("left"),
+    "right": _side("right"),
+    "above": ("above", "over", "higher than", "up above", "higher up than"),
+    "below": ("below", "under", "underneath", "beneath", "lower than", "down below", "underneath of"),
+    "front": (
+        "in front of", "in the front of", "at the front of", "on the front of", "to the front of", "front of",
+        "infront of", "in front", "ahead of",
+    ),
+    "behind": (
+        "behind", "in the back of", "at the back of", "on the back of", "to the back of", "in back of", "behind of",
+    ),
+    "on": (
+        "on", "on top of", "on the top of", "on top", "on the top", "atop", "atop of", "upon", "onto",
+        "on the surface of", "resting on", "lying on", "sitting on", "standing on", "placed on", "laying on",
+        "supported by",
+    ),
+    "in": (
+        "in", "inside", "inside of", "within", "contained in", "contained by", "contained within", "enclosed in",
+        "enclosed by", "in the inside of",
+    ),
+    "near": (
+        "near", "near to", "nearby", "next to", "beside", "by", "close to", "close by", "by the side of",
+        "adjacent to", "alongside", "alongside of", "in the vicinity of", "over by", "over near", "over next to",
+    ),
+    "between": ("between", "in between", "in the middle of", "in the center of", "in the centre of"),
+    "closest": ("closest to", "closest", "nearest to", "nearest", "closer to", "nearer to"),
+    "farthest": (
+        "farthest from", "furthest from", "farthest away from", "furthest away from", "farther from", "further from",
+        "farther away from", "further away from", "most distant from", "farthest", "furthest", "most distant",
+    ),
+}  # fmt: skip
+"""Phrases by the relation that they say of TARGET to REFERENCE."""
+
+FAR = ("far from", "far away from", "far off from", "a long way from", "distant from")
+"""Not near, which nothing here judges: no superlative, so that `farthest from` would be a guess."""
+
+SAYS_SWAPPED: dict[str, tuple[str, ...]] = {
+    "on": ("supporting", "supports", "holding", "holds", "carrying", "carries"),
+    "in": ("containing", "contains", "enclosing", "encloses"),
+}
+"""Phrases of the same relations said from the other side: REFERENCE to TARGET."""
+
+POSSESSIVE_TAILS = {"on its top": "on", "on their top": "on"}
+"""Phrases that end a `with a lamp on its top` and stand nowhere else."""
+
+BARE_TAILS = frozenset(
+    {"on top", "on the top", "atop", "underneath", "beneath", "below", "under", "above", "inside", "within", "behind",
+     "in front", "nearby", *POSSESSIVE_TAILS}
+)  # fmt: skip
+"""Phrases that may end a `with a lamp ...` without naming the target again."""
+
+UNDER = frozenset({"under", "underneath", "beneath", "underneath of"})
+"""Phrases of `below` that say a little more than it where there is no `on`."""
+
+SUPERLATIVES = frozenset({"closest", "nearest", "farthest", "furthest", "most distant"})
+"""Relation phrases that may also stand before the noun: `the nearest chair to the door`."""
+
+WITH = frozenset({"with", "has", "have", "having"})
+PRONOUNS = _words("it them itself themselves they he she him her me you something anything someone one what")
+PLACE_PRONOUNS = frozenset({"it", "them", "itself", "themselves"})
+
+LEADING = frozenset(
+    [
+        "please",
+        "can you",
+        "could you",
+        "would you",
+        "will you",
+        "i want",
+        "i want you to",
+        "i need",
+        "i see",
+        "i am looking for",
+        "i'm looking for",
+        "looking for",
+        "find",
+        "find me",
+        "help me find",
+        "spot",
+        "locate",
+        "show",
+        "show me",
+        "pick",
+        "pick up",
+        "grab",
+        "get",
+        "get me",
+        "give me",
+        "bring",
+        "bring me",
+        "fetch",
+        "fetch me",
+        "take",
+        "select",
+        "choose",
+        "point to",
+        "point at",
+        "point out",
+        "go to",
+        "move to",
+        "navigate to",
+        "drive to",
+        "walk to",
+        "head to",
+        "look for",
+        "look at",
+        "search for",
+        "detect",
+        "segment",
+        "highlight",
+        "ground",
+        "identify",
+        "click",
+        "click on",
+        "hand me",
+        "pass me",
+        "where is",
+        "where can i find",
+        "where can i see",
+        "where are",
+        "where's",
+        "what is",
+        "what are",
+        "what's",
+        "which is",
+        "which are",
+        "which",
+        "what",
+        "is there",
+        "are there",
+        "is it true that",
+        "there is",
+        "there are",
+        "is",
+        "are",
+        "does",
+        "do you see",
+        "can you see",
+        "can i see",
+        "i can see",
+        "tell me where",
+        "tell me",
+    ]
+)
+"""What may stand before the first noun and says nothing about it."""
+
+LINKING = _words(
+    "that which who is are was were be being that's which's who's it's there also directly immediately just right "
+    "straight exactly slightly somewhere still currently located positioned placed situated standing stood sitting "
+    "seated lying laying laid resting hanging hung leaning mounted kept found put parked the a an"
+)
+"""Words between a noun and its relation that say nothing: `the mug that is standing on`."""
+
+RELATIVE = frozenset({"that", "which", "who"})
+POSTURES = _words("stands sits lies rests hangs leans stand sit lie rest hang lean sat")
+"""Linking words only after `that`, since `tv stands` are things."""
+
+CLOSING = _words("please thanks is are there")
+AND = frozenset({"and", "but", "&"})
+NEGATIONS = _words("not no isn't aren't without except excluding neither nor never cannot")
+
+OTHER = frozenset({"another", "other"})
+"""Before a noun they tell two things of one name apart, `the mug left of the other mug`, and say nothing more."""
+
+ARTICLES = _words("the a an this these those my your our")
+ARTICLE_BEARING = _words("of with for or")
+"""Words after which an article belongs to the same name: `leg of the table`."""
+
+UNKNOWN_RELATIONS = _words(
+    "against along among amongst around across opposite past through throughout toward towards off out outside into "
+    "via at to from than beyond aside after before until during facing touching surrounding covering amid amidst "
+    "away per"
+)
+"""Words that relate two nouns in English and that no relation here stands for. Never guessed."""
+
+VERBS = _words("that which who whose is are was were has have should where")
+
+_SIDES = "left|right|front|back|rear|top|bottom|middle|center|centre|side|far left|far right|other side|inside|outside"
+SIDE_ONLY = re.compile(rf"(?:{_SIDES})(?: (?:hand )?side)?")
+"""A reference that is only a side: `the mug on the left`."""
+
+SIDE_OF_OWNER = re.compile(r"\S+'s? (?:own )?(?:left|right|front|back|rear)(?: (?:hand )?side)?(?= |$)")
+"""An object's own side, where no noun follows: `the couch's left`, and not `the dog's left paw`."""
+
+_VIEWER = r"(?:(?:the|my|your|our|this) )?(?:camera|viewer|observer|robot|photographer|user|me|here)"
+_VIEW = r"(?:point of view|viewpoint|vantage point|view|perspective|position|frame)"
+_OWN = r"(?:my|our|your|this|the|the current|the given)"
+_SEEN = r"(?:(?:as |when )?(?:seen|viewed|observed|looking) )"
+CAMERA_VIEW = (
+    rf"{_SEEN}(?:by|from|in|through) {_VIEWER}(?:'s)?(?: {_VIEW})?"
+    rf"|{_SEEN}?(?:from {_VIEWER}(?:'s)?(?: {_VIEW})?|in {_VIEWER}(?:'s)? {_VIEW})"
+    rf"|{_SEEN}?(?:from|in) {_OWN} {_VIEW}(?: of {_VIEWER}|(?! of))"
+)
+VIEW_FIRST = re.compile(
+    rf"(?:{CAMERA_VIEW}|(?:{_SEEN})?in (?:the|this) (?:image|picture|photo|frame|scene|view))(?= |$)"
+)
+"""The camera's view named at the start of an expression; it is the frame in which all is judged."""
+
+VIEW_WORDS = _words(
+    "camera camera's viewer viewer's observer observer's robot robot's photographer photographer's user user's me here "
+    "view viewpoint point perspective position frame image scene picture photo vantage"
+)
+VIEW_LAST = re.compile(rf"(?<= )(?:{CAMERA_VIEW}|in (?:the|this) (?:image|scene))$")
+
+OBJECT_VIEW = re.compile(
+    r"\bfacing (?:the|a|an|this|that|it|them|my|your|toward|towards|away|forward)\b|^(?:when |if |while )?facing\b"
+    r"|\b(?:looking|look) (?:from|out|toward|towards|the|away)\b|\blooking at\b|\blook at the (?:front|back|face) of\b"
+    r"|\S+'s? (?:point of view|viewpoint|view|perspective)\b"
+    r"|\bfrom (?:the |its |their |his |her )?(?:point of view|viewpoint|perspective|view|side|position|standpoint)\b"
+    r"|\b(?:seen|viewed|observed) (?:from|by)\b|\b(?:if|when|where|while|as) you (?:are |were )?\w+"
+    r"|\b(?:when|while|if) (?:sitting|standing|lying|seated|looking|facing|entering)\b"
+    r"|\bwith (?:your|its|the) back to\b|\bits own (?:left|right|front|back)\b"
+)
+"""Expressions judged from an object's own front, or from where somebody stands."""
+
+OBJECT_VIEW_WORDS = _words(
+    "facing looking look view viewpoint perspective seen viewed observed you when while if back own side position "
+    "standpoint"
+)
+"""No expression without one of these words matches OBJECT_VIEW."""
+
+
+def wording(relation: str, *, inverse: bool = False) -> str:
+    """How a relation is said between two nouns: `left of`; for `on` from the other side, `supporting`."""
+    return SWAPPED_WORDING.get(relation, f"reached by {PHRASE[relation]}") if inverse else PHRASE[relation]
+
+
+def phrase_table() -> dict[str, tuple[str, bool]]:
+    """All phrases with the relation each says and whether it says it from the other side."""
+    table = {phrase: (relation, False) for relation, phrases in SAYS.items() for phrase in phrases}
+    table |= {phrase: (relation, True) for relation, phrases in SAYS_SWAPPED.items() for phrase in phrases}
+    return table | {phrase: (relation, False) for phrase, relation in POSSESSIVE_TAILS.items()}

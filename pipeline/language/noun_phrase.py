@@ -1,0 +1,196 @@
+"""Class names as English noun phrases: readable words, number, and the article that goes with them."""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from dataclasses import dataclass
+from functools import lru_cache
+
+from pipeline.language.naming import CAMEL_CASE, DETERMINERS, HEAD_ENDS, QUALIFIER, singular
+
+
+def _words(text: str) -> frozenset[str]:
+    return frozenset(text.split())
+
+
+_PLURAL_ONLY = _words(
+    "glasses sunglasses eyeglasses goggles scissors pants trousers jeans shorts tights pliers tweezers tongs forceps "
+    "pyjamas binoculars clothes stairs cattle police"
+)
+"""Plurals that have no singular, or whose singular is no such thing."""
+
+_MASS = _words(
+    "asphalt bacon baggage bbq beef beer bread broccoli butter cardboard cement cereal champagne cheese china "
+    "chocolate clay clothing cloth coal coffee concrete cookware corn cotton cream crockery cutlery dirt dishware "
+    "dough dust electricity equipment fabric flour foam foliage food footwear fur furniture garbage garlic gasoline "
+    "glassware grass gravel gum hair ham hay headgear honey hummus ice ink ivy jam jelly jewellery jewelry juice "
+    "ketchup kitchenware laundry lava leather lettuce linen lingerie linoleum litter luggage lumber machinery mail "
+    "marmalade mayonnaise meat metal milk money mouthwash mud mustard oatmeal oil paint paper parsley pasta plastic "
+    "playdough popcorn pork porridge powder quinoa rice rubber rubbish rum salad salt sand sauce scenery seafood "
+    "sellotape shampoo silk silverware sky smoke snow soap soda soup spaghetti spinach stationery steam steel stone "
+    "straw sugar syrup tableware tape tea tissue tobacco tofu toothpaste traffic trash underwear vinegar vodka "
+    "wallpaper waste water wax whiskey whisky wine wood wool yarn yeast yoghurt yogurt"
+)
+"""Nouns that `a` reads badly before. Some may also be counted; `the` or no article is right for both uses."""
+
+_INITIALISMS = _words(
+    "ac ai atm cpu diy dna ecg faq fbi gpu hdmi hvac iphone ipad id led mri nba rfid sos suv uav ufo uhd uk ups url "
+    "usa usb upc uv vip"
+)
+"""Letters said one by one although a vowel among them would let them be said as a word."""
+
+_SAID_AS_WORDS = _words("sim ram rom lan nes mac nas sap")
+_ABBREVIATIONS = _words("mr mrs ms st")
+_VOWELS = frozenset("aeiou")
+_SPELLED_WITH_VOWEL = frozenset("aefhilmnorsx")
+"""Letters whose own names begin with a vowel: an F, but a U."""
+
+_SILENT_H = re.compile(r"heir(?!l?ing)|hono(?:u?r|rary)|honest|hour|hors$")
+_CONSONANT_SOUND = re.compile(r"eu|ewe|ouija|one(?:[sp]|$)|once$|uni(?:[^nmd]|mo|$)|u(?!t[th])[bcfhjkqrst][aeiou]")
+"""Words written with a vowel first and spoken with `y` or `w`: euro, ewer, one-way, unicorn, utensil, ukulele. After
+D. Conway, An algorithmic approach to English pluralization (1998)."""
+
+_FIRST_WORD = re.compile(r"[^\W_]+")
+
+
+@dataclass(frozen=True)
+class NounPhrase:
+    """A class name ready to stand in a sentence.
+
+    Attributes
+    ----------
+    words : str
+        The name in readable words, possibly in double quotes.
+    plural : bool
+        Whether it takes `are`.
+    mass : bool
+        Whether it cannot be counted and so takes no `a`.
+    article : {"a", "an"}
+        The indefinite article by sound, for a name that is neither plural nor mass.
+    """
+
+    words: str
+    plural: bool
+    mass: bool
+    article: str
+
+    @property
+    def verb(self) -> str:
+        """`is` or `are`."""
+        return "are" if self.plural else "is"
+
+    def definite(self, *, other: bool = False) -> str:
+        """`the mug`; beside another of its kind `another mug`: there may be more than two."""
+        return self.indefinite(other=True) if other else f"the {self.words}"
+
+    def indefinite(self, *, other: bool = False) -> str:
+        """`a mug`, `an umbrella`, `some scissors`, `some rice`; `another mug`, `some other scissors`."""
+        if self.plural or self.mass:
+            return f"some other {self.words}" if other else f"some {self.words}"
+        return f"another {self.words}" if other else f"{self.article} {self.words}"
+
+
+@lru_cache(maxsize=65536)
+def noun_phrase(words: str) -> NounPhrase:
+    """The noun phrase of a name in readable words, which may stand in double quotes."""
+    bare = words.strip('"')
+    tail = HEAD_ENDS.split(QUALIFIER.sub("", bare.lower()), maxsplit=1)[0].split()
+    head = re.split(r"[-/]", tail[-1])[-1] if tail else ""
+    plural = head in _PLURAL_ONLY or singular(head) != head
+    return NounPhrase(words, plural, not plural and head in _MASS, indefinite_article(bare))
+
+
+def indefinite_article(words: str) -> str:
+    """`a` or `an` by how the first word sounds: an hour, a unicorn, an LED lamp, a USB cable, an 8 ball.
+
+    Parameters
+    ----------
+    words : str
+        Capitals count: `US` is spelled out.
+    """
+    found = _FIRST_WORD.search(words)
+    if found is None:
+        return "a"
+    first = found[0]
+    if first[0].isdecimal():
+        return "an" if _number_sounds_open(re.match(r"\d+", first)[0]) else "a"  # type: ignore[index]
+    plain = unicodedata.normalize("NFKD", first)
+    plain = "".join(c for c in plain if not unicodedata.combining(c))
+    lower = plain.lower()
+    if _is_spelled_out(plain):
+        return "an" if lower[0] in _SPELLED_WITH_VOWEL else "a"
+    if _SILENT_H.match(lower):
+        return "an"
+    if _CONSONANT_SOUND.match(lower):
+        return "a"
+    if lower.startswith("x") and lower[1:2] not in (*_VOWELS, "y"):
+        return "an"
+    return "an" if lower[0] in _VOWELS else "a"
+
+
+def _number_sounds_open(digits: str) -> bool:
+    """Eight, eleven, eighteen and what begins with them."""
+    return digits[0] == "8" or (digits[:2] in ("11", "18") and len(digits) % 3 == 2)
+
+
+def _is_spelled_out(word: str) -> bool:
+    """Whether a word is said letter by letter: `LED`, `usb`, the `x` of `x-ray`, the `F` of `F1`."""
+    letters = re.match(r"[^\W\d_]+", word)
+    if letters is None or word.lower() in _ABBREVIATIONS:
+        return False
+    lower = letters[0].lower()
+    if len(lower) == 1 or lower in _INITIALISMS:
+        return lower != "a" or word != "a"
+    if not lower.isascii() or lower in _SAID_AS_WORDS:
+        return False
+    if _VOWELS.isdisjoint(lower) and "y" not in lower:
+        return len(lower) <= 5
+    return len(lower) <= 3 and letters[0].isupper()
+
+
+@lru_cache(maxsize=65536)
+def readable(name: str, *, brief: bool = True) -> str:
+    """A class name in words that read well: `hot_sauce` -> `hot sauce`, `CoffeeTable` -> `coffee table`.
+
+    Parameters
+    ----------
+    name : str
+        As a dataset spells it.
+    brief : bool
+        Whether only the first of several spellings (`bookcase / shelf`) stays and a qualifier (`bat (animal)`) goes.
+    """
+    text = unicodedata.normalize("NFKC", name).replace("_", " ")
+    if brief:
+        text = _first_spelling(QUALIFIER.sub("", text))
+    text = re.sub(r"[\"“”„«»,;:?!\s]+", " ", CAMEL_CASE.sub(" ", text)).replace("’", "'").strip()
+    words = _without_hyphens(re.sub(r" ?/ ?", "/", text)).split()
+    while len(words) > 1 and words[0].lower() in DETERMINERS:
+        words.pop(0)
+    shouted, titled = text.isupper(), not any(w[0].islower() for w in words)
+    return " ".join(_recased(w, shouted=shouted, titled=titled) for w in words)
+
+
+def _first_spelling(text: str) -> str:
+    """`bookcase` of `bookcase / shelf`, `Monitor` of `Monitor/TV`; `CD/DVD player` and `24/7 sign` stay whole."""
+    parts = [p.strip() for p in text.split("/")]
+    if not all(p and p[0].isalpha() for p in parts):
+        return text
+    alternatives = " " not in text.strip() or " / " in text or len(parts[0]) > 2
+    return parts[0] if alternatives else text
+
+
+def _without_hyphens(text: str) -> str:
+    """Hyphens as spaces where they do the work of underscores: `hot-dog`, and not `t-shirt` or `one-way sign`."""
+    parts = re.split(r"[-‐-―]", text)
+    return text if " " in text or any(len(p) < 3 for p in parts) else " ".join(parts)
+
+
+def _recased(word: str, *, shouted: bool, titled: bool) -> str:
+    """A word without the capitals that only the spelling of class names gives it; `TV` and `iPod` keep theirs."""
+    if len(word) == 1:
+        return word
+    if word.isupper():
+        return word.lower() if shouted and not _is_spelled_out(word.lower()) else word
+    is_title = word[1:] == word[1:].lower() and not re.match(r"\w[-‐-―&]", word)
+    return word.lower() if titled and is_title else word

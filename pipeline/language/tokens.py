@@ -1,0 +1,243 @@
+"""An expression as tokens: words, relation phrases, and class names that the user's vocabulary holds together."""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+
+from pipeline.language.lexicon import AND, WITH, phrase_table
+from pipeline.language.naming import DETERMINERS, Synonyms
+from pipeline.system.errors import InputError
+
+MAX_LENGTH = 300
+"""Characters; a spatial expression is a phrase, not a page."""
+
+_SEPARATORS = r"\s\-_‐-―,;:?!\"“”„«»()\[\]/&+%#.'’‘"
+_WORD = re.compile(rf"[^{_SEPARATORS}]+(?:['’.][^{_SEPARATORS}]+)*|&")
+_STRANGE = re.compile(rf"[^\w{_SEPARATORS}]|[\x00-\x08\x0b\x0c\x0e-\x1f\x7f-\x9f]")
+_QUOTED = re.compile(r"[\"“„«]([^\"“”„«»]+)[\"”“»]")
+_BREAKS = re.compile(r"[\s,;:?!\"“”„«»]")
+
+
+@dataclass(frozen=True)
+class Token:
+    """A word, a relation phrase or a protected name, and where it stands in the text.
+
+    Attributes
+    ----------
+    text : str
+        Lower case, single spaces.
+    start, end : int
+        Character range in the expression as it was typed.
+    relation : str or None
+        The canonical relation that a phrase says.
+    swapped : bool
+        Whether the phrase says it from the other side.
+    name : str or None
+        The class name as the vocabulary spells it, where the token is one.
+    guards : bool
+        Whether the name holds words together that would otherwise be read as grammar.
+    bound : bool
+        Whether a hyphen or the like joins a single word to its neighbour, which makes it part of a name.
+    """
+
+    text: str
+    start: int
+    end: int
+    relation: str | None = None
+    swapped: bool = False
+    name: str | None = None
+    guards: bool = False
+    bound: bool = False
+
+    @property
+    def plain(self) -> str | None:
+        """The word, where it is a single word that stands free; None for names, phrases and parts of compounds."""
+        return None if self.bound or self.name is not None or self.relation is not None else self.text
+
+
+@dataclass(frozen=True)
+class Vocabulary:
+    """Known names by their first word, longest first, as (words, spelling, guards)."""
+
+    names: dict[str, tuple[tuple[tuple[str, ...], str, bool], ...]]
+
+
+def _phrases_by_first_word() -> dict[str, tuple[tuple[tuple[str, ...], str, bool], ...]]:
+    table: dict[str, list[tuple[tuple[str, ...], str, bool]]] = {}
+    for phrase, (relation, swapped) in phrase_table().items():
+        words = tuple(phrase.split())
+        table.setdefault(words[0], []).append((words, relation, swapped))
+    return {first: tuple(sorted(entries, key=lambda e: -len(e[0]))) for first, entries in table.items()}
+
+
+_PHRASES = _phrases_by_first_word()
+
+
+def words_of(name: str) -> tuple[str, ...]:
+    """The lower-case words of a name, as the tokeniser sees them."""
+    return tuple(m[0].lower().replace("’", "'") for m in _WORD.finditer(name))
+
+
+@lru_cache(maxsize=64)
+def vocabulary(class_names: tuple[str, ...], synonyms: Synonyms) -> Vocabulary:
+    """The names to hold together: the user's, and those synonyms of them that contain words of the grammar."""
+    found: dict[tuple[str, ...], str] = {}
+    for name in class_names:
+        if not isinstance(name, str):
+            raise InputError("a class name is no text", got=type(name).__name__)
+        found.setdefault(words_of(name), str(name))
+    # With no vocabulary given, every synonym could be meant.
+    meant = frozenset[str]().union(*(synonyms.of(n) for n in class_names))
+    for name in sorted(frozenset[str]().union(*synonyms.groups)):
+        if (not class_names or name in meant) and _speaks_grammar(words_of(name)):
+            found.setdefault(words_of(name), name)
+    by_first: dict[str, list[tuple[tuple[str, ...], str, bool]]] = {}
+    for words, name in found.items():
+        if words:
+            by_first.setdefault(words[0], []).append((words, name, _speaks_grammar(words)))
+    return Vocabulary({first: tuple(sorted(e, key=lambda x: -len(x[0]))) for first, e in by_first.items()})
+
+
+def _speaks_grammar(words: tuple[str, ...]) -> bool:
+    return any(w in _PHRASES or w in AND or w in WITH for w in words)
+
+
+def check_text(text: object) -> str:
+    """The expression itself if it can be read at all.
+
+    Raises
+    ------
+    InputError
+        If it is no text, empty, longer than 300 characters, or holds control or other characters that no
+        expression needs.
+    """
+    if not isinstance(text, str):
+        raise InputError("an expression must be text", got=type(text).__name__)
+    if not text.strip():
+        raise InputError("the expression is empty", expected="TARGET RELATION REFERENCE", cause=EXAMPLE)
+    if len(text) > MAX_LENGTH:
+        raise InputError("the expression is too long", got=f"{len(text)} characters", expected=f"at most {MAX_LENGTH}")
+    for found in _STRANGE.finditer(text):
+        if not unicodedata.category(found[0]).startswith("M"):
+            control = unicodedata.category(found[0])[0] in "CZ"
+            what = "a control character" if control else "a character that cannot be read"
+            raise InputError(f"the expression holds {what}", got=f"{found[0]!a} at position {found.start()}")
+    return text
+
+
+EXAMPLE = "for example 'mug left of the laptop'"
+
+
+def tokenize(text: str, known: Vocabulary, *, hold_names: bool = True) -> list[Token]:
+    """Tokens by longest match: names of the vocabulary, relation phrases, then single words.
+
+    Parameters
+    ----------
+    text : str
+        A text that `check_text` let pass.
+    known : Vocabulary
+    hold_names : bool
+        Whether names with grammar in them (`pillow on bed`) are held together.
+
+    Notes
+    -----
+    Words joined by a hyphen or an underscore are matched as a whole only: `left-of` is a relation, the `in` of
+    `built-in oven` is none.
+    """
+    found = list(_WORD.finditer(text))
+    words = [m[0].lower().replace("’", "'") for m in found]
+    starts = [m.start() for m in found]
+    ends = [m.end() for m in found]
+    opens = [i == 0 or _BREAKS.search(text, ends[i - 1], starts[i]) is not None for i in range(len(found))]
+    opens.append(True)
+    quotes = {m.start(1): m for m in _QUOTED.finditer(text)} if _QUOTED.search(text) else {}
+
+    tokens: list[Token] = []
+    i = 0
+    while i < len(words):
+        if quotes and (quoted := _quoted(quotes, starts, ends, i)):
+            label = _label(text, starts[i], ends[quoted - 1])
+            tokens.append(Token(" ".join(words[i:quoted]), starts[i], ends[quoted - 1], name=label))
+            i = quoted
+            continue
+        name = _longest(known.names.get(words[i]), words, opens, i)
+        if name is not None and name[2] and not hold_names:
+            name = None
+        # A phrase does not reach into quotes: in `in the "front of house"` it is `in`.
+        free = _next_quote(quotes, starts, i)
+        phrase = _longest(_PHRASES.get(words[i]), words[:free], opens, i)
+        if phrase is not None and len(phrase[0]) > 1:
+            phrase = _before_a_name(phrase, known, words, opens, i)
+        best = name if phrase is None or (name is not None and len(name[0]) > len(phrase[0])) else phrase
+        if best is None:
+            tokens.append(Token(words[i], starts[i], ends[i], bound=not (opens[i] and opens[i + 1])))
+            i += 1
+            continue
+        last = i + len(best[0])
+        joined = " ".join(best[0])
+        if best is name:
+            tokens.append(Token(joined, starts[i], ends[last - 1], name=best[1], guards=best[2]))
+        else:
+            tokens.append(Token(joined, starts[i], ends[last - 1], relation=best[1], swapped=best[2]))
+        i = last
+    return tokens
+
+
+def _longest(
+    entries: Sequence[tuple[tuple[str, ...], str, bool]] | None, words: list[str], opens: list[bool], at: int
+) -> tuple[tuple[str, ...], str, bool] | None:
+    if entries is None or not opens[at]:
+        return None
+    for entry in entries:
+        last = at + len(entry[0])
+        if last <= len(words) and opens[last] and (last == at + 1 or tuple(words[at:last]) == entry[0]):
+            return entry
+    return None
+
+
+def _before_a_name(
+    phrase: tuple[tuple[str, ...], str, bool], known: Vocabulary, words: list[str], opens: list[bool], at: int
+) -> tuple[tuple[str, ...], str, bool]:
+    """The phrase, or a shorter one where a known name begins within it and ends after it: `in` (`the`) `front door`."""
+    for entry in _PHRASES[words[at]]:
+        size = len(entry[0])
+        if size >= len(phrase[0]) or tuple(words[at : at + size]) != entry[0]:
+            continue
+        begin = at + size + (words[at + size] in DETERMINERS)
+        name = _longest(known.names.get(words[begin]), words, opens, begin) if begin < len(words) else None
+        if name is not None and begin + len(name[0]) > at + len(phrase[0]):
+            return entry
+    return phrase
+
+
+def _next_quote(quotes: dict[int, re.Match[str]], starts: list[int], at: int) -> int:
+    """The number of the first word behind word `at` that begins a quoted name, or the number of words."""
+    ahead = min((q.start() for q in quotes.values() if q.start() > starts[at]), default=None)
+    return len(starts) if ahead is None else next((k for k in range(at, len(starts)) if starts[k] > ahead), len(starts))
+
+
+def _quoted(quotes: dict[int, re.Match[str]], starts: list[int], ends: list[int], at: int) -> int | None:
+    """The number of the word after a quoted name that starts at word `at`, or None."""
+    for quote in quotes.values():
+        if quote.start(1) <= starts[at] and (at == 0 or ends[at - 1] <= quote.start()) and ends[at] <= quote.end(1):
+            return next((k for k in range(at, len(ends)) if starts[k] >= quote.end(1)), len(ends))
+    return None
+
+
+def _label(text: str, start: int, end: int) -> str:
+    """The label in a stretch of the text: lower case, single spaces, no punctuation, a parenthesis closed."""
+    piece = text[start:end]
+    if piece.count("(") > piece.count(")") and text[end : end + 1] == ")":
+        piece += ")"
+    return " ".join(_BREAKS.sub(" ", piece).lower().split())
+
+
+def label_of(text: str, tokens: Sequence[Token]) -> str:
+    """The name that a run of tokens writes: as the vocabulary spells it where it is exactly one known name."""
+    if len(tokens) == 1 and tokens[0].name is not None:
+        return tokens[0].name
+    return _label(text, tokens[0].start, tokens[-1].end)

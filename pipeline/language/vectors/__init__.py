@@ -1,0 +1,71 @@
+"""Language features: vectors of class names out of a file of word or sentence vectors."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pipeline.language.vectors.contract import LanguageContract
+from pipeline.language.vectors.phrases import Phrase, PhraseTable, TextVectors, VectorSource
+from pipeline.system.errors import InputError
+
+__all__ = ["LanguageContract", "Phrase", "PhraseTable", "TextVectors", "VectorSource", "open_vectors"]
+
+FORMATS = ".vec, .vec.gz, .bin, .npz, .json"
+
+
+def open_vectors(path: str | Path, *, kind: str | None = None, cache: Path | None = None) -> TextVectors:
+    """Open a file of text vectors; its ending says which format it is.
+
+    ========== ==================================================================================================
+    .vec       FastText's text format, also gzipped (.vec.gz): read once for all the words asked for, then cached
+    .bin       FastText's binary model, with subwords: mapped, never loaded
+    .npz       `words` (or `phrases`, or `names`) of unicode and `vectors` (N, D) of floats; a `kind`
+    .json      {"kind": "word" | "phrase", "vectors": {name: [D numbers], ...}}
+    ========== ==================================================================================================
+
+    Parameters
+    ----------
+    path : str or Path
+    kind : {"word", "phrase"}, optional
+        What the entries of an .npz or .json file are, where the file does not say it or says it wrongly. Entries
+        that are words may be averaged over a phrase; entries that are whole phrases (CLIP, MiniLM) may not.
+    cache : Path, optional
+        Folder of what a .vec file was found to hold and of the hashes of large files; that of the user by default.
+
+    Raises
+    ------
+    InputError
+        There is no such file, the format is not known, or the file is damaged.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError("there is no file of text vectors", expected=FORMATS, path=path)
+    name = path.name.lower()
+    if kind not in (None, "word", "phrase"):
+        raise InputError("text vectors are of words or of phrases", got=repr(kind), expected="word or phrase")
+    if name.endswith((".vec", ".vec.gz", ".bin")) and kind == "phrase":
+        raise InputError("FastText's files hold vectors of words", got="kind 'phrase'", expected="word", path=path)
+    return TextVectors(_source(path, name, kind, cache))
+
+
+def _source(path: Path, name: str, kind: str | None, cache: Path | None) -> VectorSource:
+    if name.endswith((".vec", ".vec.gz")):
+        from pipeline.language.vectors.vec_text import VecFile
+
+        return VecFile.open(path, cache)
+    if name.endswith(".bin"):
+        from pipeline.language.vectors.fasttext_bin import FastTextBinary
+
+        return FastTextBinary.open(path, cache)
+    if name.endswith((".npz", ".json")):
+        from pipeline.language.vectors.tables import read_json, read_npz
+
+        return (read_npz if name.endswith(".npz") else read_json)(path, kind)
+    causes = {".ftz": "a quantised model; take the .bin or .vec it was made from", ".gz": "unpack it first"}
+    raise InputError(
+        "the format of the text vectors is not known",
+        got=repr(path.suffix),
+        expected=FORMATS,
+        cause=causes.get(path.suffix.lower()),
+        path=path,
+    )

@@ -1,0 +1,99 @@
+"""What a relation network says about the text vectors it was trained with."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from pipeline.language.vectors.phrases import TextVectors
+from pipeline.system.errors import InputError
+
+CONTRACT = "spatialviz-language-1"
+"""Also the rules by which a name becomes words and words become a vector: a change of these must change it."""
+
+PREFIX = "srm.language."
+"""Every metadata key begins so."""
+
+
+@dataclass(frozen=True)
+class LanguageContract:
+    """The language features of a relation network.
+
+    Attributes
+    ----------
+    name : str
+        The file of vectors, for people.
+    dimension : int
+    normalised : bool
+        Whether vectors were divided by their lengths before the mean was taken.
+    fingerprint : str
+        Of the vectors.
+    """
+
+    name: str
+    dimension: int
+    normalised: bool
+    fingerprint: str
+
+    @classmethod
+    def of(cls, vectors: TextVectors, *, normalised: bool = False) -> LanguageContract:
+        return cls(vectors.name, vectors.dimension, normalised, vectors.fingerprint())
+
+    def to_metadata(self) -> dict[str, str]:
+        """As string properties of an ONNX file."""
+        values = {
+            "contract": CONTRACT,
+            "name": self.name,
+            "dimension": str(self.dimension),
+            "normalised": "true" if self.normalised else "false",
+            "fingerprint": self.fingerprint,
+        }
+        return {PREFIX + key: value for key, value in values.items()}
+
+    @classmethod
+    def from_metadata(cls, metadata: Mapping[str, str], path: Path | None = None) -> LanguageContract | None:
+        """From the properties of an ONNX file; None where the network uses no language.
+
+        Raises
+        ------
+        InputError
+            The properties speak of language features, and not of such as this program makes.
+        """
+        said = {key.removeprefix(PREFIX): value for key, value in metadata.items() if key.startswith(PREFIX)}
+        if not said:
+            return None
+        if said.get("contract") != CONTRACT:
+            raise InputError(
+                "the network's language features are not known",
+                got=repr(said.get("contract")),
+                expected=repr(CONTRACT),
+                path=path,
+            )
+        try:
+            dimension = int(said["dimension"])
+            normalised = {"true": True, "false": False}[said["normalised"]]
+            contract = cls(said["name"], dimension, normalised, said["fingerprint"])
+        except (KeyError, ValueError) as error:
+            raise InputError(
+                "the network's language features cannot be read", got=f"{type(error).__name__}: {error}", path=path
+            ) from error
+        if dimension < 1 or not contract.fingerprint:
+            raise InputError("the network's language features cannot be read", got=contract, path=path)
+        return contract
+
+    def check(self, vectors: TextVectors) -> None:
+        """Raise InputError unless these are the vectors that the network was trained with."""
+        if vectors.dimension != self.dimension:
+            raise InputError(
+                "the text vectors have another dimension than the network wants",
+                got=f"{vectors.dimension} numbers of {vectors.name}",
+                expected=f"{self.dimension} numbers of {self.name}",
+            )
+        found = vectors.fingerprint()
+        if found != self.fingerprint:
+            raise InputError(
+                "the text vectors are other ones than the network was trained with",
+                got=f"{vectors.name}, fingerprint {found}",
+                expected=f"{self.name}, fingerprint {self.fingerprint}",
+            )

@@ -1,0 +1,218 @@
+"""Vectors of phrases out of vectors of words, with what is not known said."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from pipeline.language.noun_phrase import readable
+from pipeline.language.vectors.words import Word, phrase_words
+from pipeline.system.errors import InputError
+
+_NAMED = 8
+"""At most so many names in an error."""
+
+
+class VectorSource(Protocol):
+    """What a format provides. A vector is (D,) float32, finite and not all zero, or it is not known."""
+
+    @property
+    def name(self) -> str:
+        """That of the file."""
+        ...
+
+    @property
+    def dimension(self) -> int: ...
+
+    @property
+    def kind(self) -> str:
+        """`word`: a phrase may be the mean of its words; `phrase`: only whole entries count."""
+        ...
+
+    def fingerprint(self) -> str:
+        """Hash of what the vectors are made of, the same for the same vectors in another place."""
+        ...
+
+    def find(self, spellings: Iterable[str]) -> Mapping[str, np.ndarray]:
+        """The vectors of those spellings that the file holds, letter by letter."""
+        ...
+
+    def whole(self, name: str) -> np.ndarray | None:
+        """The vector of a name that the file holds as one entry."""
+        ...
+
+    def infer(self, word: str) -> np.ndarray | None:
+        """The vector of a word that the file does not hold, from the parts of its spelling."""
+        ...
+
+
+@dataclass(frozen=True, eq=False)
+class Phrase:
+    """The vector of one name.
+
+    Attributes
+    ----------
+    vector : (D,) float32
+    missing : tuple of str
+        Its words that have no vector and do not count in the mean.
+    inferred : tuple of str
+        Its words that are not in the vocabulary and whose vectors come from their subwords.
+    """
+
+    vector: np.ndarray
+    missing: tuple[str, ...] = ()
+    inferred: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True, eq=False)
+class PhraseTable:
+    """The vectors of several names.
+
+    Attributes
+    ----------
+    names : tuple of str
+        As they were given, in their order.
+    vectors : (N, D) float32
+    missing : dict of str to tuple of str
+        The words without a vector, of each name that has such.
+    inferred : dict of str to tuple of str
+        The words whose vectors come from subwords, of each name that has such.
+    unknown : tuple of str
+        The names of which no word is known; their rows are zeros, and they stand in `missing` too.
+    """
+
+    names: tuple[str, ...]
+    vectors: np.ndarray
+    missing: dict[str, tuple[str, ...]]
+    inferred: dict[str, tuple[str, ...]]
+    unknown: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class TextVectors:
+    """Vectors of class names, from one file."""
+
+    source: VectorSource
+
+    @property
+    def name(self) -> str:
+        return self.source.name
+
+    @property
+    def dimension(self) -> int:
+        return self.source.dimension
+
+    @property
+    def kind(self) -> str:
+        return self.source.kind
+
+    def fingerprint(self) -> str:
+        """Hash of what the vectors are made of, the same for the same vectors in another place."""
+        return self.source.fingerprint()
+
+    def vector(self, phrase: str, *, normalised: bool = False, allow_missing: bool = False) -> Phrase:
+        """The vector of one name; `phrases` says how. Of a .vec file, ask for all names at once instead."""
+        table = self.phrases([phrase], normalised=normalised, allow_missing=allow_missing)
+        return Phrase(table.vectors[0], table.missing.get(phrase, ()), table.inferred.get(phrase, ()))
+
+    def phrases(self, names: Sequence[str], *, normalised: bool = False, allow_missing: bool = False) -> PhraseTable:
+        """The vectors of names.
+
+        A name that the file holds as one entry has that entry's vector. Any other has the mean of the vectors of its
+        words, all alike, in a file of words; in a file of phrases it is not known. A word is looked up in lower case
+        first, then as written, with a capital, in capitals; for `t-shirt`, its parts stand in where all of them are
+        known; last, where the file has them, its subwords.
+
+        Parameters
+        ----------
+        names : sequence of str
+            Class names as a dataset spells them: `trash_can`, `CoffeeTable`.
+        normalised : bool
+            Whether every vector is divided by its length before the mean is taken, as FastText's getSentenceVector
+            does. The mean itself is not normalised again.
+        allow_missing : bool
+            Whether a name of which no word is known gets a row of zeros, and stands in `unknown`, instead of an error.
+
+        Raises
+        ------
+        InputError
+            Names of which no word is known, unless they are allowed; a file that turns out to be damaged.
+        """
+        if isinstance(names, str):
+            raise InputError("names of classes are a sequence", got=repr(names), expected="a list of names")
+        distinct = dict.fromkeys(names)
+        whole = {name: self.source.whole(name) for name in distinct}
+        words = {n: phrase_words(n) for n in distinct if whole[n] is None and self.kind == "word"}
+        asked = (s for group in words.values() for w in group for one in (w, *w.parts) for s in one.spellings)
+        found = self.source.find(dict.fromkeys(asked)) if words else {}
+        rows: dict[str, np.ndarray] = {}
+        missing: dict[str, tuple[str, ...]] = {}
+        inferred: dict[str, tuple[str, ...]] = {}
+        for name, vector in whole.items():
+            if vector is not None:
+                rows[name] = _unit(vector) if normalised else vector
+                continue
+            parts, lost, guessed = self._known(words.get(name, ()), found)
+            if parts:
+                rows[name] = np.stack([_unit(p) if normalised else p for p in parts]).mean(axis=0, dtype=np.float64)
+            if lost or not parts:
+                missing[name] = tuple(lost) or (readable(name) or name,)
+            if guessed:
+                inferred[name] = tuple(guessed)
+        unknown = tuple(name for name in distinct if name not in rows)
+        if unknown and not allow_missing:
+            raise self._not_known(unknown)
+        vectors = np.zeros((len(names), self.dimension), np.float32)
+        for k, name in enumerate(names):
+            if name in rows:
+                vectors[k] = rows[name]
+        vectors.flags.writeable = False
+        return PhraseTable(tuple(names), vectors, missing, inferred, unknown)
+
+    def _known(
+        self, words: Sequence[Word], found: Mapping[str, np.ndarray]
+    ) -> tuple[list[np.ndarray], list[str], list[str]]:
+        """(vectors that make up the mean, words not known, words known by their subwords)."""
+        vectors: list[np.ndarray] = []
+        missing: list[str] = []
+        inferred: list[str] = []
+        for word in words:
+            direct = _first(word, found)
+            pieces = [_first(p, found) for p in word.parts]
+            known = [p for p in pieces if p is not None]
+            if direct is not None:
+                vectors.append(direct)
+            elif known and len(known) == len(pieces):
+                vectors += known
+            elif (guess := self.source.infer(word.text)) is not None:
+                vectors.append(guess)
+                inferred.append(word.text)
+            elif known:
+                vectors += known
+                missing += [w.text for w, p in zip(word.parts, pieces, strict=True) if p is None]
+            else:
+                missing.append(word.text)
+        return vectors, missing, inferred
+
+    def _not_known(self, unknown: Sequence[str]) -> InputError:
+        listed = ", ".join(repr(n[:60]) for n in unknown[:_NAMED])
+        more = f" and {len(unknown) - _NAMED} more" if len(unknown) > _NAMED else ""
+        if self.kind == "word":
+            return InputError("no word of a name has a text vector", got=listed + more, path=self.name)
+        return InputError(
+            "names have no text vector", got=listed + more, expected="each name as an entry of the file",
+            cause="it holds whole phrases, of which no mean is taken", path=self.name,
+        )  # fmt: skip
+
+
+def _first(word: Word, found: Mapping[str, np.ndarray]) -> np.ndarray | None:
+    return next((found[s] for s in word.spellings if s in found), None)
+
+
+def _unit(vector: np.ndarray) -> np.ndarray:
+    """In float64, for the squares of tiny floats are zero."""
+    wide = vector.astype(np.float64)
+    return wide / np.linalg.norm(wide)

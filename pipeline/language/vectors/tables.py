@@ -1,0 +1,234 @@
+"""Tables of names and vectors that fit into memory: .npz and .json, of words or of whole phrases."""
+
+from __future__ import annotations
+
+import json
+import math
+import zipfile
+import zlib
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xxhash
+
+from pipeline.language.naming import normal_form
+from pipeline.language.noun_phrase import readable
+from pipeline.system.errors import InputError
+
+NAME_KEYS = {"words": "word", "phrases": "phrase", "names": "phrase"}
+"""The array of names, and what its entries are where the file has no `kind`."""
+
+MAX_DIMENSION = 1 << 16
+_MOST_PACKED = 200
+_FREE = 1 << 26
+"""Bytes that any table may unpack to; a larger one must not be packed more than 200 times."""
+
+_BLOCK = 1 << 16
+
+
+@dataclass(frozen=True, eq=False)
+class VectorTable:
+    """Names and their vectors. The first of two entries with the same name counts.
+
+    Attributes
+    ----------
+    name : str
+        That of the file.
+    kind : {"word", "phrase"}
+    names : tuple of str
+    vectors : (N, D) float16, float32 or float64
+    """
+
+    name: str
+    kind: str
+    names: tuple[str, ...]
+    vectors: np.ndarray
+    _rows: dict[str, int] = field(init=False, repr=False)
+    _normal: dict[str, int] = field(init=False, repr=False)
+
+    def __post_init__(self) -> None:
+        rows: dict[str, int] = {}
+        for k, name in enumerate(self.names):
+            rows.setdefault(name, k)
+        normal: dict[str, int] = {}
+        if self.kind == "phrase":
+            for name, k in rows.items():
+                normal.setdefault(normal_form(name), k)
+            normal.pop("", None)
+        object.__setattr__(self, "_rows", rows)
+        object.__setattr__(self, "_normal", normal)
+
+    @property
+    def dimension(self) -> int:
+        return self.vectors.shape[1]
+
+    def fingerprint(self) -> str:
+        """Hash of kind, names and vectors, whatever packs them."""
+        digest = xxhash.xxh3_128(json.dumps([self.kind, self.names, self.vectors.shape]).encode())
+        for start in range(0, len(self.vectors), _BLOCK):
+            digest.update(np.ascontiguousarray(self.vectors[start : start + _BLOCK], "<f4").data)
+        return digest.hexdigest()
+
+    def find(self, spellings: Iterable[str]) -> Mapping[str, np.ndarray]:
+        rows = {s: self._vector(self._rows.get(s)) for s in spellings}
+        return {s: v for s, v in rows.items() if v is not None}
+
+    def whole(self, name: str) -> np.ndarray | None:
+        """By its own spelling, then by its normal form, then by that of its first spelling without a qualifier.
+
+        In a table of words only a name of several words is looked up so: `trash_can`, `trash can`.
+        """
+        normal = normal_form(name)
+        if self.kind == "phrase":
+            row = self._rows.get(name, self._normal.get(normal))
+            return self._vector(self._normal.get(normal_form(readable(name))) if row is None else row)
+        if " " not in normal:
+            return None
+        candidates = (normal, normal.replace(" ", "_"), name)
+        return self._vector(next((self._rows[c] for c in candidates if c in self._rows), None))
+
+    def infer(self, word: str) -> np.ndarray | None:
+        return None
+
+    def _vector(self, row: int | None) -> np.ndarray | None:
+        """A row as float32; zeros stand for a name that has no vector."""
+        vector = None if row is None else self.vectors[row].astype(np.float32)
+        return vector if vector is not None and vector.any() else None
+
+
+def read_npz(path: Path, kind: str | None = None) -> VectorTable:
+    """Read `words`, `phrases` or `names` (N,) of unicode, `vectors` (N, D) of floats and perhaps `kind`.
+
+    Raises
+    ------
+    InputError
+        The file is damaged, lacks an array, holds Python objects, or its arrays do not fit each other.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            keys = [m.filename.removesuffix(".npy") for m in archive.infolist()]
+            present = [k for k in NAME_KEYS if k in keys]
+            if len(present) != 1 or "vectors" not in keys:
+                raise InputError(
+                    "the file of text vectors lacks its arrays",
+                    got=", ".join(keys[:10]) or "nothing",
+                    expected=f"vectors, and one of {', '.join(NAME_KEYS)}",
+                    path=path,
+                )
+            said = str(_member(archive, "kind", path).item()) if kind is None and "kind" in keys else None
+            names = _texts(_member(archive, present[0], path), present[0], path)
+            vectors = _member(archive, "vectors", path)
+    except (OSError, ValueError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error) as error:
+        if isinstance(error, InputError):
+            raise
+        raise InputError("the file of text vectors cannot be read", got=error, path=path) from error
+    return _table(path, kind or said or NAME_KEYS[present[0]], names, vectors)
+
+
+def _member(archive: zipfile.ZipFile, key: str, path: Path) -> np.ndarray:
+    """An array of the archive, after its declared size was compared with that of the file."""
+    info = archive.getinfo(f"{key}.npy")
+    with archive.open(info) as file:
+        version = np.lib.format.read_magic(file)
+        if version not in ((1, 0), (2, 0)):
+            raise InputError(f"the array {key!r} is of an unknown version", got=version, path=path)
+        read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+        shape, _, dtype = read(file)
+        if dtype.hasobject:
+            raise InputError(
+                f"the array {key!r} holds Python objects, which are never unpickled",
+                expected="unicode or floats",
+                cause="save names with np.array(names, dtype=np.str_)",
+                path=path,
+            )
+        expected = math.prod(shape) * dtype.itemsize
+        packed = max(info.compress_size, 1)
+        bomb = packed > path.stat().st_size or info.file_size > max(_FREE, _MOST_PACKED * packed)
+        if bomb or expected != info.file_size - file.tell():
+            raise InputError(
+                f"the array {key!r} is damaged",
+                got=f"{shape} of {dtype}, which is {expected} bytes, in {info.file_size} ({packed} packed)",
+                path=path,
+            )
+    with archive.open(info) as file:
+        return np.lib.format.read_array(file, allow_pickle=False)
+
+
+def _texts(names: np.ndarray, key: str, path: Path) -> list[str]:
+    if names.ndim != 1 or names.dtype.kind not in "US":
+        raise InputError(
+            f"the array {key!r} is no list of names",
+            got=f"{names.dtype} of shape {names.shape}",
+            expected="unicode of shape (N,)",
+            path=path,
+        )
+    try:
+        return [n.decode("utf-8") for n in names.tolist()] if names.dtype.kind == "S" else names.tolist()
+    except UnicodeDecodeError as error:
+        raise InputError(f"the array {key!r} is not UTF-8", got=error, path=path) from error
+
+
+def read_json(path: Path, kind: str | None = None) -> VectorTable:
+    """Read {"kind": "word" or "phrase", "vectors": {name: [D numbers]}}; `phrase` where it has no kind.
+
+    Raises
+    ------
+    InputError
+        The file is no JSON or of another shape.
+    """
+    try:
+        loaded = json.loads(path.read_text(encoding="utf-8"), object_pairs_hook=_no_repeats)
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError("the file of text vectors cannot be read", got=error, path=path) from error
+    entries = loaded.get("vectors") if isinstance(loaded, dict) else None
+    if not isinstance(entries, dict) or not entries:
+        raise InputError(
+            "the file of text vectors has another shape", expected='{"vectors": {name: [numbers]}}', path=path
+        )
+    lengths = {len(v) if isinstance(v, list) else -1 for v in entries.values()}
+    numbers = all(type(x) in (int, float) for v in entries.values() if isinstance(v, list) for x in v)
+    if len(lengths) != 1 or min(lengths) < 1 or not numbers:
+        raise InputError("vectors must be lists of numbers, all of one length", got=f"lengths {sorted(lengths)[:5]}",
+                         path=path)  # fmt: skip
+    try:
+        vectors = np.array(list(entries.values()), np.float64)
+    except OverflowError as error:
+        raise InputError("the text vectors hold a number that is no float", got=error, path=path) from error
+    return _table(path, kind or loaded.get("kind", "phrase"), list(entries), vectors)
+
+
+def _no_repeats(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    """The first of two equal keys, as in every other format."""
+    found: dict[str, Any] = {}
+    for key, value in pairs:
+        found.setdefault(key, value)
+    return found
+
+
+def _table(path: Path, kind: Any, names: Sequence[str], vectors: np.ndarray) -> VectorTable:
+    if kind not in ("word", "phrase"):
+        what = "text vectors are of words or of phrases"
+        raise InputError(what, got=repr(kind), expected="word or phrase", path=path)
+    if vectors.ndim != 2 or vectors.dtype.kind != "f" or not 1 <= vectors.shape[-1] <= MAX_DIMENSION or not len(names):
+        raise InputError(
+            "the array 'vectors' is no table of vectors",
+            got=f"{vectors.dtype} of shape {vectors.shape}",
+            expected=f"floats of shape (N, D), N above 0, D up to {MAX_DIMENSION}",
+            path=path,
+        )
+    if len(names) != len(vectors):
+        raise InputError(
+            "names and vectors differ in number", got=f"{len(names)} names, {len(vectors)} vectors", path=path
+        )
+    largest = float(np.finfo(np.float32).max)
+    for start in range(0, len(vectors), _BLOCK):
+        block = vectors[start : start + _BLOCK].astype(np.float64)
+        bad = np.flatnonzero(~(np.abs(block) <= largest).all(axis=1))
+        if len(bad):
+            raise InputError(
+                "a text vector is not finite", got=f"that of {names[start + int(bad[0])][:60]!r}", path=path
+            )
+    return VectorTable(path.name, kind, tuple(names), vectors)

@@ -1,0 +1,1 @@
+"""Functions of arrays: counts, intervals, significance, calibration, kappa, splits. They know no files."""

@@ -1,0 +1,178 @@
+"""How right the boxes are that answer expressions: IoU with the target, and with any acceptable answer.
+
+IoU of continuous x0, y0, x1, y1 boxes; a hit from 0.5 on, of the first answer
+only. (EmbodiedScan's metric takes any of ten answers, and more than 0.5.)
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pipeline.geometry.boxes import paired_iou_2d
+from pipeline.metrics.counts import mean_of_defined
+from pipeline.metrics.inputs import checked_boxes
+from pipeline.system.errors import InputError
+
+HIT_IOU = 0.5
+SWEEP = np.round(np.arange(1, 20) * 0.05, 2)
+"""0.05, 0.10 .. 0.95."""
+
+
+@dataclass(frozen=True)
+class GroundingOutcomes:
+    """What became of each expression; NaN where a figure does not apply to it.
+
+    Attributes
+    ----------
+    answered : (N,) bool
+        Whether there was a prediction.
+    iou : (N,) float64
+        With the expression's own target.
+    iou_strict, iou_set : (N,) float64
+        Largest one with any target that is T, that is T or U; NaN where there is none.
+    reference_right, pair_right : (N,) float64
+        1 right, 0 wrong, NaN where none was asked for.
+    """
+
+    answered: np.ndarray
+    iou: np.ndarray
+    iou_strict: np.ndarray
+    iou_set: np.ndarray
+    reference_right: np.ndarray
+    pair_right: np.ndarray
+
+    def hits(self, threshold: float = HIT_IOU) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """(N,) bool each: of the own target, of a strict answer, of an acceptable one; false where there is none."""
+        return self.iou >= threshold, self.iou_strict >= threshold, self.iou_set >= threshold
+
+
+@dataclass(frozen=True)
+class ThresholdSweep:
+    """Accuracy by the IoU that makes a hit.
+
+    Attributes
+    ----------
+    thresholds, single, strict, acceptable : (T,) float64
+    """
+
+    thresholds: np.ndarray
+    single: np.ndarray
+    strict: np.ndarray
+    acceptable: np.ndarray
+
+
+def grounding_outcomes(
+    predicted: Any,
+    truth: Any,
+    strict: Sequence[Any],
+    acceptable: Sequence[Any],
+    reference_right: Any | None = None,
+    pair_right: Any | None = None,
+) -> GroundingOutcomes:
+    """IoUs of N answers with their targets and acceptable sets.
+
+    Parameters
+    ----------
+    predicted : (N, 4) float
+        Box of the first answer, pixels; a row of NaN is no answer, with IoU 0.
+    truth : (N, 4) float
+        Box of the expression's own target.
+    strict, acceptable : sequence of N (K_i, 4) float
+        Boxes of all targets that are T, that are T or U. They should hold the
+        own target; an empty one leaves the expression out of that figure.
+    reference_right, pair_right : (N,) bool or float, optional
+        Whether the reference, the whole pair, is right; NaN where none was asked for.
+
+    Raises
+    ------
+    InputError
+        Numbers of rows that differ, boxes that are not finite or have swapped corners.
+    """
+    predicted = checked_boxes(predicted, "predicted boxes", may_miss=True)
+    truth = checked_boxes(truth, "target boxes")
+    if len(truth) != len(predicted):
+        raise InputError("there must be one target for each prediction", got=len(truth), expected=len(predicted))
+    return GroundingOutcomes(
+        answered=~np.isnan(predicted[:, 0]),
+        iou=paired_iou_2d(predicted, truth),
+        iou_strict=largest_iou(predicted, strict, "strict answers"),
+        iou_set=largest_iou(predicted, acceptable, "acceptable answers"),
+        reference_right=_judged(reference_right, len(predicted), "reference_right"),
+        pair_right=_judged(pair_right, len(predicted), "pair_right"),
+    )
+
+
+def largest_iou(predicted: Any, sets: Sequence[Any], what: str = "answers") -> np.ndarray:
+    """Largest IoU of each of (N, 4) predictions with the boxes of its own set.
+
+    Parameters
+    ----------
+    predicted : (N, 4) float
+        Rows of NaN are no prediction.
+    sets : sequence of N (K_i, 4) float
+
+    Returns
+    -------
+    (N,) float64
+        NaN where the set is empty.
+    """
+    predicted = checked_boxes(predicted, "predicted boxes", may_miss=True)
+    if len(sets) != len(predicted):
+        raise InputError(f"there must be a set of {what} for each prediction", got=len(sets), expected=len(predicted))
+    arrays = [np.asarray(s, np.float64) if len(s) else np.zeros((0, 4)) for s in sets]
+    for row, array in enumerate(arrays):
+        if array.ndim != 2 or array.shape[1] != 4:
+            raise InputError(f"{what} must be boxes of shape (K, 4)", got=f"{array.shape} in row {row}")
+    boxes = checked_boxes(np.concatenate(arrays) if arrays else np.zeros((0, 4)), what)
+    sizes = np.array([len(a) for a in arrays], np.int64)
+    found = np.full(len(predicted), np.nan)
+    filled = np.flatnonzero(sizes)
+    if len(filled):
+        iou = paired_iou_2d(predicted.repeat(sizes, axis=0), boxes)
+        found[filled] = np.maximum.reduceat(iou, (np.cumsum(sizes) - sizes)[filled])
+    return found
+
+
+def threshold_sweep(outcomes: GroundingOutcomes, thresholds: Any = SWEEP) -> ThresholdSweep:
+    """Share of the expressions with an IoU of at least each threshold; NaN where no expression counts.
+
+    Parameters
+    ----------
+    thresholds : (T,) float
+        Above 0: an IoU of 0 is never a hit.
+    """
+    cut = np.atleast_1d(np.asarray(thresholds, np.float64))
+    if cut.ndim != 1 or not ((cut > 0) & (cut <= 1)).all():
+        raise InputError("thresholds of IoU must lie above 0 and up to 1", got=cut.tolist())
+    return ThresholdSweep(
+        cut, *(_shares(iou, cut) for iou in (outcomes.iou, outcomes.iou_strict, outcomes.iou_set))
+    )
+
+
+def _shares(iou: np.ndarray, cut: np.ndarray) -> np.ndarray:
+    known = np.sort(iou[~np.isnan(iou)])
+    if not len(known):
+        return np.full(len(cut), np.nan)
+    return (len(known) - np.searchsorted(known, cut, side="left")) / len(known)
+
+
+def mean_iou(outcomes: GroundingOutcomes) -> tuple[float, float, float]:
+    """Mean IoU with the own target, with the best strict answer, with the best acceptable one; fractions, 0..1."""
+    a, b, c = mean_of_defined(np.stack([outcomes.iou, outcomes.iou_strict, outcomes.iou_set])).tolist()
+    return a, b, c
+
+
+def _judged(right: Any | None, n: int, what: str) -> np.ndarray:
+    if right is None:
+        return np.full(n, np.nan)
+    found = np.asarray(right)
+    if found.shape != (n,) or found.dtype.kind not in "biuf":
+        raise InputError(f"{what} must be one truth value a row", got=f"{found.dtype} {found.shape}", expected=(n,))
+    found = found.astype(np.float64)
+    if not ((found == 0) | (found == 1) | np.isnan(found)).all():
+        raise InputError(f"{what} must be 0, 1 or NaN")
+    return found

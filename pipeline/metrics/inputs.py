@@ -1,0 +1,146 @@
+"""What the metrics accept; checked once, refused in one line."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from pipeline.system.errors import InputError
+
+
+def checked_probabilities(p: Any, what: str = "probabilities", dimensions: int = 2) -> np.ndarray:
+    """`p` as float64 with that many dimensions, all of it within 0..1.
+
+    Raises
+    ------
+    InputError
+        Another shape, no numbers, NaN or infinite, or outside 0..1.
+    """
+    found = np.asarray(p)
+    if found.dtype.kind not in "fiub" or found.ndim != dimensions:
+        shape = "(P, R)" if dimensions == 2 else "(M,)"
+        raise InputError(f"{what} must be numbers of shape {shape}", got=f"{found.dtype} {found.shape}")
+    found = found.astype(np.float64)
+    if not np.isfinite(found).all():
+        raise InputError(f"{what} must be finite", got=f"{_odd(found)} NaN or infinite of {found.size}")
+    if found.size and (found.min() < 0 or found.max() > 1):
+        raise InputError(
+            f"{what} must lie within 0..1", got=f"{found.min():.6g} to {found.max():.6g}", cause="are these logits?"
+        )
+    return found
+
+
+def checked_cells(p: Any, truth: Any) -> tuple[np.ndarray, np.ndarray]:
+    """(P, R) float64 probabilities and (P, R) int8 states of relations: 1 T, 0 U, -1 F.
+
+    Raises
+    ------
+    InputError
+        Probabilities as in `checked_probabilities`, no relation at all, states
+        of another shape, not integers, or not one of the three.
+    """
+    p, states = checked_probabilities(p), np.asarray(truth)
+    if p.shape[1] == 0:
+        raise InputError("probabilities must have a column for each relation", got=p.shape, expected="R >= 1")
+    if states.shape != p.shape:
+        raise InputError("the truth has another shape than the probabilities", got=states.shape, expected=p.shape)
+    if states.dtype.kind not in "iu":
+        raise InputError(
+            "states of relations must be integers", got=states.dtype, expected="1 (T), 0 (U) or -1 (F)",
+            cause="a truth without U is np.where(holds, 1, -1)",
+        )  # fmt: skip
+    if states.size and (states.min() < -1 or states.max() > 1):
+        raise InputError("states of relations must be 1 (T), 0 (U) or -1 (F)", got=f"{states.min()} to {states.max()}")
+    return p, states.astype(np.int8)
+
+
+def checked_thresholds(thresholds: Any, relations: int) -> np.ndarray:
+    """(R,) float64, from one number or one a relation."""
+    found = np.asarray(thresholds, np.float64)
+    if found.shape not in ((), (relations,)) or not np.isfinite(found).all():
+        raise InputError("thresholds must be one number, or one a relation", got=found.tolist(), expected=(relations,))
+    return np.broadcast_to(found, (relations,)).copy()
+
+
+def checked_names(names: Sequence[str], count: int) -> tuple[str, ...]:
+    """The names of relations, one a column."""
+    if len(names) != count:
+        raise InputError("relations must have a name for each column", got=f"{len(names)} names", expected=count)
+    return tuple(names)
+
+
+def checked_flags(flags: Any, what: str) -> np.ndarray:
+    """(N,) bool from bools or from numbers that are 0 or 1."""
+    found = np.asarray(flags)
+    if found.ndim != 1 or found.dtype.kind not in "biuf" or not ((found == 0) | (found == 1)).all():
+        raise InputError(f"{what} must be true or false for each row", got=f"{found.dtype} {found.shape}")
+    return found.astype(np.bool_)
+
+
+def checked_numbers(values: Any, what: str, shape: tuple[int, ...] | None = None) -> np.ndarray:
+    """Finite float64, (N,) or of the given shape."""
+    found = np.asarray(values)
+    if found.dtype.kind not in "biuf" or (found.ndim != 1 if shape is None else found.shape != shape):
+        raise InputError(f"{what} must be numbers of shape {shape or '(N,)'}", got=f"{found.dtype} {found.shape}")
+    found = found.astype(np.float64)
+    if not np.isfinite(found).all():
+        raise InputError(f"{what} must be finite", got=f"{_odd(found)} NaN or infinite of {found.size}")
+    return found
+
+
+def _odd(values: np.ndarray) -> int:
+    return int((~np.isfinite(values)).sum())
+
+
+def checked_clusters(clusters: Any, rows: int) -> tuple[np.ndarray, int]:
+    """(N,) int64 number of each row's cluster, in the order of the sorted ids, and how many clusters there are.
+
+    Raises
+    ------
+    InputError
+        Not one id a row, or ids that are neither texts nor integers.
+    """
+    ids = np.asarray(clusters)
+    if ids.shape != (rows,):
+        raise InputError("clusters must be one id a row", got=ids.shape, expected=(rows,))
+    if ids.dtype.kind == "O" and all(isinstance(one, str) for one in ids):
+        ids = ids.astype(np.str_)
+    if rows and ids.dtype.kind not in "iubU":
+        raise InputError("ids of clusters must be texts or integers", got=ids.dtype, cause="is one missing?")
+    names, place = np.unique(ids, return_inverse=True)
+    return place.astype(np.int64), len(names)
+
+
+def checked_boxes(boxes: Any, what: str, may_miss: bool = False) -> np.ndarray:
+    """(N, 4) float64, x0, y0, x1, y1 with x1 >= x0 and y1 >= y0; rows of NaN only where `may_miss`.
+
+    Raises
+    ------
+    InputError
+        Another shape, numbers that are missing or infinite, or corners in the wrong order.
+    """
+    found = np.asarray(boxes)
+    if found.size == 0 and found.ndim <= 2:
+        found = np.zeros((0, 4))
+    if found.ndim != 2 or found.shape[1] != 4 or found.dtype.kind not in "iuf":
+        raise InputError(f"{what} must be boxes of shape (N, 4)", got=f"{found.dtype} {found.shape}")
+    found = found.astype(np.float64)
+    finite = np.isfinite(found)
+    wrong = ~finite.all(axis=1)
+    if may_miss:
+        wrong &= ~np.isnan(found).all(axis=1)
+    if wrong.any():
+        row = int(wrong.argmax())
+        asked = "finite, or NaN as a whole," if may_miss else "finite"
+        raise InputError(f"{what} must be {asked}", got=f"{found[row].tolist()} in row {row}")
+    swapped = (found[:, 2:] < found[:, :2]).any(axis=1)
+    if swapped.any():
+        row = int(swapped.argmax())
+        raise InputError(
+            f"{what} must be x0, y0, x1, y1 with x1 >= x0 and y1 >= y0",
+            got=f"{found[row].tolist()} in row {row}",
+            cause="is this x, y, width, height?",
+        )
+    return found

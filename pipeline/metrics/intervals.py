@@ -1,0 +1,276 @@
+"""Figures with confidence intervals, by a bootstrap over clusters (Field and Welsh, JRSS B 2007).
+
+Rows of one scene resemble each other, so that whole scenes are drawn again and
+not rows. Everything here is a function of sums over rows: a resample is a vector
+of how often each cluster was drawn, and all resamples are one matrix product.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from pipeline.metrics.counts import f1_of, ratio
+from pipeline.metrics.inputs import checked_clusters, checked_numbers
+from pipeline.system.errors import InputError
+
+FEWEST_CLUSTERS = 10
+"""Below this number of clusters a percentile interval is too narrow to be relied on."""
+MOST_UNDEFINED = 0.05
+"""With a larger share of resamples in which the figure has no meaning there is no interval."""
+BLOCK_CELLS = 2**21
+"""Cells of the matrix of resamples held at a time."""
+
+Statistic = Callable[[np.ndarray], np.ndarray]
+"""From sums (S, ...) to figures (S, K); NaN where undefined."""
+
+
+@dataclass(frozen=True)
+class BootstrapConfig:
+    """How intervals are drawn.
+
+    Attributes
+    ----------
+    resamples : int
+    seed : int or SeedSequence
+        The same seed, clusters and rows give the same interval.
+    confidence : float
+        Between 0 and 1.
+    """
+
+    resamples: int = 2000
+    seed: int | np.random.SeedSequence = 0
+    confidence: float = 0.95
+
+    def __post_init__(self) -> None:
+        if self.resamples < 1 or not 0 < self.confidence < 1 or (isinstance(self.seed, int) and self.seed < 0):
+            raise InputError(
+                "a bootstrap needs resamples, a confidence between 0 and 1, and a seed of at least 0",
+                got=f"{self.resamples} resamples, confidence {self.confidence}, seed {self.seed}",
+            )
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A figure with its interval.
+
+    Attributes
+    ----------
+    value : float
+        Of the rows as they are; NaN where undefined.
+    low, high : float
+        Percentile interval; NaN where there is none.
+    n : int
+        Rows that count.
+    clusters : int
+        Clusters among them.
+    note : str
+        Why the value or the interval is missing, or unreliable; else empty.
+    """
+
+    value: float
+    low: float
+    high: float
+    n: int
+    clusters: int
+    note: str = ""
+
+    @property
+    def reliable(self) -> bool:
+        """Whether there is an interval, from at least FEWEST_CLUSTERS clusters."""
+        return math.isfinite(self.low) and math.isfinite(self.high) and self.clusters >= FEWEST_CLUSTERS
+
+    def formatted(self, scale: float = 100.0, decimals: int = 1, signed: bool = False) -> str:
+        """"62.7 [59.9, 65.4]"; "62.7 [–]" without an interval, "–" without a value.
+
+        `signed` writes a plus before what is positive: for differences.
+        """
+        if not math.isfinite(self.value):
+            return "–"
+
+        def text(x: float) -> str:
+            shown = round(x * scale, decimals) + 0.0  # Adding zero turns -0.0 into 0.0.
+            return f"{shown:{'+' if signed and shown else ''}.{decimals}f}"
+
+        if not (math.isfinite(self.low) and math.isfinite(self.high)):
+            return f"{text(self.value)} [–]"
+        return f"{text(self.value)} [{text(self.low)}, {text(self.high)}]"
+
+    def record(self) -> dict[str, Any]:
+        """JSON-able: value, low, high (None where there is none), n, clusters, note."""
+        numbers = {k: v if math.isfinite(v) else None for k, v in
+                   (("value", self.value), ("low", self.low), ("high", self.high))}  # fmt: skip
+        return {**numbers, "n": self.n, "clusters": self.clusters, "note": self.note}
+
+
+def resample_weights(
+    clusters: int, config: BootstrapConfig | None = None, block_cells: int = BLOCK_CELLS
+) -> Iterator[np.ndarray]:
+    """How often each cluster is drawn in each resample: multinomial, as many draws as there are clusters.
+
+    Yields
+    ------
+    (b, C) float64
+        Blocks of rows which together have `resamples` rows. The rows do not depend on `block_cells`.
+    """
+    config = config or BootstrapConfig()
+    rng = np.random.default_rng(config.seed)
+    at_a_time = max(1, block_cells // clusters)
+    for start in range(0, config.resamples, at_a_time):
+        rows = min(at_a_time, config.resamples - start)
+        drawn = rng.integers(0, clusters, (rows, clusters))
+        drawn += np.arange(rows)[:, None] * clusters
+        yield np.bincount(drawn.ravel(), minlength=rows * clusters).reshape(rows, clusters).astype(np.float64)
+
+
+def bootstrap(
+    rows: np.ndarray,
+    clusters: Any,
+    statistic: Statistic,
+    *,
+    counted: np.ndarray | None = None,
+    other: np.ndarray | None = None,
+    config: BootstrapConfig | None = None,
+) -> list[Estimate]:
+    """Estimates of any figures that are functions of sums over rows, all from the same resamples.
+
+    Parameters
+    ----------
+    rows : (N, ...) float64
+        What is summed.
+    clusters : (N,) int or str
+        Scene of each row, or frame where there is one scene.
+    statistic : callable
+        From sums (S, ...) to K figures (S, K), each resample for itself; NaN where undefined.
+    counted : (N, K) bool, optional
+        Rows that each figure rests on; all by default.
+    other : (N, ...) float64, optional
+        The same rows of another system: the figures are then those of `rows`
+        less those of `other`, with the same resamples for both.
+    config : BootstrapConfig, optional
+
+    Returns
+    -------
+    list of Estimate
+        K of them. With one cluster the bounds are NaN and `note` says so.
+
+    Raises
+    ------
+    InputError
+        Not one cluster a row, numbers that are not finite, or systems with different rows.
+    """
+    config = config or BootstrapConfig()
+    rows = checked_numbers(rows, "rows", np.shape(rows))
+    systems = [rows] if other is None else [rows, checked_numbers(other, "rows of the other system", rows.shape)]
+    place, count = checked_clusters(clusters, len(rows))
+    sums = [_cluster_sums(system.reshape(len(rows), math.prod(rows.shape[1:])), place, count) for system in systems]
+
+    def figures(of: list[np.ndarray]) -> np.ndarray:
+        found = [statistic(s.reshape(len(s), *rows.shape[1:])) for s in of]
+        return found[0] if len(found) == 1 else found[0] - found[1]
+
+    values = figures([s.sum(axis=0, keepdims=True) for s in sums])[0]
+    counted = np.ones((len(rows), len(values)), np.bool_) if counted is None else counted
+    per_cluster = _cluster_sums(counted.astype(np.float64), place, count)
+    n, held = per_cluster.sum(axis=0).astype(int), (per_cluster > 0).sum(axis=0)
+    if count < 2:
+        drawn = np.full((1, len(values)), np.nan)
+    else:
+        # One product a system, of equal shape: equal systems then differ by exactly nothing.
+        blocks = [[weights @ s for s in sums] for weights in resample_weights(count, config)]
+        drawn = figures([np.concatenate(parts) for parts in zip(*blocks, strict=True)])
+    return [
+        _estimate(float(values[k]), drawn[:, k], int(n[k]), int(held[k]), config) for k in range(len(values))
+    ]
+
+
+def _cluster_sums(rows: np.ndarray, place: np.ndarray, count: int) -> np.ndarray:
+    """(C, m) float64 sums of (N, m) rows by cluster."""
+    if not len(rows):
+        return np.zeros((0, rows.shape[1]))
+    order = np.argsort(place, kind="stable")
+    starts = np.searchsorted(place[order], np.arange(count))
+    return np.add.reduceat(rows[order], starts, axis=0)
+
+
+def _estimate(value: float, drawn: np.ndarray, n: int, clusters: int, config: BootstrapConfig) -> Estimate:
+    def without(note: str) -> Estimate:
+        return Estimate(value, math.nan, math.nan, n, clusters, note)
+
+    if n == 0:
+        return without("no row counts")
+    if not math.isfinite(value):
+        return without("undefined on these rows")
+    if clusters < 2:
+        return without("one cluster: no interval can be drawn from it")
+    defined = drawn[~np.isnan(drawn)]
+    missing = 1 - len(defined) / len(drawn)
+    if missing > MOST_UNDEFINED:
+        return without(f"undefined in {missing:.0%} of the resamples: no interval")
+    tail = 50 * (1 - config.confidence)
+    low, high = np.percentile(defined, [tail, 100 - tail])
+    few = f"{clusters} clusters: with fewer than {FEWEST_CLUSTERS} an interval is unreliable"
+    return Estimate(value, float(low), float(high), n, clusters, few if clusters < FEWEST_CLUSTERS else "")
+
+
+def ratio_estimate(
+    numerator: Any,
+    denominator: Any,
+    clusters: Any,
+    *,
+    other: tuple[Any, Any] | None = None,
+    config: BootstrapConfig | None = None,
+) -> Estimate:
+    """Sum of (N,) numerators over sum of (N,) denominators; rows with denominator 0 do not count.
+
+    With `other`, the (numerator, denominator) of another system on the same
+    rows, the difference of the two ratios. Arguments else as in `bootstrap`.
+    """
+    first = _columns((numerator, denominator))
+    second = None if other is None else _columns(other)
+    counted = first[:, 1:] != 0 if second is None else (first[:, 1:] != 0) | (second[:, 1:] != 0)
+    return bootstrap(first, clusters, _ratio, counted=counted, other=second, config=config)[0]
+
+
+def mean_estimate(
+    values: Any, clusters: Any, *, other: Any | None = None, config: BootstrapConfig | None = None
+) -> Estimate:
+    """Mean of (N,) values, such as hits or IoUs; with `other` (N,), the mean of `values` less that of `other`."""
+    second = None if other is None else (other, np.ones(np.shape(other)))
+    return ratio_estimate(values, np.ones(np.shape(values)), clusters, other=second, config=config)
+
+
+def f1_estimate(
+    tp: Any,
+    fp: Any,
+    fn: Any,
+    clusters: Any,
+    *,
+    other: tuple[Any, Any, Any] | None = None,
+    config: BootstrapConfig | None = None,
+) -> Estimate:
+    """F1 of (N,) counts a row: true positives, false positives, false negatives.
+
+    With `other`, the (tp, fp, fn) of another system on the same rows, the
+    difference of the two. Every row counts in `n`. For F1 of relations see
+    `pipeline.metrics.relation_intervals`.
+    """
+    second = None if other is None else _columns(other)
+    return bootstrap(_columns((tp, fp, fn)), clusters, _f1, other=second, config=config)[0]
+
+
+def _columns(columns: tuple[Any, ...]) -> np.ndarray:
+    shape = (len(np.atleast_1d(columns[0])),)
+    return np.stack([checked_numbers(c, "counts and values", shape) for c in columns], axis=1)
+
+
+def _ratio(sums: np.ndarray) -> np.ndarray:
+    return ratio(sums[:, :1], sums[:, 1:])
+
+
+def _f1(sums: np.ndarray) -> np.ndarray:
+    return f1_of(sums[:, :1], sums[:, 1:2], sums[:, 2:])

@@ -1,0 +1,259 @@
+"""Which frames are learnt from, which calibrate, which measure: 70, 10 and 20 in a hundred.
+
+Frames of one scene show the same objects from almost the same place. A split
+that puts neighbours on both sides measures memory: so scenes are split, or on
+one scene blocks of camera positions with a gap between them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal
+
+import numpy as np
+import xxhash
+
+from pipeline.system.errors import InputError
+
+SplitKind = Literal["scene", "blocks", "random"]
+TRAIN, VALIDATION, TEST, DROPPED = 0, 1, 2, -1
+PARTS = ("train", "validation", "test")
+SHARES = (0.7, 0.1, 0.2)
+FEWEST_SCENES = 3
+GAP_M = 1.0
+FRAME_GAP = 0.02
+"""Where there are no poses: the share of a scene's frames that is dropped at either cut."""
+
+RANDOM_WARNING = (
+    "random frames leak: neighbouring frames show the same objects from almost the same place, so the network is "
+    "measured on what it has learnt by heart; use --split scene, or --split blocks on one scene"
+)
+
+
+@dataclass(frozen=True)
+class FrameKey:
+    """What a split knows of a frame.
+
+    Attributes
+    ----------
+    frame : str
+    scene : str
+    index : int
+        Its place in the dataset.
+    position : tuple of float or None
+        Of the camera in the world, metres.
+    """
+
+    frame: str
+    scene: str
+    index: int
+    position: tuple[float, float, float] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class SplitPlan:
+    """Each frame's part.
+
+    Attributes
+    ----------
+    kind : str
+        "scene", "blocks" or "random".
+    seed : int
+    frames : tuple of FrameKey
+    part : (F,) int8
+        TRAIN, VALIDATION, TEST, or DROPPED (in a gap).
+    gaps : dict of str to float or int
+        Of "blocks", by scene: metres between blocks, or frames where the scene has no usable poses.
+    warning : str or None
+    """
+
+    kind: SplitKind
+    seed: int
+    frames: tuple[FrameKey, ...]
+    part: np.ndarray
+    gaps: dict[str, float | int]
+    warning: str | None
+
+    def places(self, part: int) -> np.ndarray:
+        """Places of the frames of a part."""
+        return np.flatnonzero(self.part == part)
+
+    def for_frames(self, frames: Sequence[FrameKey]) -> SplitPlan:
+        """The same parts for frames of other labels of the dataset, by id; those that the plan lacks are dropped."""
+        parts = {f.frame: part for f, part in zip(self.frames, self.part.tolist(), strict=True)}
+        part = np.array([parts.get(f.frame, DROPPED) for f in frames], np.int8)
+        return replace(self, frames=tuple(frames), part=part)
+
+    def record(self) -> dict[str, Any]:
+        """As JSON: the scenes of each part, or its frames where scenes are cut."""
+        counts = {name: int((self.part == k).sum()) for k, name in enumerate(PARTS)}
+        found: dict[str, Any] = {
+            "kind": self.kind,
+            "seed": self.seed,
+            "frames": {**counts, "dropped": int((self.part == DROPPED).sum())},
+            "warning": self.warning,
+        }
+        if self.gaps:
+            found["gaps"] = self.gaps
+        for k, name in enumerate(PARTS):
+            inside = [self.frames[i] for i in self.places(k)]
+            if self.kind == "scene":
+                found[f"{name}_scenes"] = sorted({f.scene for f in inside})
+            else:
+                found[f"{name}_frames"] = [f.frame for f in inside]
+        return found
+
+
+def split_frames(frames: Sequence[FrameKey], kind: SplitKind | None = None, seed: int = 0) -> SplitPlan:
+    """Part the frames.
+
+    Parameters
+    ----------
+    frames : sequence of FrameKey
+    kind : str, optional
+        "scene": whole scenes, in the order of a seeded hash of their names.
+        "blocks": in each scene one block of camera positions for each part, at
+        least 1 m apart (less where the scene is smaller, and said so).
+        "random": frames drawn at random, which leaks. By default scenes where
+        there are at least three, else blocks.
+    seed : int
+
+    Raises
+    ------
+    InputError
+        Too few scenes or frames.
+    """
+    frames = tuple(frames)
+    scenes = sorted({f.scene for f in frames})
+    kind = kind or ("scene" if len(scenes) >= FEWEST_SCENES else "blocks")
+    if kind == "scene":
+        return SplitPlan("scene", seed, frames, _by_scene(frames, scenes, seed), {}, None)
+    if len(frames) < len(PARTS):
+        raise InputError("training needs at least three frames: to learn, to calibrate, to measure", got=len(frames))
+    if kind == "random":
+        order = np.random.default_rng([seed, 31]).permutation(len(frames))
+        part = np.empty(len(frames), np.int8)
+        part[order] = _cut(len(frames))
+        return SplitPlan("random", seed, frames, part, {}, RANDOM_WARNING)
+    if kind != "blocks":
+        raise InputError("no such split", got=repr(kind), expected="scene | blocks | random")
+    return _blocks(frames, scenes, seed)
+
+
+def _by_scene(frames: Sequence[FrameKey], scenes: Sequence[str], seed: int) -> np.ndarray:
+    if len(scenes) < FEWEST_SCENES:
+        raise InputError(
+            "a split by scene needs at least three scenes",
+            got=f"{len(scenes)}: {', '.join(scenes)}",
+            expected="--split blocks on fewer",
+        )
+    order = sorted(scenes, key=lambda s: (xxhash.xxh3_64_intdigest(f"{seed}\0{s}".encode("utf-8", "replace")), s))
+    part = dict(zip(order, _cut(len(order)).tolist(), strict=True))
+    return np.array([part[f.scene] for f in frames], np.int8)
+
+
+def _cut(n: int) -> np.ndarray:
+    """(n,) parts in a row, at least one of each where n >= 3: training first, then validation, then test."""
+    test, validation = max(1, round(n * SHARES[2])), max(1, round(n * SHARES[1]))
+    return np.repeat(np.array([TRAIN, VALIDATION, TEST], np.int8), [n - test - validation, validation, test])
+
+
+def _blocks(frames: Sequence[FrameKey], scenes: Sequence[str], seed: int) -> SplitPlan:
+    part = np.full(len(frames), DROPPED, np.int8)
+    gaps: dict[str, float | int] = {}
+    for scene in scenes:
+        places = np.array([k for k, f in enumerate(frames) if f.scene == scene])
+        if len(places) < len(PARTS):
+            # Too few to cut: where the same scene is not measured on, they may be learnt from.
+            part[places], gaps[scene] = TRAIN, 0
+            continue
+        positions = [frames[k].position for k in places]
+        cut = None
+        if all(p is not None for p in positions):
+            cut = position_blocks(np.array(positions, np.float64), GAP_M)
+        if cut is None:
+            order = np.argsort([frames[k].index for k in places], kind="stable")
+            part[places[order]], gaps[scene] = _index_blocks(len(places))
+        else:
+            part[places], gaps[scene] = cut
+    if not ((part == VALIDATION).any() and (part == TEST).any()):
+        raise InputError(
+            "no scene has the three frames that blocks need", got=f"{len(frames)} frames in {len(scenes)} scenes"
+        )
+    return SplitPlan("blocks", seed, tuple(frames), part, gaps, _blocks_warning(len(scenes), gaps))
+
+
+def _blocks_warning(scenes: int, gaps: dict[str, float | int]) -> str:
+    metres = [g for g in gaps.values() if isinstance(g, float)]
+    said = f"learnt and measured on the same {'scene' if scenes == 1 else f'{scenes} scenes'}, in blocks of "
+    apart = f"camera positions at least {min(metres):.2g} m apart" if metres else ""
+    if len(metres) < len(gaps):
+        apart += (" or of " if metres else "") + "neighbouring frames, as poses are missing or do not differ"
+    if metres and min(metres) < GAP_M:
+        apart += " (the cameras stand too close together for 1 m)"
+    return (
+        said + apart + ": the figures say how it does from other places in known rooms, not in new ones; random frames "
+        "would say even less, as neighbouring frames are almost the same picture"
+    )
+
+
+def position_blocks(positions: np.ndarray, gap: float) -> tuple[np.ndarray, float] | None:
+    """Cut camera positions into three blocks along the direction in which they spread most.
+
+    Parameters
+    ----------
+    positions : (F, 3) float
+        Metres.
+    gap : float
+        Metres between blocks; halved until no block is empty.
+
+    Returns
+    -------
+    part : (F,) int8
+        Positions in different parts are at least the gap apart; those between are DROPPED.
+    gap : float
+        The gap that was possible.
+    None
+        Where the positions do not differ by enough to be cut with a gap of 1 cm.
+    """
+    along = along_spread(positions)
+    if along is None:
+        return None
+    n = len(along)
+    ranked = np.sort(along)
+    parts = _cut(n)
+    first, last = ranked[np.flatnonzero(parts == VALIDATION)[[0, -1]]]
+    while gap >= 0.01:
+        part = np.full(n, DROPPED, np.int8)
+        part[(along >= first) & (along <= last)] = VALIDATION
+        part[along <= first - gap] = TRAIN
+        part[along >= last + gap] = TEST
+        if len(set(part.tolist()) - {DROPPED}) == len(PARTS) and (part == TRAIN).sum() >= SHARES[0] / 2 * n:
+            return part, float(gap)
+        gap /= 2
+    return None
+
+
+def along_spread(positions: np.ndarray) -> np.ndarray | None:
+    """(F,) metres: places of positions ((F, 3), metres) along the direction in which they spread most.
+
+    None where a position is not finite.
+    """
+    centred = positions - positions.mean(axis=0)
+    if not np.isfinite(centred).all():
+        return None
+    along = centred @ np.linalg.svd(centred, full_matrices=False)[2][0]
+    # The sign of a singular vector is free: the first frame is at the beginning.
+    return along if along[0] <= np.median(along) else -along
+
+
+def _index_blocks(n: int) -> tuple[np.ndarray, int]:
+    """Blocks of neighbouring frames, with frames dropped on the training's and the test's side of either cut."""
+    part = _cut(n)
+    gap = max(1, round(FRAME_GAP * n)) if n >= 10 else 0
+    if gap:
+        middle = np.flatnonzero(part == VALIDATION)
+        part[max(middle[0] - gap, 1) : middle[0]] = DROPPED
+        part[middle[-1] + 1 : min(middle[-1] + 1 + gap, n - 1)] = DROPPED
+    return part, gap

@@ -1,0 +1,196 @@
+"""Tables of figures with intervals, in Markdown, CSV and LaTeX."""
+
+from __future__ import annotations
+
+import csv
+import io
+import math
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from html import escape
+from types import MappingProxyType
+from typing import Any
+
+from pipeline.metrics.intervals import Estimate
+
+Cell = Estimate | float | int | str | None
+"""What stands in a table. Estimates and floats are shares, and are written as percentages."""
+NOTHING_SHARED: Mapping[str, Any] = MappingProxyType({})
+"""No system has anything in common with what made the truth."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """A line of a table: its name, its cells, and where they come from.
+
+    Attributes
+    ----------
+    name : str
+    cells : tuple of Cell
+    source : str
+        "measured", or "reported" for figures of a publication.
+    shares : str
+        Where its figures are agreement with what made the truth, and not accuracy: that, in a few words. Such rows
+        stand in blocks of their own below the others, see `in_blocks`.
+    """
+
+    name: str
+    cells: tuple[Cell, ...]
+    source: str = "measured"
+    shares: str = ""
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table.
+
+    Attributes
+    ----------
+    key : str
+        Its name in files.
+    title : str
+    columns : tuple of str
+        Heads of the cells; the first column, the rows' names, has none.
+    rows : tuple of Row
+    note : str
+        What a reader must know: what is counted, what the intervals are.
+    caveats : tuple of str
+        What the figures cannot show, since what is measured and what made the truth have something in common.
+    decimals : int
+        Of percentages without an interval.
+    fractions : tuple of str
+        Columns whose shares are written as they are, between 0 and 1, and not as percentages.
+    """
+
+    key: str
+    title: str
+    columns: tuple[str, ...]
+    rows: tuple[Row, ...]
+    note: str = ""
+    caveats: tuple[str, ...] = ()
+    decimals: int = 1
+    fractions: tuple[str, ...] = ()
+
+    def shown(self, row: Row) -> tuple[str, ...]:
+        """The cells of a row as text."""
+        return tuple(
+            shown(cell, self.decimals, name in self.fractions)
+            for name, cell in zip(self.columns, row.cells, strict=True)
+        )
+
+
+def in_blocks(rows: Iterable[Row], kinds: Iterable[str] = ()) -> tuple[Row, ...]:
+    """The rows that share nothing first, then the others by kind, in the order of `kinds`; else in their own order."""
+    rows = tuple(rows)
+    order = list(dict.fromkeys(["", *kinds, *(row.shares for row in rows)]))
+    return tuple(sorted(rows, key=lambda row: order.index(row.shares)))
+
+
+def with_heads(rows: Sequence[Row]) -> Iterator[tuple[str, Row]]:
+    """Each row with the title of the block that it begins; empty within a block, and where all rows are alike."""
+    before = rows[0].shares if rows and len({row.shares for row in rows}) == 1 else ""
+    for row in rows:
+        yield ("" if row.shares == before else row.shares), row
+        before = row.shares
+
+
+def caveats_html(tables: Iterable[Table]) -> str:
+    """The caveats of tables as paragraphs, for pages of plots of the same figures."""
+    said = dict.fromkeys(caveat for table in tables for caveat in table.caveats)
+    return "".join(f'<p style="color:#a85b00;font:13px Arial,sans-serif">{escape(text)}</p>' for text in said)
+
+
+def shown(cell: Cell, decimals: int = 1, fraction: bool = False) -> str:
+    """A cell as text: percentages with one decimal (fractions with two), intervals in brackets."""
+    if cell is None or (isinstance(cell, float) and math.isnan(cell)):
+        return "–"
+    if isinstance(cell, Estimate):
+        return cell.formatted(1.0, 2) if fraction else cell.formatted()
+    if not isinstance(cell, float):
+        return str(cell)
+    return f"{cell:.2f}" if fraction else f"{100 * cell:.{decimals}f}"
+
+
+def markdown(tables: Sequence[Table]) -> str:
+    """All tables, each under its title."""
+    parts = []
+    for table in tables:
+        lines = [f"## {table.title}", ""]
+        lines.append("| " + " | ".join(["", *table.columns]) + " |")
+        lines.append("|" + "|".join(["---", *["---:"] * len(table.columns)]) + "|")
+        for head, row in with_heads(table.rows):
+            if head:
+                lines.append("| " + " | ".join([f"*{_bars(head)}*", *[""] * len(table.columns)]) + " |")
+            name = row.name if row.source == "measured" else f"{row.name} ({row.source})"
+            lines.append("| " + " | ".join(_bars(x) for x in (name, *table.shown(row))) + " |")
+        caveats = "\n".join(f"- {caveat}" for caveat in table.caveats)
+        parts.append("\n\n".join(part for part in ("\n".join(lines), table.note, caveats) if part))
+    return "\n\n".join(parts) + "\n"
+
+
+def _bars(text: str) -> str:
+    return text.replace("|", "\\|").replace("\n", " ")
+
+
+def as_csv(table: Table) -> str:
+    """One line a row; an estimate fills three columns: value, low, high. Shares stay between 0 and 1.
+
+    The last column is `Row.shares`.
+    """
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    estimated = [
+        any(isinstance(row.cells[k], Estimate) for row in table.rows) for k in range(len(table.columns))
+    ]
+    head = ["row", "source"]
+    for name, wide in zip(table.columns, estimated, strict=True):
+        head += [name, f"{name} low", f"{name} high"] if wide else [name]
+    writer.writerow([*head, "shares"])
+    for row in table.rows:
+        line: list[object] = [row.name, row.source]
+        for cell, wide in zip(row.cells, estimated, strict=True):
+            if isinstance(cell, Estimate):
+                line += [_number(cell.value), _number(cell.low), _number(cell.high)]
+            else:
+                line += [_number(cell) if isinstance(cell, float) else cell, *(["", ""] if wide else [])]
+        writer.writerow([*line, row.shares])
+    return out.getvalue()
+
+
+def _number(value: float) -> str:
+    return "" if math.isnan(value) else repr(value)
+
+
+_SPECIAL = {c: f"\\{c}" for c in "&%$#_{}"}
+_SPECIAL |= {"~": r"\textasciitilde{}", "^": r"\textasciicircum{}", "\\": r"\textbackslash{}"}
+
+
+def latex(tables: Sequence[Table]) -> str:
+    """All tables as `table` environments with booktabs rules; intervals in small type."""
+    parts = ["% needs \\usepackage{booktabs}"]
+    for table in tables:
+        lines = [
+            r"\begin{table}", r"\centering", rf"\caption{{{_tex(table.title)}}}", rf"\label{{tab:{table.key}}}",
+            rf"\begin{{tabular}}{{l{'r' * len(table.columns)}}}", r"\toprule",
+            " & ".join(["", *map(_tex, table.columns)]) + r" \\", r"\midrule",
+        ]  # fmt: skip
+        for head, row in with_heads(table.rows):
+            if head:
+                lines.append(rf"\midrule \multicolumn{{{1 + len(table.columns)}}}{{l}}{{\emph{{{_tex(head)}}}}} \\")
+            name = _tex(row.name) + ("" if row.source == "measured" else r"$^\dagger$")
+            lines.append(" & ".join([name, *map(_tex_cell, table.shown(row))]) + r" \\")
+        lines += [r"\bottomrule", r"\end{tabular}"]
+        if any(row.source != "measured" for row in table.rows):
+            lines.append(r"\\ \footnotesize $^\dagger$ as reported")
+        lines += [rf"\\ \footnotesize {_tex(caveat)}" for caveat in table.caveats]
+        parts.append("\n".join([*lines, r"\end{table}"]))
+    return "\n\n".join(parts) + "\n"
+
+
+def _tex(text: str) -> str:
+    return "".join(_SPECIAL.get(c, c) for c in text)
+
+
+def _tex_cell(text: str) -> str:
+    value, _, interval = _tex(text).replace("–", "--").partition(" [")
+    return value + (rf" {{\scriptsize [{interval}}}" if interval else "")

@@ -1,0 +1,54 @@
+"""SRM: a probability for each relation of each ordered pair of objects."""
+
+from pathlib import Path
+
+from pipeline.relations.installed import installed_network, installed_networks
+from pipeline.relations.scorer import RelationScorer, RelationScores, RuleScorer
+from pipeline.system.assets import asset_path
+from pipeline.system.errors import InputError
+
+__all__ = ["RelationScorer", "RelationScores", "RuleScorer", "make_scorer", "shipped_network"]
+
+RULE, TRAINED = "rule", "trained"
+
+
+def shipped_network() -> Path:
+    """The file of the network that comes with the program.
+
+    Raises
+    ------
+    InputError
+        Where the installation lacks it.
+    """
+    return asset_path("srm", "rel26.onnx")
+
+
+def make_scorer(name: str | Path = RULE, vectors: Path | None = None) -> RelationScorer:
+    """The relation scorer of that name: "rule", "trained" (the shipped network), the path of an ONNX file, or the
+    name of an installed network.
+
+    `vectors` is the file of text vectors that a language network was trained with: it needs it for classes that were
+    not in its training.
+
+    Raises
+    ------
+    InputError
+        For an unknown name, or a file that is not a relation network this program can feed.
+    """
+    if name == RULE and vectors is not None:
+        raise InputError("the rule uses no class names: leave out --vectors", path=vectors)
+    if name == RULE:
+        return RuleScorer()
+    path = shipped_network() if name == TRAINED else Path(name)
+    if path.suffix.lower() != ".onnx" and not path.is_file():
+        installed = installed_network(str(name))
+        if installed is None:
+            names = ", ".join(n.name for n in installed_networks())
+            expected = "trained, rule, an ONNX file, or the name of an installed network"
+            raise InputError(
+                f"there is no relation scorer {str(name)!r}", expected=f"{expected} ({names})" if names else expected
+            )
+        path = installed
+    from pipeline.relations.model import OnnxScorer
+
+    return OnnxScorer(path, vectors)

@@ -1,0 +1,156 @@
+"""The phrase vectors of class names that a language network takes with it, and what it does with other names.
+
+A trained network comes with `NAME.vectors.npz` beside `NAME.onnx`: the vectors of
+all classes it was trained on. Its metadata holds their hash, so that neither
+goes with another's. A class that is not among them needs the file of text
+vectors that the network was trained with.
+"""
+
+from __future__ import annotations
+
+import io
+import zipfile
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import xxhash
+
+from pipeline.language.naming import normal_form
+from pipeline.language.vectors import LanguageContract, TextVectors, open_vectors
+from pipeline.system.errors import InputError
+
+_NAMED = 8
+
+
+@dataclass(frozen=True, eq=False)
+class ClassVectors:
+    """Class names and their phrase vectors.
+
+    Attributes
+    ----------
+    names : tuple of str
+        As the labels spell them, each once.
+    vectors : (C, D) float32
+    """
+
+    names: tuple[str, ...]
+    vectors: np.ndarray
+
+    @property
+    def hash(self) -> str:
+        """xxh3-128 of names and vectors."""
+        digest = xxhash.xxh3_128("\0".join(self.names).encode("utf-8", "surrogatepass"))
+        digest.update(np.ascontiguousarray(self.vectors, "<f4").tobytes())
+        return digest.hexdigest()
+
+    def content(self) -> bytes:
+        """As an .npz file that `pipeline.language.vectors.open_vectors` reads too."""
+        file = io.BytesIO()
+        np.savez(
+            file, names=np.array(self.names, np.str_), vectors=self.vectors.astype(np.float32), kind=np.str_("phrase")
+        )
+        return file.getvalue()
+
+    @classmethod
+    def read(cls, path: Path) -> ClassVectors:
+        """Read such a file; InputError where it is not one."""
+        try:
+            with np.load(path, allow_pickle=False) as archive:
+                names, vectors = archive["names"], archive["vectors"]
+        except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile) as error:
+            raise InputError("the network's class vectors cannot be read", got=error, path=path) from error
+        if names.ndim != 1 or names.dtype.kind != "U" or vectors.shape[:1] != names.shape or vectors.ndim != 2:
+            raise InputError("the network's class vectors cannot be read", got=f"{names.shape}, {vectors.shape}",
+                             path=path)  # fmt: skip
+        return cls(tuple(str(n) for n in names), vectors.astype(np.float32))
+
+
+def vectors_beside(network: Path) -> Path:
+    """Where the class vectors of an ONNX file are."""
+    return network.with_suffix(".vectors.npz")
+
+
+class ClassLookup:
+    """The vectors of class names for a network.
+
+    Parameters
+    ----------
+    network : Path
+        Its ONNX file.
+    language : LanguageContract
+        What it says of its text vectors.
+    expected : str
+        Hash of its class vectors.
+    vectors : Path, optional
+        The file of text vectors, for classes the network was not trained on.
+
+    Raises
+    ------
+    InputError
+        The class vectors are missing or another network's, or the file is not the one it was trained with.
+    """
+
+    def __init__(self, network: Path, language: LanguageContract, expected: str, vectors: Path | None = None) -> None:
+        self.language = language
+        self._file: TextVectors | None = None
+        if vectors is not None:
+            self._file = open_vectors(vectors)
+            language.check(self._file)
+        beside = vectors_beside(network)
+        if beside.is_file():
+            known = ClassVectors.read(beside)
+            if known.hash != expected or known.vectors.shape[1] != language.dimension:
+                raise InputError(
+                    "these class vectors belong to another network", got=known.hash, expected=expected, path=beside
+                )
+        elif self._file is None:
+            raise InputError(
+                "the network's class vectors are missing",
+                expected=f"{beside.name} beside the network, or --vectors {language.name}",
+                path=beside,
+            )
+        else:
+            known = ClassVectors((), np.zeros((0, language.dimension), np.float32))
+        self._known = known
+        self._found: dict[str, np.ndarray] = {}
+
+    @cached_property
+    def _by_name(self) -> dict[str, np.ndarray]:
+        """Exact spellings, and normal forms wherever all spellings of one have the same vector."""
+        found: dict[str, np.ndarray] = {}
+        clashing: set[str] = set()
+        for name, vector in zip(self._known.names, self._known.vectors, strict=True):
+            key = normal_form(name)
+            if key in found and not np.array_equal(found[key], vector):
+                clashing.add(key)
+            found.setdefault(key, vector)
+        for key in clashing:
+            del found[key]
+        return {**found, **dict(zip(self._known.names, self._known.vectors, strict=True))}
+
+    def rows(self, labels: Sequence[str]) -> np.ndarray:
+        """(N, D) float64 vectors of the class names.
+
+        Raises
+        ------
+        InputError
+            Classes that are not known, listed.
+        """
+        known = {**self._by_name, **self._found}
+        unknown = list(dict.fromkeys(n for n in labels if n not in known and normal_form(n) not in known))
+        if unknown and self._file is None:
+            more = f" and {len(unknown) - _NAMED} more" if len(unknown) > _NAMED else ""
+            raise InputError(
+                "the network was not trained on these classes",
+                got=", ".join(repr(n) for n in unknown[:_NAMED]) + more,
+                expected=f"--vectors with the file {self.language.name}",
+            )
+        if unknown and self._file is not None:
+            table = self._file.phrases(unknown, normalised=self.language.normalised)
+            self._found.update(zip(unknown, table.vectors, strict=True))
+            known.update(self._found)
+        rows = [known[n] if n in known else known[normal_form(n)] for n in labels]
+        return np.array(rows, np.float64).reshape(len(rows), self.language.dimension)

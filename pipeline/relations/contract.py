@@ -1,0 +1,243 @@
+"""What a relation network declares about itself in the metadata of its ONNX file."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+
+from pipeline.language.vectors.contract import LanguageContract
+from pipeline.metrics.platt import Platt
+from pipeline.relations.features import FEATURES, FeatureSet, feature_set, geometry_of
+from pipeline.relations.relations import INVERSE, PAIRWISE
+from pipeline.relations.trained_on import TrainedOn
+from pipeline.system.errors import InputError
+
+CONTRACT = "spatialviz-srm-1"
+PREFIX = "srm."
+"""Every metadata key begins so."""
+
+Output = Literal["sigmoid", "softmax"]
+
+
+@dataclass(frozen=True)
+class Contract:
+    """What a relation network declares about itself.
+
+    Attributes
+    ----------
+    features : str
+        Name of the feature contract.
+    columns : tuple of str
+    mean, std : (D,) float64
+        Inputs are standardised by these.
+    vocabulary : tuple of str
+        The relation of each output.
+    calibration : dict of str to (a, b)
+        Platt's sigmoid of each relation; of a softmax network the inverse temperature and 0.
+    seed : int
+        Seed of data and training.
+    data : str
+        Hash of the training data.
+    output : str
+        "sigmoid": each relation is a question of its own. "softmax": exactly one
+        relation of the vocabulary fits a pair best.
+    prior : tuple of float
+        Share of each class in the training pairs of a softmax network, in the order of the vocabulary; else empty.
+    language : LanguageContract or None
+        The text vectors behind a "+lang" contract.
+    classes : str
+        Hash of the class vectors beside the file, see `class_vectors`; "" without language.
+    trained_on : TrainedOn or None
+        The scenes or frames of labels that it learnt from; None for rendered rooms.
+    """
+
+    features: str
+    columns: tuple[str, ...]
+    mean: np.ndarray
+    std: np.ndarray
+    vocabulary: tuple[str, ...]
+    calibration: dict[str, Platt]
+    seed: int
+    data: str
+    output: Output = "sigmoid"
+    prior: tuple[float, ...] = ()
+    language: LanguageContract | None = None
+    classes: str = ""
+    trained_on: TrainedOn | None = None
+
+    @property
+    def feature_set(self) -> FeatureSet:
+        """What the network is given."""
+        return feature_set(self.features, 0 if self.language is None else self.language.dimension)
+
+    def metadata(self) -> dict[str, str]:
+        """As string properties of an ONNX file; floats keep every digit, and defaults are left out."""
+        values = {
+            "contract": CONTRACT,
+            "features": self.features,
+            "columns": json.dumps(self.columns),
+            "mean": json.dumps(self.mean.tolist()),
+            "std": json.dumps(self.std.tolist()),
+            "vocabulary": json.dumps(self.vocabulary),
+            "calibration": json.dumps(self.calibration),
+            "seed": str(self.seed),
+            "data": self.data,
+        }
+        if self.output != "sigmoid":
+            values |= {"output": self.output, "prior": json.dumps(self.prior)}
+        if self.classes:
+            values["classes"] = self.classes
+        if self.trained_on is not None:
+            values["trained_on"] = self.trained_on.to_json()
+        said = {PREFIX + key: value for key, value in values.items()}
+        return said if self.language is None else {**said, **self.language.to_metadata()}
+
+    @classmethod
+    def read(cls, metadata: Mapping[str, str], path: Path | None = None) -> Contract:
+        """From the properties of an ONNX file.
+
+        Raises
+        ------
+        InputError
+            Where they are not those of a relation network that this program can feed.
+        """
+        said = metadata.get(PREFIX + "contract")
+        if said != CONTRACT:
+            raise InputError(
+                "the model is not a relation network",
+                got="no contract" if said is None else f"contract {said!r}",
+                expected=f"contract {CONTRACT!r} in its metadata",
+                cause="was it made by `spatialviz train`?",
+                path=path,
+            )
+        language = LanguageContract.from_metadata(metadata, path)
+        try:
+            values = {key: metadata[PREFIX + key] for key in ("features", "data", "seed")}
+            loaded = {
+                key: json.loads(metadata[PREFIX + key])
+                for key in ("columns", "mean", "std", "vocabulary", "calibration")
+            }
+            output: Any = metadata.get(PREFIX + "output", "sigmoid")
+            contract = cls(
+                features=values["features"],
+                columns=tuple(str(c) for c in loaded["columns"]),
+                mean=np.array(loaded["mean"], np.float64),
+                std=np.array(loaded["std"], np.float64),
+                vocabulary=tuple(str(r) for r in loaded["vocabulary"]),
+                calibration={str(k): (float(a), float(b)) for k, (a, b) in loaded["calibration"].items()},
+                seed=int(values["seed"]),
+                data=values["data"],
+                output=output,
+                prior=tuple(float(p) for p in json.loads(metadata.get(PREFIX + "prior", "[]"))),
+                language=language,
+                classes=metadata.get(PREFIX + "classes", ""),
+                trained_on=TrainedOn.from_json(learnt) if (learnt := metadata.get(PREFIX + "trained_on")) else None,
+            )
+        except (KeyError, ValueError, TypeError, AttributeError) as error:
+            raise InputError(
+                "the relation network's metadata cannot be read",
+                got=f"{type(error).__name__}: {error}",
+                path=path,
+            ) from error
+        contract.check(path)
+        return contract
+
+    def check(self, path: Path | None = None) -> None:
+        """Raise InputError unless this program computes these features and knows these relations."""
+        base = geometry_of(self.features)
+        if base not in FEATURES:
+            raise InputError(
+                "the relation network wants features that are not known",
+                got=repr(self.features),
+                expected=", ".join(FEATURES),
+                path=path,
+            )
+        if (self.features != base) != (self.language is not None) or bool(self.classes) != (self.language is not None):
+            raise InputError(
+                "the relation network's language features do not fit its feature contract",
+                got=f"{self.features} {'without' if self.language is None else 'with'} text vectors",
+                path=path,
+            )
+        expected = self.feature_set.columns
+        if self.columns != expected:
+            raise InputError(
+                f"the relation network's {self.features} is another one than this program's",
+                got=_differing(self.columns, expected),
+                expected=f"{len(expected)} features, {expected[0]} to {expected[-1]}",
+                path=path,
+            )
+        if (
+            self.mean.shape != (len(expected),)
+            or self.std.shape != (len(expected),)
+            or not np.isfinite(np.concatenate([self.mean, self.std])).all()
+            or (self.std <= 0).any()
+        ):
+            raise InputError(
+                "mean and deviation of the relation network do not fit its features",
+                got=f"shapes {self.mean.shape}, {self.std.shape}",
+                expected=f"{len(expected)} finite numbers each, deviations above 0",
+                path=path,
+            )
+        unknown = [r for r in self.vocabulary if r not in PAIRWISE]
+        if unknown or not self.vocabulary or len(set(self.vocabulary)) != len(self.vocabulary):
+            raise InputError(
+                "the relation network's vocabulary is not known",
+                got=", ".join(self.vocabulary) or "nothing",
+                expected=f"each at most once: {', '.join(PAIRWISE)}",
+                path=path,
+            )
+        self._check_calibration(path)
+        self._check_output(path)
+
+    def _check_calibration(self, path: Path | None) -> None:
+        pairs = self.calibration
+        if set(pairs) != set(self.vocabulary):
+            raise InputError("the calibration is for other relations than the vocabulary", got=sorted(pairs), path=path)
+        broken = [
+            r
+            for r, (a, b) in pairs.items()
+            if not (np.isfinite([a, b]).all() and a > 0)
+            # Two sigmoids for one logit would undo the antisymmetry.
+            or pairs.get(INVERSE.get(r, r), (a, b)) != (a, b)
+        ]
+        if broken:
+            raise InputError(
+                "the calibration must be finite, rising, and the same for inverse relations", got=broken, path=path
+            )
+
+    def _check_output(self, path: Path | None) -> None:
+        if self.output == "sigmoid" and not self.prior:
+            return
+        if self.output != "softmax":
+            raise InputError(
+                "the relation network's output is not known",
+                got=f"{self.output!r}{' with a prior' if self.prior else ''}",
+                expected="sigmoid, or softmax with a prior",
+                path=path,
+            )
+        prior = dict(zip(self.vocabulary, self.prior, strict=False))
+        if (
+            len(self.prior) != len(self.vocabulary)
+            or not all(0 < p <= 1 for p in self.prior)
+            or abs(sum(self.prior) - 1) > 1e-6
+            or any(prior.get(INVERSE.get(r, r), p) != p for r, p in prior.items())
+        ):
+            raise InputError(
+                "the prior must be a share above 0 of each relation, the same for inverse ones, 1 in all",
+                got=self.prior,
+                path=path,
+            )
+        if len(set(self.calibration.values())) > 1:
+            raise InputError("a softmax network has one temperature", got=self.calibration, path=path)
+
+
+def _differing(got: Sequence[str], expected: Sequence[str]) -> str:
+    if len(got) != len(expected):
+        return f"{len(got)} features"
+    k = next(k for k, (a, b) in enumerate(zip(got, expected, strict=True)) if a != b)
+    return f"{got[k]!r} in place {k}"

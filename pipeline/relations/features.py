@@ -1,0 +1,262 @@
+"""What the network is given of a pair: the contracts `rel26`, `rel14`, `paper30`, `canon30`, `geom2d8` and `+lang`.
+
+Each contract first describes every object by a row of numbers, then every
+ordered pair by a row made from two of them, all pairs at once. `+lang` after
+any of the names appends the phrase vectors of both class names.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Protocol
+
+import numpy as np
+
+from pipeline.geometry.boxes import Box3D
+from pipeline.geometry.fitting import pca_box
+from pipeline.geometry.lifting import LiftedObject
+from pipeline.geometry.viewer import ViewerAxes
+from pipeline.relations.appearance import Appearance
+from pipeline.relations.pair_measures import Profile
+from pipeline.relations.relations import measure_pairs
+from pipeline.system.errors import InputError
+
+LANGUAGE = "+lang"
+"""What the name of a contract with class names ends with."""
+
+CLI_FEATURES = {
+    "2d": "geom2d8",
+    "2d+lang": "geom2d8+lang",
+    "3d": "paper30",
+    "3d+lang": "paper30+lang",
+    "canon": "canon30",
+    "rel14": "rel14",
+    "rel26": "rel26",
+    "rel14+lang": "rel14+lang",
+}
+"""Contracts by the names that the command line gives them: the paper's 2D-Geom, 3D-Geom and so on."""
+
+_AXES = ("right", "up", "forward")
+
+
+class Describe(Protocol):
+    """A row of numbers for each object."""
+
+    def __call__(
+        self, objects: Sequence[LiftedObject], viewer: ViewerAxes, appearance: Appearance | None = None
+    ) -> np.ndarray: ...
+
+
+@dataclass(frozen=True)
+class FeatureSet:
+    """A feature contract.
+
+    Attributes
+    ----------
+    name : str
+    columns : tuple of str
+        Name of each feature; their number is the network's input dimension.
+    describe : callable
+        (objects, viewer, appearance) -> (N, K) float64, one row an object; NaN for an
+        object without points and box. With language, its geometry alone.
+    pair : callable
+        (N, K + language) -> (N, N, D) float64: the features of "a to b" at [a, b]. Leading dimensions are a batch.
+    lengths : tuple of int
+        Columns of the description that are lengths: they grow with the scene, the others do not.
+    boxes : bool
+        Objects are described by their 2D boxes: `describe` needs the appearance.
+    language : int
+        Dimension of the phrase vectors that stand after the geometry in each object's row; 0 without language.
+    """
+
+    name: str
+    columns: tuple[str, ...]
+    describe: Describe
+    pair: Callable[[np.ndarray], np.ndarray]
+    lengths: tuple[int, ...]
+    boxes: bool = False
+    language: int = 0
+
+    @property
+    def dimension(self) -> int:
+        return len(self.columns)
+
+    @property
+    def needs_appearance(self) -> bool:
+        return self.boxes or self.language > 0
+
+
+def feature_set(name: str, language: int = 0) -> FeatureSet:
+    """The contract of that name; `language` is the dimension of phrase vectors, for a name that ends with "+lang".
+
+    Raises
+    ------
+    InputError
+        For an unknown name.
+    """
+    base = geometry_of(name)
+    if base not in FEATURES:
+        known = ", ".join((*FEATURES, *(known + LANGUAGE for known in FEATURES)))
+        raise InputError("there is no such feature contract", got=repr(name), expected=known)
+    if name == base:
+        return FEATURES[base]
+    if language < 1:
+        raise InputError(f"the feature contract {name} needs vectors of class names", expected="a file of text vectors")
+    return _with_language(FEATURES[base], language)
+
+
+def cli_features(name: str) -> str:
+    """What the command line calls a contract."""
+    return next((short for short, full in CLI_FEATURES.items() if full == name), name)
+
+
+def geometry_of(name: str) -> str:
+    """The name of a contract without its language: "rel14" of "rel14+lang"."""
+    return name.removesuffix(LANGUAGE)
+
+
+def _with_language(base: FeatureSet, dimension: int) -> FeatureSet:
+    def pair(rows: np.ndarray) -> np.ndarray:
+        split = rows.shape[-1] - dimension
+        return np.concatenate([base.pair(rows[..., :split]), pair_side_by_side(rows[..., split:])], axis=-1)
+
+    words = tuple(f"{which}_word{k}" for which in ("a", "b") for k in range(dimension))
+    return replace(base, name=base.name + LANGUAGE, columns=base.columns + words, pair=pair, language=dimension)
+
+
+def describe_extents(
+    objects: Sequence[LiftedObject], viewer: ViewerAxes, appearance: Appearance | None = None
+) -> np.ndarray:
+    """(N, 6): lo and hi along (right, up, forward), metres."""
+    if not objects:
+        return np.zeros((0, 6))
+    return np.stack([np.concatenate([o.lo, o.hi]) for o in objects])
+
+
+def describe_raw_boxes(
+    objects: Sequence[LiftedObject], viewer: ViewerAxes, appearance: Appearance | None = None
+) -> np.ndarray:
+    """(N, 15): T(3), R row by row (9), D(3) of the paper's PCA box, camera frame, axes as PCA gives them."""
+    return _rows([_fitted(o, None) for o in objects])
+
+
+def describe_level_boxes(
+    objects: Sequence[LiftedObject], viewer: ViewerAxes, appearance: Appearance | None = None
+) -> np.ndarray:
+    """(N, 15): T, R, D of the canonical PCA box in the level frame (x right, y down, z forward)."""
+    T = np.eye(4)
+    T[:3, :3] = viewer.R_level_camera
+    boxes = [_fitted(o, viewer) for o in objects]
+    return _rows([None if box is None else box.transformed(T) for box in boxes])
+
+
+def describe_boxes_2d(
+    objects: Sequence[LiftedObject], viewer: ViewerAxes, appearance: Appearance | None = None
+) -> np.ndarray:
+    """(N, 4): centre x, centre y, width, height of the 2D box, divided by the image's width and height.
+
+    Raises
+    ------
+    InputError
+        Without the appearance.
+    """
+    if appearance is None:
+        raise InputError("geom2d8 needs the objects' 2D boxes", expected="their appearance in the image")
+    return rows_2d(appearance.bboxes, appearance.width, appearance.height)
+
+
+def rows_2d(bboxes: np.ndarray, width: float, height: float) -> np.ndarray:
+    """`geom2d8` of boxes x0, y0, x1, y1 ((N, 4), pixels): (N, 4) float64."""
+    corners = np.asarray(bboxes, np.float64).reshape(-1, 4) / np.array([width, height, width, height], np.float64)
+    return np.concatenate([(corners[:, :2] + corners[:, 2:]) / 2, corners[:, 2:] - corners[:, :2]], axis=1)
+
+
+def _fitted(item: LiftedObject, viewer: ViewerAxes | None) -> Box3D | None:
+    return pca_box(item.points, viewer)[0] if len(item.points) else item.box
+
+
+def _rows(boxes: Sequence[Box3D | None]) -> np.ndarray:
+    rows = np.full((len(boxes), 15), np.nan)
+    for k, box in enumerate(boxes):
+        if box is not None:
+            rows[k] = np.concatenate([box.center, box.R.ravel(), box.size])
+    return rows
+
+
+def pair_relative(rows: np.ndarray) -> np.ndarray:
+    """`rel14` of all ordered pairs: (N, 6) extents -> (N, N, 14).
+
+    Differences of centres, signed gaps, overlap shares and the logarithm of the
+    ratio of extents (a over b), each along (right, up, forward); the forward
+    coordinates of both centres. Metres.
+    """
+    measured = measure_pairs(rows[..., :3], rows[..., 3:])
+    size = np.log(measured.extent)
+    depth = measured.center[..., 2]
+    shape = (*measured.delta.shape[:-1], 1)
+    return np.concatenate(
+        [
+            measured.delta,
+            measured.gap,
+            measured.overlap_share,
+            size[..., :, None, :] - size[..., None, :, :],
+            np.broadcast_to(depth[..., :, None, None], shape),
+            np.broadcast_to(depth[..., None, :, None], shape),
+        ],
+        axis=-1,
+    )
+
+
+def describe_viewed_extents(
+    objects: Sequence[LiftedObject], viewer: ViewerAxes, appearance: Appearance | None = None
+) -> np.ndarray:
+    """(N, 7): the extents, and 1 where the image border cuts the object, else 0."""
+    cut = np.array([[float(o.quality.touches_border)] for o in objects]).reshape(-1, 1)
+    return np.concatenate([describe_extents(objects, viewer), cut], axis=1)
+
+
+def pair_viewed(rows: np.ndarray) -> np.ndarray:
+    """`rel26`: `rel14`, and of a and of b where it is seen from the camera, how large, and whether the border cuts it.
+
+    A camera sees the near side and, from above, the top: what is hidden of a thing depends on where it stands.
+    """
+    lo, hi = rows[..., :3], rows[..., 3:6]
+    center, extent = (lo + hi) / 2, np.maximum(hi - lo, Profile().min_extent)
+    own = np.concatenate([center[..., :2], np.log(extent), rows[..., 6:]], axis=-1)
+    return np.concatenate([pair_relative(rows[..., :6]), pair_side_by_side(own)], axis=-1)
+
+
+def pair_side_by_side(rows: np.ndarray) -> np.ndarray:
+    """The row of a, then the row of b: (N, K) -> (N, N, 2K)."""
+    *batch, n, k = rows.shape
+    shape = (*batch, n, n, k)
+    first, second = np.broadcast_to(rows[..., :, None, :], shape), np.broadcast_to(rows[..., None, :, :], shape)
+    return np.concatenate([first, second], axis=-1)
+
+
+def _box_columns() -> tuple[str, ...]:
+    one = [f"T{k}" for k in range(3)] + [f"R{i}{j}" for i in range(3) for j in range(3)] + [f"D{k}" for k in range(3)]
+    return tuple(f"{which}_{name}" for which in ("a", "b") for name in one)
+
+
+_FLAT_COLUMNS = tuple(f"{which}_{what}" for which in ("a", "b") for what in ("x", "y", "width", "height"))
+_BOX_LENGTHS = (0, 1, 2, 12, 13, 14)
+_RELATIVE_COLUMNS = (
+    *(f"{what}_{axis}" for what in ("delta", "gap", "overlap", "log_size_ratio") for axis in _AXES),
+    "forward_a",
+    "forward_b",
+)
+_VIEWED_COLUMNS = _RELATIVE_COLUMNS + tuple(
+    f"{what}_{which}"
+    for which in ("a", "b")
+    for what in ("right", "up", "log_size_right", "log_size_up", "log_size_forward", "cut")
+)
+
+FEATURES: dict[str, FeatureSet] = {
+    "rel14": FeatureSet("rel14", _RELATIVE_COLUMNS, describe_extents, pair_relative, tuple(range(6))),
+    "rel26": FeatureSet("rel26", _VIEWED_COLUMNS, describe_viewed_extents, pair_viewed, tuple(range(6))),
+    "paper30": FeatureSet("paper30", _box_columns(), describe_raw_boxes, pair_side_by_side, _BOX_LENGTHS),
+    "canon30": FeatureSet("canon30", _box_columns(), describe_level_boxes, pair_side_by_side, _BOX_LENGTHS),
+    "geom2d8": FeatureSet("geom2d8", _FLAT_COLUMNS, describe_boxes_2d, pair_side_by_side, (), boxes=True),
+}

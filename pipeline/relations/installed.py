@@ -1,0 +1,88 @@
+"""Relation networks that a user has installed under a name, beside the shipped one."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+from pipeline.system.errors import InputError
+
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]{0,63}")
+TAKEN = ("rule", "trained")
+
+
+@dataclass(frozen=True)
+class InstalledNetwork:
+    """A network by its name.
+
+    Attributes
+    ----------
+    name : str
+        What `--srm` takes.
+    path : Path
+    """
+
+    name: str
+    path: Path
+
+
+def network_folder() -> Path:
+    """Where networks are installed: of the user, or SPATIALVIZ_NETWORKS."""
+    from platformdirs import user_data_path
+
+    said = os.environ.get("SPATIALVIZ_NETWORKS")
+    return Path(said) if said else user_data_path("spatialviz") / "networks"
+
+
+def installed_networks() -> tuple[InstalledNetwork, ...]:
+    """All of them, by name."""
+    folder = network_folder()
+    files = sorted(folder.glob("*.onnx")) if folder.is_dir() else []
+    return tuple(InstalledNetwork(f.stem, f) for f in files if _NAME.fullmatch(f.stem))
+
+
+def installed_network(name: str) -> Path | None:
+    """The file of an installed network; None where there is none of that name."""
+    if not _NAME.fullmatch(name):
+        return None
+    path = network_folder() / f"{name}.onnx"
+    return path if path.is_file() else None
+
+
+def install_network(network: Path, name: str, *, overwrite: bool = False) -> InstalledNetwork:
+    """Copy a network, with its card and its vectors where it has them, to where `--srm NAME` finds it.
+
+    Raises
+    ------
+    InputError
+        No such network, one that cannot be fed, a name that is none or is taken, a folder that cannot be written.
+    """
+    from pipeline.relations.class_vectors import vectors_beside
+    from pipeline.relations.model import OnnxScorer
+
+    if not _NAME.fullmatch(name) or name in TAKEN or name.endswith(".onnx"):
+        raise InputError(
+            "no name for a network", got=repr(name), expected="letters, digits, . _ -; not rule or trained"
+        )
+    OnnxScorer(network)
+    folder = network_folder()
+    target = folder / f"{name}.onnx"
+    if target.exists() and not overwrite:
+        raise InputError("there is a network of this name", expected="another name, or --overwrite", path=target)
+    beside = (network.with_suffix(".json"), vectors_beside(network))
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        with tempfile.TemporaryDirectory(dir=folder, prefix=".install-") as staging:
+            # The network last: one that is there has its card and its vectors.
+            for source in (*(f for f in beside if f.is_file()), network):
+                suffix = source.name.removeprefix(network.stem)
+                copied = Path(staging) / f"{name}{suffix}"
+                shutil.copyfile(source, copied)
+                os.replace(copied, folder / copied.name)
+    except OSError as error:
+        raise InputError("the network cannot be installed", got=error.strerror or str(error), path=folder) from error
+    return InstalledNetwork(name, target)

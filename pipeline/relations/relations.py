@@ -1,0 +1,219 @@
+"""Spatial relations by geometry: the rule profile `viewer-cone-v1`.
+
+States are three-valued: T (+1) the relation holds, F (-1) it does not, U (0)
+it is too close to call. All pairs of a scene are judged at once. "A RELATION B"
+is entry [a, b]; extents with leading dimensions are a batch of scenes. Every
+relation is judged in the viewer's level axes (right, up, forward) of
+`pipeline.geometry.viewer`; nothing here knows an object's own front.
+
+The profile: left, right, front (nearer) and behind (farther) are cones of 45
+degrees with a doubtful band to 67.5 degrees around the axis, on signed gaps
+between extents; above and below ask for overlap in plan. on, in and near are
+extras of the same profile; `pipeline.relations.arrangement` has between, closest and farthest.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+
+import numpy as np
+
+from pipeline.relations.contact import enclosed_shares, in_states, near_states, on_states, supporting_surfaces
+from pipeline.relations.pair_measures import F, PairMeasures, Profile, T, U, known_extents, measure_pairs
+
+PROFILE = "viewer-cone-v1"
+
+DIRECTIONAL = ("left", "right", "above", "below", "front", "behind")
+PAIRWISE = (*DIRECTIONAL, "on", "in", "near")
+"""Relations with a state for every ordered pair, in the order in which they are always shown."""
+
+VOCABULARIES: dict[str, tuple[str, ...]] = {
+    "avd": DIRECTIONAL,
+    "semantic-abstraction": ("behind", "left", "right", "front", "on", "in"),
+    "all": PAIRWISE,
+}
+INVERSE = {"left": "right", "right": "left", "above": "below", "below": "above", "front": "behind", "behind": "front"}
+PHRASE = {
+    "left": "left of",
+    "right": "right of",
+    "above": "above",
+    "below": "below",
+    "front": "in front of",
+    "behind": "behind",
+    "on": "on",
+    "in": "in",
+    "near": "near",
+    "between": "between",
+    "closest": "closest to",
+    "farthest": "farthest from",
+}
+
+Indices = Sequence[int] | np.ndarray
+"""Places in a list of objects."""
+
+_LETTER = {T: "T", U: "U", F: "F"}
+
+
+def letter(state: int) -> str:
+    """"T", "U" or "F"."""
+    return _LETTER[int(state)]
+
+
+def directional_states(lo: np.ndarray, hi: np.ndarray, profile: Profile | None = None) -> np.ndarray:
+    """The six directional relations of all ordered pairs.
+
+    Parameters
+    ----------
+    lo, hi : (N, 3) float
+        Extents along (right, up, forward), metres, as `lifting.extents` gives
+        them. An object with NaN extents is in doubt (U) with every other one.
+
+    Returns
+    -------
+    (N, N, 6) int8
+        In the order of DIRECTIONAL; the diagonal is F.
+    """
+    profile = profile or Profile()
+    lo, hi = np.asarray(lo, np.float64).reshape(-1, 3), np.asarray(hi, np.float64).reshape(-1, 3)
+    known = known_extents(lo, hi)
+    pairs = measure_pairs(np.where(known[:, None], lo, 0.0), np.where(known[:, None], hi, 0.0), profile)
+    return measured_directions(pairs, known, profile)
+
+
+def measured_directions(pairs: PairMeasures, known: np.ndarray, profile: Profile) -> np.ndarray:
+    """`directional_states` where the pairs, or a batch of scenes, are measured already; `known` is (..., N) bool."""
+    widest_gap = np.abs(pairs.gap[..., [0, 2]]).max(axis=-1)
+    by_gap = _horizontal(pairs, pairs.gap, profile)
+    by_center = _horizontal(pairs, pairs.delta, profile)
+    states = np.where((widest_gap < profile.gap_switch)[..., None], by_center, by_gap)
+    low, high = profile.gap_switch_band
+    switching = (widest_gap >= low) & (widest_gap <= high)
+    states[switching[..., None] & (by_gap != by_center)] = U
+
+    above = _above(pairs, profile)
+    left, right, front, behind = np.moveaxis(states, -1, 0)
+    below = above.swapaxes(-1, -2)
+    return _decided(np.stack([left, right, above, below, front, behind], axis=-1), known)
+
+
+def _decided(states: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """int8 states: U where either extents are not known, F of an object to itself."""
+    result = states.astype(np.int8)
+    result[~(known[..., :, None] & known[..., None, :])] = U
+    result[..., np.eye(known.shape[-1], dtype=bool), :] = F
+    return result
+
+
+def _horizontal(pairs: PairMeasures, displacement: np.ndarray, profile: Profile) -> np.ndarray:
+    """(..., N, N, 4) states of left, right, front, behind for one reading of the displacement."""
+    angle = np.rad2deg(np.arctan2(np.abs(displacement[..., 2]), np.abs(displacement[..., 0])))
+    lateral = _overlap_gate(_cone(angle, profile), pairs.overlap_share[..., 0], profile)
+    depth = _overlap_gate(_cone(90 - angle, profile), pairs.overlap_share[..., 2], profile)
+    distance = np.abs(pairs.center[..., 2])
+    dead_depth = np.maximum(
+        profile.dead_zone_depth,
+        profile.dead_zone_depth_relative * np.maximum(distance[..., :, None], distance[..., None, :]),
+    )
+    right, forward = pairs.delta[..., 0], pairs.delta[..., 2]
+    return np.stack(
+        [
+            _sign_gate(lateral, -right, profile.dead_zone),
+            _sign_gate(lateral, right, profile.dead_zone),
+            _sign_gate(depth, -forward, dead_depth),
+            _sign_gate(depth, forward, dead_depth),
+        ],
+        axis=-1,
+    )
+
+
+def _cone(angle: np.ndarray, profile: Profile) -> np.ndarray:
+    return np.where(angle <= profile.cone, T, np.where(angle <= profile.doubtful_cone, U, F))
+
+
+def _overlap_gate(state: np.ndarray, share: np.ndarray, profile: Profile) -> np.ndarray:
+    doubted = np.where(share >= profile.overlap_doubts, np.minimum(state, U), state)
+    return np.where(share >= profile.overlap_excludes, F, doubted)
+
+
+def _sign_gate(state: np.ndarray, signed: np.ndarray, dead_zone: np.ndarray | float) -> np.ndarray:
+    return np.where(signed <= 0, F, np.where(signed < dead_zone, np.minimum(state, U), state))
+
+
+def _above(pairs: PairMeasures, profile: Profile) -> np.ndarray:
+    area = pairs.extent[..., 0] * pairs.extent[..., 2]
+    shared = pairs.overlap[..., 0] * pairs.overlap[..., 2]
+    plan = shared / np.minimum(area[..., :, None], area[..., None, :])
+    clearance = pairs.lo[..., :, None, 1] - pairs.hi[..., None, :, 1]
+    height = pairs.extent[..., 1]
+    lower = np.minimum(height[..., :, None], height[..., None, :])
+    tolerance = np.maximum(profile.sink, profile.sink_relative * lower)
+    sideways = np.hypot(pairs.gap[..., 0], pairs.gap[..., 2])
+    elevation = np.rad2deg(np.arctan2(np.maximum(clearance, 0), sideways))
+    resting, raised = clearance >= -tolerance, clearance > profile.clear_height
+    holds = (plan >= profile.plan_overlap) & resting | raised & (elevation >= profile.elevation)
+    doubtful = (plan >= profile.plan_overlap_doubtful) & resting | raised & (elevation >= profile.elevation_doubtful)
+    state = np.where(holds, T, np.where(doubtful, U, F))
+    return _sign_gate(state, pairs.delta[..., 1], profile.dead_zone)
+
+
+def pairwise_states(
+    lo: np.ndarray,
+    hi: np.ndarray,
+    clouds: Sequence[np.ndarray] | None = None,
+    profile: Profile | None = None,
+    relations: Collection[str] = PAIRWISE,
+) -> np.ndarray:
+    """All relations that have a state for every ordered pair.
+
+    Parameters
+    ----------
+    lo, hi : (N, 3) float
+        Extents along (right, up, forward), metres.
+    clouds : sequence of (M, 3) float, optional
+        Each object's points along (right, up, forward); `on` reads the height
+        of the supporting surface from them and `in` counts them. Without
+        points the extents stand in.
+    relations : collection of str
+        Of those that look at points only these are judged; the directions always are.
+
+    Returns
+    -------
+    (N, N, R) int8
+        In the order of PAIRWISE, as `judged_relations` names them; the diagonal is F.
+    """
+    profile = profile or Profile()
+    lo, hi = np.asarray(lo, np.float64).reshape(-1, 3), np.asarray(hi, np.float64).reshape(-1, 3)
+    known = known_extents(lo, hi)
+    clean_lo, clean_hi = np.where(known[:, None], lo, 0.0), np.where(known[:, None], hi, 0.0)
+    pairs = measure_pairs(clean_lo, clean_hi, profile)
+    wanted = judged_relations(relations)
+    nothing = np.zeros((len(lo), len(lo)))
+    surface = supporting_surfaces(clean_lo, clean_hi, clouds, profile) if "on" in wanted else nothing
+    share = enclosed_shares(pairs, clouds, profile) if "in" in wanted else nothing
+    states = measured_states(pairs, known, surface, share, profile)
+    return states if wanted == PAIRWISE else states[..., [PAIRWISE.index(name) for name in wanted]]
+
+
+def judged_relations(relations: Collection[str]) -> tuple[str, ...]:
+    """What `pairwise_states` judges where it is asked for these."""
+    return tuple(name for name in PAIRWISE if name in DIRECTIONAL or name in relations)
+
+
+def measured_states(
+    pairs: PairMeasures, known: np.ndarray, surface: np.ndarray, share: np.ndarray, profile: Profile
+) -> np.ndarray:
+    """`pairwise_states` where everything is measured already, of one scene or of a batch.
+
+    Parameters
+    ----------
+    known : (..., N) bool
+    surface, share : (..., N, N) float64
+        From `supporting_surfaces` and `enclosed_shares`.
+
+    Returns
+    -------
+    (..., N, N, 9) int8
+    """
+    found = [on_states(pairs, surface, profile), in_states(pairs, share, profile), near_states(pairs, profile)]
+    directions = measured_directions(pairs, known, profile)
+    return np.concatenate([directions, _decided(np.stack(found, axis=-1), known)], axis=-1)

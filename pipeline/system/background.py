@@ -1,0 +1,138 @@
+"""Long work in a process of its own, so that whoever waits for it stays responsive and can end it."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import sys
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from multiprocessing.connection import Connection
+from typing import Any
+
+from pipeline.system.errors import InputError
+
+PATIENCE_S = 20.0
+"""How long a job that is cancelled may take to tidy up."""
+
+
+class Background:
+    """A function that runs in another process; `start_background` starts one.
+
+    Attributes
+    ----------
+    done : bool
+        It has ended: by itself, by an error, or cancelled.
+    """
+
+    def __init__(self, process: Any, receiver: Connection) -> None:
+        self._process, self._receiver = process, receiver
+        self._cancelled = False
+        self.done = False
+
+    def cancel(self) -> None:
+        """End it; what it has not finished writing it takes away first."""
+        self._cancelled = True
+        self._process.terminate()
+        last = threading.Timer(PATIENCE_S, self._process.kill)
+        last.daemon = True
+        last.start()
+
+    def _listen(self, on_progress: Callable[[Any], None], on_end: Callable[[Any, str], None]) -> None:
+        result, problem = None, "it ended without a result"
+        try:
+            while True:
+                kind, value = self._receiver.recv()
+                if kind == "progress":
+                    on_progress(value)
+                    continue
+                result, problem = (value, "") if kind == "result" else (None, value)
+                break
+        except (EOFError, OSError):
+            pass
+        self._process.join()
+        if self._cancelled:
+            result, problem = None, "cancelled"
+        elif problem and self._process.exitcode not in (0, None):
+            problem = problem if problem != "it ended without a result" else f"{problem} ({self._process.exitcode})"
+        self.done = True
+        on_end(result, problem)
+
+
+def start_background(
+    function: Callable[..., Any],
+    *args: Any,
+    on_progress: Callable[[Any], None],
+    on_end: Callable[[Any, str], None],
+) -> Background:
+    """Run `function(*args, progress)` in a process of its own.
+
+    Parameters
+    ----------
+    function : callable
+        Of a module, so that the other process finds it; its arguments, what it
+        reports and what it returns must be picklable.
+    on_progress : callable
+        Called on a thread of this process with each value that the function hands to `progress`.
+    on_end : callable
+        Called there at the end with (result, ""), or (None, the problem).
+    """
+    context = multiprocessing.get_context("spawn")
+    receiver, sender = context.Pipe(duplex=False)
+    process = context.Process(target=_work, args=(function, args, sender), daemon=True)
+    process.start()
+    sender.close()
+    job = Background(process, receiver)
+    threading.Thread(target=job._listen, args=(on_progress, on_end), daemon=True).start()
+    return job
+
+
+def _work(function: Callable[..., Any], args: tuple[Any, ...], sender: Connection) -> None:
+    # Ctrl-C in the terminal is for the process that waits: it ends this one.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, _leave)
+    threading.Thread(target=_leave_with_parent, daemon=True).start()
+    code = 0
+    try:
+        _tell(function, args, sender)
+    except SystemExit as left:
+        code = left.code if isinstance(left.code, int) else 1
+    finally:
+        # Taking an interpreter with torch in it apart takes seconds, for which somebody waits.
+        for stream in (sys.stdout, sys.stderr):
+            with suppress(Exception):
+                stream.flush()
+        os._exit(code)
+
+
+def _tell(function: Callable[..., Any], args: tuple[Any, ...], sender: Connection) -> None:
+    try:
+        sender.send(("result", function(*args, lambda value: sender.send(("progress", value)))))
+        return
+    except InputError as error:
+        problem = str(error)
+    except Exception as error:  # Whatever it is, the one who waits must hear of it.
+        problem = f"{type(error).__name__}: {error}"
+    # Nobody may be there any more.
+    with suppress(OSError):
+        sender.send(("problem", problem))
+
+
+def _leave_with_parent() -> None:
+    """End when the process that waits is gone, however that ended: nobody would take the result."""
+    parent = multiprocessing.parent_process()
+    if parent is None:
+        return
+    parent.join()
+    os.kill(os.getpid(), signal.SIGTERM)
+    time.sleep(PATIENCE_S)
+    os._exit(1)
+
+
+def _leave(number: int, _: Any) -> None:
+    """End by the way of an error, so that temporary folders go."""
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    raise SystemExit(128 + number)

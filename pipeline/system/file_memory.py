@@ -1,0 +1,102 @@
+"""What was once read of a large file of vectors, kept in the user's cache folder."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+import zipfile
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import xxhash
+
+from pipeline.system.errors import InputError
+
+_VERSION = "1"
+_SAMPLE = 1 << 16
+
+
+@dataclass
+class FileMemory:
+    """What is known of one file.
+
+    Attributes
+    ----------
+    fingerprint : str or None
+    vectors : dict of str to (D,) float32
+        The words that the file was found to hold.
+    absent : set of str
+        The words that it was found not to hold.
+    """
+
+    fingerprint: str | None = None
+    vectors: dict[str, np.ndarray] = field(default_factory=dict)
+    absent: set[str] = field(default_factory=set)
+
+
+def memory_path(path: Path, cache: Path | None) -> Path:
+    """Where what is known of a file lives: by its size, its time and samples of its content, not by its name.
+
+    To read all of several gigabytes would cost what the cache is to save.
+    """
+    from pipeline.proposals.cache import cache_folder
+
+    try:
+        state = path.stat()
+        digest = xxhash.xxh3_128(f"{_VERSION} {state.st_size} {state.st_mtime_ns}".encode())
+        with open(path, "rb") as file:
+            for start in (0, state.st_size // 2, max(state.st_size - _SAMPLE, 0)):
+                file.seek(start)
+                digest.update(file.read(_SAMPLE))
+    except OSError as error:
+        raise InputError("the text vectors cannot be read", got=error, path=path) from error
+    return (cache or cache_folder()) / "text_vectors" / f"{digest.hexdigest()}.npz"
+
+
+def recall(path: Path, dimension: int) -> FileMemory:
+    """What was kept there; nothing where it is missing or damaged."""
+    if not path.is_file():
+        return FileMemory()
+    try:
+        with np.load(path, allow_pickle=False) as data:
+            said = json.loads(bytes(data["said"]).decode())
+            vectors = data["vectors"]
+        words, absent, fingerprint = said["words"], said["absent"], said["fingerprint"]
+        if vectors.dtype != np.float32 or vectors.shape != (len(words), dimension) or not np.isfinite(vectors).all():
+            return FileMemory()
+        if not all(isinstance(w, str) for w in (*words, *absent, fingerprint)):
+            return FileMemory()
+        return FileMemory(fingerprint, dict(zip(words, vectors, strict=True)), set(absent))
+    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile, zlib.error):
+        return FileMemory()
+
+
+def keep(path: Path, memory: FileMemory, dimension: int) -> None:
+    """Keep it there, whole or not at all; a folder that cannot be written only means that nothing is kept."""
+    words = list(memory.vectors)
+    said = {"words": words, "absent": sorted(memory.absent), "fingerprint": memory.fingerprint}
+    vectors = np.stack([memory.vectors[w] for w in words]) if words else np.zeros((0, dimension), np.float32)
+    temporary: Path | None = None
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".tmp", delete=False) as file:
+            temporary = Path(file.name)
+            np.savez(file, said=np.frombuffer(json.dumps(said).encode(), np.uint8), vectors=vectors)
+        os.replace(temporary, path)
+    except OSError:
+        if temporary is not None:
+            temporary.unlink(missing_ok=True)
+
+
+def remembered_fingerprint(path: Path, cache: Path | None, dimension: int, compute: Callable[[], str]) -> str:
+    """The fingerprint of a file, computed once."""
+    place = memory_path(path, cache)
+    memory = recall(place, dimension)
+    if memory.fingerprint is None:
+        memory.fingerprint = compute()
+        keep(place, memory, dimension)
+    return memory.fingerprint

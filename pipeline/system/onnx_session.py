@@ -1,0 +1,220 @@
+"""Open an ONNX file with ONNX Runtime, and say plainly what is wrong with it."""
+
+from __future__ import annotations
+
+import mmap
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xxhash
+
+from pipeline.system.errors import InputError
+from pipeline.system.execution import cpu_session, create_session, is_verbose
+
+
+def open_session(path: Path, threads: int | None = None) -> Any:
+    """An `onnxruntime.InferenceSession`, where `pipeline.system.execution` says.
+
+    A graph that ONNX Runtime cannot load with its optimisations, as happens with half-precision files, is loaded
+    without them.
+
+    Parameters
+    ----------
+    path : Path
+    threads : int, optional
+        For a network so small that waking more threads, or another processor, costs more than it saves.
+
+    Raises
+    ------
+    InputError
+        Where the file is missing or is not an ONNX model.
+    """
+    if path.is_dir():
+        raise InputError("the model is a folder", expected="the ONNX file in it", path=path)
+    if not path.is_file():
+        raise InputError("there is no model file", path=path, cause="give the path of an ONNX file")
+    import onnxruntime as ort
+
+    verbose = is_verbose()
+    options = ort.SessionOptions()
+    # Errors are raised as exceptions; the log would print them a second time.
+    options.log_severity_level = 2 if verbose else 4
+    if not verbose:
+        ort.set_default_logger_severity(4)
+    if threads is not None:
+        options.intra_op_num_threads = threads
+    create = create_session if threads is None else cpu_session
+    failure: Exception | None = None
+    for level in (ort.GraphOptimizationLevel.ORT_ENABLE_ALL, ort.GraphOptimizationLevel.ORT_DISABLE_ALL):
+        options.graph_optimization_level = level
+        try:
+            return _legible(create(str(path), options), path)
+        except InputError:
+            raise
+        except Exception as error:  # ONNX Runtime raises its own classes, which differ between releases.
+            failure = failure or error
+    cause = _no_model(path) or _likely_cause(str(failure))
+    raise InputError(
+        "ONNX Runtime cannot load the model", got=first_line(failure), cause=cause, path=path
+    ) from failure
+
+
+def _legible(session: Any, path: Path) -> Any:
+    """The session, where what it declares can be read at all."""
+    try:
+        for value in (*session.get_inputs(), *session.get_outputs()):
+            _ = value.name, value.shape
+    except UnicodeDecodeError as error:
+        raise InputError("the names in the model are no text", cause="the file is damaged", path=path) from error
+    return session
+
+
+def metadata(session: Any) -> dict[str, str]:
+    """What the file says of itself; nothing where that is no text."""
+    try:
+        return dict(session.get_modelmeta().custom_metadata_map)
+    except UnicodeDecodeError:
+        return {}
+
+
+def _no_model(path: Path) -> str | None:
+    """What stands where a download failed, where the file is that."""
+    with path.open("rb") as file:
+        begin = file.read(64).lstrip().lower()
+    if begin.startswith(b"version https://git-lfs"):
+        return "it is a pointer of Git LFS, not the file itself: `git lfs pull` fetches it"
+    if begin.startswith((b"<!doctype", b"<html", b"<?xml")):
+        return "it is a web page, not the file itself: download it again"
+    return None
+
+
+def _likely_cause(message: str) -> str | None:
+    """What ONNX Runtime's words for a file that it cannot load come from."""
+    words = message.lower()
+    if any(part in words for part in ("external data", "external initializer", "_data", "model_path must not")):
+        return "its weights are in a file of their own: keep it beside the model, under the name it was exported with"
+    if "opset" in words:
+        return "the file is newer than this ONNX Runtime: update onnxruntime, or export with an older opset"
+    if "protobuf" in words or "parse" in words:
+        return "the file is damaged, incomplete, or no ONNX file"
+    return None
+
+
+def first_line(error: object) -> str:
+    """The first line of an error without ONNX Runtime's own numbering, or its class where it says nothing."""
+    lines = re.sub(r"\[ONNXRuntimeError\] : \d+ : \w+ : |Load model from .*? failed:", "", str(error)).splitlines()
+    return (lines[0][:200] if lines else "") or type(error).__name__
+
+
+def run_session(session: Any, outputs: Sequence[str], feed: Mapping[str, np.ndarray], path: Path) -> list[np.ndarray]:
+    """The outputs asked for, floating-point ones as float32, of inputs cast to the types that the file declares.
+
+    Raises
+    ------
+    InputError
+        Where an input cannot be cast, ONNX Runtime cannot run the model on them, or an output holds NaN.
+    """
+    cast = as_declared(session, feed, path)
+    try:
+        values = [np.asarray(v) for v in session.run(list(outputs), cast)]
+    except Exception as error:  # As above.
+        text = str(error)
+        wrong_text = "out of data bounds" in text or "out of bounds" in text
+        cause = "a token is not in the model's vocabulary: is the tokenizer that of another model?"
+        raise InputError(
+            "the model cannot be run", got=first_line(text), cause=cause if wrong_text else None, path=path
+        ) from error
+    values = [v.astype(np.float32) if v.dtype.kind == "f" else v for v in values]
+    for name, value in zip(outputs, values, strict=True):
+        if value.dtype.kind == "f" and np.isnan(value).any():
+            raise InputError(
+                f"the model's output {name!r} holds NaN",
+                cause="half-precision files overflow on some processors: try the full-precision one",
+                path=path,
+            )
+    return values
+
+
+def as_declared(session: Any, feed: Mapping[str, np.ndarray], path: Path) -> dict[str, np.ndarray]:
+    """Inputs as the types that the file declares.
+
+    Raises
+    ------
+    InputError
+        Where the file wants what is no number, or whole numbers of what are none.
+    """
+    types = {i.name: i.type for i in session.get_inputs()}
+    cast = {}
+    for name, value in feed.items():
+        wanted = NUMPY_TYPES.get(types.get(name, ""))
+        if wanted is None:
+            got = types.get(name, "no such input")
+            raise InputError(f"the model's input {name!r} cannot be given", got=got, expected="numbers", path=path)
+        with np.errstate(invalid="ignore", over="ignore"):
+            cast[name] = np.ascontiguousarray(value, dtype=wanted)
+        if value.dtype.kind == "f" and cast[name].dtype.kind != "f" and not np.array_equal(cast[name], value):
+            raise InputError(
+                f"the model's input {name!r} takes whole numbers, and what belongs there are none",
+                got=types[name],
+                expected="tensor(float)",
+                cause="was the file quantised together with its inputs?",
+                path=path,
+            )
+    return cast
+
+
+NUMPY_TYPES: dict[str, type[np.generic]] = {
+    "tensor(float)": np.float32,
+    "tensor(float16)": np.float16,
+    "tensor(double)": np.float64,
+    "tensor(int64)": np.int64,
+    "tensor(int32)": np.int32,
+    "tensor(uint8)": np.uint8,
+    "tensor(bool)": np.bool_,
+}
+"""ONNX Runtime's names of the types that inputs may have."""
+
+
+def signature(session: Any) -> str:
+    """The declared inputs and outputs in one line, for messages."""
+
+    def line(values: Any) -> str:
+        return ", ".join(f"{v.name} {list(v.shape)}" for v in values)
+
+    return f"{line(session.get_inputs())} -> {line(session.get_outputs())}"
+
+
+def file_hash(path: Path) -> str:
+    """Hash of a file's content."""
+    digest = xxhash.xxh3_128()
+    with path.open("rb") as file:
+        while block := file.read(1 << 20):
+            digest.update(block)
+    return digest.hexdigest()
+
+
+def model_hash(path: Path) -> str:
+    """Hash of a model file and of the files that its weights are in, where they are in files of their own."""
+    beside = {path.with_name(path.name + ending): None for ending in ("_data", ".data")}
+    beside |= {path.parent / name: None for name in sorted(set(_weight_files(path)))}
+    return "+".join(file_hash(p) for p in (path, *beside) if p.is_file())
+
+
+_LOCATION = re.compile(rb"\n\x08location\x12([\x80-\xff]?[\x01-\x7f])")
+"""How protobuf writes the key of an entry of `external_data`, and the length of its value."""
+
+
+def _weight_files(path: Path) -> Iterator[str]:
+    """The files that a model's tensors name; by chance also what only looks like a name."""
+    with path.open("rb") as file:
+        if not path.stat().st_size:
+            return
+        with mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ) as content:
+            for found in _LOCATION.finditer(content):
+                size = sum((byte & 127) << 7 * place for place, byte in enumerate(found[1]))
+                name = content[found.end() : found.end() + size]
+                if b"\0" not in name:
+                    yield name.decode("utf-8", "replace")

@@ -1,0 +1,284 @@
+"""Training data from a labels folder: each frame's objects as the network is given them, and their relations.
+
+Rows are what the network is fed at run time: the labels keep 2D boxes, extents
+and the paper's PCA box of every object. Only usable objects take part.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.geometry.boxes import Box3D
+from pipeline.geometry.fitting import canonicalised
+from pipeline.geometry.viewer import viewer_axes
+from pipeline.labels.reading import Labels
+from pipeline.labels.tables import read_table
+from pipeline.metrics.splits import FrameKey
+from pipeline.relations.class_vectors import ClassVectors
+from pipeline.relations.features import feature_set, geometry_of, rows_2d
+from pipeline.relations.relations import T, U
+from pipeline.system.errors import InputError
+from pipeline.training.pairs import PairSet
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+_LENGTHS = {"bbox": 4, "lo": 3, "hi": 3, "pca_center": 3, "pca_R": 9, "pca_size": 3, "center": 3, "R": 9, "size": 3}
+GEOMETRY_COLUMNS: dict[str, tuple[str, ...]] = {
+    "rel14": ("lo", "hi"),
+    "rel26": ("lo", "hi", "touches_border"),
+    "geom2d8": ("bbox",),
+    "paper30": ("pca_center", "pca_R", "pca_size", "center", "R", "size"),
+    "canon30": ("pca_center", "pca_R", "pca_size", "center", "R", "size"),
+}
+"""Columns of the objects from which a contract's rows are made."""
+
+
+@dataclass(frozen=True, eq=False)
+class LabelledFrame:
+    """The usable objects of one frame.
+
+    Attributes
+    ----------
+    key : FrameKey
+    rows : (N, K) float64
+        Geometry of each object by the feature contract; objects of which it is not known are left out.
+    classes : (N,) int32
+        Places of the class names in the data's list.
+    states : (N, N, R) int8
+        Relations in the order of the vocabulary; U for pairs that were not judged, and on the diagonal.
+    objects : (N,) int64
+        Their numbers in the labels, rising.
+    """
+
+    key: FrameKey
+    rows: np.ndarray
+    classes: np.ndarray
+    states: np.ndarray
+    objects: np.ndarray
+
+    def single(self) -> np.ndarray:
+        """(N, N) int64: place of the one relation that holds of a pair; -1 where none or several do."""
+        holds = self.states == T
+        return np.where(holds.sum(axis=2) == 1, holds.argmax(axis=2), -1)
+
+    def limited_to(self, kept: Sequence[int]) -> LabelledFrame:
+        """The same with only these relations."""
+        return replace(self, states=self.states[..., list(kept)])
+
+
+@dataclass(frozen=True, eq=False)
+class LabelData:
+    """A labels folder as training data.
+
+    Attributes
+    ----------
+    features : str
+        The feature contract of the rows, without language.
+    vocabulary : tuple of str
+    frames : tuple of LabelledFrame
+        Those with at least two usable objects, in the order of the dataset.
+    names : tuple of str
+        Class names of the usable objects, sorted.
+    """
+
+    features: str
+    vocabulary: tuple[str, ...]
+    frames: tuple[LabelledFrame, ...]
+    names: tuple[str, ...]
+
+
+def read_label_data(labels: Labels, features: str, vocabulary: Sequence[str]) -> LabelData:
+    """Read what a network of these features learns from.
+
+    Parameters
+    ----------
+    labels : Labels
+    features : str
+        Name of the feature contract, with or without "+lang".
+    vocabulary : sequence of str
+        Relations in the order of the network's outputs.
+
+    Raises
+    ------
+    InputError
+        Relations that were not labelled, a damaged table, or nothing usable in it.
+    """
+    features = geometry_of(features)
+    feature_set(features)
+    absent = [r for r in vocabulary if r not in labels.relation_names]
+    if absent:
+        raise InputError(
+            f"these labels lack the relation {absent[0]!r} of the vocabulary",
+            got=", ".join(labels.relation_names),
+            expected="labels made with the vocabulary of the network, or with --vocabulary all",
+            path=labels.root,
+        )
+    frames = _columns(labels, "frames", ("frame", "frame_index", "scene", "ok", "width", "height", "up",
+                                         "T_world_camera"))  # fmt: skip
+    wanted = ("frame_index", "object", "label", "usable", *GEOMETRY_COLUMNS[features])
+    objects = _columns(labels, "objects", wanted)
+    objects = {k: v[objects["usable"]] for k, v in objects.items()}
+    relations = _columns(labels, "relations", ("frame_index", "a", "b", *vocabulary))
+    names, classes = np.unique(objects["label"].astype(np.str_), return_inverse=True)
+    order = np.argsort(frames["frame_index"], kind="stable")
+    found = []
+    for place in order:
+        index = int(frames["frame_index"][place])
+        mine = rows_of_frame(objects["frame_index"], index)
+        if not frames["ok"][place] or mine.stop - mine.start < 2:
+            continue
+        pose = frames["T_world_camera"][place]
+        position = None if pose is None else (float(pose[3]), float(pose[7]), float(pose[11]))
+        key = FrameKey(str(frames["frame"][place]), str(frames["scene"][place]), index, position)
+        rows = object_rows(features, objects, mine, {name: frames[name][place] for name in ("width", "height", "up")})
+        known = np.isfinite(rows).all(axis=1)
+        if known.sum() < 2:
+            continue
+        numbers = objects["object"][mine][known].astype(np.int64)
+        states = pair_states(relations, vocabulary, index, numbers)
+        found.append(LabelledFrame(key, rows[known], classes[mine][known].astype(np.int32), states, numbers))
+    if not found:
+        raise InputError("these labels hold no frame with two usable objects", path=labels.root)
+    return LabelData(features, tuple(vocabulary), tuple(found), tuple(str(n) for n in names))
+
+
+def pair_set(
+    frames: Sequence[LabelledFrame],
+    features: str,
+    output: str,
+    *,
+    vectors: ClassVectors | None = None,
+    limit: int | None = None,
+    seed: int = 0,
+) -> PairSet:
+    """The pairs of these frames from which something can be learnt.
+
+    Parameters
+    ----------
+    frames : sequence of LabelledFrame
+    features : str
+        The contract of their rows, without language.
+    output : str
+        "sigmoid": pairs with any relation that is not U. "softmax": those with exactly one T.
+    vectors : ClassVectors, optional
+        For language networks: of the data's names, in their order.
+    limit : int, optional
+        At most so many pairs, drawn at random without replacement.
+    seed : int
+        Of that draw.
+    """
+    contract = feature_set(features)
+    kept = list(_learnable(frames, output))
+    total = sum(int(k.sum()) for k in kept)
+    if limit is not None and limit < total:
+        chosen = np.zeros(total, np.bool_)
+        chosen[np.random.default_rng([seed, 29]).choice(total, limit, replace=False)] = True
+        start = 0
+        for mask in kept:
+            stop = start + int(mask.sum())
+            mask[mask] = chosen[start:stop]
+            start = stop
+        total = limit
+    relations = frames[0].states.shape[2] if frames else 0
+    values = np.empty((total, contract.dimension), np.float32)
+    states, classes = np.empty((total, relations), np.int8), np.empty((total, 2), np.int32)
+    start = 0
+    for frame, mask in zip(frames, kept, strict=True):
+        a, b = np.nonzero(mask)
+        part = slice(start, start + len(a))
+        if len(a):
+            values[part] = contract.pair(frame.rows)[a, b]
+            states[part] = frame.states[a, b]
+            classes[part] = np.stack([frame.classes[a], frame.classes[b]], axis=1)
+        start = part.stop
+    return PairSet(values, states, None if vectors is None else classes, vectors)
+
+
+def _learnable(frames: Sequence[LabelledFrame], output: str) -> Iterator[np.ndarray]:
+    """(N, N) bool of each frame."""
+    for frame in frames:
+        yield frame.single() >= 0 if output == "softmax" else (frame.states != U).any(axis=2)
+
+
+def _columns(labels: Labels, table: str, names: Sequence[str]) -> dict[str, np.ndarray]:
+    return column_arrays(read_table(labels.root / f"{table}.parquet", table, names))
+
+
+def column_arrays(table: pa.Table) -> dict[str, np.ndarray]:
+    """The columns of a table of labels as arrays; vectors of numbers are (rows, length) float64 with NaN for null."""
+    return {name: _array(table.column(name), name) for name in table.column_names}
+
+
+def _array(column: pa.ChunkedArray, name: str) -> np.ndarray:
+    import pyarrow as pa
+    import pyarrow.compute as pc
+
+    if name in _LENGTHS:
+        known = np.asarray(pc.is_valid(column).to_numpy())  # pyright: ignore[reportAttributeAccessIssue]
+        values = np.full((len(column), _LENGTHS[name]), np.nan)
+        flat = pc.list_flatten(column.drop_null()).to_numpy()  # pyright: ignore[reportAttributeAccessIssue]
+        values[known] = np.asarray(flat, np.float64).reshape(-1, _LENGTHS[name])
+        return values
+    if pa.types.is_list(column.type):
+        return _objects(column.to_pylist())
+    if pa.types.is_integer(column.type) and column.null_count:
+        # A relation that the profile does not judge of a pair is as unknown as U.
+        column = pc.fill_null(column, U)  # pyright: ignore[reportAttributeAccessIssue]
+    return np.asarray(column.to_numpy())
+
+
+def _objects(values: list[Any]) -> np.ndarray:
+    found = np.empty(len(values), object)
+    found[:] = values
+    return found
+
+
+def rows_of_frame(sorted_index: np.ndarray, value: int) -> slice:
+    """Where a value stands in a sorted column."""
+    return slice(int(np.searchsorted(sorted_index, value)), int(np.searchsorted(sorted_index, value, side="right")))
+
+
+def pair_states(
+    relations: dict[str, np.ndarray], vocabulary: Sequence[str], index: int, numbers: np.ndarray
+) -> np.ndarray:
+    """(N, N, R) states of the pairs of these objects (sorted numbers)."""
+    mine = rows_of_frame(relations["frame_index"], index)
+    states = np.full((len(numbers), len(numbers), len(vocabulary)), U, np.int8)
+    a, b = relations["a"][mine], relations["b"][mine]
+    i, j = (np.minimum(np.searchsorted(numbers, x), len(numbers) - 1) for x in (a, b))
+    there = (numbers[i] == a) & (numbers[j] == b) & (i != j)
+    for k, relation in enumerate(vocabulary):
+        states[i[there], j[there], k] = relations[relation][mine][there]
+    return states
+
+
+def object_rows(features: str, objects: dict[str, np.ndarray], mine: slice, frame: dict[str, Any]) -> np.ndarray:
+    """(N, K) float64 description of the objects; see `features`."""
+    if features == "rel14":
+        return np.concatenate([objects["lo"][mine], objects["hi"][mine]], axis=1)
+    if features == "rel26":
+        cut = objects["touches_border"][mine].astype(np.float64)[:, None]
+        return np.concatenate([objects["lo"][mine], objects["hi"][mine], cut], axis=1)
+    if features == "geom2d8":
+        return rows_2d(objects["bbox"][mine], frame["width"], frame["height"])
+    parts = [objects[f"pca_{name}"][mine] for name in ("center", "R", "size")]
+    plain = [objects[name][mine] for name in ("center", "R", "size")]
+    # An object without points (an annotated box) is described by its box, as at run time.
+    rows = np.concatenate([np.where(np.isfinite(p), p, q) for p, q in zip(parts, plain, strict=True)], axis=1)
+    if features == "paper30":
+        return rows
+    if frame["up"] is None:
+        return np.full_like(rows, np.nan)
+    level = viewer_axes(np.asarray(frame["up"], np.float64)).R_level_camera
+    pca = np.logical_and.reduce(np.isfinite(parts[0]), axis=1)
+    for k in np.flatnonzero(np.isfinite(rows).all(axis=1)):
+        R = level @ rows[k, 3:12].reshape(3, 3)
+        box = Box3D(level @ rows[k, :3], R, rows[k, 12:])
+        box = canonicalised(box) if pca[k] else box
+        rows[k] = np.concatenate([box.center, box.R.ravel(), box.size])
+    return rows

@@ -1,0 +1,265 @@
+"""Training on a labels folder: split, network, calibration, figures, and the card that says all of it."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pipeline.labels.profiles import GIVEN
+from pipeline.labels.reading import Labels, open_labels
+from pipeline.language.vectors import LanguageContract, open_vectors
+from pipeline.metrics.platt import Platt, fit_calibration, fit_temperature
+from pipeline.metrics.splits import PARTS, TEST, TRAIN, VALIDATION, SplitKind, SplitPlan, split_frames
+from pipeline.relations.class_vectors import ClassVectors, vectors_beside
+from pipeline.relations.features import LANGUAGE, cli_features, feature_set, geometry_of
+from pipeline.relations.model import OnnxScorer
+from pipeline.relations.relations import VOCABULARIES
+from pipeline.relations.trained_on import TrainedOn
+from pipeline.system.errors import InputError
+from pipeline.system.onnx_session import file_hash
+from pipeline.system.threads import one_thread
+from pipeline.training.card import network_path, rounded, versions
+from pipeline.training.evaluation import evaluate, evaluate_classes
+from pipeline.training.label_data import LabelData, LabelledFrame, pair_set, read_label_data
+from pipeline.training.onnx_file import save_onnx
+from pipeline.training.train import Epoch, TrainConfig, TrainedModel, require_training, train_pairs
+
+CIRCULAR = (
+    "features and auto-labels come from the same points: a network that learns them imitates the rule that made them, "
+    "and its figures say how well, not how true the labels are"
+)
+
+
+@dataclass(frozen=True)
+class LabelTraining:
+    """What is learnt from a labels folder.
+
+    Attributes
+    ----------
+    labels : Path
+    config : TrainConfig
+    split : str or None
+        "scene", "blocks", "random", or the default of `split_frames`.
+    vectors : Path or None
+        File of text vectors, for "+lang" contracts.
+    normalised : bool
+        Word vectors are divided by their lengths before a phrase's mean is taken.
+    pairs : int or None
+        At most so many training pairs, drawn at random.
+    """
+
+    labels: Path
+    config: TrainConfig
+    split: SplitKind | None = None
+    vectors: Path | None = None
+    normalised: bool = False
+    pairs: int | None = None
+
+    def check(self) -> None:
+        """Raise InputError where the arguments do not fit each other."""
+        self.config.check()
+        language = self.config.features.endswith(LANGUAGE)
+        feature_set(geometry_of(self.config.features))
+        if language and self.vectors is None:
+            raise InputError(
+                f"the features {cli_features(self.config.features)} need vectors of class names",
+                expected="--vectors with a file of text vectors",
+            )
+        if not language and (self.vectors is not None or self.normalised):
+            raise InputError(
+                f"the features {cli_features(self.config.features)} use no class names",
+                expected="--features with +lang, or no text vectors",
+            )
+        if self.pairs is not None and self.pairs < 2:
+            raise InputError("there must be at least two pairs to learn from", got=self.pairs)
+
+
+@one_thread()
+def train_on_labels(
+    job: LabelTraining,
+    out: Path,
+    progress: Callable[[Epoch], None] | None = None,
+    *,
+    plan: SplitPlan | None = None,
+) -> dict[str, Any]:
+    """Train on some of the labels, calibrate on others, and measure on the rest.
+
+    Writes `out`, beside it with the suffix .json the card, and for language
+    networks with .vectors.npz the vectors of all classes of the labels; each whole or not at all.
+
+    Parameters
+    ----------
+    job : LabelTraining
+    out : Path
+        The ONNX file to write; its folder is made if it is missing.
+    progress : callable, optional
+        Called after each epoch.
+    plan : SplitPlan, optional
+        A split that was made for several labels of the dataset; by default that of the job.
+
+    Returns
+    -------
+    dict
+        The card.
+
+    Raises
+    ------
+    InputError
+        The labels, the vectors or the arguments cannot be used.
+    MissingExtra
+        torch or onnx is not installed.
+    """
+    job.check()
+    out = network_path(out)
+    require_training()
+    config = job.config
+    labels = open_labels(job.labels)
+    data = read_label_data(labels, config.features, VOCABULARIES[config.vocabulary])
+    vectors, language = _language(job, data)
+    keys = [f.key for f in data.frames]
+    plan = split_frames(keys, job.split, config.seed) if plan is None else plan.for_frames(keys)
+    train, validation, test = ([data.frames[k] for k in plan.places(part)] for part in (TRAIN, VALIDATION, TEST))
+    learnt = pair_set(
+        train, data.features, config.output, vectors=vectors, limit=job.pairs, seed=config.seed
+    )
+    watched = pair_set(validation, data.features, config.output, vectors=vectors)
+    model = train_pairs(learnt, config, validation=watched, language=language, progress=progress)
+    del learnt, watched
+    test, validation = (_of_vocabulary(frames, model, data) for frames in (test, validation))
+    out.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=out.parent, prefix=".train-") as folder:
+        made = Path(folder) / out.name
+        save_onnx(made, model)
+        calibration = _calibrate(OnnxScorer(made), validation, data)
+        save_onnx(made, model, calibration, TrainedOn.of(labels, plan))
+        card = {
+            "name": config.features,
+            "command": _command(job, out),
+            "made_with": versions(),
+            "file": {"bytes": made.stat().st_size, "xxh3_128": file_hash(made)},
+            "weights_xxh3_128": model.weights_hash,
+            "labels": _labels_record(labels, data),
+            "training": _training_record(model, job, data),
+            "split": plan.record(),
+            "calibration": {relation: list(ab) for relation, ab in calibration.items()},
+            "held_out": held_out(OnnxScorer(made), test, data.names),
+            "warnings": _warnings(model, plan, data, labels.manifest.profile.get("name") == GIVEN),
+        }
+        if language is not None and vectors is not None:
+            card["language"] = {**asdict(language), "classes": len(vectors.names), "classes_xxh3_128": vectors.hash}
+        made.with_suffix(".json").write_text(json.dumps(rounded(card), indent=1) + "\n", encoding="utf-8")
+        # The network last: a network that is there has its vectors and its card.
+        for name in (vectors_beside(made), made.with_suffix(".json"), made):
+            if name.exists():
+                os.replace(name, out.with_name(name.name))
+    return card
+
+
+def _language(job: LabelTraining, data: LabelData) -> tuple[ClassVectors | None, LanguageContract | None]:
+    if job.vectors is None:
+        return None, None
+    source = open_vectors(job.vectors)
+    table = source.phrases(data.names, normalised=job.normalised)
+    return ClassVectors(data.names, table.vectors), LanguageContract.of(source, normalised=job.normalised)
+
+
+def _of_vocabulary(frames: Sequence[LabelledFrame], model: TrainedModel, data: LabelData) -> list[LabelledFrame]:
+    kept = [data.vocabulary.index(relation) for relation in model.vocabulary]
+    return [frame.limited_to(kept) for frame in frames]
+
+
+def _worded(scorer: OnnxScorer, frame: LabelledFrame, names: Sequence[str]) -> np.ndarray:
+    return scorer.with_words(frame.rows, [names[int(k)] for k in frame.classes])
+
+
+def _calibrate(scorer: OnnxScorer, frames: Sequence[LabelledFrame], data: LabelData) -> dict[str, Platt]:
+    logits = [scorer.logits(_worded(scorer, frame, data.names)) for frame in frames]
+    vocabulary = scorer.contract.vocabulary
+    if scorer.contract.output == "softmax":
+        return fit_temperature(logits, [frame.single() for frame in frames], vocabulary)
+    return fit_calibration(logits, [frame.states for frame in frames], vocabulary)
+
+
+def held_out(scorer: OnnxScorer, frames: Sequence[LabelledFrame], names: Sequence[str]) -> dict[str, Any]:
+    """The figures of a network on labelled frames: of `evaluate`, or of `evaluate_classes` for a softmax network.
+
+    The frames' relations are those of the network's vocabulary, in its order.
+    """
+    rows = [_worded(scorer, frame, names) for frame in frames]
+    if scorer.contract.output == "softmax":
+        found = [scorer.class_probabilities(r) for r in rows]
+        truth = [frame.single() for frame in frames]
+        report = evaluate_classes(found, truth, scorer.contract.prior, scorer.contract.vocabulary)
+    else:
+        report = evaluate([scorer.probabilities(r) for r in rows], [frame.states for frame in frames])
+    return {"frames": len(frames), **report}
+
+
+def _training_record(model: TrainedModel, job: LabelTraining, data: LabelData) -> dict[str, Any]:
+    metric = "micro_f1" if model.config.output == "sigmoid" else "top1"
+    record = {
+        **asdict(model.config),
+        "batch": model.config.batch_of(model.pairs),
+        "output": model.config.output,
+        "relations": list(model.vocabulary),
+        "pairs": model.pairs,
+        "pairs_asked": job.pairs,
+        "curve": [{"epoch": e.number, "loss": e.loss, f"validation_{metric}": e.metric} for e in model.curve],
+        "data_xxh3_128": model.data,
+    }
+    if model.prior:
+        record["prior"] = dict(zip(model.vocabulary, model.prior, strict=True))
+    return record
+
+
+def _labels_record(labels: Labels, data: LabelData) -> dict[str, Any]:
+    manifest = labels.manifest
+    return {
+        "folder": labels.root.resolve().name,
+        "dataset": Path(str(manifest.dataset.get("path", ""))).name,
+        "config_hash": manifest.config_hash,
+        "profile": manifest.profile.get("name"),
+        "profile_hash": manifest.profile_hash,
+        "content": {name: manifest.tables[name].content_hash for name in ("frames", "objects", "relations")},
+        "frames": len(data.frames),
+        "scenes": len({f.key.scene for f in data.frames}),
+        "classes": len(data.names),
+    }
+
+
+def _warnings(model: TrainedModel, plan: SplitPlan, data: LabelData, given: bool) -> list[str]:
+    found = [] if given else [CIRCULAR]
+    if plan.warning is not None:
+        found.append(plan.warning)
+    lost = [r for r in data.vocabulary if r not in model.vocabulary]
+    if lost:
+        found.append(f"too few pairs of {', '.join(lost)} to learn from: the network has no output for them")
+    empty = [name for k, name in enumerate(PARTS) if not (plan.part == k).any()]
+    if empty:
+        found.append(f"no frames for {', '.join(empty)}")
+    return found
+
+
+def _command(job: LabelTraining, out: Path) -> str:
+    config = job.config
+    words = [
+        "spatialviz", "train", job.labels.resolve().name, "--out", out.name,
+        "--features", cli_features(config.features), "--vocabulary", config.vocabulary,
+        "--epochs", str(config.epochs), "--seed", str(config.seed),
+    ]  # fmt: skip
+    if job.vectors is not None:
+        words += ["--vectors", job.vectors.name, *(["--normalised"] if job.normalised else [])]
+    if job.split is not None:
+        words += ["--split", job.split]
+    if config.batch is not None:
+        words += ["--batch", str(config.batch)]
+    if job.pairs is not None:
+        words += ["--pairs", str(job.pairs)]
+    return " ".join(words)

@@ -1,0 +1,382 @@
+"""What the network learns from: rendered rooms, features as a sensor sees them, labels as geometry knows them.
+
+The labels are the rule profile on the exact extents of the whole objects; the
+features come from noisy depth through masks that are a little wrong. The
+network therefore has to learn more than the rule: what a thing is like behind
+the part of it that is seen.
+
+It learns from furnished rooms and from scattered ones, seen by cameras of every
+kind; its probabilities are fitted on rooms of solids, which another program
+makes and sees.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import cv2
+import numpy as np
+
+from pipeline.datasets.synthetic import Instance, Room, choose_views, make_room, sense_view
+from pipeline.datasets.synthetic.roaming import roaming_cameras
+from pipeline.datasets.synthetic.scattered import make_scattered
+from pipeline.datasets.synthetic.solids import solid_view
+from pipeline.geometry.camera import Camera
+from pipeline.geometry.lifting import LiftedObject, lift
+from pipeline.geometry.viewer import ViewerAxes, viewer_axes
+from pipeline.relations.appearance import Appearance
+from pipeline.relations.features import FEATURES
+from pipeline.relations.relations import directional_states
+from pipeline.system.errors import InputError
+from pipeline.system.threads import threads_in_children
+
+FIRST_ROOM = 500_000
+ROOMS_A_SEED = 1_000_000
+"""Room i of training seed s has the room seed s * ROOMS_A_SEED + FIRST_ROOM + i: none is a room of
+`spatialviz render`, and so none is in the demo."""
+
+MIN_PIXELS = 200
+MIN_POINTS = 16
+MASK_ERROR_PIXELS = (-2, 3)
+"""Masks are eroded by up to 2 or dilated by up to 3 pixels."""
+
+ROUGH_MASK_PIXELS, ROUGH_SHIFT_PIXELS = (-4, 4), 2
+"""Of the rooms that are learnt from: also shifted, each way by up to this."""
+
+STEREO_SHARE = 0.5
+"""So many of the views that are learnt from have a stereo camera's steps of disparity added to their noise."""
+
+Maker = Literal["furnished", "varied", "scattered", "solids"]
+"""furnished: the rooms and cameras of `spatialviz render`. varied: those rooms, cameras, noise and masks of every kind.
+scattered: `synthetic.scattered`, likewise. solids: `synthetic.solids`."""
+
+Job = tuple[int, int, int, int, Maker]
+"""Seed, views, width, height and maker of a room."""
+
+SCATTERED_A_ROOM = 2
+"""Scattered rooms for each furnished one: they teach more of other makers' rooms than furnished ones do."""
+
+SOLIDS_A_VIEW = 2
+"""Rooms of solids, each seen once, for each view that a room to calibrate on would have."""
+
+SCALES = (0.2, 2.0)
+"""Each training view is used a second time as a scene of another size: table tops are small rooms."""
+
+
+@dataclass(frozen=True)
+class FrameSamples:
+    """The objects of one view, as seen and as they are.
+
+    Attributes
+    ----------
+    room : int
+        Seed of the room.
+    rows : dict of str to (N, K) float64
+        Feature contract -> its description of each object, from the noisy view.
+    seen_lo, seen_hi : (N, 3) float64
+        Extents of the noisy points along (right, up, forward), metres.
+    exact_lo, exact_hi : (N, 3) float64
+        Extents of the whole objects.
+    """
+
+    room: int
+    rows: dict[str, np.ndarray]
+    seen_lo: np.ndarray
+    seen_hi: np.ndarray
+    exact_lo: np.ndarray
+    exact_hi: np.ndarray
+
+    @property
+    def truth(self) -> np.ndarray:
+        """(N, N, 6) int8 states of the exact extents, in the order of DIRECTIONAL."""
+        return directional_states(self.exact_lo, self.exact_hi)
+
+    @property
+    def rule(self) -> np.ndarray:
+        """(N, N, 6) int8 states of the noisy extents: what the rule says of this view."""
+        return directional_states(self.seen_lo, self.seen_hi)
+
+    def scaled(self, factor: float) -> FrameSamples:
+        """The same view of a scene `factor` times as large. Its labels are judged anew: the rule knows metres."""
+        rows = {}
+        for name, described in self.rows.items():
+            rows[name] = described.copy()
+            rows[name][:, list(FEATURES[name].lengths)] *= factor
+        extents = (e * factor for e in (self.seen_lo, self.seen_hi, self.exact_lo, self.exact_hi))
+        return FrameSamples(self.room, rows, *extents)
+
+
+@dataclass(frozen=True)
+class Split:
+    """Rooms for training, for calibration and for the final figures: no room is in two of them."""
+
+    train: tuple[FrameSamples, ...]
+    calibration: tuple[FrameSamples, ...]
+    test: tuple[FrameSamples, ...]
+
+
+def with_other_sizes(samples: Sequence[FrameSamples], seed: int) -> tuple[FrameSamples, ...]:
+    """The views, and each again at a size drawn evenly in logarithm from SCALES."""
+    rng = np.random.default_rng([seed, 23])
+    factors = np.exp(rng.uniform(np.log(SCALES[0]), np.log(SCALES[1]), len(samples)))
+    return (*samples, *(frame.scaled(float(k)) for frame, k in zip(samples, factors, strict=True)))
+
+
+def make_samples(
+    seeds: Sequence[int],
+    *,
+    views: int = 3,
+    width: int = 480,
+    height: int = 360,
+    maker: Maker = "furnished",
+    workers: int = 1,
+    progress: Callable[[int], None] | None = None,
+) -> tuple[FrameSamples, ...]:
+    """Samples of the rooms of these seeds.
+
+    Parameters
+    ----------
+    seeds : sequence of int
+        Room seeds.
+    views : int
+        Views of each room.
+    width, height : int
+        Pixels.
+    maker : str
+        See `Maker`.
+    workers : int
+        Processes; they are spawned. The samples do not depend on their number.
+    progress : callable, optional
+        Called with the number of rooms done.
+
+    Raises
+    ------
+    InputError
+        An argument makes no sense.
+    MissingExtra
+        embreex is not installed.
+    """
+    if views < 1 or workers < 1 or min(width, height) < 16:
+        raise InputError("views and workers must be at least 1, a side at least 16 pixels")
+    jobs: list[Job] = [(seed, views, width, height, maker) for seed in seeds]
+    tell = progress or (lambda done: None)
+    if min(workers, len(jobs)) <= 1:
+        found = []
+        for k, job in enumerate(jobs, start=1):
+            found.append(_room_samples(job))
+            tell(k)
+    else:
+        import multiprocessing
+        from concurrent.futures import ProcessPoolExecutor
+
+        spawn = multiprocessing.get_context("spawn")
+        with threads_in_children(), ProcessPoolExecutor(min(workers, len(jobs)), mp_context=spawn) as pool:
+            found = []
+            for k, samples in enumerate(pool.map(_room_samples, jobs), start=1):
+                found.append(samples)
+                tell(k)
+    return tuple(frame for room in found for frame in room)
+
+
+def room_seeds(seed: int, rooms: int) -> tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...]]:
+    """Room seeds for training (7 in 10), calibration (1 in 10) and test (2 in 10), at least one each.
+
+    Rooms of different makers have the same seeds and nothing else in common.
+
+    Raises
+    ------
+    InputError
+        Fewer than three rooms, more than fit under one seed, or a negative seed.
+    """
+    if not 3 <= rooms <= ROOMS_A_SEED - FIRST_ROOM:
+        raise InputError("training needs at least 3 rooms: to learn, to calibrate, to test", got=rooms)
+    if seed < 0:
+        raise InputError("a seed must not be negative", got=seed)
+    first = seed * ROOMS_A_SEED + FIRST_ROOM
+    seeds = tuple(range(first, first + rooms))
+    test = max(1, round(rooms * 0.2))
+    calibration = max(1, round(rooms * 0.1))
+    train = rooms - test - calibration
+    return seeds[:train], seeds[train : train + calibration], seeds[train + calibration :]
+
+
+def make_split(
+    seed: int,
+    rooms: int,
+    *,
+    views: int = 3,
+    width: int = 480,
+    height: int = 360,
+    workers: int = 1,
+    progress: Callable[[int, int], None] | None = None,
+) -> Split:
+    """Samples of `rooms` rooms, split by room, and of twice as many scattered ones.
+
+    Trained on are varied views of furnished rooms and of the scattered ones, and every second furnished room as
+    `spatialviz render` shows it; calibrated on rooms of solids; measured on furnished rooms as rendered.
+    `progress` is called with (rooms done, rooms in all); for the rest see `make_samples`.
+    """
+    train, calibration, test = room_seeds(seed, rooms)
+    jobs: list[tuple[Sequence[int], Maker]] = [
+        (train, "varied"),
+        (train[::2], "furnished"),
+        (range(train[0], train[0] + SCATTERED_A_ROOM * rooms), "scattered"),
+        (calibration, "solids"),
+        (test, "furnished"),
+    ]
+    total, done, parts = sum(len(seeds) for seeds, _ in jobs), 0, []
+    for seeds, maker in jobs:
+
+        def tell(count: int, before: int = done) -> None:
+            if progress is not None:
+                progress(before + count, total)
+
+        made = make_samples(
+            seeds, views=views, width=width, height=height, maker=maker, workers=workers, progress=tell
+        )
+        parts.append(made)
+        done += len(seeds)
+    *learnt, solids, measured = parts
+    return Split(tuple(frame for part in learnt for frame in part), solids, measured)
+
+
+def _room_samples(job: Job) -> tuple[FrameSamples, ...]:
+    seed, views, width, height, maker = job
+    rng = np.random.default_rng([seed, 17])
+    if maker == "solids":
+        return tuple(_solid_samples(seed, k, width, height) for k in range(SOLIDS_A_VIEW * views))
+    if maker == "scattered":
+        room = make_scattered(seed)
+        return tuple(view_samples(room, c, rng, rough=True) for c in roaming_cameras(room, views, rng, width, height))
+    room = make_room(seed)
+    usual = 1 if maker == "varied" else views
+    cameras = choose_views(room, usual, np.random.default_rng([seed, 11]), width, height)
+    if maker == "varied":
+        cameras = [varied_camera(camera, rng) for camera in cameras]
+        cameras += roaming_cameras(room, views - usual, rng, width, height)
+    return tuple(view_samples(room, camera, rng, rough=maker == "varied") for camera in cameras)
+
+
+def _solid_samples(seed: int, number: int, width: int, height: int) -> FrameSamples:
+    view = solid_view(seed, number, width, height, MIN_PIXELS)
+    assert view.camera.up is not None
+    viewer = viewer_axes(view.camera.up)
+    exact = [(lo, hi) for lo, hi in view.exact(viewer.matrix)]
+    return _seen_samples(seed, view.depth, view.camera, view.masks, exact)
+
+
+def varied_camera(camera: Camera, rng: np.random.Generator) -> Camera:
+    """The camera turned by up to 8 degrees, tilted by up to 6, moved by up to 0.3 m in height, zoomed by 0.8 to 1.3."""
+    assert camera.T_world_camera is not None
+    T = camera.T_world_camera.copy()
+    roll, pitch = np.deg2rad(rng.uniform(-8, 8)), np.deg2rad(rng.uniform(-6, 6))
+    about_z = np.array([[np.cos(roll), -np.sin(roll), 0], [np.sin(roll), np.cos(roll), 0], [0, 0, 1]])
+    about_x = np.array([[1, 0, 0], [0, np.cos(pitch), -np.sin(pitch)], [0, np.sin(pitch), np.cos(pitch)]])
+    T[:3, :3] = T[:3, :3] @ about_x @ about_z
+    T[2, 3] += rng.uniform(-0.3, 0.3)
+    K = camera.K.copy()
+    K[[0, 1], [0, 1]] *= rng.uniform(0.8, 1.3)
+    return replace(camera, K=K, T_world_camera=T, up=T[:3, :3].T @ np.array([0.0, 0.0, 1.0]))
+
+
+def view_samples(room: Room, camera: Camera, rng: np.random.Generator, *, rough: bool = False) -> FrameSamples:
+    """One view as a sensor and a segmenter give it; the camera has a pose and knows what is up.
+
+    `rough` is for learning: other sensors and worse segmenters now and then.
+    """
+    assert camera.up is not None
+    depth, instances = sense_view(room, camera, rng)
+    if rough and rng.random() < STEREO_SHARE:
+        depth = _in_steps(depth, rng)
+    viewer = viewer_axes(camera.up)
+    numbers = np.flatnonzero(np.bincount(instances[instances >= 0], minlength=1) >= MIN_PIXELS)
+    spoilt = _roughened if rough else degraded
+    masks = [spoilt(instances == number, rng) for number in numbers]
+    return _seen_samples(
+        room.seed, depth, camera, masks, [_exact_extents(room.instances[n], camera, viewer) for n in numbers]
+    )
+
+
+def _seen_samples(
+    room: int,
+    depth: np.ndarray,
+    camera: Camera,
+    masks: Sequence[np.ndarray],
+    exact: Sequence[tuple[np.ndarray, np.ndarray]],
+) -> FrameSamples:
+    """The samples of what these masks show of things with these exact extents."""
+    assert camera.up is not None
+    viewer = viewer_axes(camera.up)
+    lifted = lift(depth, camera, masks, viewer, boxes=False)
+    kept = [k for k, item in enumerate(lifted) if item.quality.points >= MIN_POINTS]
+    boxes = np.array([_tight_box(masks[k]) for k in kept], np.float64).reshape(-1, 4)
+    seen = Appearance(boxes, ("",) * len(kept), camera.width, camera.height)
+    return samples_of(room, [lifted[k] for k in kept], viewer, [exact[k] for k in kept], seen)
+
+
+def _in_steps(depth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """The depth as a stereo camera would give it: an error of disparity, and steps of it."""
+    product, step = rng.uniform(30, 60), float(rng.choice([4, 8, 16]))
+    disparity = product / np.maximum(depth, 0.1) + rng.normal(0, rng.uniform(0.02, 0.15), depth.shape)
+    stepped = product / np.maximum(np.round(disparity * step) / step, 0.5)
+    return np.where(depth > 0, stepped, 0).astype(np.float32)
+
+
+def samples_of(
+    room: int,
+    lifted: Sequence[LiftedObject],
+    viewer: ViewerAxes,
+    exact: Sequence[tuple[np.ndarray, np.ndarray]],
+    seen: Appearance,
+) -> FrameSamples:
+    """The samples of one view: objects as seen, and (lo, hi) of each as it is, in the same order."""
+    rows = {name: features.describe(lifted, viewer, seen) for name, features in FEATURES.items()}
+    extents = rows["rel14"]
+    whole = np.array(exact, np.float64).reshape(-1, 2, 3)
+    return FrameSamples(room, rows, extents[:, :3], extents[:, 3:], whole[:, 0], whole[:, 1])
+
+
+def degraded(
+    mask: np.ndarray, rng: np.random.Generator, error: tuple[int, int] = MASK_ERROR_PIXELS
+) -> np.ndarray:
+    """A mask ((H, W) bool) as a segmenter would give it: a little too small, or a little too large."""
+    pixels = int(rng.integers(error[0], error[1] + 1))
+    if pixels == 0:
+        return mask
+    kernel = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * abs(pixels) + 1,) * 2)
+    changed = (cv2.dilate if pixels > 0 else cv2.erode)(mask.view(np.uint8), kernel).view(np.bool_)
+    # A thin thing would vanish; a segmenter that finds it finds something.
+    return changed if changed.sum() >= MIN_PIXELS // 2 else mask
+
+
+def _roughened(mask: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """A worse mask: of a larger error, and shifted."""
+    changed = degraded(mask, rng, ROUGH_MASK_PIXELS)
+    x, y = rng.integers(-ROUGH_SHIFT_PIXELS, ROUGH_SHIFT_PIXELS + 1, 2)
+    shift = np.array([[1, 0, x], [0, 1, y]], np.float64)
+    # What the border cuts goes on behind it.
+    size = (mask.shape[1], mask.shape[0])
+    plain, nearest = changed.view(np.uint8), cv2.INTER_NEAREST
+    return cv2.warpAffine(plain, shift, size, flags=nearest, borderMode=cv2.BORDER_REPLICATE).view(np.bool_)
+
+
+def _tight_box(mask: np.ndarray) -> tuple[int, int, int, int]:
+    x, y, w, h = cv2.boundingRect(mask.view(np.uint8))
+    return x, y, x + w, y + h
+
+
+def _exact_extents(instance: Instance, camera: Camera, viewer: ViewerAxes) -> tuple[np.ndarray, np.ndarray]:
+    assert camera.T_world_camera is not None
+    vertices = np.concatenate([part.vertices for part in instance.model.parts]) @ instance.R.T + instance.position
+    level = (vertices - camera.T_world_camera[:3, 3]) @ camera.T_world_camera[:3, :3] @ viewer.matrix.T
+    return level.min(axis=0), level.max(axis=0)
+
+
+def iterate_pairs(samples: Sequence[FrameSamples], name: str) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """For each view (P, D) features and (P, 6) true states of its ordered pairs of different objects."""
+    for frame in samples:
+        apart = ~np.eye(len(frame.seen_lo), dtype=np.bool_)
+        if apart.any():
+            yield FEATURES[name].pair(frame.rows[name])[apart], frame.truth[apart]

@@ -1,0 +1,110 @@
+"""The image with what was found drawn over it, as one SVG: sharp at any size, in the colours of the page."""
+
+from __future__ import annotations
+
+import base64
+from html import escape
+
+import cv2
+import numpy as np
+
+from pipeline.geometry.boxes import Box3D
+from pipeline.geometry.camera import Camera
+from pipeline.geometry.frame import Frame
+from pipeline.geometry.palette import Role
+from spatialviz.report.cast import Cast
+from spatialviz.report.picture import box_edges_2d
+
+WIDEST = 1280
+QUALITY = 86
+SMALLEST_PART = 6
+"""Pixels of outline below which a part of a mask is not drawn."""
+_GLYPH = 0.53
+"""Mean width of a letter over the size of the type."""
+
+
+def picture_svg(frame: Frame, cast: Cast) -> str:
+    """Masks and 3D boxes of the answer, dashed outlines of what is true, and a tag on each."""
+    width, height = frame.width, frame.height
+    unit = width / 640
+    parts = [
+        f'<svg class="picture" viewBox="0 0 {width} {height}" role="img" aria-label="The answer over the image">',
+        f'<image href="{_jpeg(frame.rgb)}" width="{width}" height="{height}"/>',
+        f'<g style="--u:{unit:.3f}">',
+    ]
+    for _, role, mask in cast.true_masks:
+        parts.append(f'<path class="true {role}" d="{_outline(mask)}"/>')
+    for place, role in cast.roles.items():
+        parts.append(f'<path class="mask {role}" d="{_outline(cast.objects[place].mask)}"/>')
+    for place, role in cast.roles.items():
+        box = cast.objects[place].lifted.box
+        if box is not None:
+            parts.append(f'<path class="box {role}" d="{_edges(box, frame.camera)}"/>')
+    taken: list[tuple[float, float, float, float]] = []
+    for place, role in reversed(cast.roles.items()):
+        entry = cast.objects[place]
+        parts.append(_tag(f"{entry.label} {entry.score:.2f}", role, entry.bbox, frame, taken))
+    shown = {cast.labelled.get(place) for place in cast.roles}
+    for (label, role, mask), k in zip(cast.true_masks, _true_places(cast), strict=True):
+        if k not in shown:
+            rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
+            if len(rows):
+                bbox = np.array([columns[0], rows[0], columns[-1] + 1, rows[-1] + 1], np.float64)
+                parts.append(_tag(f"true {role}: {label}", "truth", bbox, frame, taken))
+    return "".join([*parts, "</g></svg>"])
+
+
+def _true_places(cast: Cast) -> tuple[int | None, ...]:
+    return cast.true_places if len(cast.true_places) == len(cast.true_masks) else (None,) * len(cast.true_masks)
+
+
+def _jpeg(rgb: np.ndarray) -> str:
+    if rgb.shape[1] > WIDEST:
+        size = (WIDEST, max(1, round(rgb.shape[0] * WIDEST / rgb.shape[1])))
+        rgb = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)
+    data = cv2.imencode(".jpg", np.ascontiguousarray(rgb[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1]
+    return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode("ascii")
+
+
+def _outline(mask: np.ndarray) -> str:
+    found, _ = cv2.findContours(mask.view(np.uint8), cv2.RETR_CCOMP, cv2.CHAIN_APPROX_SIMPLE)
+    paths = []
+    for contour in found:
+        if len(contour) < 3 or cv2.arcLength(contour, True) < SMALLEST_PART:
+            continue
+        points = cv2.approxPolyDP(contour, 0.7, True)[:, 0]
+        paths.append("M" + "L".join(f"{x + 0.5:g} {y + 0.5:g}" for x, y in points.tolist()) + "Z")
+    return "".join(paths)
+
+
+def _edges(box: Box3D, camera: Camera) -> str:
+    reach = 8 * camera.width
+    edges = box_edges_2d(box, camera)
+    edges = np.clip(edges[np.isfinite(edges).all(axis=(1, 2))], -reach, reach)
+    return "".join(f"M{a[0]:.1f} {a[1]:.1f}L{b[0]:.1f} {b[1]:.1f}" for a, b in edges)
+
+
+def _tag(
+    text: str, role: Role, bbox: np.ndarray, frame: Frame, taken: list[tuple[float, float, float, float]]
+) -> str:
+    """A name at its object, moved down where another tag already stands."""
+    text = text if len(text) <= 40 else text[:39] + "…"
+    unit = frame.width / 640
+    size, high = 11.5 * unit, 18 * unit
+    wide = len(text) * size * _GLYPH + 12 * unit
+    x = float(np.clip(bbox[0], 0, max(frame.width - wide, 0)))
+    # What is true has its name below, so that neither hides the other's object.
+    above = bbox[3] + 2 * unit if role == "truth" else bbox[1] - high - 2 * unit
+    y = float(np.clip(above, 0, frame.height - high))
+    for _ in range(8):
+        if not any(x < r and x + wide > left and y < b and y + high > t for left, t, r, b in taken):
+            break
+        y = y + high + 2 * unit if y + 2 * high < frame.height else 0.0
+    taken.append((x, y, x + wide, y + high))
+    return (
+        f'<g class="tag {role}"><rect x="{x:.1f}" y="{y:.1f}" width="{wide:.1f}" height="{high:.1f}" '
+        f'rx="{3 * unit:.1f}"/>'
+        f'<text x="{x + wide / 2:.1f}" y="{y + high * 0.70:.1f}" font-size="{size:.1f}" '
+        'text-anchor="middle" '
+        f'textLength="{wide - 12 * unit:.1f}" lengthAdjust="spacingAndGlyphs">{escape(text)}</text></g>'
+    )

@@ -1,0 +1,149 @@
+"""The scene of one answer in 3D as a page of its own, which needs no server and no network."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from contextlib import redirect_stdout
+from io import StringIO
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from pipeline.answering.objects import FrameContext
+from pipeline.diagnosis.cases.answered import Answered
+from pipeline.geometry.boxes import EDGES, Box3D
+from pipeline.geometry.camera import lift_pixels
+from pipeline.geometry.lifting import flying_pixels
+from pipeline.geometry.palette import RGB, Role, palette
+from spatialviz.app.cloud import BAND_RATIO, FAR
+from spatialviz.app.origin import checked_origins
+from spatialviz.app.scene import CUBE, CUBE_FACES, FACE_OPACITY, LINE_WIDTH
+from spatialviz.report.cast import Cast, cast_of
+
+if TYPE_CHECKING:
+    import viser
+
+MOST_POINTS = 40_000
+GHOST_OPACITY = 0.10
+ASPECT = 1.6
+"""Width over height of the part of the page that shows the scene."""
+
+
+def scene_html(answered: Answered, context: FrameContext) -> str:
+    """The scene as one HTML page of about 1.5 MB, drawn in the viewer's level frame, dark."""
+    import viser
+
+    # The server says where it listens; nobody is to go there.
+    with checked_origins(), redirect_stdout(StringIO()):
+        return _with_server(viser.ViserServer(host="127.0.0.1", port=0, verbose=False), answered, context)
+
+
+def _with_server(server: viser.ViserServer, answered: Answered, context: FrameContext) -> str:
+    try:
+        axes = context.viewer
+        to_show = np.stack([axes.right, axes.forward, axes.up])
+        server.scene.set_up_direction("+z")
+        server.scene.world_axes.visible = False
+        server.scene.configure_environment_map(hdri=None)
+        server.scene.configure_default_lights(cast_shadow=False)
+        points = _draw_cloud(server.scene, context, to_show)
+        _draw_boxes(server.scene, cast_of(answered), to_show)
+        _place_camera(server, points, context, to_show)
+        return server.scene.as_html(dark_mode=True)
+    finally:
+        server.stop()
+
+
+def _draw_cloud(scene: viser.SceneApi, context: FrameContext, to_show: np.ndarray) -> np.ndarray:
+    """Surfaces in bands of depth, each with its point size; returns the shown points (N, 3)."""
+    frame = context.frame
+    usable = (frame.depth > 0) & (frame.depth < FAR) & ~flying_pixels(frame.depth)
+    stride = max(1, int(np.ceil(np.sqrt(usable.sum() / MOST_POINTS))))
+    while usable[::stride, ::stride].sum() > MOST_POINTS:
+        stride += 1
+    v, u = (x * stride for x in np.nonzero(usable[::stride, ::stride]))
+    z = frame.depth[v, u]
+    points = (lift_pixels(z, frame.camera, v, u) @ to_show.T.astype(np.float32)).astype(np.float32)
+    band = np.floor(np.log(np.maximum(z, 1e-3)) / np.log(BAND_RATIO)).astype(int)
+    for k, level in enumerate(np.unique(band)):
+        index = np.flatnonzero(band == level)
+        scene.add_point_cloud(
+            f"/cloud/{k}", points[index], frame.rgb[v[index], u[index]],
+            point_size=float(BAND_RATIO ** (level + 0.6) / frame.camera.fx * stride * 1.15),
+            point_shading="flat", point_shape="square",
+        )  # fmt: skip
+    return points
+
+
+def _draw_boxes(scene: viser.SceneApi, cast: Cast, to_show: np.ndarray) -> None:
+    colors = palette(dark=True)
+    by_role: dict[Role, list[Box3D]] = {}
+    for place, entry in enumerate(cast.objects):
+        if entry.lifted.box is not None:
+            by_role.setdefault(cast.roles.get(place, "other"), []).append(_shown(entry.lifted.box, to_show))
+    by_role["truth"] = [_shown(box, to_show) for _, box in cast.true_boxes]
+    opacity: Mapping[Role, float] = {**FACE_OPACITY, "truth": GHOST_OPACITY}
+    for role, boxes in by_role.items():
+        if boxes:
+            _add_boxes(scene, role, boxes, colors[role], LINE_WIDTH[role], opacity[role])
+    for place, role in cast.roles.items():
+        box = cast.objects[place].lifted.box
+        if box is not None:
+            _add_label(scene, f"/names/{place}", f"{role}: {cast.objects[place].label}", _shown(box, to_show), 0.05)
+    for k, (label, box) in enumerate(cast.true_boxes):
+        if not any(cast.labelled.get(place) == cast.true_places[k] for place in cast.roles):
+            _add_label(scene, f"/names/true/{k}", f"truth: {label}", _shown(box, to_show), 0.14)
+    pair = [cast.objects[p].lifted.box for p in (cast.target, cast.reference) if p is not None]
+    ends = [box.center @ to_show.T for box in pair if box is not None]
+    if len(ends) == 2:
+        tint = np.array([[colors["target"], colors["reference"]]], np.uint8)
+        scene.add_line_segments(
+            "/pair", np.array([ends], np.float32), tint, thickness=4.0, thickness_units="screen"
+        )
+
+
+def _add_boxes(scene: viser.SceneApi, role: Role, boxes: list[Box3D], color: RGB, width: float, faces: float) -> None:
+    import viser.transforms as vtf
+
+    edges = np.concatenate([b.corners[EDGES] for b in boxes]).astype(np.float32)
+    scene.add_line_segments(f"/boxes/{role}", edges, color, thickness=width, thickness_units="screen")
+    scene.add_batched_meshes_simple(
+        f"/faces/{role}", CUBE, CUBE_FACES,
+        np.stack([vtf.SO3.from_matrix(b.R).wxyz for b in boxes]).astype(np.float32),
+        np.stack([b.center for b in boxes]).astype(np.float32),
+        batched_scales=np.stack([np.maximum(b.size, 0.005) for b in boxes]).astype(np.float32),
+        batched_colors=np.array([color] * len(boxes), np.uint8),
+        batched_opacities=np.full(len(boxes), faces, np.float32),
+        lod="off", cast_shadow=False, receive_shadow=False,
+    )  # fmt: skip
+
+
+def _add_label(scene: viser.SceneApi, name: str, text: str, box: Box3D, above: float) -> None:
+    x, y, _ = (float(v) for v in box.center)
+    scene.add_label(
+        name, text[:60], position=(x, y, float(box.corners[:, 2].max()) + above), font_size_mode="screen",
+        font_screen_scale=0.9, anchor="bottom-center", depth_test=False,
+    )  # fmt: skip
+
+
+def _shown(box: Box3D, to_show: np.ndarray) -> Box3D:
+    return Box3D(to_show @ box.center, to_show @ box.R, box.size)
+
+
+def _place_camera(server: viser.ViserServer, points: np.ndarray, context: FrameContext, to_show: np.ndarray) -> None:
+    """Behind, above and to the left of the sensor, turned to the middle of what it saw."""
+    forward = to_show @ np.array([0.0, 0.0, 1.0])
+    middle = np.median(points, axis=0) if len(points) else forward * 2
+    distance = float(np.linalg.norm(middle))
+    eye = middle - forward * distance * 1.12 + _offset((-0.32, 0.0, 0.30), distance)
+    tall = context.frame.height / 2 / context.frame.camera.fy
+    wide = context.frame.width / 2 / context.frame.camera.fx / ASPECT
+    camera = server.initial_camera
+    camera.up = (0.0, 0.0, 1.0)
+    camera.position = (float(eye[0]), float(eye[1]), float(eye[2]))
+    camera.look_at = (float(middle[0]), float(middle[1]), float(middle[2]))
+    camera.fov = float(2 * np.arctan(max(tall, wide) * 0.92))
+
+
+def _offset(direction: Iterable[float], distance: float) -> np.ndarray:
+    return np.array(list(direction)) * distance

@@ -1,0 +1,198 @@
+"""The numbers of an answer as HTML: modules, decomposition, ranked pairs, relations. Everything is escaped."""
+
+from __future__ import annotations
+
+from html import escape
+from math import log
+
+from pipeline.diagnosis.cases.answered import Answered
+from pipeline.diagnosis.live import Judgement
+from pipeline.diagnosis.verdict import MODULE_OF
+from pipeline.language.lexicon import wording
+from pipeline.relations.relations import PHRASE, letter
+from spatialviz.report.cast import Cast
+
+SHOWN_PAIRS = 8
+_MODULES = (
+    ("PARSE", "expression", ("parse",)), ("OPM", "proposals", ("opm",)), ("LIFT", "3D boxes", ("frame", "lift")),
+    ("SRM", "relations", ("srm",)), ("PRM", "ranking", ("prm",)), ("LABEL", "the label", ()),
+)  # fmt: skip
+_ORACLE_MODULE = {"RECALL": "OPM", "LIFT": "LIFT", "SRM": "SRM", "CONF": "PRM"}
+_MODULE_WORDS = {
+    "RECALL": "the missing objects", "LIFT": "true geometry", "SRM": "true relations", "CONF": "true confidences",
+}  # fmt: skip
+_FACTORS = (("target", "p_target"), ("reference", "p_reference"), ("relation", "p_relation"))
+
+
+def modules_html(answered: Answered) -> str:
+    """A strip of the modules with what each took, the blamed one marked."""
+    blamed = blamed_modules(answered.judgement)
+    times = {} if answered.trace is None else answered.trace.timings
+    cells = []
+    for name, what, stages in _MODULES:
+        took = sum(times.get(s, 0.0) for s in stages) * 1000
+        shown = f"{took:.1f} ms" if any(s in times for s in stages) else "–"
+        mark = ' class="blamed"' if name in blamed else ""
+        said = ' <span class="sr">blamed</span>' if name in blamed else ""
+        cells.append(f"<li{mark}><b>{name}</b><span>{what}</span><em>{shown}</em>{said}</li>")
+    return f'<ol class="modules">{"".join(cells)}</ol>'
+
+
+def blamed_modules(judged: Judgement | None) -> frozenset[str]:
+    """The modules that the verdict blames."""
+    if judged is None or judged.diagnosis.correct:
+        return frozenset()
+    if judged.diagnosis.verdict == "COMPOUND":
+        return frozenset(_ORACLE_MODULE[name] for name in judged.diagnosis.repair)
+    return frozenset({MODULE_OF[judged.diagnosis.verdict]})
+
+
+def decomposition_html(judged: Judgement, cast: Cast) -> str:
+    """The answer against the best right pair, factor by factor, as contributions to the log score."""
+    d = judged.diagnosis
+    if d.winner is None or d.right is None or d.contributions is None:
+        return _missed_html(judged)
+    if d.winner == d.right:
+        return '<p class="quiet">The answer is the best right pair: nothing is lost.</p>'
+    widest = max(*(abs(v) for v in d.contributions.values()), 0.1)
+    rows = []
+    for factor, attribute in _FACTORS:
+        ours, theirs, share = getattr(d.winner, attribute), getattr(d.right, attribute), d.contributions[factor]
+        side = "ours" if share >= 0 else "theirs"
+        drawn = abs(share) >= 5e-4
+        bar = f'<span class="bar {side}" style="width:{50 * abs(share) / widest:.1f}%"></span>' if drawn else ""
+        name = factor if factor != "relation" else f"relation “{escape(PHRASE[judged.case.relation])}”"
+        rows.append(
+            f'<tr><th scope="row">{name}</th><td>{ours:.3f}</td><td>{theirs:.3f}</td>'
+            f'<td class="wide"><span class="axis">{bar}</span></td><td>{share:+.2f}</td></tr>'
+        )
+    total = d.winner.log_score - d.right.log_score
+    rows.append(
+        f'<tr class="sum"><th scope="row">log score</th><td>{d.winner.log_score:.2f}</td>'
+        f'<td>{d.right.log_score:.2f}</td><td class="wide"></td><td>{total:+.2f}</td></tr>'
+    )
+    head = (
+        '<tr><th scope="col">factor</th><th scope="col">answer'
+        f"<small>{_pair(cast, d.winner.target, d.winner.reference)}</small></th>"
+        '<th scope="col">best right pair'
+        f"<small>{_pair(cast, d.right.target, d.right.reference)}</small></th>"
+        '<th scope="col" class="wide hint"><span>← right pair</span><span>answer →</span></th>'
+        '<th scope="col">Δ log</th></tr>'
+    )
+    return f'<table class="decomposition"><thead>{head}</thead><tbody>{"".join(rows)}</tbody></table>{_needed(judged)}'
+
+
+def _needed(judged: Judgement) -> str:
+    lines = []
+    for n in judged.diagnosis.needed:
+        ways = []
+        if n.right_above is not None:
+            ways.append(f"of the right pair above <b>{n.right_above:.3g}</b> (is {n.right:.3g})")
+        if n.winner_below is not None:
+            ways.append(f"of the answer below <b>{n.winner_below:.3g}</b> (is {n.winner:.3g})")
+        if ways:
+            lines.append(f"<li>{n.factor} {', or '.join(ways)}</li>")
+    d = judged.diagnosis
+    together = " and ".join(_MODULE_WORDS[name] for name in d.repair)
+    repairs = [_MODULE_WORDS[name] for name in d.mends] or ([together] if together else [])
+    mended = "".join(f"<li>{repair}</li>" for repair in repairs)
+    if not lines and not mended:
+        return ""
+    return f'<h3>Each of these alone makes it right</h3><ul class="needed">{"".join(lines)}{mended}</ul>'
+
+
+def _missed_html(judged: Judgement) -> str:
+    d, missed = judged.diagnosis, judged.diagnosis.missed
+    if missed is None:
+        return '<p class="quiet">No right pair stood among the candidates, or there was no answer.</p>'
+    rows = [
+        ("missing", escape(str(d.missed_name))), ("how", missed.kind.lower()),
+        ("best overlap with a right one", f"{missed.overlap:.2f} (.50 is asked)"),
+        ("its score", "–" if missed.score is None else f"{missed.score:.3f}"),
+        ("its place by score", "–" if missed.rank is None else str(missed.rank)),
+        ("mended by", " and ".join(_MODULE_WORDS[name] for name in d.repair) or "nothing"),
+    ]  # fmt: skip
+    return '<dl class="facts">' + "".join(f"<dt>{k}</dt><dd>{v}</dd>" for k, v in rows) + "</dl>"
+
+
+def pairs_html(answered: Answered, cast: Cast) -> str:
+    """The ranked pairs with their factors; the best right pair too, where it stands lower."""
+    trace = answered.trace
+    if trace is None or trace.ranking is None or trace.ranking.degenerate:
+        return ""
+    pairs = trace.ranking.pairs
+    places = list(range(min(SHOWN_PAIRS, len(pairs))))
+    at = next((k for k, p in enumerate(pairs) if (p.target, p.reference) == cast.right), None)
+    if at is not None and at not in places:
+        places.append(at)
+    rows = []
+    for k in places:
+        p = pairs[k]
+        marks = ("winner " if k == 0 else "") + ("right" if k == at else "")
+        if k >= SHOWN_PAIRS:
+            rows.append('<tr class="gap"><td colspan="8">⋯</td></tr>')
+        chip = ' <span class="chip">right</span>' if k == at else ""
+        second = "" if p.second_reference is None else f", {escape(cast.name(p.second_reference))}"
+        reference = "–" if p.reference is None else escape(cast.name(p.reference))
+        rows.append(
+            f'<tr class="{marks.strip()}"><td>{k + 1}</td>'
+            f'<td class="name target">{escape(cast.name(p.target))}</td>'
+            f'<td class="name reference">{reference}{second}{chip}</td>'
+            f"<td>{p.p_target:.3f}</td><td>{p.p_reference:.3f}</td><td>{p.p_relation:.3f}</td>"
+            f"<td>{log(max(p.product, 1e-12)):.2f}</td><td>{_meter(p.probability)}</td></tr>"
+        )
+    asked = wording(trace.asked.relation, inverse=trace.asked.inverse)
+    head = "".join(
+        f'<th scope="col"{" class=name" if k in (1, 2) else ""}>{title}</th>'
+        for k, title in enumerate(
+            ("#", "target", "reference", "P(target)", "P(reference)", f"P({escape(asked)})", "ln product", "posterior")
+        )
+    )
+    more = len(pairs) - len(places)
+    note = f'<p class="quiet">and {more} more pairs</p>' if more > 0 else ""
+    return (
+        f'<div class="scroll"><table class="pairs"><thead><tr>{head}</tr></thead>'
+        f"<tbody>{''.join(rows)}</tbody></table></div>{note}"
+    )
+
+
+def relations_html(answered: Answered, cast: Cast) -> str:
+    """Every relation of the answer's pair, and of the best right pair, with the label's word."""
+    trace, judged = answered.trace, answered.judgement
+    if trace is None or cast.target is None or cast.reference is None:
+        return ""
+    pairs = [("answer", (cast.target, cast.reference))]
+    if cast.right is not None and cast.right != pairs[0][1]:
+        pairs.append(("best right pair", cast.right))
+    rows = []
+    for n, relation in enumerate(trace.scores.relations):
+        cells = []
+        for _, (a, b) in pairs:
+            said = ""
+            if judged is not None and relation in judged.truth.states:
+                i, j = cast.labelled.get(a), cast.labelled.get(b)
+                if i is not None and j is not None and judged.truth.judged[i, j]:
+                    said = letter(judged.truth.states[relation][i, j])
+            p = float(trace.scores.probabilities[a, b, n])
+            cells.append(f'<td>{_meter(p)}</td><td class="state">{said or "–"}</td>')
+        mark = ' class="asked"' if relation == trace.asked.relation else ""
+        rows.append(f'<tr{mark}><th scope="row">{escape(PHRASE[relation])}</th>{"".join(cells)}</tr>')
+    head = "".join(
+        f'<th scope="col">{title}<small>{_pair(cast, *ends)}</small></th><th scope="col" class="state">label</th>'
+        for title, ends in pairs
+    )
+    return (
+        f'<div class="scroll"><table class="relations"><thead><tr><th scope="col">relation</th>{head}</tr></thead>'
+        f'<tbody>{"".join(rows)}</tbody></table></div>'
+        '<p class="quiet">The label says T holds, U in doubt, F does not; – not judged, or no labelled object.</p>'
+    )
+
+
+def _pair(cast: Cast, target: int, reference: int | None) -> str:
+    if reference is None or not all(0 <= place < len(cast.objects) for place in (target, reference)):
+        return ""
+    return f"{escape(cast.name(target))} / {escape(cast.name(reference))}"
+
+
+def _meter(p: float) -> str:
+    return f'<span class="meter"><span style="width:{100 * p:.1f}%"></span></span><span class="number">{p:.3f}</span>'
