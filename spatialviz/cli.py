@@ -106,7 +106,7 @@ class Relations:
     def run(self) -> int:
         from pipeline.answering.json_records import relation_records
         from pipeline.answering.source import relate_frames
-        from pipeline.relations.relations import VOCABULARIES
+        from pipeline.language.relation_names import VOCABULARIES
         from spatialviz.printing import print_relations
 
         relations = VOCABULARIES[self.vocabulary]

@@ -137,7 +137,8 @@ class Calibrate:
     """Print one JSON object."""
 
     def run(self) -> int:
-        from pipeline.proposals.score_calibration import annotated_names, calibrate_scores, save_calibration
+        from pipeline.answering.calibrating import annotated_names, calibrate_scores
+        from pipeline.proposals.score_calibration import save_calibration
         from spatialviz.printing import rate_bar
         from spatialviz.printing_calibration import print_calibration
 

@@ -95,7 +95,8 @@ def whatif_record(
     """The whole of `whatif --json`."""
     from pipeline.diagnosis.whatif import edits_record, what_changed
     from pipeline.diagnosis.whatif.placement import place_in_region
-    from pipeline.relations.relations import PAIRWISE, Profile
+    from pipeline.language.relation_names import PAIRWISE
+    from pipeline.relations.relations import Profile
 
     trace = after.trace
     record: dict[str, Any] = {

@@ -24,7 +24,8 @@ from pipeline.datasets.up_words import ASSUMED, DECLARE
 from pipeline.diagnosis.asking import JudgedAnswer
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.language.lexicon import wording
-from pipeline.relations.relations import PHRASE, letter
+from pipeline.language.relation_names import PHRASE
+from pipeline.relations.relations import letter
 
 SHOWN_PAIRS = 5
 

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 from rich.table import Table
 from rich.text import Text
 
+from pipeline.language.relation_names import PHRASE
 from pipeline.metrics.tables import shown
-from pipeline.relations.relations import PHRASE
 from spatialviz.printing import make_console
 from spatialviz.printing_eval import print_table
 

@@ -12,7 +12,8 @@ from pipeline.corrections.cards import PairCard
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.object_card import ObjectCard
 from pipeline.corrections.support import Support
-from pipeline.relations.relations import PHRASE, letter
+from pipeline.language.relation_names import PHRASE
+from pipeline.relations.relations import letter
 from spatialviz.printing import make_console
 
 

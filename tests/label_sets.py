@@ -17,7 +17,7 @@ from pipeline.labels.plan import SourceSpec
 from pipeline.labels.reading import MANIFEST_FILE, Labels, open_labels
 from pipeline.labels.schema import SCHEMA_VERSION, TABLES, Manifest, TableFile
 from pipeline.labels.tables import arrow_schema, build_table, content_hash, validate_rows, write_table
-from pipeline.relations.relations import PAIRWISE
+from pipeline.language.relation_names import PAIRWISE
 
 Vector = Sequence[float] | np.ndarray
 WIDTH, HEIGHT = 64, 48

@@ -13,7 +13,8 @@ from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.fitting import extents_of, pca_box
 from pipeline.geometry.viewer import ViewerAxes, viewer_axes
 from pipeline.labels.reading import Labels
-from pipeline.relations.relations import PAIRWISE, pairwise_states
+from pipeline.language.relation_names import PAIRWISE
+from pipeline.relations.relations import pairwise_states
 
 WIDTH, HEIGHT, FOCAL = 640, 480, 560.0
 CLASSES = ("mug", "lamp", "office chair", "trash_can", "laptop", "sofa", "plant")

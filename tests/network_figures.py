@@ -20,10 +20,11 @@ from other_makers import FIGURES, FLIPS, REGIMES, Seen, figures, tallied
 from pipeline.labels.config import LabelConfig
 from pipeline.labels.labelling import in_doubt, judge_objects
 from pipeline.labels.second_opinion import doubted
+from pipeline.language.relation_names import DIRECTIONAL
 from pipeline.metrics.intervals import bootstrap
 from pipeline.relations import shipped_network
 from pipeline.relations.model import OnnxScorer
-from pipeline.relations.relations import DIRECTIONAL, directional_states
+from pipeline.relations.relations import directional_states
 from pipeline.relations.scorer import RuleScorer, rule_probabilities
 
 FEWEST_OBJECTS = 5

@@ -26,8 +26,8 @@ from pipeline.geometry.frame import Frame
 from pipeline.geometry.palette import ON_DARK, depth_colors, hex_color, instance_colors, palette
 from pipeline.language.expression import parse
 from pipeline.language.naming import match
+from pipeline.language.relation_names import VOCABULARIES
 from pipeline.proposals import AnnotationDetector, Proposals, make_detector
-from pipeline.relations.relations import VOCABULARIES
 from pipeline.system.errors import InputError
 from spatialviz.report.picture import answer_picture, box_edges_2d, save_picture, tinted
 

@@ -19,7 +19,8 @@ from pipeline.geometry.frame import Frame
 from pipeline.labels.job import label_dataset
 from pipeline.labels.plan import SourceSpec
 from pipeline.labels.reading import Labels, open_labels
-from pipeline.relations.relations import PHRASE, T
+from pipeline.language.relation_names import PHRASE
+from pipeline.relations.relations import T
 from pipeline.system.errors import InputError
 
 TEXTS = ("mug left of the laptop", "laptop right of the mug", "desk holding a laptop")

@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.answering.ask import AskConfig
+from pipeline.answering.calibrating import calibrate_scores
 from pipeline.answering.source import open_source
 from pipeline.evaluation.calibration_tables import calibration_table, ece_estimate, held_out_warning
 from pipeline.evaluation.job import evaluate_dataset
@@ -27,13 +28,7 @@ from pipeline.labels.reading import open_labels
 from pipeline.metrics.calibration_metrics import expected_calibration_error
 from pipeline.metrics.intervals import BootstrapConfig, Estimate
 from pipeline.proposals import top_k
-from pipeline.proposals.score_calibration import (
-    FittedFrame,
-    ScoreCalibration,
-    calibrate_scores,
-    load_calibration,
-    save_calibration,
-)
+from pipeline.proposals.score_calibration import FittedFrame, ScoreCalibration, load_calibration, save_calibration
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -23,7 +23,8 @@ from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Saved
 from pipeline.corrections.journal.journal import Journal
 from pipeline.corrections.journal.undo import undo
-from pipeline.relations.relations import PAIRWISE, T
+from pipeline.language.relation_names import PAIRWISE
+from pipeline.relations.relations import T
 from pipeline.system.errors import InputError
 
 

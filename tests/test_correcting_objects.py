@@ -25,7 +25,8 @@ from pipeline.corrections.scene import labelled_box
 from pipeline.corrections.unsaved import Waiting
 from pipeline.diagnosis.whatif.box_numbers import box_numbers
 from pipeline.geometry.boxes import Box3D
-from pipeline.relations.relations import PAIRWISE, F, T
+from pipeline.language.relation_names import PAIRWISE
+from pipeline.relations.relations import F, T
 from pipeline.system.errors import InputError
 
 

@@ -16,8 +16,9 @@ from pipeline.diagnosis.oracles import CONF, LIFT, RECALL, SRM, STATE_PROBABILIT
 from pipeline.diagnosis.substitution import given_scores, substitute
 from pipeline.diagnosis.verdict import MARKS, VERDICTS, diagnose
 from pipeline.diagnosis.words import explain
-from pipeline.evaluation.records import HIT, record
+from pipeline.evaluation.records import record
 from pipeline.evaluation.shapley import oracle_deltas
+from pipeline.labels.cases import HIT
 from pipeline.language.expression import parse
 from pipeline.relations.relations import U
 

@@ -23,17 +23,17 @@ from pipeline.answering.source import open_source
 from pipeline.evaluation.compare import compare, read_records
 from pipeline.evaluation.grounding_tables import problem_warnings
 from pipeline.evaluation.job import evaluate_dataset, make_tables
-from pipeline.evaluation.records import COLUMNS, DETECTIONS, HIT, overlaps, records_schema
+from pipeline.evaluation.records import COLUMNS, DETECTIONS, overlaps, records_schema
 from pipeline.evaluation.reported import read_reported, reported_rows
 from pipeline.evaluation.run import EvalSpec, Evaluator, evaluate_labels, table_of
 from pipeline.evaluation.whole_expression import VlmOptions
-from pipeline.labels.cases import read_cases
+from pipeline.labels.cases import HIT, read_cases
 from pipeline.labels.job import label_dataset
 from pipeline.labels.plan import SourceSpec
 from pipeline.labels.reading import open_labels
+from pipeline.language.relation_names import PHRASE
 from pipeline.metrics.intervals import BootstrapConfig, Estimate
 from pipeline.metrics.tables import Row, Table, as_csv, latex, markdown
-from pipeline.relations.relations import PHRASE
 from pipeline.system.errors import InputError
 
 FRAMES = 4

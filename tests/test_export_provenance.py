@@ -13,12 +13,12 @@ from journal_world import FRAME, an_expression, saved
 from pipeline.corrections.journal import edits
 from pipeline.corrections.journal.cells import Cell, object_cell, relation_cell
 from pipeline.corrections.journal.effective import Corrector
-from pipeline.corrections.journal.journal import Journal, labels_version
+from pipeline.corrections.journal.journal import Journal
 from pipeline.corrections.journal.materialise import materialise
 from pipeline.labels.exports import export_labels, import_labels
 from pipeline.labels.exports.provenance import ENTRY, REVIEWED, ExportedFrom, extended_schema
 from pipeline.labels.reading import Labels, open_labels
-from pipeline.labels.schema import TABLES
+from pipeline.labels.schema import TABLES, labels_version
 from pipeline.relations.relations import F
 from pipeline.system.errors import InputError
 

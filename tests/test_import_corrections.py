@@ -28,7 +28,8 @@ from pipeline.datasets import Dataset
 from pipeline.geometry.run_length import decode_run_length, encode_run_length
 from pipeline.labels.exports import export_labels
 from pipeline.labels.reading import Labels, open_labels
-from pipeline.relations.relations import INVERSE, F, T
+from pipeline.language.relation_names import INVERSE
+from pipeline.relations.relations import F, T
 from pipeline.system.errors import InputError
 
 Rows = list[dict[str, Any]]

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from pipeline.language.relation_names import DIRECTIONAL
 from pipeline.metrics.grounding_intervals import grounding_estimates
 from pipeline.metrics.grounding_metrics import GroundingOutcomes, grounding_outcomes, mean_iou
 from pipeline.metrics.intervals import (
@@ -24,7 +25,6 @@ from pipeline.metrics.intervals import (
 )
 from pipeline.metrics.relation_intervals import relation_estimates
 from pipeline.metrics.relation_metrics import cell_outcomes, multi_label_metrics
-from pipeline.relations.relations import DIRECTIONAL
 from pipeline.system.errors import InputError
 
 SEEDS = st.integers(0, 2**32 - 1)

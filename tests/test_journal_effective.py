@@ -23,7 +23,8 @@ from pipeline.labels.reading import Labels
 from pipeline.labels.schema import TABLES
 from pipeline.labels.tables import validate_rows
 from pipeline.language.naming import same_class
-from pipeline.relations.relations import PAIRWISE, F, T, U
+from pipeline.language.relation_names import PAIRWISE
+from pipeline.relations.relations import F, T, U
 from pipeline.system.errors import InputError
 
 

@@ -20,7 +20,8 @@ from pipeline.labels.check.stream import Rows
 from pipeline.labels.profiles import PROFILES
 from pipeline.labels.schema import TABLES
 from pipeline.labels.tables import arrow_schema
-from pipeline.relations.relations import DIRECTIONAL, PAIRWISE, T
+from pipeline.language.relation_names import DIRECTIONAL, PAIRWISE
+from pipeline.relations.relations import T
 
 
 @settings(max_examples=150, deadline=None)

@@ -13,6 +13,7 @@ import pytest
 from pipeline.answering.objects import FrameContext, all_objects
 from pipeline.answering.source import open_source
 from pipeline.labels.reading import Labels
+from pipeline.language.relation_names import DIRECTIONAL, INVERSE, VOCABULARIES
 from pipeline.metrics.platt import antisymmetric_log_softmax, fit_temperature, log_softmax, softmax
 from pipeline.relations import make_scorer
 from pipeline.relations.appearance import Appearance
@@ -20,7 +21,7 @@ from pipeline.relations.class_vectors import ClassVectors, vectors_beside
 from pipeline.relations.contract import Contract
 from pipeline.relations.features import CLI_FEATURES, FEATURES
 from pipeline.relations.model import OnnxScorer
-from pipeline.relations.relations import DIRECTIONAL, INVERSE, VOCABULARIES, T
+from pipeline.relations.relations import T
 from pipeline.system.errors import InputError
 from pipeline.training.evaluation import evaluate_classes
 from pipeline.training.label_data import pair_set, read_label_data

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.labels.profiles import GIVEN, PROFILES, profile_of
-from pipeline.relations.relations import INVERSE, PAIRWISE
+from pipeline.language.relation_names import INVERSE, PAIRWISE
 from pipeline.system.errors import InputError
 
 NAMES = [name for name in PROFILES if name != GIVEN]

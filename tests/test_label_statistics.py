@@ -24,7 +24,7 @@ from pipeline.labels.report.folder import FILES
 from pipeline.labels.schema import SCHEMA_VERSION, TABLES
 from pipeline.labels.statistics import DISTANCE_BINS, label_statistics
 from pipeline.labels.tables import arrow_schema, build_table, read_table, write_table
-from pipeline.relations.relations import PAIRWISE
+from pipeline.language.relation_names import PAIRWISE
 from pipeline.system.errors import InputError, MissingExtra
 
 HOSTILE = (

@@ -10,14 +10,14 @@ import numpy as np
 import pytest
 from label_worlds import label_worlds
 
-from pipeline.answering.objects import FrameContext, all_objects
+from pipeline.answering.objects import FrameContext, all_objects, appearance_of
 from pipeline.answering.source import open_source
 from pipeline.labels.reading import Labels
-from pipeline.relations.appearance import appearance_of
+from pipeline.language.relation_names import DIRECTIONAL, VOCABULARIES
 from pipeline.relations.class_vectors import ClassVectors
 from pipeline.relations.features import FEATURES, feature_set
 from pipeline.relations.model import OnnxScorer
-from pipeline.relations.relations import DIRECTIONAL, VOCABULARIES, T, U
+from pipeline.relations.relations import T, U
 from pipeline.system.errors import InputError
 from pipeline.training.label_data import pair_set, read_label_data
 from pipeline.training.label_training import LabelTraining, held_out, train_on_labels

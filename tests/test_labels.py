@@ -41,9 +41,10 @@ from pipeline.labels.store import Store
 from pipeline.labels.tables import PART_TABLES, content_hash, read_table, validate_rows
 from pipeline.language.naming import same_class
 from pipeline.language.noun_phrase import readable
+from pipeline.language.relation_names import DIRECTIONAL, INVERSE, PAIRWISE
 from pipeline.proposals.annotations import AnnotationDetector
 from pipeline.relations.model import OnnxScorer
-from pipeline.relations.relations import DIRECTIONAL, INVERSE, PAIRWISE, directional_states
+from pipeline.relations.relations import directional_states
 from pipeline.system.errors import InputError
 
 DEMO = SourceSpec("demo")

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 from scipy.stats import binomtest
 from sklearn import metrics as oracle
 
+from pipeline.language.relation_names import DIRECTIONAL
 from pipeline.metrics.calibration_metrics import (
     brier_score,
     calibration_metrics,
@@ -27,7 +28,6 @@ from pipeline.metrics.relation_metrics import (
 )
 from pipeline.metrics.significance import mcnemar
 from pipeline.metrics.single_label_metrics import single_label_metrics, true_ranks
-from pipeline.relations.relations import DIRECTIONAL
 from pipeline.system.errors import InputError
 
 SEEDS = st.integers(0, 2**32 - 1)

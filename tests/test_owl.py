@@ -15,7 +15,8 @@ from scenes import camera_of, frame_of, upright
 from pipeline.evaluation.whole_expression import Referring
 from pipeline.geometry.frame import Frame
 from pipeline.proposals import make_detector
-from pipeline.proposals.owl import CONTRACTS, OwlDetector
+from pipeline.proposals.owl import OwlDetector
+from pipeline.proposals.owl_contract import CONTRACTS
 from pipeline.proposals.resampling import CLIP_MEAN, CLIP_STD, normalised, padded_square, pillow_resized
 from pipeline.system.errors import InputError
 

@@ -18,7 +18,7 @@ from pipeline.diagnosis.verdict import diagnose
 from pipeline.diagnosis.whatif.decision_map import _vectorised
 from pipeline.evaluation.records import record
 from pipeline.language.expression import parse
-from pipeline.relations.relations import PAIRWISE
+from pipeline.language.relation_names import PAIRWISE
 
 SEEDS = st.integers(0, 2**32 - 1)
 CONFIGS = st.builds(

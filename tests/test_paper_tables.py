@@ -28,9 +28,9 @@ from pipeline.labels.config import LabelConfig
 from pipeline.labels.job import label_dataset
 from pipeline.labels.plan import SourceSpec
 from pipeline.labels.reading import Labels, open_labels
+from pipeline.language.relation_names import DIRECTIONAL, VOCABULARIES
 from pipeline.metrics.intervals import BootstrapConfig, Estimate
 from pipeline.metrics.tables import Row, Table, as_csv, latex, markdown
-from pipeline.relations.relations import DIRECTIONAL, VOCABULARIES
 
 QUICK = BootstrapConfig(resamples=100)
 OF_SUBSETS = tuple(f"{k} {s}" for k in ("Top-1", "Top-2") for s in SUBSETS)

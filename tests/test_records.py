@@ -17,9 +17,9 @@ from pipeline.answering.source import FrameRelations, open_source, relate_frames
 from pipeline.datasets import open_dataset
 from pipeline.datasets.survey import survey
 from pipeline.geometry.frame import Frame
+from pipeline.language.relation_names import PAIRWISE
 from pipeline.proposals import AnnotationDetector, Proposals
 from pipeline.relations import make_scorer
-from pipeline.relations.relations import PAIRWISE
 
 TRUTH = AnnotationDetector(("mug", "laptop", "lamp"))
 OBJECT_KEYS = {"id", "label", "score", "bbox", "center", "size", "R", "quality"}

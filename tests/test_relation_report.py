@@ -20,11 +20,11 @@ from pipeline.evaluation.run import EvalSpec
 from pipeline.evaluation.shared_makers import AGREEMENT
 from pipeline.evaluation.whole_expression import VlmOptions
 from pipeline.labels.reading import MANIFEST_FILE, Labels, open_labels
+from pipeline.language.relation_names import DIRECTIONAL, PHRASE, VOCABULARIES
 from pipeline.metrics.intervals import BootstrapConfig, Estimate
 from pipeline.metrics.splits import DROPPED, VALIDATION
 from pipeline.metrics.tables import Row, markdown
 from pipeline.relations.model import OnnxScorer
-from pipeline.relations.relations import DIRECTIONAL, PHRASE, VOCABULARIES
 from pipeline.system.errors import InputError
 from pipeline.training.label_training import LabelTraining, train_on_labels
 from pipeline.training.train import TrainConfig

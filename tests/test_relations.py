@@ -13,21 +13,10 @@ from scenes import filled_cloud, frame_of, up_of, upright
 
 from pipeline.geometry.lifting import extents
 from pipeline.geometry.viewer import viewer_axes
+from pipeline.language.relation_names import DIRECTIONAL, INVERSE, PAIRWISE, PHRASE, VOCABULARIES
 from pipeline.relations import RuleScorer, make_scorer
 from pipeline.relations.arrangement import between_states, distances, superlative_states
-from pipeline.relations.relations import (
-    DIRECTIONAL,
-    INVERSE,
-    PAIRWISE,
-    PHRASE,
-    VOCABULARIES,
-    F,
-    T,
-    U,
-    directional_states,
-    letter,
-    pairwise_states,
-)
+from pipeline.relations.relations import F, T, U, directional_states, letter, pairwise_states
 
 SEEDS = st.integers(0, 2**32 - 1)
 

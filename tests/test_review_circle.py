@@ -20,9 +20,10 @@ from pipeline.evaluation.job import evaluate_dataset
 from pipeline.evaluation.run import EvalSpec
 from pipeline.evaluation.run_folder import open_run
 from pipeline.labels.reading import Labels
+from pipeline.language.relation_names import DIRECTIONAL
 from pipeline.metrics.intervals import BootstrapConfig
 from pipeline.metrics.splits import TEST, split_frames
-from pipeline.relations.relations import DIRECTIONAL, F, T
+from pipeline.relations.relations import F, T
 from pipeline.system.errors import InputError
 from pipeline.training.label_data import read_label_data
 from pipeline.training.label_training import LabelTraining, train_on_labels

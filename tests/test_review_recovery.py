@@ -12,7 +12,8 @@ from pipeline.corrections.review.bench import ReviewBenchConfig, measure_recover
 from pipeline.corrections.review.out_of_fold import PASSES, DoubtConfig, doubt_labels, stacked, unstacked
 from pipeline.corrections.review.planted import plant_flips, with_labels
 from pipeline.labels.reading import Labels
-from pipeline.relations.relations import DIRECTIONAL, U
+from pipeline.language.relation_names import DIRECTIONAL
+from pipeline.relations.relations import U
 from pipeline.system.errors import InputError
 from pipeline.training.label_data import LabelData, read_label_data
 from pipeline.training.train import TrainConfig

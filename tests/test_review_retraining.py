@@ -12,9 +12,9 @@ from review_labels import flipped
 
 from pipeline.corrections.review.retraining import RetrainConfig, Retraining, retrain
 from pipeline.labels.reading import Labels
+from pipeline.language.relation_names import DIRECTIONAL
 from pipeline.metrics.intervals import BootstrapConfig
 from pipeline.relations.model import OnnxScorer
-from pipeline.relations.relations import DIRECTIONAL
 from pipeline.system.errors import InputError
 from pipeline.training.train import TrainConfig
 

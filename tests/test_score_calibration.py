@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.answering.ask import AskConfig, ask
+from pipeline.answering.calibrating import annotated_names, calibrate_scores, collect_hits, reliability
 from pipeline.answering.json_records import trace_record
 from pipeline.answering.source import Source, open_source
 from pipeline.datasets.demo import demo_path
@@ -22,12 +23,8 @@ from pipeline.metrics.platt import IDENTITY, sigmoid
 from pipeline.proposals import top_k
 from pipeline.proposals.score_calibration import (
     ScoreCalibration,
-    annotated_names,
-    calibrate_scores,
-    collect_hits,
     fit_scores,
     load_calibration,
-    reliability,
     save_calibration,
     score_logit,
 )

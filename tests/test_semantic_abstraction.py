@@ -38,7 +38,7 @@ from pipeline.datasets.semantic_abstraction_splits import (
 from pipeline.datasets.settings import Settings
 from pipeline.geometry.camera import backproject, to_world
 from pipeline.geometry.frame import Frame
-from pipeline.relations.relations import VOCABULARIES
+from pipeline.language.relation_names import VOCABULARIES
 from pipeline.system.errors import InputError
 
 VIEW = "00007|FloorPlan201_physics"

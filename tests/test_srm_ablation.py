@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from pipeline.datasets.synthetic import choose_views, make_room
+from pipeline.language.relation_names import DIRECTIONAL
 from pipeline.metrics.intervals import BootstrapConfig, Estimate
-from pipeline.relations.relations import DIRECTIONAL
 from pipeline.system.errors import InputError
 from pipeline.training.ablation import (
     HEIGHTS_M,

@@ -12,10 +12,10 @@ import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from pipeline.datasets.synthetic import choose_views, make_room, render_view, sense_view
+from pipeline.language.relation_names import DIRECTIONAL
 from pipeline.metrics.platt import fit_calibration, fit_platt, sigmoid
 from pipeline.relations.features import FEATURES
 from pipeline.relations.model import OnnxScorer
-from pipeline.relations.relations import DIRECTIONAL
 from pipeline.system.errors import InputError, MissingExtra
 from pipeline.training import card
 from pipeline.training.card import RoomConfig

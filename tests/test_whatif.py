@@ -14,16 +14,16 @@ from hypothesis import strategies as st
 from whatif_scenes import ScoringDetector, context_of, row, source
 
 from pipeline.answering.ask import AskConfig, Trace, ask
-from pipeline.answering.objects import FrameContext, SceneObject
+from pipeline.answering.objects import FrameContext, SceneObject, appearance_of
 from pipeline.answering.ranking import RankConfig
 from pipeline.diagnosis.whatif import Baseline, Edits, apply, edits_record, load_edits, read_edits, rerun, what_changed
 from pipeline.diagnosis.whatif.keys import object_keys
 from pipeline.diagnosis.whatif.rerun import foreign_keys
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.lifting import LiftConfig
+from pipeline.language.relation_names import PAIRWISE
 from pipeline.relations import make_scorer
-from pipeline.relations.appearance import appearance_of
-from pipeline.relations.relations import PAIRWISE, Profile, pairwise_states
+from pipeline.relations.relations import Profile, pairwise_states
 from pipeline.system.errors import InputError
 
 QUESTIONS = (

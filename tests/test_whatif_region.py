@@ -20,7 +20,8 @@ from pipeline.diagnosis.whatif.region import region_of
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.lifting import LiftedObject, Quality, extents
 from pipeline.geometry.viewer import ViewerAxes, viewer_axes
-from pipeline.relations.relations import PAIRWISE, Profile, T, U, pairwise_states
+from pipeline.language.relation_names import PAIRWISE
+from pipeline.relations.relations import Profile, T, U, pairwise_states
 from pipeline.system.errors import InputError
 from spatialviz.report.picture import write_picture
 

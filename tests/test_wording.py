@@ -16,7 +16,7 @@ from pipeline.labels.wording import STYLES, can_be_said, expression_text, questi
 from pipeline.language.expression import parse
 from pipeline.language.naming import is_named, match, normal_form
 from pipeline.language.noun_phrase import indefinite_article, noun_phrase, readable
-from pipeline.relations.relations import DIRECTIONAL, PAIRWISE, PHRASE, VOCABULARIES
+from pipeline.language.relation_names import DIRECTIONAL, PAIRWISE, PHRASE, VOCABULARIES
 from pipeline.system.errors import InputError
 
 

@@ -16,8 +16,8 @@ from pipeline.answering.pair_table import PairTable, one_object_twice, pair_tabl
 from pipeline.answering.ranking import Candidates
 from pipeline.answering.source import Source
 from pipeline.answering.stage_clock import StageClock
+from pipeline.language.relation_names import PAIRWISE
 from pipeline.proposals.base import Proposals
-from pipeline.relations.relations import PAIRWISE
 from pipeline.relations.scorer import RelationScores
 from pipeline.system.errors import InputError
 

@@ -9,7 +9,7 @@ from time import perf_counter
 
 import numpy as np
 
-from pipeline.answering.objects import FrameContext, SceneObject, same_object
+from pipeline.answering.objects import FrameContext, SceneObject, appearance_of, same_object
 from pipeline.answering.ranking import Candidates, RankConfig, Ranking, RelationLookup, rank
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.lifting import LiftConfig
@@ -19,7 +19,6 @@ from pipeline.language.naming import Synonyms
 from pipeline.proposals.base import Detector, Proposals
 from pipeline.proposals.score_calibration import ScoreCalibration
 from pipeline.proposals.selection import top_k
-from pipeline.relations.appearance import appearance_of
 from pipeline.relations.scorer import (
     RelationScorer,
     RelationScores,

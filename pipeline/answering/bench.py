@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.answering.objects import FrameContext, all_objects
+from pipeline.answering.objects import FrameContext, all_objects, appearance_of
 from pipeline.answering.source import Source, contexts
 from pipeline.geometry.level_plane import level_plane
 from pipeline.geometry.lifting import depth_edges, lift
-from pipeline.relations.appearance import Appearance, appearance_of
+from pipeline.relations.appearance import Appearance
 from pipeline.system.errors import InputError
 
 MAX_FRAMES = 8

@@ -16,7 +16,8 @@ from pipeline.answering.told_answer import best_pair, failing_links
 from pipeline.datasets.survey import FrameReport
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.language.expression import Query
-from pipeline.relations.relations import PAIRWISE, letter
+from pipeline.language.relation_names import PAIRWISE
+from pipeline.relations.relations import letter
 
 Record = dict[str, Any]
 

@@ -8,10 +8,9 @@ from pathlib import Path
 
 from pipeline.proposals.box_config import find_box_model
 from pipeline.proposals.class_names import metadata_names
-from pipeline.proposals.contracts import Contract, TensorSpec
+from pipeline.proposals.contracts import Contract, TensorSpec, declared
 from pipeline.proposals.mismatch import BOXES, DETECTORS, FileKind, recognise
 from pipeline.proposals.mismatch import SEGMENTERS as SEGMENTER_CONTRACTS
-from pipeline.proposals.model_pair import declared
 from pipeline.system.errors import InputError
 from pipeline.system.known_models import KnownModel, known_models
 from pipeline.system.model_files import HubId, all_fetched, fetched, parse_hub_id, refuse_address

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from time import perf_counter
+from typing import TYPE_CHECKING
 
 import cv2
 import numpy as np
@@ -18,6 +19,11 @@ from pipeline.geometry.lifting import LiftConfig, LiftedObject, MaskSource, dept
 from pipeline.geometry.viewer import ViewerAxes, resolve_up, viewer_axes
 from pipeline.proposals.annotations import box_mask
 from pipeline.proposals.base import Detector, Proposals
+from pipeline.relations.appearance import Appearance
+
+if TYPE_CHECKING:
+    from pipeline.answering.objects import SceneObject
+    from pipeline.geometry.frame import Frame
 
 SAME_BOX_IOU = 0.7
 SAME_MASK_IOU = 0.5
@@ -203,3 +209,9 @@ def mask_iou(masks: Sequence[np.ndarray]) -> np.ndarray:
         shared = np.count_nonzero(coarse[a][part] & coarse[b][part])
         found[a, b] = found[b, a] = shared / (area[a] + area[b] - shared)
     return found
+
+
+def appearance_of(objects: Sequence[SceneObject], frame: Frame) -> Appearance:
+    """How the objects look in the frame they were lifted from."""
+    bboxes = np.array([o.bbox for o in objects], np.float64).reshape(-1, 4)
+    return Appearance(bboxes, tuple(o.label for o in objects), frame.width, frame.height)

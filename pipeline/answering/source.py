@@ -10,18 +10,17 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.answering.ask import AskConfig, Trace, ask
-from pipeline.answering.objects import FrameContext, SceneObject, all_objects, frame_context
+from pipeline.answering.objects import FrameContext, SceneObject, all_objects, appearance_of, frame_context
 from pipeline.datasets import Dataset, open_dataset, resolve_frame
 from pipeline.datasets.demo import DEMO_NAME, demo_path
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.language.naming import Synonyms
+from pipeline.language.relation_names import PAIRWISE
 from pipeline.proposals import Detector, Segmented, make_segmenter
 from pipeline.proposals.detector_setup import DetectorSetup
 from pipeline.proposals.segmenters import SegmenterFiles
 from pipeline.relations import RelationScorer, RelationScores, make_scorer
-from pipeline.relations.appearance import appearance_of
-from pipeline.relations.relations import PAIRWISE
 from pipeline.system.errors import FrameUnusable, InputError, UnknownFormat
 
 ALL_FRAMES = "all"

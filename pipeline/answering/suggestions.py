@@ -9,11 +9,10 @@ import numpy as np
 
 from pipeline.answering.objects import SceneObject
 from pipeline.geometry.viewer import ViewerAxes
-from pipeline.labels.expressions import alone
 from pipeline.language.expression import parse
 from pipeline.language.naming import normal_form
-from pipeline.language.noun_phrase import readable
-from pipeline.relations.relations import DIRECTIONAL, PHRASE
+from pipeline.language.noun_phrase import alone, readable
+from pipeline.language.relation_names import DIRECTIONAL, PHRASE
 from pipeline.relations.scorer import RelationScores
 from pipeline.system.errors import InputError
 

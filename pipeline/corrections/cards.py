@@ -8,7 +8,8 @@ from typing import Any
 from pipeline.corrections.journal.cells import relation_cell
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.origins import Origin
-from pipeline.relations.relations import PAIRWISE, U, letter
+from pipeline.language.relation_names import PAIRWISE
+from pipeline.relations.relations import U, letter
 from pipeline.system.errors import InputError
 
 ASKED_BEYOND_M = 0.1

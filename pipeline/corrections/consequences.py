@@ -11,7 +11,8 @@ from pipeline.corrections.journal.cells import object_cell
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.frame_rows import NO_STATE
 from pipeline.corrections.scene import labelled_box
-from pipeline.relations.relations import PAIRWISE, PHRASE, letter
+from pipeline.language.relation_names import PAIRWISE, PHRASE
+from pipeline.relations.relations import letter
 
 SAME_PLACE = 1e-3
 """A box that moves or grows by less, metres, is the same."""

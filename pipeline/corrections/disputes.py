@@ -11,7 +11,7 @@ from pipeline.corrections.journal.effective_expressions import SETS
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Conflict, Edit, Rival
 from pipeline.corrections.journal.setting import Setting
-from pipeline.relations.relations import PAIRWISE
+from pipeline.language.relation_names import PAIRWISE
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,8 @@ from pipeline.corrections.journal.origins import Origin
 from pipeline.geometry.boxes import Box3D
 from pipeline.labels.check.relations import OPPOSITES
 from pipeline.labels.labelling import judge_list
-from pipeline.relations.relations import PAIRWISE, F, T
+from pipeline.language.relation_names import PAIRWISE
+from pipeline.relations.relations import F, T
 from pipeline.system.errors import InputError
 
 _OPPOSITE = {one: other for pair in OPPOSITES for one, other in (pair, pair[::-1])}

@@ -9,9 +9,8 @@ import numpy as np
 from pipeline.answering.ask import Trace
 from pipeline.corrections.journal.cells import Cell, same_value
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
-from pipeline.evaluation.records import HIT
 from pipeline.geometry.boxes import iou_2d
-from pipeline.labels.cases import Case, FrameCases, frame_cases
+from pipeline.labels.cases import HIT, Case, FrameCases, frame_cases
 from pipeline.system.errors import InputError
 
 _OF_THE_LABEL = ("text", "target", "reference", "targets", "acceptable")

@@ -12,7 +12,8 @@ from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Conflict, Event, Saved
 from pipeline.corrections.unsaved import Waiting
 from pipeline.geometry.boxes import Box3D
-from pipeline.relations.relations import INVERSE, PHRASE, letter
+from pipeline.language.relation_names import INVERSE, PHRASE
+from pipeline.relations.relations import letter
 
 FIELDS = {
     "targets": "sure answers", "acceptable": "answers", "label": "class", "bbox": "2D box", "box": "3D box",

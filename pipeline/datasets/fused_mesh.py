@@ -22,7 +22,7 @@ from pipeline.datasets import Dataset
 from pipeline.geometry.camera import project
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.lifting import depth_edges, flying_pixels
-from pipeline.proposals.cache import cache_folder
+from pipeline.system.cache_folder import cache_folder
 from pipeline.system.errors import FrameUnusable, InputError, MissingExtra
 
 _VERSION = "1"

@@ -10,10 +10,9 @@ import numpy as np
 from pipeline.answering.answering import FrameAnswers
 from pipeline.answering.objects import SAME_BOX_IOU
 from pipeline.diagnosis.true_objects import TrueObjects, needs_points
-from pipeline.evaluation.records import HIT
 from pipeline.geometry.boxes import iou_2d
-from pipeline.labels.cases import Case, FrameCases
-from pipeline.relations.relations import DIRECTIONAL
+from pipeline.labels.cases import HIT, Case, FrameCases
+from pipeline.language.relation_names import DIRECTIONAL
 
 DEFAULT_CONFIDENCE = 0.5
 """Confidence of a recalled object where no right detection is known to take it from."""

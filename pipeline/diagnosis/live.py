@@ -21,9 +21,8 @@ from pipeline.diagnosis.oracles import names_of
 from pipeline.diagnosis.substitution import Substituted, substitute
 from pipeline.diagnosis.verdict import Diagnosis, diagnose
 from pipeline.diagnosis.words import explain
-from pipeline.evaluation.records import HIT, is_gold
 from pipeline.geometry.boxes import Box3D, iou_2d
-from pipeline.labels.cases import Case, FrameCases, frame_cases, read_cases
+from pipeline.labels.cases import HIT, Case, FrameCases, frame_cases, is_gold, read_cases
 from pipeline.labels.config import LabelConfig
 from pipeline.labels.labelling import label_objects
 from pipeline.labels.reading import Labels

@@ -8,9 +8,9 @@ from typing import Literal
 
 import numpy as np
 
-from pipeline.evaluation.records import HIT
 from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.frame import Frame
+from pipeline.labels.cases import HIT
 from pipeline.proposals.base import Detector, Proposals
 from pipeline.proposals.selection import suppress
 from pipeline.system.errors import InputError

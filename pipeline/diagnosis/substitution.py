@@ -20,9 +20,8 @@ from pipeline.diagnosis.oracles import (
     SUBSETS,
     WRONG_SCORE,
 )
-from pipeline.evaluation.records import HIT
 from pipeline.geometry.boxes import iou_2d
-from pipeline.labels.cases import Case
+from pipeline.labels.cases import HIT, Case
 
 _ALL = np.arange(SUBSETS)
 

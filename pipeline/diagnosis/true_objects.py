@@ -9,9 +9,9 @@ from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.lifting import LiftedObject, Quality, lift
 from pipeline.geometry.run_length import decode_run_length
 from pipeline.labels.cases import FrameCases
+from pipeline.language.relation_names import DIRECTIONAL
 from pipeline.proposals.annotations import box_mask
 from pipeline.relations.model import OnnxScorer
-from pipeline.relations.relations import DIRECTIONAL
 from pipeline.relations.scorer import RelationScorer, RuleScorer
 from pipeline.system.errors import InputError
 

@@ -35,8 +35,7 @@ from pipeline.diagnosis.misses import Missed, why_missed
 from pipeline.diagnosis.oracles import CONF, LIFT, SRM, SUBSETS, names_of, size
 from pipeline.diagnosis.repair import Needed, needed_changes
 from pipeline.diagnosis.substitution import Role, Substituted, substitute
-from pipeline.evaluation.records import HIT
-from pipeline.labels.cases import Case
+from pipeline.labels.cases import HIT, Case
 from pipeline.proposals.base import Detector
 
 VERDICTS = (

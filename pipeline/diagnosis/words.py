@@ -8,7 +8,7 @@ from pipeline.answering.pair_table import HOLDS, ScoredPair
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.labels.cases import Case
 from pipeline.language.expression import Query
-from pipeline.relations.relations import PHRASE
+from pipeline.language.relation_names import PHRASE
 
 _MODULE_WORDS = {
     "RECALL": "the missing objects", "LIFT": "true geometry", "SRM": "true relations", "CONF": "true confidences",

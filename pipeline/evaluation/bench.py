@@ -220,7 +220,7 @@ def _job(spec: EvalSpec, workers: int) -> dict[str, Any]:
 
 def _training(labels: Labels, count: int) -> dict[str, Any]:
     """A network of relative extents (rel14), with the default schedule, on the labels' pairs."""
-    from pipeline.relations.relations import VOCABULARIES
+    from pipeline.language.relation_names import VOCABULARIES
     from pipeline.training.label_data import pair_set, read_label_data
     from pipeline.training.train import TrainConfig, train_pairs
 

@@ -9,9 +9,8 @@ import numpy as np
 from pipeline.answering.ask import propose
 from pipeline.answering.objects import FrameContext, frame_context
 from pipeline.answering.source import Source
-from pipeline.evaluation.records import HIT
 from pipeline.geometry.boxes import iou_2d
-from pipeline.labels.cases import FrameCases, read_cases
+from pipeline.labels.cases import HIT, FrameCases, read_cases
 from pipeline.system.errors import InputError
 
 if TYPE_CHECKING:

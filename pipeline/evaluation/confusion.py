@@ -12,8 +12,9 @@ import numpy as np
 from pipeline.labels.database import quoted
 from pipeline.labels.reading import Labels
 from pipeline.labels.tables import read_table
+from pipeline.language.relation_names import PAIRWISE, PHRASE
 from pipeline.metrics.tables import Row, Table
-from pipeline.relations.relations import PAIRWISE, PHRASE, F, T, U
+from pipeline.relations.relations import F, T, U
 from pipeline.system.errors import InputError
 
 if TYPE_CHECKING:

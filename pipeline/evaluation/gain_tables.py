@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pipeline.evaluation.grounding_tables import clusters_of, column, has_opm
-from pipeline.evaluation.records import HIT
+from pipeline.labels.cases import HIT
 from pipeline.metrics.intervals import BootstrapConfig, Estimate, mean_estimate
 from pipeline.metrics.significance import McNemar, mcnemar
 from pipeline.metrics.tables import NOTHING_SHARED, Row, Table, in_blocks

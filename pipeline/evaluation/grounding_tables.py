@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipeline.evaluation.records import HIT
+from pipeline.labels.cases import HIT
+from pipeline.language.relation_names import PAIRWISE, PHRASE
 from pipeline.metrics.intervals import BootstrapConfig, Estimate, mean_estimate
 from pipeline.metrics.tables import NOTHING_SHARED, Row, Table, in_blocks
-from pipeline.relations.relations import PAIRWISE, PHRASE
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -23,7 +23,8 @@ from pipeline.labels.config import LabelConfig
 from pipeline.labels.job import label_dataset
 from pipeline.labels.plan import SourceSpec
 from pipeline.labels.profiles import judge_viewer_cone
-from pipeline.relations.relations import DIRECTIONAL, directional_states
+from pipeline.language.relation_names import DIRECTIONAL
+from pipeline.relations.relations import directional_states
 from pipeline.system.errors import InputError, MissingExtra
 from pipeline.system.threads import one_thread
 

@@ -8,11 +8,11 @@ from typing import Any
 
 from pipeline.diagnosis.verdict import VERDICTS
 from pipeline.evaluation.confusion import Confusion
-from pipeline.evaluation.loss_plots import ADDS_UP, LOSS_COLORS, VERDICT_COLORS, interval, shares_of_rows, waterfall
+from pipeline.evaluation.plot_parts import ADDS_UP, LOSS_COLORS, VERDICT_COLORS, interval, shares_of_rows, waterfall
 from pipeline.evaluation.slices import Slices
 from pipeline.evaluation.summary import RunSummary, residual_words
+from pipeline.language.relation_names import PHRASE
 from pipeline.metrics.intervals import Estimate
-from pipeline.relations.relations import PHRASE
 
 
 def write_page(

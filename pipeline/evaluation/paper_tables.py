@@ -10,15 +10,16 @@ import numpy as np
 
 from pipeline.datasets.semantic_abstraction_splits import SUBSETS, subsets_of
 from pipeline.evaluation.grounding_tables import OPM_ONLY, clusters_of, column, has_opm
-from pipeline.evaluation.records import HIT
 from pipeline.evaluation.relation_records import RelationRecords
 from pipeline.evaluation.relation_report import counted_pairs, relation_ranks
 from pipeline.evaluation.reported import read_reported
+from pipeline.labels.cases import HIT
+from pipeline.language.relation_names import VOCABULARIES
 from pipeline.metrics.intervals import BootstrapConfig, mean_estimate
 from pipeline.metrics.relation_intervals import relation_estimates
 from pipeline.metrics.relation_metrics import cell_outcomes
 from pipeline.metrics.tables import Cell, Row, Table, in_blocks
-from pipeline.relations.relations import VOCABULARIES, T
+from pipeline.relations.relations import T
 
 if TYPE_CHECKING:
     import pyarrow as pa

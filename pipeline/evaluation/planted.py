@@ -47,15 +47,16 @@ from pipeline.evaluation.planted_parts import (
     rescored,
     share,
 )
-from pipeline.evaluation.records import read_query, record
+from pipeline.evaluation.records import record
 from pipeline.evaluation.run import class_names_of
 from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.frame import Frame
-from pipeline.labels.cases import Case, FrameCases, read_cases
+from pipeline.labels.cases import Case, FrameCases, read_cases, read_query
 from pipeline.labels.reading import Labels
+from pipeline.language.relation_names import INVERSE, PHRASE
 from pipeline.proposals.annotations import AnnotationDetector
 from pipeline.proposals.base import Proposals
-from pipeline.relations.relations import INVERSE, PHRASE, U
+from pipeline.relations.relations import U
 
 KINDS: dict[str, tuple[str, ...]] = {
     "OPM-TARGET": ("absent", "threshold", "rank", "localisation"),

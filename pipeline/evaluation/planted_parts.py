@@ -13,11 +13,11 @@ from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.lifting import LiftedObject
 from pipeline.geometry.viewer import ViewerAxes
+from pipeline.language.relation_names import PAIRWISE
 from pipeline.proposals.annotations import AnnotationDetector, box_mask
 from pipeline.proposals.base import Detector, Proposals, no_proposals
 from pipeline.proposals.mask_damage import leaked, surroundings
 from pipeline.relations.appearance import Appearance
-from pipeline.relations.relations import PAIRWISE
 from pipeline.relations.scorer import RelationScorer, RelationScores
 from pipeline.system.errors import InputError
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -12,15 +11,12 @@ from pipeline.answering.pair_table import PairTable, ScoredPair
 from pipeline.answering.ranking import alone
 from pipeline.diagnosis.columns import DIAGNOSIS_COLUMNS
 from pipeline.geometry.boxes import iou_2d
-from pipeline.labels.cases import Case, FrameCases
-from pipeline.language.expression import Query, parse
-from pipeline.system.errors import InputError
+from pipeline.labels.cases import HIT, Case, FrameCases, is_gold
+from pipeline.language.expression import Query
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-HIT = 0.5
-"""A box is found where its overlap (IoU) is at least this."""
 
 RAW = (
     "box", "reference_box", "iou", "strict_iou", "set_iou", "correct", "strict_correct", "set_correct",
@@ -76,26 +72,6 @@ def records_schema() -> pa.Schema:
 def overlaps(box: np.ndarray | None, truth: np.ndarray) -> float:
     """The best overlap of a predicted box with any of the true ones ((K, 4)); 0 where either is missing."""
     return 0.0 if box is None or not len(truth) else float(iou_2d(box[None], truth).max())
-
-
-def read_query(case: Case, class_names: Sequence[str]) -> tuple[Query | None, str | None]:
-    """The parsed expression, or why it cannot be read."""
-    try:
-        return parse(case.text, class_names=tuple(class_names)), None
-    except InputError as error:
-        return None, str(error)
-
-
-def is_gold(query: Query, case: Case) -> bool:
-    """Whether the parser read the gold triple and nothing else."""
-    e = query.expression
-    return (
-        len(query.readings) == 1
-        and len(query.labels) == len({case.target, case.reference})
-        and (e.target, e.relation, e.reference) == (case.target, case.relation, case.reference)
-        and not e.inverse
-        and e.second_reference is None
-    )
 
 
 def matched(overlap: np.ndarray, labels: np.ndarray) -> np.ndarray:
@@ -256,5 +232,3 @@ def _winner(
         "matched_reference": None if b < 0 else int(b),
         "label_state": None if a < 0 or b < 0 else int(truth.states[case.relation][a, b]),
     }  # fmt: skip
-
-

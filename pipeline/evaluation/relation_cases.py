@@ -12,11 +12,12 @@ from pipeline.answering.objects import FrameContext
 from pipeline.answering.source import Source
 from pipeline.evaluation.relation_systems import RelationSystem
 from pipeline.labels.reading import Labels
+from pipeline.language.relation_names import PAIRWISE
 from pipeline.metrics.splits import FrameKey
 from pipeline.proposals import make_detector
 from pipeline.proposals.base import Detector
 from pipeline.relations.features import geometry_of
-from pipeline.relations.relations import PAIRWISE, pairwise_states
+from pipeline.relations.relations import pairwise_states
 from pipeline.relations.scorer import rule_probabilities
 from pipeline.system.errors import InputError
 from pipeline.training.label_data import GEOMETRY_COLUMNS, column_arrays, object_rows, rows_of_frame

@@ -11,8 +11,8 @@ import numpy as np
 from pipeline.evaluation.plots import TONES
 from pipeline.evaluation.relation_report import SystemFigures
 from pipeline.labels.report.style import house_style
+from pipeline.language.relation_names import PAIRWISE, PHRASE
 from pipeline.metrics.tables import Table, caveats_html
-from pipeline.relations.relations import PAIRWISE, PHRASE
 
 DIAGONAL = "#b4bdca"
 

@@ -16,9 +16,10 @@ from pipeline.answering.source import Source
 from pipeline.evaluation.relation_cases import FramePairs, read_pairs, score_lifted, score_stored
 from pipeline.evaluation.relation_systems import RelationSpec, RelationSystem, geometry_of_labels, open_systems
 from pipeline.labels.reading import Labels
+from pipeline.language.relation_names import PAIRWISE
 from pipeline.metrics.splits import DROPPED, PARTS
-from pipeline.relations.relations import PAIRWISE
 from pipeline.system.errors import InputError
+from pipeline.training.label_identity import parts_seen
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -189,7 +190,7 @@ def _rows(
 def _part_of(system: RelationSystem, pairs: FramePairs, labels: Labels) -> str | None:
     if system.trained_on is None:
         return None
-    part = int(system.trained_on.parts(labels, [pairs.key])[0])
+    part = int(parts_seen(system.trained_on, labels, [pairs.key])[0])
     return None if part == DROPPED else PARTS[part]
 
 

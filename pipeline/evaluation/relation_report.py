@@ -12,6 +12,7 @@ from pipeline.evaluation.relation_records import RelationRecords, SystemRecords
 from pipeline.evaluation.relation_systems import RelationSystem
 from pipeline.evaluation.reported import reported_rows
 from pipeline.evaluation.shared_makers import Share, with_caveats
+from pipeline.language.relation_names import PHRASE
 from pipeline.metrics.calibration_metrics import CalibrationMetrics, calibration_metrics
 from pipeline.metrics.intervals import BootstrapConfig, Estimate, mean_estimate
 from pipeline.metrics.relation_intervals import RelationEstimates, relation_estimates
@@ -19,7 +20,8 @@ from pipeline.metrics.relation_metrics import RelationMetrics, cell_outcomes, mu
 from pipeline.metrics.single_label_metrics import true_ranks
 from pipeline.metrics.splits import DROPPED, TRAIN, VALIDATION
 from pipeline.metrics.tables import NOTHING_SHARED, Cell, Row, Table, in_blocks
-from pipeline.relations.relations import PHRASE, T
+from pipeline.relations.relations import T
+from pipeline.training.label_identity import same_dataset
 
 if TYPE_CHECKING:
     from pipeline.labels.reading import Labels
@@ -263,7 +265,7 @@ def leak_warnings(
             text = "the file does not say what it was trained on, so these pairs may be among it"
             found.setdefault(text, []).append(system.name)
         learnt = system.trained_on
-        if learnt is None or not learnt.same_dataset(labels):
+        if learnt is None or not same_dataset(learnt, labels):
             continue
         seen = said.part != DROPPED
         shared = sorted(set(records.scenes) & set(learnt.scenes))

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from pipeline.language.relation_names import PAIRWISE
 from pipeline.relations import RULE, TRAINED, RelationScorer, make_scorer, shipped_network
 from pipeline.relations.features import geometry_of
-from pipeline.relations.relations import PAIRWISE
 from pipeline.relations.trained_on import TrainedOn
 from pipeline.system.errors import InputError
 

@@ -22,13 +22,13 @@ from pipeline.diagnosis.frame_evidence import DEFAULT_CONFIDENCE, FrameEvidence
 from pipeline.diagnosis.verdict import diagnose
 from pipeline.diagnosis.words import explain
 from pipeline.evaluation.raw_scores import by_raw_scores, raw_columns
-from pipeline.evaluation.records import COLUMNS, read_query, record, records_schema
+from pipeline.evaluation.records import COLUMNS, record, records_schema
 from pipeline.evaluation.relation_cases import frames_with_pairs
 from pipeline.evaluation.relation_records import RelationPass
 from pipeline.evaluation.relation_systems import RelationSpec
 from pipeline.evaluation.whole_expression import Referring, Vlm, VlmOptions, WholeExpression, record_whole
 from pipeline.geometry.boxes import iou_2d
-from pipeline.labels.cases import Case, FrameCases, read_cases
+from pipeline.labels.cases import Case, FrameCases, read_cases, read_query
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.language.expression import Query
 from pipeline.proposals.base import reads_annotations

@@ -27,7 +27,7 @@ from pipeline.evaluation.compare import read_records
 from pipeline.evaluation.search_words import Term, Value, read_terms
 from pipeline.evaluation.summary import need_verdicts
 from pipeline.labels.database import quoted
-from pipeline.relations.relations import PAIRWISE, PHRASE
+from pipeline.language.relation_names import PAIRWISE, PHRASE
 from pipeline.system.errors import InputError
 
 if TYPE_CHECKING:

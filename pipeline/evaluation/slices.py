@@ -13,10 +13,10 @@ from pipeline.evaluation.grounding_tables import clusters_of
 from pipeline.evaluation.search_words import quote
 from pipeline.evaluation.summary import has_verdicts
 from pipeline.labels.database import quoted
+from pipeline.language.relation_names import PAIRWISE, PHRASE
 from pipeline.metrics.counts import ratio
 from pipeline.metrics.intervals import BootstrapConfig, Estimate, bootstrap
 from pipeline.metrics.tables import Cell, Row, Table
-from pipeline.relations.relations import PAIRWISE, PHRASE
 from pipeline.system.errors import InputError
 
 if TYPE_CHECKING:

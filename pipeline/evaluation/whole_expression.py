@@ -8,10 +8,10 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from pipeline.evaluation.records import COLUMNS, HIT, matched, overlaps
+from pipeline.evaluation.records import COLUMNS, matched, overlaps
 from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.frame import Frame
-from pipeline.labels.cases import Case, FrameCases
+from pipeline.labels.cases import HIT, Case, FrameCases
 from pipeline.proposals.base import Detector, detect_expression
 from pipeline.system.errors import InputError
 

@@ -10,9 +10,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.geometry.frame import Frame
-from pipeline.labels.expressions import same_names
 from pipeline.labels.reading import Labels
-from pipeline.relations.relations import PAIRWISE, U
+from pipeline.language.expression import Query, parse
+from pipeline.language.noun_phrase import same_names
+from pipeline.language.relation_names import PAIRWISE
+from pipeline.relations.relations import U
 from pipeline.system.errors import InputError
 
 if TYPE_CHECKING:
@@ -228,3 +230,27 @@ def _by_frame(table: pa.Table) -> dict[int, dict[str, list[Any]]]:
         int(index[a]): {name: values[a:b] for name, values in columns.items()}
         for a, b in zip(starts.tolist(), stops, strict=True)
     }
+
+
+HIT = 0.5
+"""A box is found where its overlap (IoU) is at least this."""
+
+
+def read_query(case: Case, class_names: Sequence[str]) -> tuple[Query | None, str | None]:
+    """The parsed expression, or why it cannot be read."""
+    try:
+        return parse(case.text, class_names=tuple(class_names)), None
+    except InputError as error:
+        return None, str(error)
+
+
+def is_gold(query: Query, case: Case) -> bool:
+    """Whether the parser read the gold triple and nothing else."""
+    e = query.expression
+    return (
+        len(query.readings) == 1
+        and len(query.labels) == len({case.target, case.reference})
+        and (e.target, e.relation, e.reference) == (case.target, case.relation, case.reference)
+        and not e.inverse
+        and e.second_reference is None
+    )

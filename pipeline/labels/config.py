@@ -9,7 +9,8 @@ from typing import Any, Literal
 from pipeline.geometry.lifting import LiftConfig
 from pipeline.labels.profiles import RuleProfile, canonical_hash, profile_of
 from pipeline.language.naming import normal_form
-from pipeline.relations.relations import PAIRWISE, PROFILE, VOCABULARIES
+from pipeline.language.relation_names import PAIRWISE, VOCABULARIES
+from pipeline.relations.relations import PROFILE
 from pipeline.system.errors import InputError
 
 TextStyle = Literal["varied", "plain", "semantic-abstraction"]

@@ -11,33 +11,14 @@ import xxhash
 from pipeline.labels.config import LabelConfig
 from pipeline.labels.profiles import Judged
 from pipeline.labels.wording import can_be_said
-from pipeline.language.naming import normal_form, same_class
-from pipeline.language.noun_phrase import readable
-from pipeline.relations.relations import PAIRWISE, T, U
+from pipeline.language.noun_phrase import same_names
+from pipeline.language.relation_names import PAIRWISE
+from pipeline.relations.relations import T, U
 
 
 def row_hash(seed: int, *parts: object) -> int:
     """64 bits that depend on nothing but the seed and what the row says."""
     return xxhash.xxh3_64_intdigest("\x1f".join(str(p) for p in parts).encode(), seed=seed & (2**64 - 1))
-
-
-def same_names(labels: Sequence[str]) -> np.ndarray:
-    """(N, N) bool: objects whose class names mean the same."""
-    names = list(dict.fromkeys(labels))
-    alike = np.array([[a == b or same_class(a, b) for b in names] for a in names], np.bool_)
-    alike = alike.reshape(len(names), len(names))
-    place = np.array([names.index(label) for label in labels], np.int64)
-    return alike[np.ix_(place, place)]
-
-
-def alone(labels: Sequence[str]) -> np.ndarray:
-    """(N,) bool: names that mean one object only, neither a second of the class nor one of a kind of it."""
-    # As they are said: `bat (animal)` and `bat (club)` may both be said `bat`.
-    said = [readable(label) for label in labels]
-    single = (same_names(labels).sum(axis=1) == 1) & (same_names(said).sum(axis=1) == 1)
-    forms = [normal_form(name) for name in said]
-    general = [any(other.endswith(f" {form}") for other in forms) for form in forms]
-    return single & ~np.array(general, np.bool_)
 
 
 def candidate_expressions(

@@ -9,7 +9,8 @@ import numpy as np
 
 from pipeline.datasets import GivenExpression
 from pipeline.labels.profiles import Judged
-from pipeline.relations.relations import PAIRWISE, F, T
+from pipeline.language.relation_names import PAIRWISE
+from pipeline.relations.relations import F, T
 
 
 def as_given(judged: Judged, numbers: Sequence[int], given: Sequence[GivenExpression]) -> Judged:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import xxhash
 
-from pipeline.answering.objects import FrameContext, SceneObject
+from pipeline.answering.objects import FrameContext, SceneObject, appearance_of
 from pipeline.datasets import GivenExpression
 from pipeline.geometry.fitting import pca_box
 from pipeline.geometry.frame import Annotation, Frame
@@ -23,9 +23,9 @@ from pipeline.labels.occlusion import occluded_share
 from pipeline.labels.profiles import CONTACT, GIVEN, Judged
 from pipeline.labels.second_opinion import doubted
 from pipeline.labels.tables import PART_TABLES, Columns
-from pipeline.relations.appearance import appearance_of
+from pipeline.language.relation_names import PAIRWISE
 from pipeline.relations.model import OnnxScorer
-from pipeline.relations.relations import PAIRWISE, U
+from pipeline.relations.relations import U
 
 
 @dataclass(frozen=True)

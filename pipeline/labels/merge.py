@@ -19,7 +19,6 @@ from pipeline import __version__
 from pipeline.datasets.up_words import ASSUMED, DECLARE
 from pipeline.labels.card import croissant, dataset_card
 from pipeline.labels.config import SelectConfig, TextStyle
-from pipeline.labels.expressions import alone
 from pipeline.labels.makers import makers_of
 from pipeline.labels.plan import PLAN_FILE, Plan, Shard, load_plan
 from pipeline.labels.reading import MANIFEST_FILE, Labels
@@ -29,7 +28,8 @@ from pipeline.labels.selection import select
 from pipeline.labels.store import Store
 from pipeline.labels.tables import CANDIDATES, ROW_GROUP, RowHash, arrow_schema
 from pipeline.labels.wording import expression_text
-from pipeline.relations.relations import PAIRWISE
+from pipeline.language.noun_phrase import alone
+from pipeline.language.relation_names import PAIRWISE
 from pipeline.system.errors import InputError
 from pipeline.system.whole_files import clear_abandoned, temporary_beside, write_synced
 

@@ -11,9 +11,8 @@ from typing import Any, Protocol
 import numpy as np
 
 from pipeline.labels.margins import contact_margins, directional_margins
+from pipeline.language.relation_names import DIRECTIONAL, PAIRWISE
 from pipeline.relations.relations import (
-    DIRECTIONAL,
-    PAIRWISE,
     PROFILE,
     F,
     Profile,

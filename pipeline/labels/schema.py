@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field
 
 from pipeline.geometry.camera import UpSource
+from pipeline.labels.profiles import canonical_hash
 
 SCHEMA_VERSION = "1.2.0"
 """Semantic version of the tables below: a new major number means that old readers must refuse."""
@@ -234,3 +235,9 @@ def json_schemas() -> dict[str, dict[str, Any]]:
             **schema,
         }
     return found
+
+
+def labels_version(manifest: Manifest) -> str:
+    """16 hexadecimal digits that change with how the automatic labels were made and with what is in them."""
+    tables = {name: entry.content_hash for name, entry in manifest.tables.items()}
+    return canonical_hash({"config": manifest.config_hash, "tables": tables})[:16]

@@ -12,8 +12,8 @@ from pipeline.language import lexicon
 from pipeline.language.expression import parse
 from pipeline.language.naming import DETERMINERS, is_named, match, normal_form, same_class
 from pipeline.language.noun_phrase import NounPhrase, noun_phrase, readable
+from pipeline.language.relation_names import PAIRWISE, PHRASE
 from pipeline.language.tokens import MAX_LENGTH, words_of
-from pipeline.relations.relations import PAIRWISE, PHRASE
 from pipeline.system.errors import InputError
 
 __all__ = ["STYLES", "can_be_said", "expression_text", "question_text"]

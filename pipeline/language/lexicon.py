@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 
-from pipeline.relations.relations import INVERSE, PHRASE
+from pipeline.language.relation_names import INVERSE, PHRASE
 
 RELATIONS: tuple[str, ...] = tuple(PHRASE)
 """The canonical names of the relations."""

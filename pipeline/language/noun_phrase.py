@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import re
 import unicodedata
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
-from pipeline.language.naming import CAMEL_CASE, DETERMINERS, HEAD_ENDS, QUALIFIER, singular
+import numpy as np
+
+from pipeline.language.naming import CAMEL_CASE, DETERMINERS, HEAD_ENDS, QUALIFIER, normal_form, same_class, singular
 
 
 def _words(text: str) -> frozenset[str]:
@@ -194,3 +197,22 @@ def _recased(word: str, *, shouted: bool, titled: bool) -> str:
         return word.lower() if shouted and not _is_spelled_out(word.lower()) else word
     is_title = word[1:] == word[1:].lower() and not re.match(r"\w[-‐-―&]", word)
     return word.lower() if titled and is_title else word
+
+
+def same_names(labels: Sequence[str]) -> np.ndarray:
+    """(N, N) bool: objects whose class names mean the same."""
+    names = list(dict.fromkeys(labels))
+    alike = np.array([[a == b or same_class(a, b) for b in names] for a in names], np.bool_)
+    alike = alike.reshape(len(names), len(names))
+    place = np.array([names.index(label) for label in labels], np.int64)
+    return alike[np.ix_(place, place)]
+
+
+def alone(labels: Sequence[str]) -> np.ndarray:
+    """(N,) bool: names that mean one object only, neither a second of the class nor one of a kind of it."""
+    # As they are said: `bat (animal)` and `bat (club)` may both be said `bat`.
+    said = [readable(label) for label in labels]
+    single = (same_names(labels).sum(axis=1) == 1) & (same_names(said).sum(axis=1) == 1)
+    forms = [normal_form(name) for name in said]
+    general = [any(other.endswith(f" {form}") for other in forms) for form in forms]
+    return single & ~np.array(general, np.bool_)

@@ -8,9 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.language.relation_names import DIRECTIONAL
 from pipeline.metrics.counts import ratio
 from pipeline.metrics.inputs import checked_cells, checked_flags, checked_names, checked_probabilities
-from pipeline.relations.relations import DIRECTIONAL
 from pipeline.system.errors import InputError
 
 ECE_BINS = 15

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pipeline.relations.relations import INVERSE
+from pipeline.language.relation_names import INVERSE
 
 Platt = tuple[float, float]
 """a and b of P = 1 / (1 + exp(-(a * logit + b))), a > 0."""

@@ -8,11 +8,11 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.language.relation_names import DIRECTIONAL
 from pipeline.metrics.counts import f1_of, mean_of_defined, ratio
 from pipeline.metrics.inputs import checked_clusters, checked_names
 from pipeline.metrics.intervals import BootstrapConfig, Estimate, bootstrap
 from pipeline.metrics.relation_metrics import CellOutcomes
-from pipeline.relations.relations import DIRECTIONAL
 from pipeline.system.errors import InputError
 
 

@@ -11,9 +11,9 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.language.relation_names import DIRECTIONAL
 from pipeline.metrics.counts import f1_of, mean_of_defined, ratio
 from pipeline.metrics.inputs import checked_cells, checked_names, checked_thresholds
-from pipeline.relations.relations import DIRECTIONAL
 
 THRESHOLD = 0.5
 """A relation is said to hold where its probability is greater, so that a doubt of exactly one half is a no."""

@@ -10,20 +10,15 @@ from pathlib import Path
 from threading import Lock
 
 import numpy as np
-import platformdirs
 import xxhash
 
 from pipeline.geometry.frame import Frame
 from pipeline.proposals.base import Detector, Proposals, detect_expression, reads_annotations
+from pipeline.system.cache_folder import cache_folder
 
 _IN_MEMORY = 8
 _VERSION = "2"
 """Part of every key: a change of what detectors make of a network's output must change it."""
-
-
-def cache_folder() -> Path:
-    """Where cached results live: SPATIALVIZ_CACHE, or the user's cache folder."""
-    return Path(os.environ.get("SPATIALVIZ_CACHE") or platformdirs.user_cache_dir("spatialviz"))
 
 
 class CachedDetector:

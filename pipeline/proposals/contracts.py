@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
 
 @dataclass(frozen=True)
@@ -41,3 +43,46 @@ class Contract:
     what: str
     inputs: tuple[TensorSpec, ...]
     outputs: tuple[TensorSpec, ...]
+
+
+_DTYPES = {
+    "tensor(float)": "float32",
+    "tensor(float16)": "float16",
+    "tensor(double)": "float64",
+    "tensor(int64)": "int64",
+    "tensor(int32)": "int32",
+    "tensor(uint8)": "uint8",
+    "tensor(bool)": "bool",
+}
+
+
+def declared(values: Iterable[Any]) -> tuple[TensorSpec, ...]:
+    """Inputs or outputs of a session."""
+
+    def shape(value: Any) -> tuple[int | str, ...]:
+        return tuple(size if isinstance(size, int) else str(size or "?") for size in value.shape)
+
+    return tuple(TensorSpec(v.name, _DTYPES.get(v.type, str(v.type)), shape(v)) for v in values)
+
+
+def follows(session: Any, contract: Contract) -> bool:
+    """Whether a file declares what a contract wants: the same inputs, and at least its outputs."""
+    inputs = {s.name: s for s in declared(session.get_inputs())}
+    outputs = {s.name: s for s in declared(session.get_outputs())}
+    if set(inputs) != {s.name for s in contract.inputs}:
+        return False
+    if not all(_fits(inputs[s.name], s) for s in contract.inputs):
+        return False
+    if len(contract.outputs) == len(outputs) == 1:
+        return len(next(iter(outputs.values())).shape) in (0, len(contract.outputs[0].shape))
+    return all(s.name in outputs for s in contract.outputs)
+
+
+def _fits(found: TensorSpec, wanted: TensorSpec) -> bool:
+    if len(found.shape) != len(wanted.shape):
+        return False
+    if wanted.dtype == "int64" and found.dtype not in ("int64", "int32"):
+        return False
+    return all(
+        a == b or isinstance(a, str) or isinstance(b, str) for a, b in zip(found.shape, wanted.shape, strict=True)
+    )

@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -25,33 +24,18 @@ from pipeline.proposals.class_names import (
     synonyms_hash,
     wanted_names,
 )
-from pipeline.proposals.contracts import Contract, TensorSpec
+from pipeline.proposals.detic_contract import CONTRACTS, OPTION, tensors_of
 from pipeline.proposals.mask_paste import paste_masks
 from pipeline.proposals.resampling import pillow_resized
 from pipeline.system.errors import InputError
 from pipeline.system.onnx_session import model_hash, open_session, run_session
 
-OPTION = "--detector detic"
 VERSION = "1"
 MIN_SCORE = 0.02
 """The paper's, which is Detic's own SCORE_THRESH_TEST. A file may have been exported with a higher one."""
 SHORTEST, LONGEST = 800, 1333
 NAME_FILES = ("{stem}.names.txt", "{stem}.txt", "{stem}.names.json", "imagenet_21k_class_names.txt", "lvis_v1_val.json")
 """Where class names are looked for beside the model."""
-CONTRACTS = (
-    Contract(
-        OPTION,
-        "Detic with a frozen vocabulary (axinc-ai/ailia-models), with its class names in a file",
-        (TensorSpec("img", "float32", (1, 3, "H", "W")),),
-        (
-            TensorSpec("boxes", "float32", ("n", 4)),
-            TensorSpec("scores", "float32", ("n",)),
-            TensorSpec("classes", "int64", ("n",)),
-            TensorSpec("masks", "float32", ("n", 1, 28, 28)),
-        ),
-    ),
-)
-"""The outputs are told by their order, whatever their names."""
 
 
 class DeticDetector:
@@ -201,17 +185,3 @@ def resized_shape(height: int, width: int) -> tuple[int, int]:
     high, wide = (float(SHORTEST), scale * width) if height < width else (scale * height, float(SHORTEST))
     less = min(LONGEST / max(high, wide), 1.0)
     return max(int(high * less + 0.5), 1), max(int(wide * less + 0.5), 1)
-
-
-def tensors_of(session: Any) -> tuple[Any, list[str]] | None:
-    """The input, and the names of boxes, scores, classes and masks; None where this is no Detic."""
-    inputs, outputs = session.get_inputs(), session.get_outputs()
-    if len(inputs) != 1 or len(outputs) != 4 or len(inputs[0].shape) != 4 or inputs[0].shape[1] not in (3, "C"):
-        return None
-    # A file may leave the shapes of its outputs open: what it says must fit.
-    ranks = [len(o.shape) for o in outputs]
-    fits = all(r in (0, wanted) for r, wanted in zip(ranks, (2, 1, 1, 4), strict=True))
-    boxes = outputs[0].shape
-    if not fits or not any(ranks) or (len(boxes) == 2 and isinstance(boxes[1], int) and boxes[1] != 4):
-        return None
-    return inputs[0], [o.name for o in outputs]

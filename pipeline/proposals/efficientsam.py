@@ -13,44 +13,16 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.proposals.contracts import Contract, TensorSpec
+from pipeline.proposals.efficientsam_contract import DECODERS, ENCODERS, OPTION
 from pipeline.proposals.model_pair import open_pair
 from pipeline.proposals.prompted import best_mask, corners, resampled, stretched
 from pipeline.system.errors import InputError
 
-OPTION = "--segmenter efficientsam"
 VERSION = "1"
 SIDE = 1024
 AT_ONCE = 8
 _VALUES = 2**25
 """Mask logits in a run at most: three masks a box, in picture size."""
-
-_EMBEDDINGS = TensorSpec("image_embeddings", "float32", ("batch", 256, 64, 64))
-ENCODERS = (
-    Contract(
-        OPTION,
-        "EfficientSAM encoder",
-        (TensorSpec("batched_images", "float32", ("batch", 3, "height", "width")),),
-        (_EMBEDDINGS,),
-    ),
-)
-DECODERS = (
-    Contract(
-        OPTION,
-        "EfficientSAM prompt decoder",
-        (
-            _EMBEDDINGS,
-            TensorSpec("batched_point_coords", "float32", (1, "boxes", "points", 2)),
-            TensorSpec("batched_point_labels", "float32", (1, "boxes", "points")),
-            TensorSpec("orig_im_size", "int64", (2,)),
-        ),
-        (
-            TensorSpec("output_masks", "float32", (1, "boxes", "masks", "H", "W")),
-            TensorSpec("iou_predictions", "float32", (1, "boxes", "masks")),
-        ),
-    ),
-)
-CONTRACTS = ENCODERS + DECODERS
 
 
 class EfficientSamModel:

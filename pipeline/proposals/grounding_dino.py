@@ -29,8 +29,8 @@ from pipeline.proposals.captions import (
     span_scores,
     token_blocks,
 )
-from pipeline.proposals.contracts import Contract, TensorSpec
-from pipeline.proposals.relative_boxes import box_output, proposals_of, to_pixels
+from pipeline.proposals.grounding_dino_contract import CONTRACTS, tensors_of
+from pipeline.proposals.relative_boxes import proposals_of, to_pixels
 from pipeline.proposals.resampling import IMAGENET_MEAN, IMAGENET_STD, normalised, pillow_resized, shortest_edge
 from pipeline.proposals.selection import NMS_IOU, class_wise
 from pipeline.proposals.tokenizer_file import TOKENIZER, find_tokenizer, load_tokenizer
@@ -38,35 +38,6 @@ from pipeline.system.errors import InputError
 from pipeline.system.onnx_session import file_hash, model_hash, open_session, run_session
 
 TOKENIZERS = (TOKENIZER, "vocab.txt", "*vocab*.txt")
-_OUTPUTS = (TensorSpec("logits", "float32", (1, "Q", "T")), TensorSpec("pred_boxes", "float32", (1, "Q", 4)))
-_TEXT = (TensorSpec("input_ids", "int64", (1, "S")), TensorSpec("token_type_ids", "int64", (1, "S")))
-CONTRACTS = (
-    Contract(
-        "--detector grounding-dino",
-        "GroundingDINO as transformers has it (onnx-community/grounding-dino-tiny-ONNX), with its tokenizer.json",
-        (
-            TensorSpec("pixel_values", "float32", (1, 3, "H", "W")),
-            *_TEXT,
-            TensorSpec("attention_mask", "int64", (1, "S")),
-            TensorSpec("pixel_mask", "int64", (1, "H", "W")),
-        ),
-        _OUTPUTS,
-    ),
-    Contract(
-        "--detector grounding-dino",
-        "GroundingDINO exported from the original code, with the tokenizer.json or vocab.txt of bert-base-uncased",
-        (
-            TensorSpec("img", "float32", (1, 3, "H", "W")),
-            *_TEXT,
-            TensorSpec("attention_mask", "bool", (1, "S")),
-            TensorSpec("position_ids", "int64", (1, "S")),
-            TensorSpec("text_token_mask", "bool", (1, "S", "S")),
-        ),
-        _OUTPUTS,
-    ),
-)
-"""Inputs that do not bear on an output may be missing, as exporters drop them."""
-PICTURES = ("pixel_values", "img")
 BOX_THRESHOLD, TEXT_THRESHOLD = 0.15, 0.10
 """Those of the paper."""
 MAX_PER_NAME = 100
@@ -225,23 +196,6 @@ class GroundingDinoDetector:
             image = pillow_resized(frame.rgb, height, width)
             self._pixels = kept = frame.content_hash, normalised(image, IMAGENET_MEAN, IMAGENET_STD)
         return kept[1]
-
-
-def tensors_of(session: Any) -> tuple[str, list[str]] | None:
-    """The name of the picture's input, and those of the logits and the boxes; None where this is no such model."""
-    inputs = {i.name: i.shape for i in session.get_inputs()}
-    picture = next((n for n in PICTURES if n in inputs), None)
-    known = {t.name for c in CONTRACTS for t in c.inputs}
-    boxes = box_output(session)
-    outputs = [o for o in session.get_outputs() if o.name != boxes and len(o.shape) == 3]
-    # OWLv2 and OWL-ViT have some of the same inputs, and give their embeddings.
-    other = any(o.name in ("text_embeds", "image_embeds") for o in session.get_outputs())
-    logits = next((o.name for o in outputs if o.name == "logits"), outputs[0].name if outputs else None)
-    shape = inputs[picture] if picture else []
-    fits = len(shape) == 4 and (shape[1] == 3 or not isinstance(shape[1], int)) and not other
-    if picture is None or not fits or "input_ids" not in inputs or set(inputs) - known or not boxes or not logits:
-        return None
-    return picture, [logits, boxes]
 
 
 def _check_contract(session: Any, path: Path) -> tuple[str, list[str]]:

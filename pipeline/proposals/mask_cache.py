@@ -11,8 +11,8 @@ import numpy as np
 import xxhash
 
 from pipeline.geometry.frame import Frame
-from pipeline.proposals.cache import cache_folder
 from pipeline.proposals.segmenter import Segmenter
+from pipeline.system.cache_folder import cache_folder
 
 _VERSION = "1"
 

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pipeline.proposals import detic, grounding_dino, owl, yolo_seg
-from pipeline.proposals.contracts import Contract, TensorSpec
-from pipeline.proposals.model_pair import declared, follows
+from pipeline.proposals import detic_contract, grounding_dino_contract, owl_contract, yolo_seg_contract
+from pipeline.proposals.contracts import Contract, TensorSpec, declared, follows
 from pipeline.proposals.segmenter_contracts import CONTRACTS as SEGMENTERS
 from pipeline.proposals.segmenter_contracts import INSTEAD, REFUSED
 from pipeline.system.errors import InputError
@@ -17,10 +16,10 @@ from pipeline.system.onnx_session import metadata
 
 BOXES = "--detector boxes"
 DETECTORS: tuple[Contract, ...] = (
-    *grounding_dino.CONTRACTS,
-    *owl.CONTRACTS,
-    *yolo_seg.CONTRACTS,
-    *detic.CONTRACTS,
+    *grounding_dino_contract.CONTRACTS,
+    *owl_contract.CONTRACTS,
+    *yolo_seg_contract.CONTRACTS,
+    *detic_contract.CONTRACTS,
 )
 """Of every detector whose files need no description."""
 
@@ -63,16 +62,16 @@ def recognise(session: Any) -> FileKind | None:
 
 
 def _detector(session: Any) -> FileKind | None:
-    if owl.tensors_of(session) is not None and grounding_dino.tensors_of(session) is None:
+    if owl_contract.tensors_of(session) is not None and grounding_dino_contract.tensors_of(session) is None:
         sides = next(i.shape[2:] for i in session.get_inputs() if i.name == "pixel_values")
-        names = {owl.SIDES["owlv2"]: ("owlv2",), owl.SIDES["owlvit"]: ("owlvit",)}.get(sides[0], ("owlv2", "owlvit"))
+        names = tuple(n for n, side in owl_contract.SIDES.items() if side == sides[0]) or ("owlv2", "owlvit")
         what = {"owlv2": "OWLv2", "owlvit": "OWL-ViT"}
         return FileKind(" or ".join(what[n] for n in names), tuple(f"--detector {n}" for n in names))
-    if grounding_dino.tensors_of(session) is not None:
+    if grounding_dino_contract.tensors_of(session) is not None:
         return FileKind("GroundingDINO", ("--detector grounding-dino",))
-    if yolo_seg.tensors_of(session) is not None:
+    if yolo_seg_contract.tensors_of(session) is not None:
         return FileKind("a YOLO export with masks", ("--detector yolo-seg", "--segmenter yolo-seg"))
-    if detic.tensors_of(session) is not None:
+    if detic_contract.tensors_of(session) is not None:
         return FileKind("Detic", ("--detector detic",))
     return None
 

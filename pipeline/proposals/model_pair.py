@@ -10,19 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.proposals.contracts import Contract, TensorSpec
+from pipeline.proposals.contracts import Contract, TensorSpec, _fits, declared, follows
 from pipeline.system.errors import InputError
 from pipeline.system.onnx_session import as_declared, model_hash, open_session, signature
-
-_DTYPES = {
-    "tensor(float)": "float32",
-    "tensor(float16)": "float16",
-    "tensor(double)": "float64",
-    "tensor(int64)": "int64",
-    "tensor(int32)": "int32",
-    "tensor(uint8)": "uint8",
-    "tensor(bool)": "bool",
-}
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,15 +79,6 @@ class ModelPair:
         return {s.name: s for s in declared(self.decoder_session.get_outputs())}
 
 
-def declared(values: Iterable[Any]) -> tuple[TensorSpec, ...]:
-    """Inputs or outputs of a session."""
-
-    def shape(value: Any) -> tuple[int | str, ...]:
-        return tuple(size if isinstance(size, int) else str(size or "?") for size in value.shape)
-
-    return tuple(TensorSpec(v.name, _DTYPES.get(v.type, str(v.type)), shape(v)) for v in values)
-
-
 def run(session: Any, outputs: Sequence[str], feed: dict[str, np.ndarray], path: Path) -> list[np.ndarray]:
     """Run a session on inputs converted to the types that the file declares.
 
@@ -113,19 +94,6 @@ def run(session: Any, outputs: Sequence[str], feed: dict[str, np.ndarray], path:
         first = str(error).splitlines()[0] if str(error) else type(error).__name__
         shapes = ", ".join(f"{n} {list(v.shape)}" for n, v in feed.items())
         raise InputError("the model cannot be run", got=f"{first[:160]} for {shapes}", path=path) from error
-
-
-def follows(session: Any, contract: Contract) -> bool:
-    """Whether a file declares what a contract wants: the same inputs, and at least its outputs."""
-    inputs = {s.name: s for s in declared(session.get_inputs())}
-    outputs = {s.name: s for s in declared(session.get_outputs())}
-    if set(inputs) != {s.name for s in contract.inputs}:
-        return False
-    if not all(_fits(inputs[s.name], s) for s in contract.inputs):
-        return False
-    if len(contract.outputs) == len(outputs) == 1:
-        return len(next(iter(outputs.values())).shape) in (0, len(contract.outputs[0].shape))
-    return all(s.name in outputs for s in contract.outputs)
 
 
 def open_pair(
@@ -177,16 +145,6 @@ def open_pair(
 
 def _any(session: Any, contracts: Sequence[Contract]) -> bool:
     return any(follows(session, c) for c in contracts)
-
-
-def _fits(found: TensorSpec, wanted: TensorSpec) -> bool:
-    if len(found.shape) != len(wanted.shape):
-        return False
-    if wanted.dtype == "int64" and found.dtype not in ("int64", "int32"):
-        return False
-    return all(
-        a == b or isinstance(a, str) or isinstance(b, str) for a, b in zip(found.shape, wanted.shape, strict=True)
-    )
 
 
 def _check_features(pair: ModelPair) -> None:

@@ -10,15 +10,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 
 from pipeline.geometry.frame import Frame
 from pipeline.proposals.base import Proposals
 from pipeline.proposals.captions import plain_name, sigmoid
-from pipeline.proposals.contracts import Contract, TensorSpec
-from pipeline.proposals.relative_boxes import box_output, proposals_of, to_pixels
+from pipeline.proposals.owl_contract import CONTRACTS, SIDES, TOKENS, Kind, tensors_of
+from pipeline.proposals.relative_boxes import proposals_of, to_pixels
 from pipeline.proposals.resampling import CLIP_MEAN, CLIP_STD, normalised, padded_square, pillow_resized
 from pipeline.proposals.selection import NMS_IOU, class_wise
 from pipeline.proposals.tokenizer_file import find_tokenizer, load_tokenizer
@@ -27,34 +27,12 @@ from pipeline.system.onnx_session import file_hash, model_hash, open_session, ru
 
 BEGIN, END = "<|startoftext|>", "<|endoftext|>"
 PAD = 0
-TOKENS = 16
-"""Tokens of a name where the file does not say."""
 MAX_QUERIES = 256
 """Names that are asked for in one run at most."""
-SIDES = {"owlv2": 960, "owlvit": 768}
-"""The side of the input where the file leaves it open: that of the base models."""
 PROMPT = "a photo of a {}"
 MIN_SCORE = 0.1
 """That of the reference code."""
 MAX_PER_NAME = 100
-Kind = Literal["owlv2", "owlvit"]
-
-
-def _contract(kind: Kind, what: str) -> Contract:
-    return Contract(
-        f"--detector {kind}",
-        f"{what} as transformers.js and optimum export it, with its tokenizer.json",
-        (
-            TensorSpec("input_ids", "int64", ("L", TOKENS)),
-            TensorSpec("pixel_values", "float32", (1, 3, SIDES[kind], SIDES[kind])),
-            TensorSpec("attention_mask", "int64", ("L", TOKENS)),
-        ),
-        (TensorSpec("logits", "float32", (1, "Q", "L")), TensorSpec("pred_boxes", "float32", (1, "Q", 4))),
-    )
-
-
-CONTRACTS = (_contract("owlv2", "OWLv2"), _contract("owlvit", "OWL-ViT"))
-"""Their files declare the same tensors, but for the size: which of the two it is must be said."""
 
 
 class OwlDetector:
@@ -246,20 +224,6 @@ def _marks(tokenizer: Any, path: Path) -> tuple[int, int]:
             path=path,
         )
     return begin, end
-
-
-def tensors_of(session: Any) -> list[str] | None:
-    """The names of the logits, the boxes and, where it is there, the objectness; None where this is no such model."""
-    inputs = {i.name: i.shape for i in session.get_inputs()}
-    names = [o.name for o in session.get_outputs()]
-    picture = inputs.get("pixel_values", [])
-    wanted = {t.name for t in CONTRACTS[0].inputs}
-    square = len(picture) == 4 and len({n for n in picture[2:] if isinstance(n, int)}) < 2
-    boxes = box_output(session)
-    fits = len(inputs.get("input_ids", [])) == 2 and square and not set(inputs) - wanted
-    if not fits or boxes is None or "logits" not in names:
-        return None
-    return ["logits", boxes, *(["objectness_logits"] if "objectness_logits" in names else [])]
 
 
 def _check_contract(session: Any, kind: Kind, path: Path) -> list[str]:

@@ -23,59 +23,14 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.proposals.contracts import Contract, TensorSpec
 from pipeline.proposals.model_pair import open_pair
 from pipeline.proposals.prompted import best_mask, corners, resampled, stretched
+from pipeline.proposals.sam_contract import ALL_MASKS, DECODERS, ENCODERS, OPTION, SIDE
 from pipeline.system.errors import InputError
 
-OPTION = "--segmenter sam"
 VERSION = "1"
-SIDE = 1024
-ALL_MASKS = 4
-"""Masks of an export that leaves the choice to its reader: the one for unambiguous prompts, then three others."""
 MEAN = np.array([123.675, 116.28, 103.53], np.float32)
 STD = np.array([58.395, 57.12, 57.375], np.float32)
-
-_EMBEDDINGS = TensorSpec("image_embeddings", "float32", (1, 256, 64, 64))
-ENCODERS = (
-    Contract(
-        OPTION,
-        "SAM or MobileSAM encoder with the preprocessing inside",
-        (TensorSpec("input_image", "float32", ("height", "width", 3)),),
-        (_EMBEDDINGS,),
-    ),
-    Contract(
-        OPTION,
-        "SAM or MobileSAM encoder of the normalised square (samexporter)",
-        (TensorSpec("input_image", "float32", (1, 3, SIDE, SIDE)),),
-        (_EMBEDDINGS,),
-    ),
-    Contract(
-        OPTION,
-        "SAM or MobileSAM encoder of the normalised square (osam)",
-        (TensorSpec("x", "float32", (1, 3, SIDE, SIDE)),),
-        (_EMBEDDINGS,),
-    ),
-)
-DECODERS = (
-    Contract(
-        OPTION,
-        "SAM or MobileSAM prompt decoder (official exporter)",
-        (
-            _EMBEDDINGS,
-            TensorSpec("point_coords", "float32", (1, "points", 2)),
-            TensorSpec("point_labels", "float32", (1, "points")),
-            TensorSpec("mask_input", "float32", (1, 1, 256, 256)),
-            TensorSpec("has_mask_input", "float32", (1,)),
-            TensorSpec("orig_im_size", "float32", (2,)),
-        ),
-        (
-            TensorSpec("masks", "float32", (1, "masks", "H", "W")),
-            TensorSpec("iou_predictions", "float32", (1, "masks")),
-        ),
-    ),
-)
-CONTRACTS = ENCODERS + DECODERS
 
 
 def resized_shape(height: int, width: int, side: int = SIDE) -> tuple[int, int]:

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from pipeline.proposals import efficientsam, sam, sam2
+from pipeline.proposals import efficientsam_contract, sam2_contract, sam_contract
 from pipeline.proposals.contracts import Contract, TensorSpec
 
-CONTRACTS: tuple[Contract, ...] = sam.CONTRACTS + sam2.CONTRACTS + efficientsam.CONTRACTS
+CONTRACTS: tuple[Contract, ...] = sam_contract.CONTRACTS + sam2_contract.CONTRACTS + efficientsam_contract.CONTRACTS
 """Of every segmenter that takes an encoder and a decoder."""
 
 _NO_BOX = "the export of SAM 1 for transformers.js, whose decoder takes no box"
@@ -13,13 +13,13 @@ _EMBEDDINGS = TensorSpec("image_embeddings", "float32", ("batch", 256, 64, 64))
 _POSITIONS = TensorSpec("image_positional_embeddings", "float32", ("batch", 256, 64, 64))
 REFUSED: tuple[Contract, ...] = (
     Contract(
-        sam.OPTION,
+        sam_contract.OPTION,
         _NO_BOX,
         (TensorSpec("pixel_values", "float32", ("batch", 3, "side", "side")),),
         (_EMBEDDINGS, _POSITIONS),
     ),
     Contract(
-        sam.OPTION,
+        sam_contract.OPTION,
         _NO_BOX,
         (
             _EMBEDDINGS,
@@ -33,7 +33,7 @@ REFUSED: tuple[Contract, ...] = (
         ),
     ),
     Contract(
-        efficientsam.OPTION,
+        efficientsam_contract.OPTION,
         "an EfficientSAM in one file, which would be run whole for each box",
         (
             TensorSpec("batched_images", "float32", ("batch", 3, "height", "width")),
@@ -45,5 +45,8 @@ REFUSED: tuple[Contract, ...] = (
 )
 """Files that look right and cannot be used; `what` says why."""
 
-INSTEAD = {sam.OPTION: "MobileSAM's or the official exporter's files do", efficientsam.OPTION: "take the split export"}
+INSTEAD = {
+    sam_contract.OPTION: "MobileSAM's or the official exporter's files do",
+    efficientsam_contract.OPTION: "take the split export",
+}
 """What to do in place of those."""

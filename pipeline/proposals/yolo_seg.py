@@ -15,7 +15,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import cv2
 import numpy as np
@@ -24,35 +23,17 @@ from pipeline.geometry.frame import Frame
 from pipeline.language.naming import Synonyms
 from pipeline.proposals.base import Proposals, no_proposals
 from pipeline.proposals.class_names import metadata_names, names_hash, read_class_names, synonyms_hash, wanted_names
-from pipeline.proposals.contracts import Contract, TensorSpec
 from pipeline.proposals.letterbox import Letterbox, letterbox
 from pipeline.proposals.selection import suppress
+from pipeline.proposals.yolo_seg_contract import CONTRACTS, MASK_COEFFICIENTS, OPTION, tensors_of
 from pipeline.system.errors import InputError
 from pipeline.system.onnx_session import model_hash, open_session, run_session
 
-MASK_COEFFICIENTS = 32
 MAX_CANDIDATES = 1000
 """Rows that go into non-maximum suppression at most, best first."""
 MIN_SCORE = 0.15
 SCORE_FLOOR = 0.05
 """Rows whose best class is below this, or below the minimum score, are dropped at once."""
-OPTION = "--detector yolo-seg"
-_PROTOTYPES = TensorSpec("output1", "float32", (1, MASK_COEFFICIENTS, "H/4", "W/4"))
-CONTRACTS = (
-    Contract(
-        OPTION,
-        "YOLO export with masks (Ultralytics -seg, YOLOE, YOLO-World with a vocabulary inside)",
-        (TensorSpec("images", "float32", (1, 3, "H", "W")),),
-        (TensorSpec("output0", "float32", (1, "4+C+32", "N")), _PROTOTYPES),
-    ),
-    Contract(
-        OPTION,
-        "YOLO export with masks and the suppression inside",
-        (TensorSpec("images", "float32", (1, 3, "H", "W")),),
-        (TensorSpec("output0", "float32", (1, "N", 6 + MASK_COEFFICIENTS)), _PROTOTYPES),
-    ),
-)
-"""Tensors are told by their shapes, whatever their names."""
 
 
 @dataclass(frozen=True)
@@ -237,24 +218,6 @@ def _masks(raw: _Raw, order: np.ndarray, boxes: np.ndarray, height: int, width: 
         )
         masks[k, top:bottom, left:right] = smooth > 0
     return masks
-
-
-def tensors_of(session: Any) -> tuple[Any, list[str], bool, int | None] | None:
-    """The input, the names of rows and prototypes, whether rivals are suppressed inside, and the number of classes.
-
-    None where this is no such model; the number is None where only the class names tell it.
-    """
-    inputs, outputs = session.get_inputs(), session.get_outputs()
-    fits = len(inputs) == 1 and len(inputs[0].shape) == 4 and inputs[0].shape[1] == 3
-    rows = next((o for o in outputs if len(o.shape) == 3), None)
-    prototypes = next((o for o in outputs if len(o.shape) == 4 and o.shape[1] == MASK_COEFFICIENTS), None)
-    if not fits or rows is None or prototypes is None:
-        return None
-    suppressed = rows.shape[2] == 6 + MASK_COEFFICIENTS
-    classes = rows.shape[1] - 4 - MASK_COEFFICIENTS if isinstance(rows.shape[1], int) and not suppressed else None
-    if classes is not None and classes < 1:
-        return None
-    return inputs[0], [rows.name, prototypes.name], suppressed, classes
 
 
 def _checked_names(names: tuple[str, ...] | None, classes: int | None, path: Path) -> tuple[str, ...]:

@@ -11,8 +11,7 @@ import numpy as np
 from pipeline.system.errors import InputError
 
 if TYPE_CHECKING:
-    from pipeline.answering.objects import SceneObject
-    from pipeline.geometry.frame import Frame
+    pass
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,9 +46,3 @@ class Appearance:
         """Those objects alone, in this order."""
         labels = tuple(self.labels[k] for k in index)
         return Appearance(self.bboxes[list(index)].reshape(-1, 4), labels, self.width, self.height)
-
-
-def appearance_of(objects: Sequence[SceneObject], frame: Frame) -> Appearance:
-    """How the objects look in the frame they were lifted from."""
-    bboxes = np.array([o.bbox for o in objects], np.float64).reshape(-1, 4)
-    return Appearance(bboxes, tuple(o.label for o in objects), frame.width, frame.height)

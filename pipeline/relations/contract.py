@@ -10,10 +10,10 @@ from typing import Any, Literal
 
 import numpy as np
 
+from pipeline.language.relation_names import INVERSE, PAIRWISE
 from pipeline.language.vectors.contract import LanguageContract
 from pipeline.metrics.platt import Platt
 from pipeline.relations.features import FEATURES, FeatureSet, feature_set, geometry_of
-from pipeline.relations.relations import INVERSE, PAIRWISE
 from pipeline.relations.trained_on import TrainedOn
 from pipeline.system.errors import InputError
 

@@ -18,35 +18,12 @@ from collections.abc import Collection, Sequence
 
 import numpy as np
 
+from pipeline.language.relation_names import DIRECTIONAL, PAIRWISE
 from pipeline.relations.contact import enclosed_shares, in_states, near_states, on_states, supporting_surfaces
 from pipeline.relations.pair_measures import F, PairMeasures, Profile, T, U, known_extents, measure_pairs
 
 PROFILE = "viewer-cone-v1"
 
-DIRECTIONAL = ("left", "right", "above", "below", "front", "behind")
-PAIRWISE = (*DIRECTIONAL, "on", "in", "near")
-"""Relations with a state for every ordered pair, in the order in which they are always shown."""
-
-VOCABULARIES: dict[str, tuple[str, ...]] = {
-    "avd": DIRECTIONAL,
-    "semantic-abstraction": ("behind", "left", "right", "front", "on", "in"),
-    "all": PAIRWISE,
-}
-INVERSE = {"left": "right", "right": "left", "above": "below", "below": "above", "front": "behind", "behind": "front"}
-PHRASE = {
-    "left": "left of",
-    "right": "right of",
-    "above": "above",
-    "below": "below",
-    "front": "in front of",
-    "behind": "behind",
-    "on": "on",
-    "in": "in",
-    "near": "near",
-    "between": "between",
-    "closest": "closest to",
-    "farthest": "farthest from",
-}
 
 Indices = Sequence[int] | np.ndarray
 """Places in a list of objects."""

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from pipeline.proposals.cache import cache_folder
+from pipeline.system.cache_folder import cache_folder
 from pipeline.system.errors import InputError, MissingExtra
 from pipeline.system.execution import is_verbose
 from pipeline.system.known_models import KnownFile, known_models

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import xxhash
 
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, MissingExtra
 from pipeline.system.execution import cpu_session, create_session, is_verbose
 
 
@@ -218,3 +218,12 @@ def _weight_files(path: Path) -> Iterator[str]:
                 name = content[found.end() : found.end() + size]
                 if b"\0" not in name:
                     yield name.decode("utf-8", "replace")
+
+
+def require_onnx() -> Any:
+    """The package onnx; MissingExtra where it is not installed."""
+    try:
+        import onnx
+    except ImportError as error:
+        raise MissingExtra("writing ONNX files", "train") from error
+    return onnx

@@ -19,13 +19,13 @@ import numpy as np
 from pipeline.datasets.synthetic import choose_views, make_room
 from pipeline.datasets.synthetic.views import camera_at
 from pipeline.geometry.camera import Camera
+from pipeline.language.relation_names import DIRECTIONAL
 from pipeline.metrics.counts import f1_of
 from pipeline.metrics.intervals import BootstrapConfig, Estimate, bootstrap
 from pipeline.metrics.relation_metrics import cell_outcomes
 from pipeline.metrics.tables import Cell, Row, Table
 from pipeline.relations.features import FEATURES, cli_features
 from pipeline.relations.model import OnnxScorer
-from pipeline.relations.relations import DIRECTIONAL
 from pipeline.relations.scorer import rule_probabilities
 from pipeline.system.errors import InputError
 from pipeline.training.onnx_file import save_onnx

@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.language.relation_names import DIRECTIONAL
 from pipeline.metrics.platt import fit_calibration
 from pipeline.relations.features import cli_features
 from pipeline.relations.model import OnnxScorer
-from pipeline.relations.relations import DIRECTIONAL
 from pipeline.relations.scorer import rule_probabilities
 from pipeline.system.errors import InputError
 from pipeline.system.onnx_session import file_hash

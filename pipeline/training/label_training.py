@@ -14,20 +14,20 @@ import numpy as np
 
 from pipeline.labels.profiles import GIVEN
 from pipeline.labels.reading import Labels, open_labels
+from pipeline.language.relation_names import VOCABULARIES
 from pipeline.language.vectors import LanguageContract, open_vectors
 from pipeline.metrics.platt import Platt, fit_calibration, fit_temperature
 from pipeline.metrics.splits import PARTS, TEST, TRAIN, VALIDATION, SplitKind, SplitPlan, split_frames
 from pipeline.relations.class_vectors import ClassVectors, vectors_beside
 from pipeline.relations.features import LANGUAGE, cli_features, feature_set, geometry_of
 from pipeline.relations.model import OnnxScorer
-from pipeline.relations.relations import VOCABULARIES
-from pipeline.relations.trained_on import TrainedOn
 from pipeline.system.errors import InputError
 from pipeline.system.onnx_session import file_hash
 from pipeline.system.threads import one_thread
 from pipeline.training.card import network_path, rounded, versions
 from pipeline.training.evaluation import evaluate, evaluate_classes
 from pipeline.training.label_data import LabelData, LabelledFrame, pair_set, read_label_data
+from pipeline.training.label_identity import trained_on
 from pipeline.training.onnx_file import save_onnx
 from pipeline.training.train import Epoch, TrainConfig, TrainedModel, require_training, train_pairs
 
@@ -138,7 +138,7 @@ def train_on_labels(
         made = Path(folder) / out.name
         save_onnx(made, model)
         calibration = _calibrate(OnnxScorer(made), validation, data)
-        save_onnx(made, model, calibration, TrainedOn.of(labels, plan))
+        save_onnx(made, model, calibration, trained_on(labels, plan))
         card = {
             "name": config.features,
             "command": _command(job, out),

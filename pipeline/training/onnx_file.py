@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pipeline.metrics.platt import Platt
 from pipeline.relations.class_vectors import vectors_beside
-from pipeline.system.errors import MissingExtra
+from pipeline.system.onnx_session import require_onnx
 
 if TYPE_CHECKING:
     from pipeline.relations.trained_on import TrainedOn
@@ -20,15 +20,6 @@ if TYPE_CHECKING:
 OPSET = 13
 IR_VERSION = 8
 """Old enough for every ONNX Runtime this program accepts."""
-
-
-def require_onnx() -> Any:
-    """The package onnx; MissingExtra where it is not installed."""
-    try:
-        import onnx
-    except ImportError as error:
-        raise MissingExtra("writing ONNX files", "train") from error
-    return onnx
 
 
 def write_onnx(

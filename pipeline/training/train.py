@@ -18,14 +18,15 @@ from typing import Any
 import numpy as np
 import xxhash
 
+from pipeline.language.relation_names import DIRECTIONAL, INVERSE, VOCABULARIES
 from pipeline.language.vectors import LanguageContract
 from pipeline.metrics.platt import IDENTITY, Platt
 from pipeline.relations.class_vectors import ClassVectors
 from pipeline.relations.contract import Contract, Output
 from pipeline.relations.features import LANGUAGE, feature_set
-from pipeline.relations.relations import DIRECTIONAL, INVERSE, VOCABULARIES, T
+from pipeline.relations.relations import T
 from pipeline.system.errors import InputError, MissingExtra
-from pipeline.training.onnx_file import require_onnx
+from pipeline.system.onnx_session import require_onnx
 from pipeline.training.pairs import PairSet, class_shares
 from pipeline.training.training_data import FrameSamples, iterate_pairs
 

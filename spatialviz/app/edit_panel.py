@@ -12,8 +12,9 @@ from pipeline.diagnosis.whatif.box_numbers import box_numbers
 from pipeline.diagnosis.whatif.decision_map import DecisionMap
 from pipeline.diagnosis.whatif.edit_list import each_edit
 from pipeline.geometry.palette import hex_color, palette
+from pipeline.language.relation_names import PHRASE
 from pipeline.relations.installed import installed_networks
-from pipeline.relations.relations import PHRASE, Profile
+from pipeline.relations.relations import Profile
 from spatialviz.app.edit_messages import PROFILE_SETTINGS, WEIGHTS, partners
 from spatialviz.app.edit_scene import map_colors
 from spatialviz.app.state import State

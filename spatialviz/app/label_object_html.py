@@ -9,7 +9,8 @@ from pipeline.corrections.moving import Moved
 from pipeline.corrections.object_card import FieldLine, ObjectCard
 from pipeline.diagnosis.whatif.box_numbers import BoxNumbers
 from pipeline.geometry.palette import RGB
-from pipeline.relations.relations import PHRASE, letter
+from pipeline.language.relation_names import PHRASE
+from pipeline.relations.relations import letter
 from spatialviz.app.edit_panel import AXES, MODES, button, field
 from spatialviz.app.text import BAD, DOUBT, GOOD, dot, heading, note, panel, safe, segments
 

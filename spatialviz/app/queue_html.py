@@ -9,7 +9,7 @@ from typing import Any
 from pipeline.corrections.label_jobs import CANCELLED, Making
 from pipeline.corrections.review.items import ItemKey
 from pipeline.corrections.review.worklist import Worklist
-from pipeline.relations.relations import PHRASE
+from pipeline.language.relation_names import PHRASE
 from spatialviz.app.text import BAD, DOUBT, GOOD, heading, note, panel, safe, tail
 
 ROWS = 40

@@ -10,7 +10,8 @@ from pipeline.diagnosis.whatif.placement import Placement, place_in_region
 from pipeline.diagnosis.whatif.region import Region, region_of
 from pipeline.geometry.lifting import LiftedObject
 from pipeline.geometry.viewer import ViewerAxes
-from pipeline.relations.relations import PAIRWISE, Profile
+from pipeline.language.relation_names import PAIRWISE
+from pipeline.relations.relations import Profile
 from pipeline.system.errors import InputError
 from spatialviz.app.state import State
 

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from pipeline.corrections.label_jobs import CANCELLED, Training
-from pipeline.relations.relations import PHRASE
+from pipeline.language.relation_names import PHRASE
 from spatialviz.app.text import BAD, DOUBT, GOOD, heading, note, safe, tail
 
 STEPS = {

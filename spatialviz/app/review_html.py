@@ -5,7 +5,8 @@ from __future__ import annotations
 from pipeline.corrections.cards import PairCard, RelationLine
 from pipeline.corrections.desk import Desk
 from pipeline.geometry.palette import palette
-from pipeline.relations.relations import PHRASE, F, T, U, letter
+from pipeline.language.relation_names import PHRASE
+from pipeline.relations.relations import F, T, U, letter
 from spatialviz.app.keys import KEYS_OF_ONE
 from spatialviz.app.state import State
 from spatialviz.app.text import BAD, DOUBT, GOOD, dot, heading, note, panel, safe

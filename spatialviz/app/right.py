@@ -11,7 +11,8 @@ from pipeline.diagnosis.live import Judgement
 from pipeline.geometry.lifting import Pixel
 from pipeline.geometry.palette import DROPPED, RGB, hex_color, palette, second_color
 from pipeline.language.lexicon import wording
-from pipeline.relations.relations import PHRASE, letter
+from pipeline.language.relation_names import PHRASE
+from pipeline.relations.relations import letter
 from pipeline.relations.scorer import RelationScores
 from spatialviz.app.before import before_html, changed
 from spatialviz.app.beside_html import hollow, second_name

@@ -15,8 +15,8 @@ from pipeline.evaluation.slices import Slice, Slices
 from pipeline.evaluation.summary import RunSummary, residual_words
 from pipeline.geometry.palette import VERDICTS as COLORS
 from pipeline.geometry.palette import hex_color
+from pipeline.language.relation_names import PHRASE
 from pipeline.metrics.intervals import Estimate
-from pipeline.relations.relations import PHRASE
 from spatialviz.app.failures import MEANING, searches, verdict_chip
 from spatialviz.app.run_figures import STANDS_IN, RunFigures
 from spatialviz.app.text import heading, note, panel, safe, segments

@@ -8,7 +8,7 @@ from pipeline.corrections.event_lines import EventLine
 from pipeline.corrections.expression_cards import ExpressionCard
 from pipeline.corrections.wording import said_cell, said_value
 from pipeline.geometry.palette import RGB, hex_color, palette
-from pipeline.relations.relations import PHRASE
+from pipeline.language.relation_names import PHRASE
 from spatialviz.app.label_view import LabelView
 from spatialviz.app.state import State
 from spatialviz.app.text import BAD, DOUBT, GOOD, dot, heading, note, panel, safe

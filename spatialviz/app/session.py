@@ -22,7 +22,7 @@ from pipeline.diagnosis.live import Judgement
 from pipeline.diagnosis.whatif.state import ViewState
 from pipeline.evaluation.run_folder import Run
 from pipeline.labels.reading import Labels
-from pipeline.relations.relations import PHRASE
+from pipeline.language.relation_names import PHRASE
 from pipeline.system.errors import InputError
 from spatialviz.app import bottom, left, right
 from spatialviz.app.beside import BesideLayer

@@ -11,7 +11,7 @@ from pipeline.diagnosis.words import threshold
 from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.palette import VERDICTS as COLORS
 from pipeline.geometry.palette import hex_color, palette
-from pipeline.relations.relations import PHRASE
+from pipeline.language.relation_names import PHRASE
 from spatialviz.app.edit_scene import REGION_COLORS
 from spatialviz.app.failures import verdict_chip
 from spatialviz.app.relation_region import asked_pair

@@ -9,7 +9,8 @@ from pipeline.diagnosis.cases.answered import Answered
 from pipeline.diagnosis.live import Judgement
 from pipeline.diagnosis.verdict import MODULE_OF
 from pipeline.language.lexicon import wording
-from pipeline.relations.relations import PHRASE, letter
+from pipeline.language.relation_names import PHRASE
+from pipeline.relations.relations import letter
 from spatialviz.report.cast import Cast
 
 SHOWN_PAIRS = 8

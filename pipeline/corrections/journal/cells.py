@@ -13,7 +13,8 @@ import numpy as np
 
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.run_length import run_lengths
-from pipeline.relations.relations import PAIRWISE, letter
+from pipeline.language.relation_names import PAIRWISE
+from pipeline.relations.relations import letter
 from pipeline.system.errors import InputError
 
 Kind = Literal["object", "relation", "expression", "frame", "review"]

@@ -16,9 +16,10 @@ from pipeline.corrections.journal.frame_rows import FrameRows, Pairs
 from pipeline.corrections.journal.origins import Origin, Origins
 from pipeline.corrections.journal.replay import Unapplied, all_gone, replay
 from pipeline.corrections.journal.setting import Setting
-from pipeline.labels.expressions import alone, same_names
 from pipeline.labels.wording import expression_text
-from pipeline.relations.relations import PAIRWISE, T, U
+from pipeline.language.noun_phrase import alone, same_names
+from pipeline.language.relation_names import PAIRWISE
+from pipeline.relations.relations import T, U
 from pipeline.system.errors import InputError
 
 Row = dict[str, Any]

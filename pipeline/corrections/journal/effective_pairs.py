@@ -15,7 +15,8 @@ from pipeline.corrections.journal.origins import Origin, Origins
 from pipeline.corrections.journal.replay import Unapplied, all_gone, is_another, replay, standing
 from pipeline.corrections.journal.setting import Setting
 from pipeline.labels.check.relations import OPPOSITES
-from pipeline.relations.relations import PAIRWISE, F, T
+from pipeline.language.relation_names import PAIRWISE
+from pipeline.relations.relations import F, T
 
 _OPPOSITE = {one: other for pair in OPPOSITES for one, other in (pair, pair[::-1])}
 

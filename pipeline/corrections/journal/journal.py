@@ -31,9 +31,8 @@ from pipeline.corrections.journal.events import Action, Conflict, Edit, Event, N
 from pipeline.corrections.journal.examining import DamagedJournal, empty_file, examine, is_empty
 from pipeline.corrections.journal.schema import EVENTS, HEAD
 from pipeline.corrections.journal.taking_over import move_head
-from pipeline.labels.profiles import canonical_hash
 from pipeline.labels.reading import Labels
-from pipeline.labels.schema import Manifest
+from pipeline.labels.schema import labels_version
 from pipeline.system.errors import InputError
 
 JOURNAL_FILE = "journal.sqlite"
@@ -356,9 +355,3 @@ def journal_of(
         labels=labels_version(labels.manifest),
         must_exist=must_exist,
     )
-
-
-def labels_version(manifest: Manifest) -> str:
-    """16 hexadecimal digits that change with how the automatic labels were made and with what is in them."""
-    tables = {name: entry.content_hash for name, entry in manifest.tables.items()}
-    return canonical_hash({"config": manifest.config_hash, "tables": tables})[:16]

@@ -11,7 +11,7 @@ from typing import Any
 from pipeline import __version__
 from pipeline.corrections.journal.cells import shown_value
 from pipeline.corrections.journal.effective import EffectiveLabels, effective_tables
-from pipeline.corrections.journal.journal import Journal, labels_version
+from pipeline.corrections.journal.journal import Journal
 from pipeline.corrections.journal.records import who_and_what
 from pipeline.corrections.journal.replay import Unapplied
 from pipeline.datasets import Dataset
@@ -20,7 +20,7 @@ from pipeline.labels.corrections import MARKS_FILE, PROVENANCE_FILE, STATUSES_FI
 from pipeline.labels.makers import makers_of
 from pipeline.labels.merge import CARD_FILE, CROISSANT_FILE, environment, write_merged
 from pipeline.labels.reading import MANIFEST_FILE, Labels
-from pipeline.labels.schema import SCHEMA_VERSION, TABLES, Manifest
+from pipeline.labels.schema import SCHEMA_VERSION, TABLES, Manifest, labels_version
 from pipeline.labels.schema_files import write_schemas
 from pipeline.labels.tables import write_table
 from pipeline.system.errors import InputError

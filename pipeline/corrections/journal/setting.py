@@ -9,7 +9,7 @@ from pipeline.geometry.lifting import LiftConfig
 from pipeline.labels.check.relations import MIRRORED_PROFILES
 from pipeline.labels.config import LabelConfig
 from pipeline.labels.reading import Labels
-from pipeline.relations.relations import INVERSE
+from pipeline.language.relation_names import INVERSE
 from pipeline.system.errors import InputError
 
 

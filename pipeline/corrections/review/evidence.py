@@ -17,7 +17,8 @@ from pipeline.corrections.review.cells import Cells, read_cells
 from pipeline.corrections.review.items import ItemKey
 from pipeline.labels.check.findings import Finding
 from pipeline.labels.reading import Labels
-from pipeline.relations.relations import INVERSE, F, T, U
+from pipeline.language.relation_names import INVERSE
+from pipeline.relations.relations import F, T, U
 from pipeline.training.label_data import column_arrays, rows_of_frame
 
 CONTRADICTED = 0.9

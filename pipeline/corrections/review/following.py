@@ -11,7 +11,8 @@ from pipeline.corrections.journal.journal import Journal
 from pipeline.corrections.review.items import SETTLED, ItemKey, State
 from pipeline.corrections.review.states import item_of, judgements_of
 from pipeline.corrections.review.worklist import Worklist
-from pipeline.relations.relations import PAIRWISE, letter
+from pipeline.language.relation_names import PAIRWISE
+from pipeline.relations.relations import letter
 
 Mark = tuple[int, str]
 """An event of a journal: `id` and `ulid`. The second tells a journal from one that was put in its place."""

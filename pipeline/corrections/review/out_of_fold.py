@@ -17,9 +17,10 @@ import numpy as np
 
 from pipeline.corrections.review.confident import Noise, estimate_noise, probability_wrong
 from pipeline.corrections.review.folds import FOLDS, Folds, make_folds
+from pipeline.language.relation_names import VOCABULARIES
 from pipeline.metrics.platt import antisymmetric, sigmoid
 from pipeline.relations.features import LANGUAGE, feature_set
-from pipeline.relations.relations import VOCABULARIES, T, U
+from pipeline.relations.relations import T, U
 from pipeline.system.errors import InputError
 from pipeline.system.threads import one_thread
 from pipeline.training.label_data import LabelData, LabelledFrame, pair_set

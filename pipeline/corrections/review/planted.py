@@ -8,8 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pipeline.corrections.review.out_of_fold import stacked, unstacked
+from pipeline.language.relation_names import DIRECTIONAL
 from pipeline.metrics.splits import FrameKey
-from pipeline.relations.relations import DIRECTIONAL, U
+from pipeline.relations.relations import U
 from pipeline.system.errors import InputError
 from pipeline.training.label_data import LabelData, LabelledFrame
 from pipeline.training.training_data import FrameSamples

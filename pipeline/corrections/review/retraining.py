@@ -18,6 +18,7 @@ import numpy as np
 
 from pipeline.corrections.review.out_of_fold import stacked
 from pipeline.labels.reading import Labels
+from pipeline.language.relation_names import PHRASE, VOCABULARIES
 from pipeline.metrics.intervals import BootstrapConfig
 from pipeline.metrics.relation_intervals import RelationEstimates, relation_estimates
 from pipeline.metrics.relation_metrics import CellOutcomes, cell_outcomes
@@ -26,7 +27,7 @@ from pipeline.metrics.splits import PARTS, TEST, SplitKind, SplitPlan, split_fra
 from pipeline.metrics.tables import Row, Table, markdown
 from pipeline.relations.features import LANGUAGE
 from pipeline.relations.model import OnnxScorer
-from pipeline.relations.relations import PHRASE, VOCABULARIES, U, letter
+from pipeline.relations.relations import U, letter
 from pipeline.system.errors import InputError
 from pipeline.training.card import network_path, rounded
 from pipeline.training.label_data import LabelData, LabelledFrame, read_label_data

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipeline.corrections.journal.journal import Journal, labels_version
+from pipeline.corrections.journal.journal import Journal
 from pipeline.corrections.journal.materialise import materialise
 from pipeline.corrections.review.cells import Cells, read_cells
 from pipeline.corrections.review.evidence import CellEvidence, ItemEvidence
@@ -24,7 +24,7 @@ from pipeline.corrections.review.out_of_fold import unstacked
 from pipeline.corrections.review.states import Judgements, item_of, judgements_of
 from pipeline.datasets import Dataset
 from pipeline.labels.reading import Labels, open_labels
-from pipeline.labels.schema import Manifest
+from pipeline.labels.schema import Manifest, labels_version
 from pipeline.relations.relations import F, T, U
 from pipeline.training.label_data import LabelData
 

@@ -16,8 +16,7 @@ from pipeline.diagnosis.frame_evidence import DEFAULT_CONFIDENCE, FrameEvidence
 from pipeline.diagnosis.live import Judgement, judge_trace, judgement_record
 from pipeline.diagnosis.verdict import diagnose
 from pipeline.diagnosis.words import explain
-from pipeline.evaluation.records import is_gold, read_query
-from pipeline.labels.cases import Case, FrameCases
+from pipeline.labels.cases import Case, FrameCases, is_gold, read_query
 from pipeline.system.errors import InputError
 
 Edited = Mapping[str, Any]

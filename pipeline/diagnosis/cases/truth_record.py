@@ -10,7 +10,8 @@ from pydantic import BaseModel, ConfigDict, FiniteFloat, ValidationError
 
 from pipeline.datasets.saved_case import Four, Three, damaged
 from pipeline.labels.cases import Case, FrameCases
-from pipeline.relations.relations import PAIRWISE, F, T, U
+from pipeline.language.relation_names import PAIRWISE
+from pipeline.relations.relations import F, T, U
 from pipeline.system.errors import InputError
 
 _LETTERS = {int(T): "T", int(U): "U", int(F): "F"}

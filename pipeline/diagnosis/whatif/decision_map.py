@@ -20,9 +20,10 @@ from pipeline.diagnosis.whatif.edits import Edits
 from pipeline.diagnosis.whatif.pair_tables import combined, describe
 from pipeline.diagnosis.whatif.rerun import Baseline, Outcome, rerun, with_superlatives
 from pipeline.language.expression import Node
+from pipeline.language.relation_names import DIRECTIONAL, PAIRWISE
 from pipeline.relations.contact import enclosed_share, surface_heights
 from pipeline.relations.model import OnnxScorer
-from pipeline.relations.relations import DIRECTIONAL, PAIRWISE, Profile, measure_pairs, measured_states
+from pipeline.relations.relations import Profile, measure_pairs, measured_states
 from pipeline.relations.scorer import RuleScorer, stacked_extents
 from pipeline.system.errors import InputError
 

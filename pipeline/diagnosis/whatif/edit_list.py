@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 
 from pipeline.diagnosis.whatif.edits import Edits
 from pipeline.diagnosis.whatif.settings_check import checked_lift, checked_profile, checked_rank
-from pipeline.relations.relations import PHRASE
+from pipeline.language.relation_names import PHRASE
 from pipeline.system.errors import InputError
 
 

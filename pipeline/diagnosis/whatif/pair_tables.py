@@ -12,21 +12,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.answering.objects import SceneObject
+from pipeline.answering.objects import SceneObject, appearance_of
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.lifting import LiftedObject
 from pipeline.geometry.viewer import ViewerAxes
-from pipeline.relations.appearance import appearance_of
+from pipeline.language.relation_names import PAIRWISE
 from pipeline.relations.contact import enclosed_share, points_decide, surface_heights
 from pipeline.relations.model import OnnxScorer
-from pipeline.relations.relations import (
-    PAIRWISE,
-    Profile,
-    known_extents,
-    measure_pairs,
-    measured_states,
-    pairwise_states,
-)
+from pipeline.relations.relations import Profile, known_extents, measure_pairs, measured_states, pairwise_states
 from pipeline.relations.scorer import RelationScorer, RelationScores, RuleScorer, rule_probabilities, stacked_extents
 
 _WHOLE = 0.5

@@ -9,16 +9,9 @@ import numpy as np
 
 from pipeline.geometry.lifting import LiftedObject
 from pipeline.geometry.viewer import ViewerAxes
+from pipeline.language.relation_names import PAIRWISE
 from pipeline.relations.contact import in_measures, near_measures, on_measures
-from pipeline.relations.relations import (
-    PAIRWISE,
-    PairMeasures,
-    Profile,
-    known_extents,
-    letter,
-    measure_pairs,
-    pairwise_states,
-)
+from pipeline.relations.relations import PairMeasures, Profile, known_extents, letter, measure_pairs, pairwise_states
 from pipeline.relations.scorer import stacked_extents
 from pipeline.system.errors import InputError
 

@@ -19,15 +19,8 @@ from pipeline.diagnosis.whatif.placement import HORIZONTAL
 from pipeline.diagnosis.whatif.region_solids import solids
 from pipeline.geometry.lifting import LiftedObject
 from pipeline.geometry.viewer import ViewerAxes
-from pipeline.relations.relations import (
-    DIRECTIONAL,
-    PAIRWISE,
-    Profile,
-    known_extents,
-    letter,
-    measure_pairs,
-    measured_directions,
-)
+from pipeline.language.relation_names import DIRECTIONAL, PAIRWISE
+from pipeline.relations.relations import Profile, known_extents, letter, measure_pairs, measured_directions
 from pipeline.system.errors import InputError
 
 REACH = 1.5

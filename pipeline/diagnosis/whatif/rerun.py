@@ -27,10 +27,11 @@ from pipeline.diagnosis.whatif.pair_tables import PairTables, identity, score_pa
 from pipeline.geometry.lifting import LiftedObject, lift
 from pipeline.geometry.mask_crop import MaskCrop
 from pipeline.language.expression import Attachment, parse
+from pipeline.language.relation_names import PAIRWISE
 from pipeline.proposals.base import Proposals
 from pipeline.proposals.selection import top_k_places
 from pipeline.relations import make_scorer
-from pipeline.relations.relations import PAIRWISE, Profile
+from pipeline.relations.relations import Profile
 from pipeline.relations.scorer import RelationScorer, RelationScores
 from pipeline.system.errors import InputError
 

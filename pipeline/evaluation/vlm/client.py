@@ -29,7 +29,7 @@ from pipeline.evaluation.vlm.protocol import (
 from pipeline.evaluation.vlm.transport import Failure, checked_base, send
 from pipeline.evaluation.vlm.view import Picture
 from pipeline.proposals.base import listed
-from pipeline.proposals.cache import cache_folder
+from pipeline.system.cache_folder import cache_folder
 from pipeline.system.errors import InputError
 
 KEY_VARIABLE = "SPATIALVIZ_VLM_KEY"

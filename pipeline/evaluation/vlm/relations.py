@@ -16,7 +16,7 @@ from pipeline.geometry.frame import Frame
 from pipeline.labels.exports.vqa_wording import BRIEF, ask_relation, can_be_asked
 from pipeline.language.naming import normal_form
 from pipeline.language.noun_phrase import noun_phrase, readable
-from pipeline.relations.relations import PAIRWISE, PHRASE
+from pipeline.language.relation_names import PAIRWISE, PHRASE
 from pipeline.system.errors import InputError
 
 UNKNOWN = 0.5

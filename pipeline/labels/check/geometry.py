@@ -31,10 +31,9 @@ from pipeline.labels.check.stream import UNKNOWN
 from pipeline.labels.check.view import FrameView, pairs_where, state_letter
 from pipeline.labels.margins import directional_margins, margin_of
 from pipeline.labels.profiles import GIVEN, Judged, semantic_abstraction_directions
+from pipeline.language.relation_names import DIRECTIONAL, PAIRWISE
 from pipeline.relations.contact import near_measures
 from pipeline.relations.relations import (
-    DIRECTIONAL,
-    PAIRWISE,
     F,
     PairMeasures,
     Profile,

@@ -19,7 +19,7 @@ from pipeline.labels.check.view import FrameView, Names
 from pipeline.labels.corrections import Corrections, read_corrections
 from pipeline.labels.reading import Labels
 from pipeline.language.naming import normal_form
-from pipeline.relations.relations import PAIRWISE
+from pipeline.language.relation_names import PAIRWISE
 
 OF_ANSWERS = ("expression/empty", "expression/sets", "expression/ambiguous", "expression/unreadable",
               "expression/state")  # fmt: skip

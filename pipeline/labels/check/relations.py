@@ -18,7 +18,8 @@ from pipeline.labels.check.findings import Finding, Severity
 from pipeline.labels.check.geometry import Expected
 from pipeline.labels.check.stream import UNKNOWN
 from pipeline.labels.check.view import FrameView, pairs_where, state_letter
-from pipeline.relations.relations import DIRECTIONAL, PHRASE, F, T
+from pipeline.language.relation_names import DIRECTIONAL, PHRASE
+from pipeline.relations.relations import F, T
 
 MIRRORED_PROFILES = ("viewer-cone-v1",)
 """Profiles in which "a left of b" and "b right of a" are one question."""

@@ -10,7 +10,7 @@ from pipeline.labels.check.findings import Finding
 from pipeline.labels.check.stream import Rows
 from pipeline.labels.check.view import FrameView
 from pipeline.labels.schema import KEYS
-from pipeline.relations.relations import PAIRWISE
+from pipeline.language.relation_names import PAIRWISE
 
 ROTATION_TOLERANCE = 1e-3
 """Greatest entry of R R^T - I: what datasets write with four decimals stays below it."""

@@ -13,7 +13,8 @@ from pipeline.labels.check.findings import RULES, Figure, Finding, Severity
 from pipeline.labels.check.runs import MaskRuns, read_runs
 from pipeline.labels.check.stream import UNKNOWN, Rows
 from pipeline.language.naming import normal_form, same_class
-from pipeline.relations.relations import PAIRWISE, PHRASE, F, T, U, letter
+from pipeline.language.relation_names import PAIRWISE, PHRASE
+from pipeline.relations.relations import F, T, U, letter
 
 
 def plain_figures(figures: dict[str, Figure]) -> dict[str, Figure]:

@@ -49,7 +49,7 @@ class ExportedFrom:
     Attributes
     ----------
     labels : str
-        Version of the automatic labels, see `pipeline.corrections.journal.journal.labels_version`.
+        Version of the automatic labels, see `pipeline.labels.schema.labels_version`.
     event : str or None
         ULID of the newest correction that is in it.
     relifted : bool
@@ -74,7 +74,7 @@ class ExportedFrom:
 
 def exported_from(manifest: Manifest) -> ExportedFrom | None:
     """The state that labels are in; None of corrected labels of an earlier release, which do not say."""
-    from pipeline.corrections.journal.journal import labels_version
+    from pipeline.labels.schema import labels_version
 
     said = manifest.corrections
     if said is None:

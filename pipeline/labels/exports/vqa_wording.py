@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from pipeline.labels.wording import can_be_said, question_text
 from pipeline.language.noun_phrase import noun_phrase, readable
-from pipeline.relations.relations import PHRASE
+from pipeline.language.relation_names import PHRASE
 from pipeline.system.errors import InputError
 
 BRIEF = "Answer the question using a single word or phrase."

@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.labels.database import Database, quantiles, quoted
 from pipeline.labels.statistics import margin_counts
-from pipeline.relations.relations import DIRECTIONAL
+from pipeline.language.relation_names import DIRECTIONAL
 
 SAMPLED_FRAMES = 5_000
 """Displacements are counted over about so many frames; of fewer, over all."""

@@ -14,7 +14,7 @@ from pipeline.corrections.journal.incoming.claims import Claims
 from pipeline.corrections.journal.incoming.coco_file import expression_cell, images_of, listed, number_of
 from pipeline.corrections.journal.incoming.jsonl_file import check_pair
 from pipeline.labels.exports.provenance import ExportedFrom
-from pipeline.relations.relations import PAIRWISE
+from pipeline.language.relation_names import PAIRWISE
 from pipeline.system.errors import InputError
 
 Annotations = dict[int, tuple[str, int]]

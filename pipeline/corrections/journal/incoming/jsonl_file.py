@@ -21,7 +21,7 @@ from pipeline.geometry.run_length import decode_run_length
 from pipeline.labels.exports.jsonl import BLOCK
 from pipeline.labels.exports.provenance import ExportedFrom
 from pipeline.labels.schema import TABLES
-from pipeline.relations.relations import PAIRWISE
+from pipeline.language.relation_names import PAIRWISE
 from pipeline.system.errors import InputError
 
 Row = dict[str, Any]

@@ -9,10 +9,10 @@ from collections.abc import Callable, Sequence
 from pipeline.corrections.journal.effective import Corrector
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Event
-from pipeline.corrections.journal.journal import labels_version
 from pipeline.datasets import Dataset
 from pipeline.labels.exports.provenance import ExportedFrom
 from pipeline.labels.reading import Labels
+from pipeline.labels.schema import labels_version
 from pipeline.system.errors import InputError
 
 FRAMES_KEPT = 16

@@ -11,7 +11,7 @@ from pipeline.corrections.journal.cells import Cell, box_of, same_value, shown_v
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Edit, Event
 from pipeline.corrections.journal.incoming.claims import Claim, Claims
-from pipeline.relations.relations import PAIRWISE
+from pipeline.language.relation_names import PAIRWISE
 from pipeline.system.errors import InputError
 
 ANSWERS = ("targets", "acceptable", "ambiguous")

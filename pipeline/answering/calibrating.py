@@ -1,0 +1,192 @@
+"""Detections of annotated frames as hits and misses, and a calibration fitted on them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.geometry.boxes import iou_2d
+from pipeline.geometry.frame import Frame
+from pipeline.metrics.platt import FEWEST_POSITIVES, IDENTITY, sigmoid
+from pipeline.proposals.annotations import AnnotationDetector
+from pipeline.proposals.base import Detector
+from pipeline.proposals.score_calibration import (
+    HIT_IOU,
+    RELIABILITY_BINS,
+    SCORE_LIMIT,
+    FittedFrame,
+    ScoreCalibration,
+    fit_scores,
+    score_logit,
+)
+from pipeline.proposals.selection import top_k
+from pipeline.system.errors import InputError, UnknownClass
+
+if TYPE_CHECKING:
+    from pipeline.answering.source import Source
+
+
+ClassNames = Callable[[Frame], Sequence[str]]
+
+
+def annotated_names(frame: Frame) -> tuple[str, ...]:
+    """The classes that are in a frame: what expressions about it ask for."""
+    return tuple(dict.fromkeys(a.label for a in frame.annotations))
+
+
+def collect_hits(
+    source: Source,
+    frame_ids: Sequence[str],
+    class_names: ClassNames = annotated_names,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+    skipped: Callable[[str, str], None] | None = None,
+    used: Callable[[Frame], None] | None = None,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Detections as `ask` gets them, and which of them are hits.
+
+    Parameters
+    ----------
+    source : Source
+        A dataset with annotations, and a detector.
+    frame_ids : sequence of str
+        Broken frames are left out, with their reason to `skipped`.
+    class_names : callable
+        The names to be asked for in a frame, each by itself; names that the detector does not know are left out.
+    progress : callable, optional
+        Called with (frames done, frames in all).
+    used : callable, optional
+        Called with each frame that was not left out.
+
+    Returns
+    -------
+    scores : (N,) float64
+    hits : (N,) bool
+    frames : (N,) int64
+        Which of `frame_ids` each is of.
+
+    Raises
+    ------
+    InputError
+        There is no detector, it is the truth itself, or the dataset has no annotations.
+    """
+    detector = source.needed_detector()
+    if detector.exact:
+        raise InputError(f"the detections of {detector.name!r} are the truth: there is nothing to calibrate")
+    if not source.dataset.class_names:
+        raise InputError("a calibration needs a dataset with annotations", path=source.dataset.root)
+    truth = AnnotationDetector(source.dataset.class_names, source.synonyms)
+    parts: list[tuple[np.ndarray, np.ndarray, int]] = []
+    for n, frame_id in enumerate(frame_ids):
+        try:
+            frame = source.dataset.load(frame_id)
+            parts += [(*pair, n) for pair in _of_frame(frame, detector, truth, class_names(frame), source.config.k)]
+            if used is not None:
+                used(frame)
+        except InputError as error:
+            if skipped is not None:
+                skipped(frame_id, str(error))
+        if progress is not None:
+            progress(n + 1, len(frame_ids))
+    return (
+        np.concatenate([np.zeros(0), *(s for s, _, _ in parts)]),
+        np.concatenate([np.zeros(0, np.bool_), *(h for _, h, _ in parts)]),
+        np.concatenate([np.zeros(0, np.int64), *(np.full(len(s), n) for s, _, n in parts)]),
+    )
+
+
+def _of_frame(
+    frame: Frame, detector: Detector, truth: AnnotationDetector, names: Sequence[str], k: int
+) -> list[tuple[np.ndarray, np.ndarray]]:
+    pairs = []
+    for name in names:
+        try:
+            found = top_k(detector.detect(frame, [name]), k)
+        except UnknownClass:
+            continue
+        overlap = iou_2d(found.boxes, truth.detect(frame, [name]).boxes)
+        pairs.append((found.scores.astype(np.float64), (overlap >= HIT_IOU).any(axis=1)))
+    return pairs
+
+
+def calibrate_scores(
+    source: Source,
+    frame_ids: Sequence[str],
+    class_names: ClassNames = annotated_names,
+    *,
+    progress: Callable[[int, int], None] | None = None,
+    skipped: Callable[[str, str], None] | None = None,
+) -> tuple[ScoreCalibration, dict[str, Any]]:
+    """Fit a detector's calibration on frames, and measure honestly what it does.
+
+    The figures `after` are of each half of the frames, in their order, under the sigmoid that was fitted on the
+    other half; the calibration itself is fitted on all.
+
+    Returns
+    -------
+    calibration : ScoreCalibration
+    report : dict
+        `frames`, `detections`, `hits`, `fitted` (False for the identity), `before` and `after`: each with `brier`,
+        `ece` (15 bins), `log_loss` and `reliability`, a list of {low, high, count, score, hits} by bin of score.
+    """
+    # The labels import the jobs, which import this.
+    from pipeline.datasets.base import scene_of
+
+    fitted_on: list[FittedFrame] = []
+    dataset = source.dataset
+
+    def note(frame: Frame) -> None:
+        fitted_on.append(FittedFrame(frame.id, scene_of(dataset, frame.id), frame.content_hash))
+
+    scores, hits, frames = collect_hits(source, frame_ids, class_names, progress=progress, skipped=skipped, used=note)
+    if not len(scores):
+        raise InputError("the detector found nothing in these frames", cause="are they the right ones?")
+    a, b = fit_scores(scores, hits)
+    fingerprint = source.needed_detector().fingerprint()
+    calibration = ScoreCalibration(
+        fingerprint, a, b, int(hits.sum()), int((~hits).sum()), source.config.k, dataset.root.resolve().name,
+        tuple(fitted_on),
+    )  # fmt: skip
+    first = frames < (len(frame_ids) + 1) // 2
+    after = scores.astype(np.float64)
+    for fold in (first, ~first):
+        slope, offset = fit_scores(scores[~fold], hits[~fold])
+        if (slope, offset) != IDENTITY:
+            after[fold] = sigmoid(slope * score_logit(scores[fold]) + offset)
+    report = {
+        "frames": len(np.unique(frames)),
+        "detections": len(scores),
+        "hits": int(hits.sum()),
+        "fewest": FEWEST_POSITIVES,
+        "fitted": not calibration.identity,
+        "before": reliability(scores, hits),
+        "after": reliability(after, hits),
+    }
+    return calibration, report
+
+
+def reliability(p: np.ndarray, hits: np.ndarray) -> dict[str, Any]:
+    """How well scores (N,) in 0..1 say how often they are right, given the hits (N,) bool."""
+    # The evaluation asks questions itself, and so imports what imports this.
+    from pipeline.metrics.calibration_metrics import brier_score, expected_calibration_error, reliability_diagram
+
+    diagram = reliability_diagram(p, hits, RELIABILITY_BINS)
+    rows = [
+        {
+            "low": round(float(diagram.edges[k]), 6),
+            "high": round(float(diagram.edges[k + 1]), 6),
+            "count": int(diagram.count[k]),
+            "score": round(float(diagram.confidence[k]), 4),
+            "hits": round(float(diagram.frequency[k]), 4),
+        }
+        for k in np.flatnonzero(diagram.count)
+    ]
+    q = np.clip(p, SCORE_LIMIT, 1 - SCORE_LIMIT)
+    return {
+        "brier": brier_score(p, hits),
+        "ece": expected_calibration_error(p, hits),
+        "log_loss": float(-np.where(hits, np.log(q), np.log1p(-q)).mean()),
+        "reliability": rows,
+    }
