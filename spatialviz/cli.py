@@ -60,8 +60,8 @@ class Ask:
     """Labels that say what is true. Default: the frame's annotations."""
 
     def run(self) -> int:
-        from pipeline.answering.overlooked import overlooked
-        from pipeline.answering.source import ALL_FRAMES
+        from pipeline.answering.missed_names import missed_names
+        from pipeline.answering.opening import ALL_FRAMES
         from pipeline.answering.told_answer import holds
         from pipeline.diagnosis.asking import ask_and_judge, judged_record
         from pipeline.labels.reading import open_labels
@@ -83,7 +83,7 @@ class Ask:
                 print_trace(answer.trace)
                 print_verdict(answer)
                 if answer.trace.missing and self.frame != ALL_FRAMES:
-                    print_overlooked(overlooked(source, answer.trace))
+                    print_overlooked(missed_names(source, answer.trace))
             if self.save is not None:
                 save_picture(answer.trace, self.save)
         return FINE if answered else NO
@@ -105,7 +105,7 @@ class Relations:
 
     def run(self) -> int:
         from pipeline.answering.json_records import relation_records
-        from pipeline.answering.source import relate_frames
+        from pipeline.answering.opening import relate_frames
         from pipeline.language.relation_names import VOCABULARIES
         from spatialviz.printing import print_relations
 
@@ -137,14 +137,14 @@ class Frames:
 
     def run(self) -> int:
         from pipeline.answering.json_records import frame_record
-        from pipeline.answering.source import open_source
+        from pipeline.answering.opening import open_pipeline
         from pipeline.datasets import SurveyCounts, summarise, survey, write_settings
         from pipeline.datasets.given_up import told_up
         from spatialviz.printing import print_frames
         from spatialviz.printing_statistics import print_summary
 
         camera = self.camera.camera()
-        dataset = open_source(self.dataset, **camera).dataset
+        dataset = open_pipeline(self.dataset, **camera).dataset
         if self.remember:
             write_settings(dataset.root, camera["intrinsics"], camera["depth_scale"], *told_up(dataset))
         counts = SurveyCounts()
@@ -218,11 +218,11 @@ class Context:
     """Print one JSON object."""
 
     def run(self) -> int:
-        from pipeline.answering.source import open_source
+        from pipeline.answering.opening import open_pipeline
         from pipeline.datasets import resolve_frame
-        from pipeline.datasets.fused_mesh import export_mesh, fuse_context
+        from pipeline.datasets.scene_mesh import export_mesh, fuse_context
 
-        dataset = open_source(self.dataset, **self.camera.camera(self.frame)).dataset
+        dataset = open_pipeline(self.dataset, **self.camera.camera(self.frame)).dataset
         frame = dataset.load(resolve_frame(dataset, self.frame))
         mesh = fuse_context(dataset, frame)
         export_mesh(mesh, self.out)

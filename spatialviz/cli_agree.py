@@ -37,7 +37,7 @@ class Agree:
         from pipeline.answering.agreement.agreement_figures import figures
         from pipeline.answering.agreement.frames import agree_frames
         from pipeline.answering.agreement.records import agreement_record
-        from pipeline.answering.source import ALL_FRAMES
+        from pipeline.answering.opening import ALL_FRAMES
         from spatialviz.printing import rate_bar
         from spatialviz.printing_agreement import print_agreement, print_frame_agreement
 

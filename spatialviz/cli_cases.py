@@ -14,12 +14,12 @@ from spatialviz.options import print_json
 from spatialviz.source_options import SourceOptions
 
 if TYPE_CHECKING:
-    from pipeline.answering.objects import FrameContext
-    from pipeline.answering.source import Source
+    from pipeline.answering.objects import PreparedFrame
+    from pipeline.answering.opening import Pipeline
     from pipeline.labels.cases import FrameCases
 
 
-def truth_of(source: Source, context: FrameContext, labels: Path | None) -> FrameCases | None:
+def truth_of(source: Pipeline, context: PreparedFrame, labels: Path | None) -> FrameCases | None:
     """What is true of a frame: by labels where they are named, else by its annotations."""
     from pipeline.diagnosis.asking import known_truth
     from pipeline.labels.reading import open_labels
@@ -73,8 +73,8 @@ class SaveCase:
         return FINE
 
 
-def _one_context(source: Source, frame: str) -> FrameContext:
-    from pipeline.answering.source import ALL_FRAMES, contexts
+def _one_context(source: Pipeline, frame: str) -> PreparedFrame:
+    from pipeline.answering.opening import ALL_FRAMES, contexts
 
     if frame == ALL_FRAMES:
         raise InputError("one frame is needed", got="all")

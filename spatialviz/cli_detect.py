@@ -14,7 +14,7 @@ from spatialviz.options import print_json, warn_skipped
 from spatialviz.source_options import CameraOptions, fusing
 
 if TYPE_CHECKING:
-    from pipeline.answering.source import Source
+    from pipeline.answering.opening import Pipeline
 
 
 @dataclass(frozen=True)
@@ -51,14 +51,14 @@ class DetectorOptions(CameraOptions):
     verbose: bool = False
     """Show ONNX Runtime's own messages."""
 
-    def open(self, dataset: str, also: str | None = None) -> tuple[Source, tuple[str, ...]]:
+    def open(self, dataset: str, also: str | None = None) -> tuple[Pipeline, tuple[str, ...]]:
         """The dataset with the detector (and `also` another beside it), and the frames that are meant."""
         from pipeline.answering.ask import AskConfig
-        from pipeline.answering.source import frame_range, open_source
+        from pipeline.answering.opening import frame_range, open_pipeline
         from pipeline.system.execution import use_execution
 
         use_execution(self.provider, self.verbose)
-        source = open_source(
+        source = open_pipeline(
             dataset,
             also=also,
             **fusing(self.fuse, self.fusion),

@@ -77,8 +77,8 @@ class Review:
     def run(self) -> int:
         from pipeline.corrections.journal.setting import setting_of
         from pipeline.corrections.review.agreement import pair_agreements
-        from pipeline.corrections.review.cells import read_cells
         from pipeline.corrections.review.progress import review_progress
+        from pipeline.corrections.review.relation_labels import read_cells
         from pipeline.corrections.review.reviewed import states_on_labels, without_gone
         from pipeline.corrections.review.worklist import write_queue
         from pipeline.labels.reading import open_labels
@@ -231,8 +231,8 @@ class Retrain:
     """Print one JSON object."""
 
     def run(self) -> int:
-        from pipeline.corrections.review.circle import CircleJob, run_circle
         from pipeline.corrections.review.retraining import RetrainConfig, retrain
+        from pipeline.corrections.review.retraining_run import RetrainingJob, run_retraining
         from pipeline.labels.reading import open_labels
         from pipeline.relations.features import CLI_FEATURES
         from pipeline.training.train import TrainConfig
@@ -243,12 +243,12 @@ class Retrain:
         config = RetrainConfig(train, self.split)
         if self.after is None:
             options = self.source.camera()
-            job = CircleJob(
+            job = RetrainingJob(
                 self.labels, self.out, self.journal.journal, self.journal.project, self.source.dataset, options,
                 self.run_folder, config, self.workers,
             )  # fmt: skip
             with progress_bars() as advance:
-                circle = run_circle(job, advance)
+                circle = run_retraining(job, advance)
             if self.json:
                 print_json(circle.record())
             else:

@@ -16,7 +16,7 @@ from spatialviz.source_options import SourceOptions
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from pipeline.answering.source import Source
+    from pipeline.answering.opening import Pipeline
     from pipeline.corrections.journal_place import JournalPlace
     from pipeline.diagnosis.whatif.state import ViewState
     from pipeline.evaluation.run_folder import Run
@@ -60,7 +60,7 @@ class View:
     """Open the page in the default browser."""
 
     def run(self) -> int:
-        from pipeline.answering.source import open_sources
+        from pipeline.answering.opening import open_sources
         from pipeline.datasets.demo import DEMO_NAME, demo_run
         from pipeline.diagnosis.whatif.state import decode
         from pipeline.evaluation.run_folder import open_run
@@ -121,13 +121,13 @@ class View:
         )
         return FINE
 
-    def _with_second(self, run: Run) -> Source:
+    def _with_second(self, run: Run) -> Pipeline:
         """The run's source, with the second detector beside its own."""
-        from pipeline.answering.source import open_source
+        from pipeline.answering.opening import open_pipeline
 
         if self.also is None:
             return run.source
-        opened = open_source(run.spec.dataset, **{**run.spec.options, "also": self.also})
+        opened = open_pipeline(run.spec.dataset, **{**run.spec.options, "also": self.also})
         return replace(run.source, beside=opened.beside, beside_setup=opened.beside_setup)
 
     def _journal(self, labels: Labels) -> JournalPlace:
@@ -178,13 +178,13 @@ class View:
         return words if folder is not None else [*words, *self.source.words()]
 
 
-def _check_labels(labels: Labels, source: Source) -> None:
+def _check_labels(labels: Labels, source: Pipeline) -> None:
     """Raise InputError where labels know none of the frames."""
     if set(source.dataset.frame_ids).isdisjoint(labels.frames.column("frame").to_pylist()):
         raise InputError("the labels are of other frames than the dataset has", path=labels.root)
 
 
-def _in(view: ViewState, sources: Mapping[str, Source]) -> ViewState:
+def _in(view: ViewState, sources: Mapping[str, Pipeline]) -> ViewState:
     """The view as one of these sources; InputError where it is of none."""
     name = view.dataset
     if name not in sources and len(sources) == 1:

@@ -45,7 +45,7 @@ class WhatIf:
     """Print one JSON object."""
 
     def run(self) -> int:
-        from pipeline.answering.objects import frame_context
+        from pipeline.answering.objects import prepare_frame
         from pipeline.answering.told_answer import holds
         from pipeline.datasets import resolve_frame
         from pipeline.diagnosis.asking import edited_verdicts
@@ -57,7 +57,7 @@ class WhatIf:
         edits = Edits() if self.edits is None else load_edits(self.edits)
         source = self.source.open(self.dataset, self.frame)
         frame = source.dataset.load(resolve_frame(source.dataset, self.frame))
-        context = frame_context(source.dataset, frame, source.config.lift)
+        context = prepare_frame(source.dataset, frame, source.config.lift)
         baseline = Baseline(source, context, self.expression)
         unknown = foreign_keys(baseline, edits)
         if unknown:

@@ -15,9 +15,9 @@ from rich.text import Text
 
 from pipeline.answering.ask import Trace
 from pipeline.answering.json_records import why_no_answer
+from pipeline.answering.missed_names import MissedNames
 from pipeline.answering.objects import SceneObject
-from pipeline.answering.overlooked import Overlooked
-from pipeline.answering.source import FrameRelations
+from pipeline.answering.opening import FrameRelations
 from pipeline.answering.told_answer import probability, told
 from pipeline.datasets import Dataset, FrameReport
 from pipeline.datasets.up_words import ASSUMED, DECLARE
@@ -125,7 +125,7 @@ def print_verdict(answer: JudgedAnswer) -> None:
         make_console().print(Text(f"no verdict: {answer.unjudged}", "dim"))
 
 
-def print_overlooked(found: Overlooked) -> None:
+def print_overlooked(found: MissedNames) -> None:
     """What the detector sees of names that were not found, and what else: a line each."""
     console = make_console()
     for name, score in found.below.items():

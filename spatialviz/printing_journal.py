@@ -8,10 +8,10 @@ from pathlib import Path
 from rich.table import Table
 from rich.text import Text
 
-from pipeline.corrections.journal.cells import shown_value
 from pipeline.corrections.journal.effective import EffectiveLabels
 from pipeline.corrections.journal.events import Conflict, Event, Saved
 from pipeline.corrections.journal.examining import Examined
+from pipeline.corrections.journal.field_refs import shown_value
 from pipeline.corrections.journal.incoming.importing import ImportReport
 from pipeline.corrections.wording import said_event
 from spatialviz.printing import make_console

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
     from pipeline.corrections.review.agreement import PairAgreement
-    from pipeline.corrections.review.circle import Circle
     from pipeline.corrections.review.retraining import Retraining
+    from pipeline.corrections.review.retraining_run import RetrainingRun
 
 SHOWN_CELLS = 5
 
@@ -124,7 +124,7 @@ def print_retraining(found: Retraining, out: Path) -> None:
     console.print(Text(f"-> {out}, {out.with_suffix('.comparison.md')}", "dim"))
 
 
-def print_circle(circle: Circle) -> None:
+def print_circle(circle: RetrainingRun) -> None:
     """What the corrections did: to the labels, to the network, to the answers."""
     console = make_console()
     made = circle.corrections

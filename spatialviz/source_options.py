@@ -12,7 +12,7 @@ from pipeline.system.execution import Provider
 from spatialviz.options import four_numbers
 
 if TYPE_CHECKING:
-    from pipeline.answering.source import Source
+    from pipeline.answering.opening import Pipeline
     from pipeline.labels.reading import Labels
     from pipeline.proposals.detector_setup import DetectorSetup
     from pipeline.proposals.score_calibration import ScoreCalibration
@@ -31,7 +31,7 @@ def read_calibration(path: Path | None, forced: bool = False) -> ScoreCalibratio
 
 
 def fusing(fuse: tuple[str, ...], fusion: str) -> dict[str, Any]:
-    """Detectors to be fused as arguments of `answering.source.open_source`; none where there is nothing to fuse."""
+    """Detectors to be fused as arguments of `answering.source.open_pipeline`; none where there is nothing to fuse."""
     return {"fuse": fuse, "fusion": fusion} if fuse else {}
 
 
@@ -152,7 +152,7 @@ class SourceOptions(CameraOptions):
     """Show ONNX Runtime's own messages."""
 
     def options(self, frame: str | None = None) -> dict[str, Any]:
-        """The same as arguments of `answering.source.open_source`; `frame` is the one that is asked."""
+        """The same as arguments of `answering.source.open_pipeline`; `frame` is the one that is asked."""
         from pipeline.answering.ask import AskConfig
         from pipeline.geometry.lifting import LiftConfig
         from pipeline.system.execution import use_execution
@@ -187,14 +187,14 @@ class SourceOptions(CameraOptions):
                 words += [f"--{field.name.replace('_', '-')}", *map(str, parts)]
         return words
 
-    def open(self, dataset: str, frame: str | None = None, labels: Labels | None = None) -> Source:
+    def open(self, dataset: str, frame: str | None = None, labels: Labels | None = None) -> Pipeline:
         """The dataset with its models; `frame` is the one that is asked, `labels` judge what is answered."""
-        from pipeline.answering.source import open_source
+        from pipeline.answering.opening import open_pipeline
         from pipeline.datasets.given_up import told_doubts
         from pipeline.labels.pictures import labelled_up
 
         options = self.options(frame)
-        source = open_source(dataset, **(options if labels is None else labelled_up(labels.manifest, options)))
+        source = open_pipeline(dataset, **(options if labels is None else labelled_up(labels.manifest, options)))
         if self.level_at is not None:
             for frame_id, doubt in told_doubts(source.dataset).items():
                 print(f"spatialviz: frame {frame_id}: {doubt}", file=sys.stderr)

@@ -66,9 +66,9 @@ def bare_corrector(demo_labels: Labels) -> Corrector:
 @pytest.fixture(scope="session")
 def demo_dataset() -> Dataset:
     """The built-in dataset."""
-    from pipeline.answering.source import open_source
+    from pipeline.answering.opening import open_pipeline
 
-    return open_source("demo", srm="rule").dataset
+    return open_pipeline("demo", srm="rule").dataset
 
 
 @pytest.fixture(scope="session")

@@ -13,7 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 from scenes import frame_of, upright
 
-from pipeline.answering.objects import FrameContext, all_objects
+from pipeline.answering.objects import PreparedFrame, all_objects
 from pipeline.geometry.frame import Frame
 from pipeline.labels.config import LabelConfig
 from pipeline.labels.labelling import label_objects
@@ -57,7 +57,7 @@ def write_labels(root: Path, config: LabelConfig) -> None:
     save_plan(plan, store)
     labelled = []
     for index, frame in enumerate(frames):
-        context = FrameContext(frame, config.lift)
+        context = PreparedFrame(frame, config.lift)
         objects = all_objects(context, AnnotationDetector())
         labelled.append(label_objects(context, objects, config, frame_index=index, scene="room", exact=True))
     for shard in plan.shards:

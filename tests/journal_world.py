@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.corrections.journal.cells import Cell, object_cell, relation_cell
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Edit, Event, Saved
+from pipeline.corrections.journal.field_refs import FieldRef, object_cell, relation_cell
 from pipeline.corrections.journal.journal import Journal
 from pipeline.corrections.journal.undo import redo, undo
 from pipeline.geometry.run_length import decode_run_length, encode_run_length
@@ -44,7 +44,7 @@ def widest(frame: EffectiveFrame) -> int:
 def work_of(journal: Journal, events: int, seed: int = 0) -> None:
     """Let three people correct labels until there are so many events: names, relations, sentences, undo and redo."""
     rng = random.Random(seed)
-    seen: dict[Cell, tuple[int, Any]] = {}
+    seen: dict[FieldRef, tuple[int, Any]] = {}
     mask = encode_run_length(np.eye(96, 128, dtype=bool))
     made = 0
     while made < events:
@@ -62,7 +62,9 @@ def work_of(journal: Journal, events: int, seed: int = 0) -> None:
             elif turn < 0.63:
                 cells = {object_cell(frame, rng.randrange(40), "mask"): mask}
             elif turn < 0.7:
-                cells = {Cell("expression", frame, f"{rng.getrandbits(64):016x}", "text"): "the mug left of the lamp"}
+                cells = {
+                    FieldRef("expression", frame, f"{rng.getrandbits(64):016x}", "text"): "the mug left of the lamp"
+                }
             reason = "x" * 1_900 if rng.random() < 0.02 else rng.choice(["", "it has no handle", "steht auf dem Tisch"])
             automatic = {"label": "cup", "left": 0, "right": 0, "mask": mask, "text": "the cup left of the lamp"}
             edits = []

@@ -26,8 +26,8 @@ from pipeline.answering.agreement.agreement import (
 from pipeline.answering.agreement.agreement_figures import figures, rank_correlation
 from pipeline.answering.agreement.frames import agree_frames, beside
 from pipeline.answering.agreement.records import agreement_record
-from pipeline.answering.objects import FrameContext, all_objects
-from pipeline.answering.source import open_source
+from pipeline.answering.objects import PreparedFrame, all_objects
+from pipeline.answering.opening import open_pipeline
 from pipeline.geometry.boxes import iou_2d
 from pipeline.proposals.detector_setup import DetectorSetup
 from pipeline.proposals.simulated import SimulatedDetector, SimulationOptions
@@ -142,7 +142,7 @@ def test_masks_decide_where_both_have_them() -> None:
 
 
 def test_lifted_objects_match_as_their_proposals_do() -> None:
-    context = FrameContext(SHELF)
+    context = PreparedFrame(SHELF)
     sums = []
     for make in (
         lambda d: layer_of_proposals(d.detect(SHELF, None)),
@@ -250,7 +250,7 @@ def test_kappa_is_one_where_all_names_are_alike_and_none_without_a_choice() -> N
 
 
 def test_the_job_compares_frame_by_frame_and_sums() -> None:
-    source = open_source("demo", detector="annotations", also="simulated", srm="rule")
+    source = open_pipeline("demo", detector="annotations", also="simulated", srm="rule")
     found = dict(agree_frames(source, "0:3"))
     assert list(found) == list(source.dataset.frame_ids[:3])
     sums = figures(found.values())
@@ -260,14 +260,14 @@ def test_the_job_compares_frame_by_frame_and_sums() -> None:
     assert 0.5 < sums.share < 1
     assert sum(row.a for row in sums.classes) == sums.a
     assert sum(row.b for row in sums.classes) == sums.b
-    alike = open_source("demo", detector="simulated", also="simulated", srm="rule")
+    alike = open_pipeline("demo", detector="simulated", also="simulated", srm="rule")
     same = figures(f for _, f in agree_frames(alike, "0"))
     assert (same.share, same.mean_iou, same.only_a, same.only_b) == (1, 1, 0, 0)
     assert same.score_correlation == pytest.approx(1)
 
 
 def test_both_are_asked_for_the_same_names() -> None:
-    source = open_source("demo", detector="annotations", also="simulated", srm="rule")
+    source = open_pipeline("demo", detector="annotations", also="simulated", srm="rule")
     ((_, found),) = agree_frames(source, "0", names=["mug", "zebra"])
     assert set(found.labels_a) == {"mug"}
     with pytest.raises(InputError, match="knows none of the names; got zebra"):
@@ -276,12 +276,12 @@ def test_both_are_asked_for_the_same_names() -> None:
 
 def test_there_must_be_something_to_compare_with() -> None:
     with pytest.raises(InputError, match="nothing to compare"):
-        list(agree_frames(open_source("demo", srm="rule"), "0"))
+        list(agree_frames(open_pipeline("demo", srm="rule"), "0"))
 
 
 def test_objects_of_both_detectors_stand_beside_each_other() -> None:
-    source = open_source("demo", detector="annotations", also="simulated", srm="rule")
-    context = FrameContext(source.dataset.load(source.dataset.frame_ids[0]))
+    source = open_pipeline("demo", detector="annotations", also="simulated", srm="rule")
+    context = PreparedFrame(source.dataset.load(source.dataset.frame_ids[0]))
     objects = all_objects(context, source.needed_detector())
     shown = beside(source, context, objects)
     assert shown is not None
@@ -295,7 +295,7 @@ def test_objects_of_both_detectors_stand_beside_each_other() -> None:
         assert j is None or j < len(shown.objects)
         assert shown.partner(i) == (j if i is not None else None)
         assert shown.partner_of_b(j) == (i if j is not None else None)
-    assert beside(open_source("demo", srm="rule"), context, objects) is None
+    assert beside(open_pipeline("demo", srm="rule"), context, objects) is None
 
 
 @given(
@@ -321,11 +321,11 @@ def test_dashes_lie_on_their_lines_and_reach_both_ends(segments: np.ndarray, per
 
 
 def test_two_models_of_one_kind_go_by_their_files() -> None:
-    source = open_source("demo", detector="simulated", also="simulated", srm="rule")
+    source = open_pipeline("demo", detector="simulated", also="simulated", srm="rule")
     assert source.sides == ("simulated", "simulated")
     small, large = (DetectorSetup("simulated", Path(f"a/{name}.onnx")) for name in ("small", "large"))
     both = replace(source, setup=small, beside_setup=large)
     assert both.sides == ("small", "large")
     assert replace(source, beside_setup=large).sides == ("simulated", "large")
-    other = replace(both, detector=open_source("demo", srm="rule").detector)
+    other = replace(both, detector=open_pipeline("demo", srm="rule").detector)
     assert other.sides == ("annotations", "simulated")

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.answering.ask import ask
-from pipeline.answering.objects import BOX_MARGIN_M, FrameContext, all_objects, pixels_inside
+from pipeline.answering.objects import BOX_MARGIN_M, PreparedFrame, all_objects, pixels_inside
 from pipeline.datasets import open_dataset
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.camera import Camera, backproject, intrinsics
@@ -38,7 +38,7 @@ def annotation(index: int = 0, box: Box3D | None = BOX, mask: np.ndarray | None 
 
 
 def test_points_inside_the_annotated_box_are_lifted_and_the_wall_behind_is_not() -> None:
-    context = FrameContext(frame(annotation()))
+    context = PreparedFrame(frame(annotation()))
     (found,) = all_objects(context, AnnotationDetector())
     assert found.lifted.quality.mask_source == "box3d"
     assert "no mask: the points inside the annotated 3D box were lifted" in found.lifted.quality.concerns
@@ -50,7 +50,7 @@ def test_points_inside_the_annotated_box_are_lifted_and_the_wall_behind_is_not()
 
 
 def test_asking_twice_gives_the_same_pixels() -> None:
-    context = FrameContext(frame(annotation()))
+    context = PreparedFrame(frame(annotation()))
     first, second = (all_objects(context, AnnotationDetector())[0] for _ in range(2))
     assert first.mask is second.mask
     assert first.lifted is second.lifted
@@ -59,7 +59,7 @@ def test_asking_twice_gives_the_same_pixels() -> None:
 @pytest.mark.parametrize("center", [[0, 0, 2.5], [3, 0, 2], [0, 0, -2]])
 def test_a_box_without_a_point_leaves_the_2d_box(center: list[float]) -> None:
     box = replace(BOX, center=np.array(center, float))
-    (found,) = all_objects(FrameContext(frame(annotation(box=box))), AnnotationDetector())
+    (found,) = all_objects(PreparedFrame(frame(annotation(box=box))), AnnotationDetector())
     assert found.lifted.quality.mask_source == "box"
     assert found.mask.sum() == 80 * 80
 
@@ -68,7 +68,7 @@ def test_a_mask_goes_before_the_box_and_no_box_means_the_2d_box() -> None:
     mask = np.zeros((HEIGHT, WIDTH), bool)
     mask[50:70, 60:90] = True
     shown = frame(annotation(0, BOX, mask), annotation(3, None), annotation(7, BOX))
-    masked, plain, boxed = all_objects(FrameContext(shown), AnnotationDetector())
+    masked, plain, boxed = all_objects(PreparedFrame(shown), AnnotationDetector())
     assert [o.id for o in (masked, plain, boxed)] == [0, 3, 7]
     assert [o.lifted.quality.mask_source for o in (masked, plain, boxed)] == ["annotation", "box", "box3d"]
     assert np.array_equal(masked.mask, mask)
@@ -90,7 +90,7 @@ class BoxDetector(AnnotationDetector):
 
 
 def test_a_detectors_2d_box_is_never_cut_by_an_annotated_3d_box() -> None:
-    (found,) = all_objects(FrameContext(frame(annotation())), BoxDetector())
+    (found,) = all_objects(PreparedFrame(frame(annotation())), BoxDetector())
     assert found.lifted.quality.mask_source == "box"
     assert found.mask.sum() == 80 * 80
 
@@ -121,7 +121,7 @@ def test_pixels_inside_are_those_whose_points_are(
 
 def test_real_bedroom_is_answered_from_its_boxes(shared_data: Path) -> None:
     dataset = open_dataset(shared_data / "real/sunrgbd-toy")
-    context = FrameContext(dataset.load("000001"))
+    context = PreparedFrame(dataset.load("000001"))
     detector = AnnotationDetector(dataset.class_names)
     assert context.viewer.up_source == "declared"
     for found, known in zip(all_objects(context, detector), context.frame.annotations, strict=True):

@@ -15,8 +15,16 @@ from scenes import camera_of, frame_of, upright
 
 from pipeline.answering.ask import AskConfig, Trace, ask
 from pipeline.answering.bench import bench_source
-from pipeline.answering.objects import FrameContext, SceneObject, all_objects, same_object
-from pipeline.answering.source import Source, ask_frames, contexts, frame_ids, open_source, open_sources, relate_frames
+from pipeline.answering.objects import PreparedFrame, SceneObject, all_objects, same_object
+from pipeline.answering.opening import (
+    Pipeline,
+    ask_frames,
+    contexts,
+    frame_ids,
+    open_pipeline,
+    open_sources,
+    relate_frames,
+)
 from pipeline.answering.suggestions import suggest_expressions
 from pipeline.datasets import open_dataset
 from pipeline.datasets.demo import DEMO_EXPRESSION, demo_path
@@ -52,7 +60,9 @@ def truth() -> AnnotationDetector:
     return AnnotationDetector(KNOWN)
 
 
-def answer(frame: Frame | FrameContext, text: str, detector: AnnotationDetector, **more: Any) -> tuple[int, int, float]:
+def answer(
+    frame: Frame | PreparedFrame, text: str, detector: AnnotationDetector, **more: Any
+) -> tuple[int, int, float]:
     """(annotation that is the target, annotation that is the reference, p_relation)"""
     trace = ask(frame, text, detector, **more)
     assert trace.ranking is not None
@@ -124,7 +134,7 @@ def test_each_detection_stands_once_among_the_objects(row: Frame, truth: Annotat
 
 
 def test_a_context_lifts_an_object_once(row: Frame, truth: AnnotationDetector) -> None:
-    context = FrameContext(row)
+    context = PreparedFrame(row)
     first, second = ask(context, "mug left of the laptop", truth), ask(context, "laptop right of the mug", truth)
     lifted = {o.id: o.lifted for o in first.objects}
     assert all(lifted[o.id] is o.lifted for o in second.objects)
@@ -133,7 +143,7 @@ def test_a_context_lifts_an_object_once(row: Frame, truth: AnnotationDetector) -
 
 def test_a_context_and_a_frame_give_the_same_answer(row: Frame, truth: AnnotationDetector) -> None:
     text = "mug right of the laptop"
-    assert answer(row, text, truth) == answer(FrameContext(row), text, truth)
+    assert answer(row, text, truth) == answer(PreparedFrame(row), text, truth)
 
 
 def test_the_timings_of_all_stages_are_there(row: Frame, truth: AnnotationDetector) -> None:
@@ -202,7 +212,9 @@ def test_the_best_k_of_a_detector_go_on_and_of_the_truth_all(row: Frame, truth: 
 def scene_object(number: int, x0: int, x1: int, row: Frame, height: int = 100) -> SceneObject:
     mask = np.zeros(row.depth.shape, bool)
     mask[50 : 50 + height, x0:x1] = True
-    lifted = FrameContext(row).lift(AnnotationDetector().detect(row, ["mug"]).take(np.array([0])), AnnotationDetector())
+    lifted = PreparedFrame(row).lift(
+        AnnotationDetector().detect(row, ["mug"]).take(np.array([0])), AnnotationDetector()
+    )
     return SceneObject(number, "x", 0.5, np.array([x0, 50, x1, 50 + height], np.float32), mask, lifted[0].lifted)
 
 
@@ -235,7 +247,7 @@ def ycb_pairs(root: Path) -> list[tuple[str, str, str]]:
     found = []
     dataset = open_dataset(root)
     for frame_id in dataset.frame_ids:
-        context = FrameContext(dataset.load(frame_id))
+        context = PreparedFrame(dataset.load(frame_id))
         scene, image = frame_id.split("/")
         poses = json.loads((root / scene / "scene_gt.json").read_text())[str(int(image))]
         right, _, forward = (np.array([p["cam_t_m2c"] for p in poses]) / 1000 @ context.viewer.matrix.T).T
@@ -254,7 +266,7 @@ def test_clear_pairs_of_real_frames_are_told_left_and_right(shared_data: Path) -
     detector = AnnotationDetector(dataset.class_names)
     pairs = ycb_pairs(root)
     assert len(pairs) >= 10
-    found = {f: FrameContext(dataset.load(f)) for f in {p[0] for p in pairs}}
+    found = {f: PreparedFrame(dataset.load(f)) for f in {p[0] for p in pairs}}
     for frame_id, left, right in pairs:
         for text, holds in (
             (f"{left} left of the {right}", True),
@@ -272,7 +284,7 @@ def test_nearer_and_farther_on_real_frames(shared_data: Path) -> None:
     detector = AnnotationDetector(dataset.class_names)
     # By eye: the marker lies in front, the bottle at the back; can, box and bottle stand in depth on the right.
     for frame_id in ("000002/000001", "000002/000020"):
-        context = FrameContext(dataset.load(frame_id))
+        context = PreparedFrame(dataset.load(frame_id))
         for text, expected in (
             ("large marker in front of the mustard bottle", 0.95),
             ("mustard bottle behind the large marker", 0.95),
@@ -301,7 +313,7 @@ def test_a_network_answers_on_a_real_frame(shared_data: Path) -> None:
 
 
 def test_the_demo_answers_its_own_question() -> None:
-    source = open_source("demo")
+    source = open_pipeline("demo")
     (trace,) = ask_frames(source, 0, [DEMO_EXPRESSION])
     assert trace.ranking is not None
     assert trace.ranking.pairs[0].p_relation > 0.9
@@ -310,7 +322,7 @@ def test_the_demo_answers_its_own_question() -> None:
 
 
 def test_suggested_expressions_have_exactly_one_right_answer() -> None:
-    source = open_source("demo")
+    source = open_pipeline("demo")
     detector = source.needed_detector()
     asked = 0
     for context in contexts(source, "all"):
@@ -331,7 +343,7 @@ def test_suggested_expressions_have_exactly_one_right_answer() -> None:
 
 
 def test_suggestions_are_words_even_where_class_names_are_not() -> None:
-    source = open_source("demo")
+    source = open_pipeline("demo")
     (context,) = contexts(source, 0)
     objects = all_objects(context, source.needed_detector())
     scores = source.scorer.score([o.lifted for o in objects], context.viewer)
@@ -350,14 +362,14 @@ def test_suggestions_are_words_even_where_class_names_are_not() -> None:
 
 
 @pytest.fixture
-def broken(tmp_path: Path) -> Source:
+def broken(tmp_path: Path) -> Pipeline:
     """Two frames, of which one has no depth file."""
     write_bop(tmp_path / "set", {"000001": [0, 1]})
     (tmp_path / "set" / "000001" / "depth" / "000000.png").unlink()
-    return open_source(tmp_path / "set")
+    return open_pipeline(tmp_path / "set")
 
 
-def test_a_broken_frame_is_skipped_among_all_and_an_error_by_name(broken: Source) -> None:
+def test_a_broken_frame_is_skipped_among_all_and_an_error_by_name(broken: Pipeline) -> None:
     skipped: list[tuple[str, str]] = []
     done = list(relate_frames(broken, "all", lambda frame, why: skipped.append((frame, why))))
     assert [d.frame_id for d in done] == ["000001/000001"]
@@ -367,7 +379,7 @@ def test_a_broken_frame_is_skipped_among_all_and_an_error_by_name(broken: Source
         list(relate_frames(broken, "000001/000000"))
 
 
-def test_a_frame_is_named_by_id_index_or_all(broken: Source) -> None:
+def test_a_frame_is_named_by_id_index_or_all(broken: Pipeline) -> None:
     every = ("000001/000000", "000001/000001")
     assert frame_ids(broken.dataset, "all") == frame_ids(broken.dataset, None) == every
     assert frame_ids(broken.dataset, 1) == frame_ids(broken.dataset, "1") == every[1:]
@@ -377,14 +389,14 @@ def test_a_frame_is_named_by_id_index_or_all(broken: Source) -> None:
 
 
 def test_a_dataset_without_annotations_needs_a_detector(shared_data: Path) -> None:
-    source = open_source(shared_data / "real" / "7scenes-redkitchen")
+    source = open_pipeline(shared_data / "real" / "7scenes-redkitchen")
     with pytest.raises(InputError, match=r"no detector was named.*--detector"):
         next(iter(ask_frames(source, 0, ["cup on the table"])))
 
 
 def test_a_model_without_its_kind_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="--model needs --detector"):
-        open_source("demo", model=tmp_path / "x.onnx")
+        open_pipeline("demo", model=tmp_path / "x.onnx")
 
 
 def test_a_folder_of_datasets_opens_what_can_be_opened(shared_data: Path, tmp_path: Path) -> None:
@@ -403,7 +415,7 @@ def test_a_folder_of_datasets_opens_what_can_be_opened(shared_data: Path, tmp_pa
 
 def test_the_bench_times_every_stage(tmp_path: Path) -> None:
     write_bop(tmp_path, {"000001": [0, 1]})
-    found = bench_source(open_source(tmp_path), repeat=1)
+    found = bench_source(open_pipeline(tmp_path), repeat=1)
     assert found["frames"] == 2
     assert found["objects"] == 6
     assert set(found["ms_per_frame"]) >= {"decode", "up vector", "depth edges", "lift", "relations"}
@@ -449,9 +461,7 @@ def test_a_picture_that_cannot_be_saved_leaves_nothing(trace: Trace, tmp_path: P
         save_picture(trace, Path("/proc/answer.png"))
 
 
-def test_a_failed_save_keeps_the_old_picture(
-    trace: Trace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_failed_save_keeps_the_old_picture(trace: Trace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "a.png"
     path.write_bytes(b"old")
 

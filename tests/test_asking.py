@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pipeline.answering.opening import Pipeline, open_pipeline
 from pipeline.answering.ranking import RankConfig
-from pipeline.answering.source import Source, open_source
 from pipeline.diagnosis import asking
 from pipeline.diagnosis.asking import ask_and_judge, edited_verdicts, judged_record
 from pipeline.diagnosis.live import case_of
@@ -27,8 +27,8 @@ TEXTS = ("mug left of the laptop", "laptop right of the mug", "desk holding a la
 
 
 @pytest.fixture(scope="module")
-def demo() -> Source:
-    return open_source("demo", srm="rule")
+def demo() -> Pipeline:
+    return open_pipeline("demo", srm="rule")
 
 
 @pytest.fixture(scope="module")
@@ -52,11 +52,11 @@ class Changed:
         return replace(frame, **{name: change(frame) for name, change in self._changes.items()})
 
 
-def changed(source: Source, **changes: Any) -> Source:
+def changed(source: Pipeline, **changes: Any) -> Pipeline:
     return replace(source, dataset=Changed(source.dataset, **changes))  # pyright: ignore[reportArgumentType]
 
 
-def test_an_annotated_frame_is_judged_by_one_truth(demo: Source, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_an_annotated_frame_is_judged_by_one_truth(demo: Pipeline, monkeypatch: pytest.MonkeyPatch) -> None:
     truths = []
 
     def counted(*arguments: Any) -> Any:
@@ -77,8 +77,8 @@ def test_an_annotated_frame_is_judged_by_one_truth(demo: Source, monkeypatch: py
     assert "holding" in third["verdict_reason"]
 
 
-def test_a_wrong_answer_is_blamed_as_in_a_run(demo: Source, labels: Labels) -> None:
-    weak = open_source("demo", srm="rule", detector="simulated")
+def test_a_wrong_answer_is_blamed_as_in_a_run(demo: Pipeline, labels: Labels) -> None:
+    weak = open_pipeline("demo", srm="rule", detector="simulated")
     row = next(r for r in labels.expressions.to_pylist() if r["frame"] == demo.dataset.frame_ids[0])
     (answer,) = ask_and_judge(weak, row["frame"], [row["text"]], labels)
     record = judged_record(answer)
@@ -88,13 +88,13 @@ def test_a_wrong_answer_is_blamed_as_in_a_run(demo: Source, labels: Labels) -> N
     assert record["verdict"]["said"] == answer.judgement.said
 
 
-def test_without_annotations_nothing_is_said(demo: Source) -> None:
+def test_without_annotations_nothing_is_said(demo: Pipeline) -> None:
     recorded = changed(demo, annotations=lambda frame: ())
     for answer in ask_and_judge(recorded, 0, TEXTS[:1]):
         assert not {"verdict", "verdict_reason"} & judged_record(answer).keys()
 
 
-def test_labels_of_another_picture_judge_nothing(demo: Source, labels: Labels) -> None:
+def test_labels_of_another_picture_judge_nothing(demo: Pipeline, labels: Labels) -> None:
     other = changed(demo, rgb=lambda frame: frame.rgb[:, ::-1].copy())
     (record,) = [judged_record(a) for a in ask_and_judge(other, 0, TEXTS[:1], labels)]
     assert record["answer"] is not None
@@ -105,12 +105,12 @@ def test_labels_of_another_picture_judge_nothing(demo: Source, labels: Labels) -
     assert "say nothing of frame" in record["verdict_reason"]
 
 
-def test_a_frame_that_is_not_there_is_an_error(demo: Source) -> None:
+def test_a_frame_that_is_not_there_is_an_error(demo: Pipeline) -> None:
     with pytest.raises(InputError, match="no frame"):
         list(ask_and_judge(demo, 999, TEXTS[:1]))
 
 
-def test_any_answer_that_is_true_beyond_doubt_is_right(demo: Source) -> None:
+def test_any_answer_that_is_true_beyond_doubt_is_right(demo: Pipeline) -> None:
     """A typed sentence means no one pair: whichever of several true ones wins, the verdict is not about the label."""
     seen = 0
     for frame_id in demo.dataset.frame_ids[:3]:
@@ -135,7 +135,7 @@ def test_any_answer_that_is_true_beyond_doubt_is_right(demo: Source) -> None:
     assert seen > 3
 
 
-def test_an_edit_that_hides_the_right_object_changes_the_verdict(demo: Source) -> None:
+def test_an_edit_that_hides_the_right_object_changes_the_verdict(demo: Pipeline) -> None:
     context = next(asking.contexts(demo, 0))
     baseline = Baseline(demo, context, TEXTS[0])
     before = baseline.outcome

@@ -29,7 +29,7 @@ from avd_writer import (
 from dataset_writers import random_rotation, write_png
 
 from pipeline.answering.json_records import frame_record
-from pipeline.answering.source import open_source
+from pipeline.answering.opening import open_pipeline
 from pipeline.datasets import MOVES, has_moves, moves, open_dataset, splits, survey
 from pipeline.datasets.avd import FARTHEST_M, SPLITS
 from pipeline.datasets.avd_scan import read_names, read_poses
@@ -188,7 +188,7 @@ def test_a_scan_among_other_datasets_is_none_of_theirs(scan: Path) -> None:
 
 
 def test_questions_are_answered_from_the_2d_boxes(written: tuple[Path, dict[str, ImageTruth]]) -> None:
-    source = open_source(written[0])
+    source = open_pipeline(written[0])
     trace = source.ask(source.dataset.load(source.dataset.frame_ids[0]), "red cup left of the red bull")
     assert trace.ranking is not None
     assert trace.objects[trace.ranking.pairs[0].target].label == "red_cup"

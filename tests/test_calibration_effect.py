@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from pipeline.answering.ask import AskConfig
 from pipeline.answering.calibrating import calibrate_scores
-from pipeline.answering.source import open_source
+from pipeline.answering.opening import open_pipeline
 from pipeline.evaluation.calibration_tables import calibration_table, ece_estimate, held_out_warning
 from pipeline.evaluation.job import evaluate_dataset
 from pipeline.evaluation.raw_scores import detector_scores, is_calibrated, raw_records
@@ -78,7 +78,7 @@ def test_the_second_answer_is_that_of_a_run_without_calibration(plain: pa.Table,
 
 
 def test_every_detection_is_counted_once(labels: Path, calibrated: pa.Table) -> None:
-    source = open_source("demo", detector="simulated")
+    source = open_pipeline("demo", detector="simulated")
     detector = source.needed_detector()
     expected = []
     for truth in read_cases(open_labels(labels), 0, FRAMES):
@@ -145,7 +145,7 @@ def test_records_of_earlier_releases_have_no_second_answer(plain: pa.Table) -> N
 
 def test_a_run_with_a_calibration_of_its_own_frames_says_so(labels: Path, tmp_path: Path) -> None:
     pytest.importorskip("plotly", reason="the extra report is not installed")
-    source = open_source("demo", detector="simulated", srm="rule")
+    source = open_pipeline("demo", detector="simulated", srm="rule")
     calibration, report = calibrate_scores(source, source.dataset.frame_ids[2:8])
     save_calibration(calibration, tmp_path / "c.json", report)
     assert load_calibration(tmp_path / "c.json") == calibration

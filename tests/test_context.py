@@ -13,7 +13,7 @@ import pytest
 
 from pipeline.datasets import Dataset, open_dataset
 from pipeline.datasets.demo import demo_path
-from pipeline.datasets.fused_mesh import ContextConfig, ContextMesh, export_mesh, fuse_context, neighbours
+from pipeline.datasets.scene_mesh import ContextConfig, ContextMesh, export_mesh, fuse_context, neighbours
 from pipeline.geometry.camera import project, to_world
 from pipeline.system.errors import FrameUnusable, InputError, MissingExtra
 

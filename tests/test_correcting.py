@@ -12,23 +12,23 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from journal_world import FRAME, an_expression
 
-from pipeline.corrections.desk import Desk
 from pipeline.corrections.disputes import decided, disputes
 from pipeline.corrections.event_lines import event_lines
 from pipeline.corrections.journal import edits
 from pipeline.corrections.journal.batch import actions_of, apply_actions, read_actions
-from pipeline.corrections.journal.cells import object_cell, relation_cell
 from pipeline.corrections.journal.events import Conflict, NotSaved, Saved
+from pipeline.corrections.journal.field_refs import object_cell, relation_cell
 from pipeline.corrections.journal.journal import Journal
 from pipeline.corrections.journal.undo import redo
 from pipeline.corrections.journal_place import JournalPlace
-from pipeline.corrections.rescue import rescue
+from pipeline.corrections.label_editor import LabelEditor
 from pipeline.corrections.unsaved import Waiting
+from pipeline.corrections.unsaved_dump import dump_unsaved
 from pipeline.labels.reading import Labels
 from pipeline.relations.relations import F, T
 from pipeline.system.errors import InputError
 
-Open = Callable[..., Desk]
+Open = Callable[..., LabelEditor]
 
 
 @pytest.fixture
@@ -41,7 +41,7 @@ def place(demo_labels: Labels, tmp_path: Path) -> Iterator[JournalPlace]:
 @pytest.fixture
 def desk(demo_labels: Labels, place: JournalPlace) -> Open:
     """Opens desks of one journal."""
-    return lambda author="ann": Desk(demo_labels, place, author)
+    return lambda author="ann": LabelEditor(demo_labels, place, author)
 
 
 class Broken:
@@ -62,7 +62,7 @@ class Broken:
 # ---- conflicts -----------------------------------------------------------------------
 
 
-def two_on_one_relation(desk: Open) -> tuple[Desk, Desk, Conflict, tuple[int, int]]:
+def two_on_one_relation(desk: Open) -> tuple[LabelEditor, LabelEditor, Conflict, tuple[int, int]]:
     ann, bob = desk("ann"), desk("bob")
     mine, theirs = ann.frame(FRAME), bob.frame(FRAME)
     a, b = (int(n) for n in mine.pairs.numbers[:2])
@@ -262,11 +262,11 @@ def test_what_is_left_at_the_end_goes_to_files_that_correct_takes(
     ann.save(edits.add_object(ann.frame(FRAME), "lamp", bbox=[10, 10, 60, 60], number=1_000_007))
     ann.save(edits.set_class(ann.frame(FRAME), 1_000_007, "kettle"))
     nowhere = tmp_path / "absent"
-    (hers, his) = rescue(place, [nowhere, tmp_path])
+    (hers, his) = dump_unsaved(place, [nowhere, tmp_path])
     assert (hers.author, len(hers.edits), len(hers.files)) == ("ann", 4, 2)
     assert "disk full" in hers.problem
     assert (his.author, len(his.files)) == ("bob", 1)
-    assert rescue(place, [nowhere])[0].files == ()
+    assert dump_unsaved(place, [nowhere])[0].files == ()
     disk.full = False
     for path in hers.files:
         done = apply_actions(ann.corrector, place.to_write(), read_actions(path), "ann")
@@ -342,7 +342,7 @@ def test_judgements_that_were_not_saved_are_taken_from_the_file(
     disk = Broken(place, monkeypatch)
     ann.save(edits.judge_relation(frame, a, b, "left", T, "ann"))
     ann.save(edits.set_class(ann.frame(FRAME), a, "vase"))
-    (hers,) = rescue(place, [tmp_path])
+    (hers,) = dump_unsaved(place, [tmp_path])
     disk.full = False
     (path,) = hers.files
     journal = place.to_write()
@@ -362,7 +362,7 @@ def test_files_of_several_people_do_not_replace_each_other(
         one.save(edits.set_class(one.frame(FRAME), min(one.frame(FRAME).objects), author))
     folder = tmp_path / "a file"
     folder.touch()
-    found = rescue(place, [folder, tmp_path])
+    found = dump_unsaved(place, [folder, tmp_path])
     files = [path for each in found for path in each.files]
     assert len(set(files)) == 2
     assert {str(a.model_dump()["to"]) for path in files for a in read_actions(path)} == {"李", "王"}
@@ -400,7 +400,7 @@ def test_who_has_something_to_decide_keeps_the_name(desk: Open) -> None:
 
 
 def test_nothing_waits_nothing_is_written(place: JournalPlace, tmp_path: Path) -> None:
-    assert rescue(place, [tmp_path]) == ()
+    assert dump_unsaved(place, [tmp_path]) == ()
     assert list(tmp_path.glob("unsaved*")) == []
 
 
@@ -439,7 +439,7 @@ def test_history_tells_what_was_taken_back_and_whose_it_is(desk: Open, place: Jo
     bob.save(edits.set_class(bob.frame(FRAME), a, "vase"))
     ann.save(edits.set_class(ann.frame(FRAME), b, "bowl"))
 
-    def lines(who: Desk, **about: Any) -> Any:
+    def lines(who: LabelEditor, **about: Any) -> Any:
         who.frame(FRAME)
         return who.history(FRAME, **about)
 

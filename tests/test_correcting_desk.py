@@ -14,11 +14,11 @@ from waiting import LONG_S
 
 from pipeline.corrections import journal_place
 from pipeline.corrections.cards import ASKED_BEYOND_M, pair_card
-from pipeline.corrections.desk import Desk
 from pipeline.corrections.journal.edits import judge_relation, set_class, set_relation, set_text
 from pipeline.corrections.journal.events import Conflict, Saved
 from pipeline.corrections.journal.journal import Journal
 from pipeline.corrections.journal_place import JournalPlace
+from pipeline.corrections.label_editor import LabelEditor
 from pipeline.corrections.scene import labelled_objects
 from pipeline.corrections.unsaved import Waiting
 from pipeline.corrections.wording import said_events
@@ -39,7 +39,7 @@ def place(demo_labels: Labels, tmp_path: Path) -> JournalPlace:
 
 
 def test_looking_writes_nothing(demo_labels: Labels, place: JournalPlace, tmp_path: Path) -> None:
-    desk = Desk(demo_labels, place, "ann")
+    desk = LabelEditor(demo_labels, place, "ann")
     desk.frame(FRAME)
     assert desk.undo() is None
     assert desk.redo() is None
@@ -49,7 +49,7 @@ def test_looking_writes_nothing(demo_labels: Labels, place: JournalPlace, tmp_pa
 def test_what_is_saved_is_seen_by_everyone_taken_back_and_brought_back(
     demo_labels: Labels, place: JournalPlace
 ) -> None:
-    ann, ben = (Desk(demo_labels, place, name) for name in ("ann", "ben"))
+    ann, ben = (LabelEditor(demo_labels, place, name) for name in ("ann", "ben"))
     frame = ann.frame(FRAME)
     a, b = frame.pairs.numbers[:2].tolist()
     was = frame.pairs.state(a, b, "left")
@@ -69,7 +69,7 @@ def test_what_is_saved_is_seen_by_everyone_taken_back_and_brought_back(
 
 
 def test_geometry_contradicts_what_its_margin_does_not_allow(demo_labels: Labels, place: JournalPlace) -> None:
-    desk = Desk(demo_labels, place, "ann")
+    desk = LabelEditor(demo_labels, place, "ann")
     frame = desk.frame(FRAME)
     a, b = frame.pairs.numbers[:2].tolist()
     lines = [x for n in frame.pairs.numbers[2:].tolist() for x in pair_card(frame, a, n).lines]
@@ -90,7 +90,7 @@ def test_geometry_contradicts_what_its_margin_does_not_allow(demo_labels: Labels
 
 @pytest.mark.parametrize("moved", [True, False])
 def test_a_journal_that_was_put_back_is_read_afresh(demo_labels: Labels, place: JournalPlace, moved: bool) -> None:
-    ann, copy = Desk(demo_labels, place, "ann"), Path(f"{place.where}.copy")
+    ann, copy = LabelEditor(demo_labels, place, "ann"), Path(f"{place.where}.copy")
     ann.save(set_class(ann.frame(FRAME), 3, "jar"))
     place.close()
     copy.write_bytes(Path(str(place.where)).read_bytes())
@@ -103,7 +103,7 @@ def test_a_journal_that_was_put_back_is_read_afresh(demo_labels: Labels, place: 
         Path(f"{place.where}{left}").unlink(missing_ok=True)
     if moved:
         # What is saved now has the number of an event that was seen, or a smaller one.
-        ben = Desk(demo_labels, JournalPlace(demo_labels, place.where), "ben")
+        ben = LabelEditor(demo_labels, JournalPlace(demo_labels, place.where), "ben")
         assert isinstance(ben.save(set_class(ben.frame(FRAME), 5, "cup")), Saved)
         ben.place.close()
     assert ann.replaced(FRAME)
@@ -118,7 +118,7 @@ def test_a_journal_that_was_put_back_is_read_afresh(demo_labels: Labels, place: 
 def test_what_was_saved_last_is_seen_while_the_journal_is_away(
     demo_labels: Labels, place: JournalPlace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    ann = Desk(demo_labels, place, "ann")
+    ann = LabelEditor(demo_labels, place, "ann")
     assert isinstance(ann.save(set_class(ann.frame(FRAME), 3, "jar")), Saved)
     with monkeypatch.context() as patch:
         patch.setattr(Journal, "events", _away)
@@ -130,7 +130,7 @@ def test_what_was_saved_last_is_seen_while_the_journal_is_away(
 
 
 def test_who_comes_second_is_told_and_overwrites_nothing(demo_labels: Labels, place: JournalPlace) -> None:
-    ann, ben = (Desk(demo_labels, place, name) for name in ("ann", "ben"))
+    ann, ben = (LabelEditor(demo_labels, place, name) for name in ("ann", "ben"))
     seen = ann.frame(FRAME), ben.frame(FRAME)
     assert isinstance(ann.save(set_class(seen[0], 3, "beaker")), Saved)
     outcome = ben.save(set_class(seen[1], 3, "jar"))
@@ -146,7 +146,7 @@ def test_what_cannot_be_saved_is_kept_shown_and_saved_later(
 ) -> None:
     folder = tmp_path / "away"
     place = JournalPlace(demo_labels, folder / "j.sqlite")
-    desk = Desk(demo_labels, place, "ann")
+    desk = LabelEditor(demo_labels, place, "ann")
     first = desk.save(set_class(desk.frame(FRAME), 3, "beaker"))
     assert isinstance(first, Waiting)
     assert "folder" in first.problem
@@ -163,14 +163,14 @@ def test_what_cannot_be_saved_is_kept_shown_and_saved_later(
         patch.setattr(Journal, "events", _away)
         assert desk.frame(FRAME).objects[3]["label"] == "jar"
         assert len(desk.events(FRAME)) == 2
-    assert Desk(demo_labels, place, "ben").frame(FRAME).objects[3]["label"] == "jar"
+    assert LabelEditor(demo_labels, place, "ben").frame(FRAME).objects[3]["label"] == "jar"
     assert [e.after for e in place.to_write().events()] == ["beaker", "jar"]
 
 
 def test_while_the_journal_is_being_opened_an_edit_waits_and_nobody_with_it(
     demo_labels: Labels, place: JournalPlace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    desk, slow = Desk(demo_labels, place, "ann"), threading.Event()
+    desk, slow = LabelEditor(demo_labels, place, "ann"), threading.Event()
     real, asked = journal_place.journal_of, threading.Event()
 
     def opened(*given: Any, **named: Any) -> Any:
@@ -205,7 +205,7 @@ def test_what_waits_can_be_dropped_and_is_a_conflict_where_somebody_was_faster(
 ) -> None:
     folder = tmp_path / "away"
     place = JournalPlace(demo_labels, folder / "j.sqlite")
-    ann, ben = (Desk(demo_labels, place, name) for name in ("ann", "ben"))
+    ann, ben = (LabelEditor(demo_labels, place, name) for name in ("ann", "ben"))
     name = ann.frame(FRAME).objects[3]["label"]
     ann.save(set_class(ann.frame(FRAME), 3, "jar"))
     assert isinstance(ann.undo(), Waiting)
@@ -221,7 +221,7 @@ def test_what_waits_can_be_dropped_and_is_a_conflict_where_somebody_was_faster(
 
 
 def test_an_edit_that_is_none_does_not_wait(demo_labels: Labels, place: JournalPlace) -> None:
-    desk = Desk(demo_labels, place, "ann")
+    desk = LabelEditor(demo_labels, place, "ann")
     with pytest.raises(InputError, match="nothing to save"):
         desk.save(())
     assert not desk.waiting
@@ -230,7 +230,7 @@ def test_an_edit_that_is_none_does_not_wait(demo_labels: Labels, place: JournalP
 
 
 def test_labelled_objects_are_what_the_rows_say(demo_labels: Labels, place: JournalPlace) -> None:
-    frame = Desk(demo_labels, place, "ann").frame(FRAME)
+    frame = LabelEditor(demo_labels, place, "ann").frame(FRAME)
     objects = labelled_objects(frame)
     assert [o.id for o in objects] == sorted(frame.objects)
     for entry in objects:
@@ -245,7 +245,7 @@ def test_labelled_objects_are_what_the_rows_say(demo_labels: Labels, place: Jour
 
 
 def test_a_card_mirrors_the_pair_the_other_way_round(demo_labels: Labels, place: JournalPlace) -> None:
-    frame = Desk(demo_labels, place, "ann").frame(FRAME)
+    frame = LabelEditor(demo_labels, place, "ann").frame(FRAME)
     a, b = frame.pairs.numbers[:2].tolist()
     one, other = (
         {line.relation: line.state for line in pair_card(frame, *ends).lines} for ends in ((a, b), (b, a))
@@ -259,7 +259,7 @@ def test_a_card_mirrors_the_pair_the_other_way_round(demo_labels: Labels, place:
 
 def test_background_takes_part_in_no_relation_and_says_why(demo_labels: Labels, demo_dataset: Dataset) -> None:
     for name in demo_labels.frames.column("frame").to_pylist():
-        frame = Desk(demo_labels, JournalPlace(demo_labels, "nowhere/j"), "ann", demo_dataset).frame(name)
+        frame = LabelEditor(demo_labels, JournalPlace(demo_labels, "nowhere/j"), "ann", demo_dataset).frame(name)
         lonely = [n for n in frame.objects if frame.pairs.place(n) is None]
         if lonely:
             card = pair_card(frame, lonely[0], frame.pairs.numbers[0])
@@ -272,7 +272,7 @@ def test_background_takes_part_in_no_relation_and_says_why(demo_labels: Labels, 
 def test_actions_in_words_name_the_objects_and_do_not_count_the_mirror(
     demo_labels: Labels, place: JournalPlace
 ) -> None:
-    desk = Desk(demo_labels, place, "ann")
+    desk = LabelEditor(demo_labels, place, "ann")
     frame = desk.frame(FRAME)
     a, b = frame.pairs.numbers[:2].tolist()
     names = [f"{frame.objects[n]['label']}·{n}" for n in (a, b)]
@@ -299,12 +299,12 @@ def test_actions_in_words_name_the_objects_and_do_not_count_the_mirror(
 def test_what_was_made_on_an_edit_that_is_disputed_is_disputed_with_it(demo_labels: Labels, tmp_path: Path) -> None:
     folder = tmp_path / "away"
     place = JournalPlace(demo_labels, folder / "j.sqlite")
-    ann, ben = (Desk(demo_labels, place, name) for name in ("ann", "ben"))
+    ann, ben = (LabelEditor(demo_labels, place, name) for name in ("ann", "ben"))
     first, other = sorted(ann.frame(FRAME).objects)[:2]
     for name in ("vase", "bowl"):
         ann.save(set_class(ann.frame(FRAME), first, name))
     ann.save(set_class(ann.frame(FRAME), other, "lamp"))
-    seen = Desk(demo_labels, JournalPlace(demo_labels, tmp_path / "none.sqlite"), "ben").frame(FRAME)
+    seen = LabelEditor(demo_labels, JournalPlace(demo_labels, tmp_path / "none.sqlite"), "ben").frame(FRAME)
     folder.mkdir()
     assert isinstance(ben.save(set_class(seen, first, "jar")), Saved)
     # The second edit is of version 1, which is ben's by now.
@@ -325,7 +325,7 @@ def test_what_was_made_on_an_edit_that_is_disputed_is_disputed_with_it(demo_labe
 def test_an_edit_is_kept_while_another_thread_saves_what_waits(
     demo_labels: Labels, place: JournalPlace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    desk = Desk(demo_labels, place, "ann")
+    desk = LabelEditor(demo_labels, place, "ann")
     number = min(desk.frame(FRAME).objects)
     early = Waiting(set_class(desk.frame(FRAME), number, "vase"), "ann", "g", datetime.now(timezone.utc), "disk full")
     edits = set_class(desk.frame(FRAME), number, "bowl")

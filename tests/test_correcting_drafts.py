@@ -16,11 +16,11 @@ from pipeline.corrections.drawing.strokes import polygon_mask, rectangle_mask, s
 from pipeline.corrections.journal import edits
 from pipeline.corrections.journal.batch import actions_of, apply_actions
 from pipeline.corrections.journal.batch_shapes import needs_pictures
-from pipeline.corrections.journal.cells import FIRST_NEW_OBJECT
 from pipeline.corrections.journal.edits import pixels_of
 from pipeline.corrections.journal.effective import Corrector
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Saved
+from pipeline.corrections.journal.field_refs import FIRST_NEW_OBJECT
 from pipeline.corrections.journal.journal import Journal
 from pipeline.corrections.journal.undo import undo
 from pipeline.language.relation_names import PAIRWISE

@@ -20,8 +20,8 @@ from pipeline.corrections.expression_cards import (
     set_answer,
 )
 from pipeline.corrections.journal import edits
-from pipeline.corrections.journal.cells import Cell
 from pipeline.corrections.journal.effective import Corrector
+from pipeline.corrections.journal.field_refs import FieldRef
 from pipeline.corrections.journal.journal import Journal
 from pipeline.system.errors import InputError
 
@@ -85,7 +85,7 @@ def test_a_rejected_expression_keeps_its_text_and_can_be_brought_back(
     frame = bare_corrector.frame(FRAME, journal)
     name = an_expression(frame)["id"]
     saved(journal, edits.set_text(frame, name, "one"))
-    status = Cell("expression", FRAME, name, "status")
+    status = FieldRef("expression", FRAME, name, "status")
     frame = bare_corrector.frame(FRAME, journal)
     saved(journal, edits.set_status(frame, status, "rejected"))
     frame = bare_corrector.frame(FRAME, journal)
@@ -101,7 +101,7 @@ def test_a_rejected_expression_keeps_its_text_and_can_be_brought_back(
 def test_each_reviewer_has_a_word_of_their_own(bare_corrector: Corrector, journal: Journal) -> None:
     frame = bare_corrector.frame(FRAME, journal)
     name = next(iter(frame.expressions))
-    cell = Cell("expression", FRAME, name, "status")
+    cell = FieldRef("expression", FRAME, name, "status")
     for author, status in (("ann", "accepted"), ("ben", "unsure")):
         saved(journal, edits.set_status(bare_corrector.frame(FRAME, journal), cell, status, author=author), author)
     card = expression_card(bare_corrector.frame(FRAME, journal), name)

@@ -14,10 +14,10 @@ from journal_world import FRAME, half_of, saved, widest
 from pipeline.corrections.box_edits import fit_to_points, snap_to_support, support_of
 from pipeline.corrections.cards import pair_card
 from pipeline.corrections.journal import edits
-from pipeline.corrections.journal.cells import object_cell, relation_cell, same_value
 from pipeline.corrections.journal.effective import Corrector
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import new_ulid
+from pipeline.corrections.journal.field_refs import object_cell, relation_cell, same_value
 from pipeline.corrections.journal.journal import Journal, journal_of
 from pipeline.corrections.moving import MovingBox
 from pipeline.corrections.object_card import FIELDS, back_to_automatic, bring_back, object_card

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scenes import frame_of, random_rotation, up_of, upright
 
-from pipeline.answering.objects import FrameContext, SceneObject, all_objects
+from pipeline.answering.objects import PreparedFrame, SceneObject, all_objects
 from pipeline.corrections.support import Support, Way, find_support, gap_below, snapped
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.frame import Frame
@@ -22,8 +22,8 @@ FLOOR = 1.2
 WAYS: tuple[Way, ...] = ("extend", "move")
 
 
-def seen(frame: Frame) -> tuple[FrameContext, tuple[SceneObject, ...]]:
-    context = FrameContext(frame)
+def seen(frame: Frame) -> tuple[PreparedFrame, tuple[SceneObject, ...]]:
+    context = PreparedFrame(frame)
     return context, all_objects(context, AnnotationDetector())
 
 
@@ -83,7 +83,7 @@ def test_a_box_that_sinks_in_is_lifted_and_one_that_hangs_far_above_is_left_alon
 def test_where_only_a_wall_is_seen_there_is_nothing_to_stand_on() -> None:
     frame = table_scene()
     _, objects = seen(frame)
-    wall = FrameContext(replace(frame, depth=np.full_like(frame.depth, 2.0)))
+    wall = PreparedFrame(replace(frame, depth=np.full_like(frame.depth, 2.0)))
     box = objects[3].lifted.box
     assert box is not None
     with pytest.raises(InputError, match="nothing level"):

@@ -10,12 +10,12 @@ import pytest
 from journal_world import FRAME, saved
 
 from pipeline.answering.ask import Trace
-from pipeline.answering.objects import FrameContext
-from pipeline.answering.source import Source, open_source
+from pipeline.answering.objects import PreparedFrame
+from pipeline.answering.opening import Pipeline, open_pipeline
 from pipeline.corrections.journal import edits
-from pipeline.corrections.journal.cells import Cell
 from pipeline.corrections.journal.effective import Corrector
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
+from pipeline.corrections.journal.field_refs import FieldRef
 from pipeline.corrections.journal.journal import Journal
 from pipeline.corrections.journal.undo import undo
 from pipeline.corrections.truth import answered_case, effective_mark, effective_truth, withdrawn_by
@@ -27,13 +27,13 @@ from pipeline.system.errors import InputError
 
 
 @pytest.fixture(scope="module")
-def source() -> Source:
-    return open_source("demo", srm="rule")
+def source() -> Pipeline:
+    return open_pipeline("demo", srm="rule")
 
 
 @pytest.fixture(scope="module")
-def context(source: Source) -> FrameContext:
-    return FrameContext(source.dataset.load(FRAME), source.config.lift)
+def context(source: Pipeline) -> PreparedFrame:
+    return PreparedFrame(source.dataset.load(FRAME), source.config.lift)
 
 
 def same(a: Any, b: Any) -> bool:
@@ -49,7 +49,7 @@ def same(a: Any, b: Any) -> bool:
 
 
 def test_uncorrected_labels_give_the_truth_that_is_read_from_the_files(
-    demo_labels: Labels, bare_corrector: Corrector, journal: Journal, source: Source
+    demo_labels: Labels, bare_corrector: Corrector, journal: Journal, source: Pipeline
 ) -> None:
     for name in source.dataset.frame_ids[:3]:
         read = labelled_truth(name, source, demo_labels)
@@ -61,12 +61,12 @@ def test_uncorrected_labels_give_the_truth_that_is_read_from_the_files(
 
 def test_a_rejected_frame_is_no_truth(bare_corrector: Corrector, journal: Journal) -> None:
     frame = bare_corrector.frame(FRAME, journal)
-    saved(journal, edits.set_status(frame, Cell("frame", FRAME, "", "status"), "rejected"))
+    saved(journal, edits.set_status(frame, FieldRef("frame", FRAME, "", "status"), "rejected"))
     with pytest.raises(InputError, match="rejected"):
         effective_truth(bare_corrector.frame(FRAME, journal))
 
 
-def a_right_answer(frame: EffectiveFrame, source: Source, context: FrameContext) -> tuple[dict[str, Any], Trace]:
+def a_right_answer(frame: EffectiveFrame, source: Pipeline, context: PreparedFrame) -> tuple[dict[str, Any], Trace]:
     """An expression with one right answer that the pipeline finds, and another object of its frame that is not one."""
     truth = effective_truth(frame)
     for case in truth.cases:
@@ -77,7 +77,7 @@ def a_right_answer(frame: EffectiveFrame, source: Source, context: FrameContext)
     raise AssertionError("the demo has none")
 
 
-def judged(frame: EffectiveFrame, name: str, trace: Trace, source: Source, context: FrameContext) -> str:
+def judged(frame: EffectiveFrame, name: str, trace: Trace, source: Pipeline, context: PreparedFrame) -> str:
     truth = effective_truth(frame)
     case = next((c for c in truth.cases if c.id == name), None)
     case = None if case is None else answered_case(frame, truth, case, trace)
@@ -86,7 +86,7 @@ def judged(frame: EffectiveFrame, name: str, trace: Trace, source: Source, conte
 
 
 def test_a_wrong_label_fails_a_right_answer_and_correcting_it_mends_that(
-    bare_corrector: Corrector, journal: Journal, source: Source, context: FrameContext
+    bare_corrector: Corrector, journal: Journal, source: Pipeline, context: PreparedFrame
 ) -> None:
     frame = bare_corrector.frame(FRAME, journal)
     row, trace = a_right_answer(frame, source, context)
@@ -108,7 +108,7 @@ def test_a_wrong_label_fails_a_right_answer_and_correcting_it_mends_that(
 
 
 def test_who_accepts_an_ambiguous_expression_means_all_its_answers(
-    bare_corrector: Corrector, journal: Journal, source: Source, context: FrameContext
+    bare_corrector: Corrector, journal: Journal, source: Pipeline, context: PreparedFrame
 ) -> None:
     frame = bare_corrector.frame(FRAME, journal)
     truth = effective_truth(frame)
@@ -119,7 +119,7 @@ def test_who_accepts_an_ambiguous_expression_means_all_its_answers(
         if answer is None or not others or trace.objects[answer].id not in truth.numbers[others]:
             continue
         assert judged(frame, case.id, trace, source, context) == "LABEL"
-        status = Cell("expression", FRAME, case.id, "status")
+        status = FieldRef("expression", FRAME, case.id, "status")
         saved(journal, edits.set_status(frame, status, "accepted"))
         assert judged(bare_corrector.frame(FRAME, journal), case.id, trace, source, context) == "CORRECT"
         return
@@ -127,7 +127,7 @@ def test_who_accepts_an_ambiguous_expression_means_all_its_answers(
 
 
 def test_a_flipped_relation_changes_the_verdict_and_flipping_it_back_mends_it(
-    bare_corrector: Corrector, journal: Journal, source: Source, context: FrameContext
+    bare_corrector: Corrector, journal: Journal, source: Pipeline, context: PreparedFrame
 ) -> None:
     frame = bare_corrector.frame(FRAME, journal)
     row, trace = a_right_answer(frame, source, context)
@@ -161,7 +161,7 @@ def test_a_mark_holds_until_what_it_was_said_of_is_corrected(bare_corrector: Cor
     frame = bare_corrector.frame(FRAME, journal)
     assert effective_mark(frame, other["id"], "BAD_BOX") is None
     assert effective_mark(frame, other["id"], "BAD_LABEL") == "BAD_LABEL"
-    status = Cell("expression", FRAME, other["id"], "status")
+    status = FieldRef("expression", FRAME, other["id"], "status")
     saved(journal, edits.set_status(frame, status, "accepted"))
     assert effective_mark(bare_corrector.frame(FRAME, journal), other["id"], "BAD_LABEL") is None
 
@@ -170,5 +170,5 @@ def test_a_rejected_expression_is_not_judged_by(bare_corrector: Corrector, journ
     frame = bare_corrector.frame(FRAME, journal)
     name = next(iter(frame.expressions))
     assert withdrawn_by(frame, name) is None
-    saved(journal, edits.set_status(frame, Cell("expression", FRAME, name, "status"), "rejected"))
+    saved(journal, edits.set_status(frame, FieldRef("expression", FRAME, name, "status"), "rejected"))
     assert withdrawn_by(bare_corrector.frame(FRAME, journal), name) == "the expression was rejected by ann"

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
-from pipeline.answering.objects import FrameContext
+from pipeline.answering.objects import PreparedFrame
 from pipeline.corrections.drawing.depth_region import Surface, grown_region, surface_of
 from pipeline.corrections.drawing.gestures import Canvas, Gesture, applied, drawn, gesture_of, goes_around, read_gesture
 from pipeline.corrections.drawing.splitting import split_by_depth, split_by_line, split_by_polygon
@@ -299,7 +299,7 @@ HOSTILE: list[tuple[Any, str]] = [
 
 @pytest.mark.parametrize(("message", "said"), HOSTILE)
 def test_messages_that_mean_nothing_are_refused_in_one_line(message: Any, said: str) -> None:
-    canvas = Canvas(FrameContext(frame_of(np.full((HEIGHT, WIDTH), 2.0))))
+    canvas = Canvas(PreparedFrame(frame_of(np.full((HEIGHT, WIDTH), 2.0))))
     with pytest.raises(InputError, match=said) as caught:
         drawn(read_gesture(message, HEIGHT, WIDTH), HEIGHT, WIDTH, canvas)
     assert "\n" not in str(caught.value)
@@ -319,7 +319,7 @@ def test_what_follows_the_depth_needs_the_picture() -> None:
         drawn(seed, HEIGHT, WIDTH)
     depth = np.full((HEIGHT, WIDTH), 3.0)
     depth[20:45, 30:60] = 1.5
-    canvas = Canvas(FrameContext(frame_of(depth), LiftConfig()))
+    canvas = Canvas(PreparedFrame(frame_of(depth), LiftConfig()))
     region = drawn(seed, HEIGHT, WIDTH, canvas)
     np.testing.assert_array_equal(region, depth == 1.5)
     found = drawn(gesture_of("surface", [[27, 17], [63, 48]], HEIGHT, WIDTH), HEIGHT, WIDTH, canvas)

@@ -14,8 +14,8 @@ from hypothesis.extra.numpy import arrays
 from shelf import NAMES, SHELF, H, W, rows_of
 
 from pipeline.answering.ask import ask
+from pipeline.answering.opening import open_pipeline
 from pipeline.answering.recording import record_detections
-from pipeline.answering.source import open_source
 from pipeline.evaluation.run import EvalSpec
 from pipeline.evaluation.run_folder import _read_spec, spec_record
 from pipeline.geometry.frame import Frame
@@ -255,7 +255,7 @@ def test_a_question_is_answered_by_fused_detectors() -> None:
 def test_fused_detectors_are_opened_recorded_and_played_back(tmp_path: Path) -> None:
     (tmp_path / "other.toml").write_text("seed = 5\n")
     other = f"simulated={tmp_path / 'other.toml'}"
-    source = open_source("demo", detector="simulated", fuse=(other,), srm="rule", min_score=0.1)
+    source = open_pipeline("demo", detector="simulated", fuse=(other,), srm="rule", min_score=0.1)
     assert isinstance(source.detector, EnsembleDetector)
     assert [m.options.seed for m in source.detector.members if isinstance(m, SimulatedDetector)] == [0, 5]
     unfiltered = source.unfiltered_detector()
@@ -264,7 +264,7 @@ def test_fused_detectors_are_opened_recorded_and_played_back(tmp_path: Path) -> 
     assert len(unfiltered.detect(frame, None)) > len(source.detector.detect(frame, None))
     out = tmp_path / "fused.json"
     record_detections(source, out, ("mug", "book"), frame_ids=[frame_id])
-    played = open_source("demo", detector="recorded", model=out, srm="rule").needed_detector().detect(frame, ["mug"])
+    played = open_pipeline("demo", detector="recorded", model=out, srm="rule").needed_detector().detect(frame, ["mug"])
     fused = source.detector.detect(frame, ["mug"])
     np.testing.assert_allclose(np.sort(played.scores), np.sort(fused.scores)[-len(played) :], atol=1e-4)
 
@@ -302,7 +302,7 @@ def test_models_are_named_with_their_detector() -> None:
 )
 def test_detectors_that_cannot_be_fused_say_why(options: dict[str, Any], message: str) -> None:
     with pytest.raises(InputError, match=message):
-        open_source("demo", srm="rule", **options)
+        open_pipeline("demo", srm="rule", **options)
 
 
 def test_masks_of_other_frames_keep_their_size() -> None:

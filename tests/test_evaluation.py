@@ -17,9 +17,9 @@ import pytest
 
 from pipeline.answering.answering import FrameAnswers
 from pipeline.answering.ask import AskConfig
-from pipeline.answering.objects import FrameContext
+from pipeline.answering.objects import PreparedFrame
+from pipeline.answering.opening import open_pipeline
 from pipeline.answering.ranking import alone
-from pipeline.answering.source import open_source
 from pipeline.evaluation.compare import compare, read_records
 from pipeline.evaluation.grounding_tables import problem_warnings
 from pipeline.evaluation.job import evaluate_dataset, make_tables
@@ -54,7 +54,7 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     from pycocotools import mask as coco
 
     rng = np.random.default_rng(5)
-    source = open_source("demo")
+    source = open_pipeline("demo")
     found = {}
     for frame_id in source.dataset.frame_ids[:FRAMES]:
         frame = source.dataset.load(frame_id)
@@ -93,7 +93,7 @@ def test_winners_are_those_of_ask(labels: Path, recording: Path, srm: str) -> No
     evaluator = Evaluator(spec_of(labels, recording, srm=srm))
     asked = 0
     for truth in read_cases(evaluator.labels, 0, 2):
-        context = FrameContext(evaluator.source.dataset.load(truth.frame))
+        context = PreparedFrame(evaluator.source.dataset.load(truth.frame))
         names = tuple(dict.fromkeys(n for c in truth.cases for n in (c.target, c.reference)))
         answers = FrameAnswers(evaluator.source, context, names)
         for case in truth.cases[:25]:
@@ -284,7 +284,7 @@ def test_runs_on_other_labels_are_not_compared(labels: Path) -> None:
 def test_opm_only_takes_the_best_score(labels: Path, recording: Path) -> None:
     evaluator = Evaluator(spec_of(labels, recording))
     truth = next(iter(read_cases(evaluator.labels, 0, 1)))
-    context = FrameContext(evaluator.source.dataset.load(truth.frame))
+    context = PreparedFrame(evaluator.source.dataset.load(truth.frame))
     names = tuple({c.target for c in truth.cases})
     answers = FrameAnswers(evaluator.source, context, names)
     seen = [answers.candidates[n] for n in names if len(answers.candidates[n].index)]
@@ -393,8 +393,8 @@ def test_a_detector_is_fed_the_whole_expression(labels: Path, recording: Path) -
 
 @pytest.mark.parametrize("srm", ["rule", "trained"])
 def test_scoring_only_what_is_asked_changes_nothing_of_it(srm: str) -> None:
-    source = open_source("demo", srm=srm)
-    context = FrameContext(source.dataset.load(source.dataset.frame_ids[0]))
+    source = open_pipeline("demo", srm=srm)
+    context = PreparedFrame(source.dataset.load(source.dataset.frame_ids[0]))
     objects = context.lift(source.needed_detector().detect(context.frame, None), source.needed_detector())
     whole, part = source.score(context, objects), source.score(context, objects, ("left", "above"))
     assert "on" not in part.relations

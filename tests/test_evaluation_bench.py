@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 import pipeline.evaluation.bench as bench
-from pipeline.answering.objects import FrameContext, mask_iou
+from pipeline.answering.objects import PreparedFrame, mask_iou
+from pipeline.answering.opening import open_pipeline
 from pipeline.answering.recording import record_detections
-from pipeline.answering.source import open_source
 from pipeline.answering.stage_clock import StageClock
 from pipeline.datasets.capabilities import load_picture
 from pipeline.evaluation.run import EvalSpec, evaluate_labels
@@ -38,7 +38,7 @@ def labels(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("bench") / "recording"
-    source = open_source("demo", detector="simulated", srm="rule")
+    source = open_pipeline("demo", detector="simulated", srm="rule")
     record_detections(source, out, source.dataset.class_names, frame_ids=source.dataset.frame_ids[:FRAMES])
     return out
 
@@ -104,7 +104,7 @@ def test_rows_do_not_depend_on_the_blocks(labels: Path, recording: Path) -> None
 
 
 def test_a_picture_is_the_frame_without_annotations() -> None:
-    dataset = open_source("demo").dataset
+    dataset = open_pipeline("demo").dataset
     whole, bare = dataset.load(dataset.frame_ids[0]), load_picture(dataset, dataset.frame_ids[0])
     assert whole.annotations
     assert not bare.annotations
@@ -117,15 +117,15 @@ def test_a_picture_is_the_frame_without_annotations() -> None:
 
 def test_only_a_recording_is_known_to_need_no_annotations(recording: Path) -> None:
     needed = {
-        name: reads_annotations(open_source("demo", detector=name, model=model).needed_detector())
+        name: reads_annotations(open_pipeline("demo", detector=name, model=model).needed_detector())
         for name, model in (("recorded", recording), ("simulated", None), ("annotations", None))
     }
     assert needed == {"recorded": False, "simulated": True, "annotations": True}
 
 
 def test_lifting_without_boxes_changes_nothing_else() -> None:
-    dataset = open_source("demo").dataset
-    context = FrameContext(dataset.load(dataset.frame_ids[0]))
+    dataset = open_pipeline("demo").dataset
+    context = PreparedFrame(dataset.load(dataset.frame_ids[0]))
     frame = context.frame
     masks = [a.mask for a in frame.annotations if a.mask is not None]
     full, bare = (lift(frame.depth, frame.camera, masks, context.viewer, boxes=b) for b in (True, False))

@@ -11,8 +11,8 @@ import pytest
 from journal_world import FRAME, an_expression, saved
 
 from pipeline.corrections.journal import edits
-from pipeline.corrections.journal.cells import Cell, object_cell, relation_cell
 from pipeline.corrections.journal.effective import Corrector
+from pipeline.corrections.journal.field_refs import FieldRef, object_cell, relation_cell
 from pipeline.corrections.journal.journal import Journal
 from pipeline.corrections.journal.materialise import materialise
 from pipeline.labels.exports import export_labels, import_labels
@@ -41,7 +41,7 @@ def corrected(demo_labels: Labels, bare_corrector: Corrector, tmp_path_factory: 
             *saved(journal, edits.set_relation(frame, a, b, row["relation"], F), "bob"),
             *saved(journal, edits.set_mark(frame, quiet["id"], "BAD_BOX")),
             *saved(journal, edits.set_status(frame, object_cell(FRAME, a, "status"), "accepted")),
-            *saved(journal, edits.set_status(frame, Cell("frame", FRAME, "", "status"), "unsure")),
+            *saved(journal, edits.set_status(frame, FieldRef("frame", FRAME, "", "status"), "unsure")),
             *saved(journal, edits.set_note(frame, "check the lamp")),
             *saved(journal, edits.set_status(frame, relation_cell(FRAME, a, b, "near.status"), "accepted")),
             *saved(journal, edits.judge_relation(frame, a, other, "near", F, "ann")),

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 from whatif_scenes import RowDataset, ScoringDetector, context_of, row, source
 
-from pipeline.answering.objects import FrameContext
-from pipeline.answering.source import Source
+from pipeline.answering.objects import PreparedFrame
+from pipeline.answering.opening import Pipeline
 from pipeline.datasets import open_dataset
 from pipeline.datasets.saved_case import MANIFEST
 from pipeline.diagnosis.cases import answer_record, find_cases, open_case, replay_case, save_case
@@ -32,11 +32,11 @@ class NamedDataset(RowDataset):
     format = "row"
 
 
-def made(detector: object = None, **config: Any) -> Source:
+def made(detector: object = None, **config: Any) -> Pipeline:
     return replace(source(detector, **config), dataset=NamedDataset())  # pyright: ignore
 
 
-def keep(folder: Path, detector: object = None, context: FrameContext | None = None, **options: Any) -> Path:
+def keep(folder: Path, detector: object = None, context: PreparedFrame | None = None, **options: Any) -> Path:
     used = made(detector)
     context = context or context_of()
     truth = annotated_truth(context, used)
@@ -109,7 +109,7 @@ def test_the_frame_is_a_dataset_and_comes_back_whole(tmp_path: Path) -> None:
     up = frame.camera.up
     camera = Camera(frame.camera.K, frame.width, frame.height, pose, up, "imu")
     frame = replace(frame, camera=camera, notes=("odd <b>",))
-    folder = keep(tmp_path / "case", context=FrameContext(frame))
+    folder = keep(tmp_path / "case", context=PreparedFrame(frame))
     dataset = open_dataset(folder)
     found = dataset.load(dataset.frame_ids[0])
     assert (dataset.format, found.id, found.notes, found.camera.up_source) == ("case", frame.id, frame.notes, "imu")
@@ -133,14 +133,14 @@ def test_depth_is_kept_in_its_own_units_and_exactly_where_it_has_none(
     if units is not None:
         stored = np.round(frame.depth * units).astype(np.uint16)
         frame = replace(frame, depth=np.divide(stored, np.float32(units), dtype=np.float32, casting="same_kind"))
-    folder = keep(tmp_path / "case", context=FrameContext(frame))
+    folder = keep(tmp_path / "case", context=PreparedFrame(frame))
     assert (folder / file).is_file()
     np.testing.assert_array_equal(open_dataset(folder).load(frame.id).depth, frame.depth)
 
 
 def test_an_up_vector_that_the_depth_gives_is_kept_with_its_source(tmp_path: Path) -> None:
     frame = row()
-    context = FrameContext(replace(frame, camera=replace(frame.camera, up=None, up_source=None)))
+    context = PreparedFrame(replace(frame, camera=replace(frame.camera, up=None, up_source=None)))
     assert context.viewer.up_source == "plane"
     folder = keep(tmp_path / "case", context=context)
     assert json.loads((folder / MANIFEST).read_text())["frame"]["up_source"] == "plane"
@@ -152,7 +152,7 @@ def test_an_up_vector_that_the_depth_gives_is_kept_with_its_source(tmp_path: Pat
 def test_an_older_case_without_an_up_vector_takes_that_of_its_answer(tmp_path: Path) -> None:
     frame = row()
     camera = frame.camera.with_up(np.array([0.2, -0.9, -0.3]), "plane")
-    folder = keep(tmp_path / "case", context=FrameContext(replace(frame, camera=camera)))
+    folder = keep(tmp_path / "case", context=PreparedFrame(replace(frame, camera=camera)))
     table = json.loads((folder / MANIFEST).read_text())
     table["frame"].update(up=None, up_source=None)
     (folder / MANIFEST).write_text(json.dumps(table))

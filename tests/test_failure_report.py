@@ -12,13 +12,13 @@ import pytest
 from test_failure_case import TEXT, NamedDataset, keep, made
 from whatif_scenes import ScoringDetector, context_of, row
 
-from pipeline.answering.objects import FrameContext
+from pipeline.answering.objects import PreparedFrame
 from pipeline.diagnosis.cases import answer, open_case
 from pipeline.diagnosis.live import annotated_truth
 from pipeline.proposals import AnnotationDetector
 from pipeline.system.errors import InputError
 from spatialviz.report import Subject, failure_page, write_page
-from spatialviz.report.cast import cast_of
+from spatialviz.report.answer_roles import answer_roles
 
 HOSTILE = "<script>alert(1)</script> \"'&<img src=x onerror=alert(1)> mug"
 
@@ -84,9 +84,9 @@ def test_hostile_strings_are_escaped_everywhere(tmp_path: Path) -> None:
         frame_ids = (frame.id,)
 
     used = replace(made(AnnotationDetector(Hostile.class_names)), dataset=Hostile())  # pyright: ignore
-    context = FrameContext(frame)
+    context = PreparedFrame(frame)
     now = answer(used, context, TEXT, truth=annotated_truth(context, used))
-    shown = cast_of(now)
+    shown = answer_roles(now)
     assert any(o.label == HOSTILE for o in shown.objects)
     subject = Subject(HOSTILE, frame.id, (HOSTILE,), HOSTILE, ((HOSTILE, HOSTILE),))
     scene = f"<p title='{HOSTILE}'>\"quoted\"</p>"
@@ -114,7 +114,7 @@ def test_the_picture_is_not_larger_than_a_screen() -> None:
     context = context_of()
     used = made()
     now = answer(used, context, TEXT, truth=annotated_truth(context, used))
-    svg = picture_svg(context.frame, cast_of(now))
+    svg = picture_svg(context.frame, answer_roles(now))
     assert svg.count('class="mask') == 2
     assert svg.count('class="box') == 2
     numbers = np.array(re.findall(r"[ML](-?[\d.]+) (-?[\d.]+)", svg), float)

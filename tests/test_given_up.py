@@ -14,7 +14,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.answering.json_records import relation_records
-from pipeline.answering.source import open_source, relate_frames
+from pipeline.answering.opening import open_pipeline, relate_frames
 from pipeline.datasets import Dataset, open_dataset, read_settings, survey, write_settings
 from pipeline.datasets.demo import demo_path
 from pipeline.datasets.given_up import told_doubts, told_up, with_frame_up
@@ -298,7 +298,7 @@ def test_an_evaluation_answers_with_the_up_of_its_labels(tmp_path: Path) -> None
 
 
 def test_relations_say_which_up_they_rest_on() -> None:
-    (found,) = relate_frames(open_source("demo", up="camera:0,-1,0"), 0)
+    (found,) = relate_frames(open_pipeline("demo", up="camera:0,-1,0"), 0)
     record = next(relation_records(found))
     assert (record["up"], record["up_source"]) == ([0, -1, 0], "given")
 

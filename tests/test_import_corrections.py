@@ -13,8 +13,8 @@ from annotation_tools import polygons, through_cvat
 from journal_world import FRAME, an_expression, half_of, saved, widest
 
 from pipeline.corrections.journal import edits
-from pipeline.corrections.journal.cells import Cell, object_cell, relation_cell
 from pipeline.corrections.journal.effective import Corrector
+from pipeline.corrections.journal.field_refs import FieldRef, object_cell, relation_cell
 from pipeline.corrections.journal.incoming.importing import (
     ImportConfig,
     ImportReport,
@@ -160,7 +160,7 @@ def test_edited_jsonl_is_what_the_labels_say_then(
     assert changed["acceptable"] == sorted([*free["acceptable"], other])
     assert changed["ambiguous"] is True
     assert now.marks == {free["id"]: "BAD_LABEL"}
-    assert now.statuses[Cell("frame", FRAME, "", "note")] == "bright"
+    assert now.statuses[FieldRef("frame", FRAME, "", "note")] == "bright"
     again = take(folder)
     assert (again.edits, again.saved, again.conflicts) == ((), None, ())
     assert again.agreed >= 8

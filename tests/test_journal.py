@@ -22,9 +22,9 @@ from hypothesis import strategies as st
 from waiting import LONG_S, wait_until
 
 from pipeline.corrections.journal.bench import prove, read_report, write_many
-from pipeline.corrections.journal.cells import Cell, object_cell, relation_cell
 from pipeline.corrections.journal.connection import network_file_system, writing
 from pipeline.corrections.journal.events import Conflict, Edit, NotSaved, Saved, new_ulid
+from pipeline.corrections.journal.field_refs import FieldRef, object_cell, relation_cell
 from pipeline.corrections.journal.journal import JOURNAL_FILE, Journal, open_journal
 from pipeline.corrections.journal.undo import history, redo, undo
 from pipeline.system.errors import InputError
@@ -138,7 +138,7 @@ def test_the_database_itself_refuses_to_change_what_was_saved(journal: Journal, 
 )
 def test_what_is_no_edit_is_refused(cell: tuple[Any, ...], value: Any) -> None:
     with pytest.raises(InputError):
-        Edit(Cell(*cell), None, value)
+        Edit(FieldRef(*cell), None, value)
 
 
 def test_an_action_needs_an_author_and_different_cells(journal: Journal) -> None:
@@ -198,7 +198,7 @@ def test_undo_does_not_take_back_what_somebody_built_upon(journal: Journal) -> N
         undo(journal, "bob", group=first.group)
 
 
-def values(journal: Journal) -> dict[Cell, Any]:
+def values(journal: Journal) -> dict[FieldRef, Any]:
     """What each cell with events says now."""
     return {e.cell: e.after for e in journal.events()}
 
@@ -221,11 +221,11 @@ def test_any_sequence_of_edits_and_undos_equals_its_replay(
 ) -> None:
     """A model in memory: values, versions, and a stack of actions a person."""
     journal = open_journal(shutil.copy(empty, tmp_path_factory.mktemp("replay")))
-    now: dict[Cell, list[int]] = {cell: [-1] for cell in CELLS}
+    now: dict[FieldRef, list[int]] = {cell: [-1] for cell in CELLS}
     # What stands of each cell, after each of its events: an action may be taken back where that is as it was after it.
-    stands: dict[Cell, list[tuple[int, ...]]] = {cell: [()] for cell in CELLS}
-    done: dict[str, list[list[tuple[Cell, int, int, int]]]] = {"ann": [], "bob": []}
-    undone: dict[str, list[list[tuple[Cell, int, int, int]]]] = {"ann": [], "bob": []}
+    stands: dict[FieldRef, list[tuple[int, ...]]] = {cell: [()] for cell in CELLS}
+    done: dict[str, list[list[tuple[FieldRef, int, int, int]]]] = {"ann": [], "bob": []}
+    undone: dict[str, list[list[tuple[FieldRef, int, int, int]]]] = {"ann": [], "bob": []}
     acknowledged = 0
     for author, action, chosen in steps:
         if action in ("edit", "stale"):
@@ -283,7 +283,7 @@ def test_two_interleaved_authors_lose_nothing(
     """Each with a connection of their own, each looking only when told of a conflict."""
     place = shutil.copy(empty, tmp_path_factory.mktemp("two"))
     journals = {name: open_journal(place) for name in ("ann", "bob")}
-    seen: dict[str, dict[Cell, tuple[int, Any]]] = {name: {} for name in journals}
+    seen: dict[str, dict[FieldRef, tuple[int, Any]]] = {name: {} for name in journals}
     saved = []
     for _ in range(data.draw(st.integers(1, 20))):
         name = data.draw(st.sampled_from(sorted(journals)))

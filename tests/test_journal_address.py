@@ -21,9 +21,9 @@ from sqlalchemy import event
 from waiting import LONG_S, wait_until
 
 from pipeline.corrections.journal import postgres, server
-from pipeline.corrections.journal.cells import object_cell
 from pipeline.corrections.journal.connection import likely_cause, reason_of
 from pipeline.corrections.journal.events import Edit, NotSaved, Saved
+from pipeline.corrections.journal.field_refs import object_cell
 from pipeline.corrections.journal.journal import Journal, open_journal
 from pipeline.corrections.journal.postgres import address_of, password_in_file
 from pipeline.corrections.journal.undo import redo, undo

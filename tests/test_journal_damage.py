@@ -15,10 +15,10 @@ from journal_world import work_of
 from waiting import LONG_S
 
 from pipeline.corrections.journal import log_file
-from pipeline.corrections.journal.cells import object_cell
 from pipeline.corrections.journal.connection import writing
 from pipeline.corrections.journal.events import Edit, Event, Saved
 from pipeline.corrections.journal.examining import DamagedJournal, examine
+from pipeline.corrections.journal.field_refs import object_cell
 from pipeline.corrections.journal.journal import JOURNAL_FILE, open_journal
 from pipeline.corrections.journal.log_file import lost_in_log
 

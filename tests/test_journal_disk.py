@@ -15,8 +15,8 @@ import pytest
 from postgres_cluster import missing, started_cluster
 from waiting import LONG_S
 
-from pipeline.corrections.journal.cells import object_cell
 from pipeline.corrections.journal.events import Edit, NotSaved, Saved
+from pipeline.corrections.journal.field_refs import object_cell
 from pipeline.corrections.journal.journal import JOURNAL_FILE, Journal, open_journal
 from pipeline.system.errors import InputError
 

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 from journal_world import FRAME, an_expression, half_of, saved, widest
 
 from pipeline.corrections.journal import edits
-from pipeline.corrections.journal.cells import Cell, box_of, object_cell, relation_cell, same_value
 from pipeline.corrections.journal.effective import Corrector, effective_tables
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
+from pipeline.corrections.journal.field_refs import FieldRef, box_of, object_cell, relation_cell, same_value
 from pipeline.corrections.journal.journal import Journal, open_journal
 from pipeline.corrections.journal.undo import redo, undo
 from pipeline.datasets import Dataset
@@ -153,7 +153,7 @@ def test_an_expression_that_is_no_longer_true_is_withdrawn_and_said_to_be(
     saved(journal, edits.set_answers(after, row["id"], [a], reason="true all the same"), "bob")
     kept = bare_corrector.frame(FRAME, journal)
     assert kept.expressions[row["id"]]["targets"] == [a]
-    assert kept.origin(Cell("expression", FRAME, row["id"], "targets")).author == "bob"
+    assert kept.origin(FieldRef("expression", FRAME, row["id"], "targets")).author == "bob"
 
 
 def test_expressions_take_text_answers_and_marks(bare_corrector: Corrector, journal: Journal) -> None:
@@ -172,8 +172,8 @@ def test_expressions_take_text_answers_and_marks(bare_corrector: Corrector, jour
     assert found["acceptable"] == sorted([row["target_object"], other])
     assert found["ambiguous"]
     assert after.marks == {name: "BAD_BOX"}
-    assert after.value(Cell("frame", FRAME, "", "note")) == "look again"
-    saved(journal, edits.set_status(after, Cell("expression", FRAME, name, "status"), "rejected"))
+    assert after.value(FieldRef("frame", FRAME, "", "note")) == "look again"
+    saved(journal, edits.set_status(after, FieldRef("expression", FRAME, name, "status"), "rejected"))
     assert name not in bare_corrector.frame(FRAME, journal).expressions
 
 

@@ -12,9 +12,9 @@ from label_sets import write_labels
 
 from pipeline.corrections.journal import edits
 from pipeline.corrections.journal.batch import actions_of, apply_actions
-from pipeline.corrections.journal.cells import Cell, object_cell
 from pipeline.corrections.journal.effective import Corrector, effective_tables
 from pipeline.corrections.journal.events import Conflict, Saved
+from pipeline.corrections.journal.field_refs import FieldRef, object_cell
 from pipeline.corrections.journal.journal import Journal, journal_of
 from pipeline.corrections.journal.materialise import MARKS_FILE, UNAPPLIED_FILE, materialise
 from pipeline.corrections.journal.undo import undo
@@ -121,7 +121,7 @@ def test_corrected_labels_are_an_ordinary_folder(
     saved(journal, edits.split_object(frame, number, half_of(frame, number)))
     rejected = demo_labels.frames.column("frame").to_pylist()[3]
     whole = full_corrector.frame(rejected, journal)
-    saved(journal, edits.set_status(whole, Cell("frame", rejected, "", "status"), "rejected"))
+    saved(journal, edits.set_status(whole, FieldRef("frame", rejected, "", "status"), "rejected"))
     out = tmp_path / "corrected"
     manifest, found = materialise(demo_labels, journal, out, dataset=demo_dataset)
     labels = open_labels(out)
@@ -186,8 +186,8 @@ def test_odd_labels_are_corrected_too(label_sets: dict[str, Labels], tmp_path: P
         frame = corrector.frame("椅/3", journal)
         saved(journal, edits.set_relation(frame, 0, 9, "left", F))
         saved(journal, edits.set_class(frame, 9, "椅子"))
-        saved(journal, edits.set_status(corrector.frame("broken/1", journal), Cell("frame", "broken/1", "", "status"),
-                                        "unsure"))  # fmt: skip
+        broken = FieldRef("frame", "broken/1", "", "status")
+        saved(journal, edits.set_status(corrector.frame("broken/1", journal), broken, "unsure"))
         nasty = corrector.frame('sp ace/"q",\n#1', journal)
         saved(journal, edits.set_class(nasty, 0, "mug"))
         found = effective_tables(labels, journal)

@@ -9,8 +9,8 @@ import pytest
 from postgres_cluster import missing, started_cluster
 
 from pipeline.corrections.journal.bench_kill import GROUP, judge, survive
-from pipeline.corrections.journal.cells import object_cell
 from pipeline.corrections.journal.events import Edit, Saved
+from pipeline.corrections.journal.field_refs import object_cell
 from pipeline.corrections.journal.journal import JOURNAL_FILE, open_journal
 
 needs_killing = pytest.mark.skipif(os.name != "posix", reason="SIGKILL is of POSIX")

@@ -18,10 +18,10 @@ from waiting import wait_until
 
 from pipeline.corrections.journal import connection, postgres
 from pipeline.corrections.journal.bench import prove, read_report, write_many
-from pipeline.corrections.journal.cells import object_cell, relation_cell
 from pipeline.corrections.journal.connection import reading, writing
 from pipeline.corrections.journal.events import Conflict, Edit, NotSaved, Saved
 from pipeline.corrections.journal.examining import DamagedJournal
+from pipeline.corrections.journal.field_refs import object_cell, relation_cell
 from pipeline.corrections.journal.journal import open_journal
 from pipeline.corrections.journal.rescue import back_up, check_journal
 from pipeline.corrections.journal.undo import redo, undo

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.corrections.journal import undo as undoing
-from pipeline.corrections.journal.cells import Cell, judged_item, relation_cell
 from pipeline.corrections.journal.events import Conflict, Edit, Saved
+from pipeline.corrections.journal.field_refs import FieldRef, judged_item, relation_cell
 from pipeline.corrections.journal.journal import JOURNAL_FILE, Journal, open_journal
 from pipeline.corrections.journal.judgements import judgement_cell
 from pipeline.corrections.journal.undo import history, next_redo, next_undo, redo, undo
@@ -127,7 +127,7 @@ def test_two_judgements_of_one_item_never_meet(tmp_path: Path) -> None:
 )  # fmt: skip
 def test_what_is_no_judgement_is_refused(key: str) -> None:
     with pytest.raises(InputError):
-        Cell("review", "f", key, "said")
+        FieldRef("review", "f", key, "said")
 
 
 @pytest.mark.parametrize("value", ["accepted", {"status": "fine"}, {"status": "accepted", "value": 2}, {"value": 1},

@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pipeline.answering.objects import FrameContext, all_objects
-from pipeline.answering.source import open_source
+from pipeline.answering.objects import PreparedFrame, all_objects
+from pipeline.answering.opening import open_pipeline
 from pipeline.labels.reading import Labels
 from pipeline.language.relation_names import DIRECTIONAL, INVERSE, VOCABULARIES
 from pipeline.metrics.platt import antisymmetric_log_softmax, fit_temperature, log_softmax, softmax
@@ -70,8 +70,8 @@ def test_every_variant_answers_and_its_card_says_what_made_it(
     assert vectors_beside(path).is_file() == ("lang" in short)
     scorer = make_scorer(path)
     assert isinstance(scorer, OnnxScorer)
-    source = replace(open_source("demo"), scorer=scorer)
-    context = FrameContext(source.dataset.load(source.dataset.frame_ids[0]))
+    source = replace(open_pipeline("demo"), scorer=scorer)
+    context = PreparedFrame(source.dataset.load(source.dataset.frame_ids[0]))
     objects = all_objects(context, source.needed_detector())
     scores = source.score(context, objects)
     for relation in scorer.contract.vocabulary:

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from label_worlds import label_worlds
 
-from pipeline.answering.objects import FrameContext, all_objects, appearance_of
-from pipeline.answering.source import open_source
+from pipeline.answering.objects import PreparedFrame, all_objects, appearance_of
+from pipeline.answering.opening import open_pipeline
 from pipeline.labels.reading import Labels
 from pipeline.language.relation_names import DIRECTIONAL, VOCABULARIES
 from pipeline.relations.class_vectors import ClassVectors
@@ -44,10 +44,10 @@ def demo(label_sets: dict[str, Labels]) -> Labels:
 def test_labels_give_what_a_network_is_fed_at_run_time(features: str, demo: Labels) -> None:
     data = read_label_data(demo, features, DIRECTIONAL)
     usable = demo.objects.filter(demo.objects.column("usable")).to_pylist()
-    source = open_source("demo")
+    source = open_pipeline("demo")
     contract = feature_set(features)
     for frame in data.frames[:3]:
-        context = FrameContext(source.dataset.load(frame.key.frame))
+        context = PreparedFrame(source.dataset.load(frame.key.frame))
         numbers = [row["object"] for row in usable if row["frame"] == frame.key.frame]
         objects = [o for o in all_objects(context, source.needed_detector()) if o.id in numbers]
         assert len(objects) == len(frame.rows)

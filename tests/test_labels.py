@@ -20,8 +20,8 @@ from other_makers import FIGURES, FLIPS, REGIMES, figures, tallied
 from scenes import frame_of, upright
 from waiting import wait_until
 
-from pipeline.answering.objects import FrameContext, all_objects
-from pipeline.answering.source import open_source
+from pipeline.answering.objects import PreparedFrame, all_objects
+from pipeline.answering.opening import open_pipeline
 from pipeline.datasets.demo import demo_path
 from pipeline.geometry.frame import Annotation, Frame
 from pipeline.geometry.lifting import LiftedObject
@@ -111,7 +111,7 @@ def write_recording(path: Path, frames: int) -> None:
     """Detections of the first frames of the demo: its boxes and masks, with scores below 1."""
     from pycocotools import mask as coco
 
-    source = open_source("demo")
+    source = open_pipeline("demo")
     found = {}
     for frame_id in source.dataset.frame_ids[:frames]:
         frame = source.dataset.load(frame_id)
@@ -338,7 +338,7 @@ def test_inverse_labels_mirror_exactly(demo: Path) -> None:
 
 def labelled(frame: Frame, config: LabelConfig | None = None) -> FrameLabels:
     config = config or LabelConfig(second_opinion="none", min_pixels=20)
-    context = FrameContext(frame)
+    context = PreparedFrame(frame)
     objects = all_objects(context, AnnotationDetector())
     return label_objects(context, objects, config, frame_index=0, scene="s", exact=True)
 
@@ -381,7 +381,7 @@ def test_something_in_front_counts_as_occlusion() -> None:
     shares = []
     for boxes in ([behind], [behind, before]):
         frame = frame_of(boxes, ["sofa", "box"][: len(boxes)])
-        context = FrameContext(frame)
+        context = PreparedFrame(frame)
         objects = all_objects(context, AnnotationDetector())
         shares.append([occluded_share(o.lifted.evidence, frame.depth) for o in objects if o.lifted.evidence])
     assert shares[0][0] < 0.02

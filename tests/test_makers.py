@@ -12,11 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from journal_world import FRAME, an_expression, saved
 
+from pipeline.answering.opening import open_pipeline
 from pipeline.answering.recording import record_detections
-from pipeline.answering.source import open_source
 from pipeline.corrections.journal import edits
-from pipeline.corrections.journal.cells import Cell
 from pipeline.corrections.journal.effective import Corrector, effective_tables
+from pipeline.corrections.journal.field_refs import FieldRef
 from pipeline.corrections.journal.journal import Journal
 from pipeline.evaluation.job import RunReport, evaluate_dataset
 from pipeline.evaluation.relation_systems import RelationSpec, open_systems
@@ -130,7 +130,7 @@ def test_rows_that_share_stand_below() -> None:
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A recording that says who made it, a copy by another detector, and labels made of each and of annotations."""
     out = tmp_path_factory.mktemp("makers")
-    source = open_source("demo", detector="annotations")
+    source = open_pipeline("demo", detector="annotations")
     record_detections(source, out / "own.json", None, frame_ids=source.dataset.frame_ids[:2])
     text = (out / "own.json").read_text()
     (out / "own.json").write_text(text.replace("annotations: annotations", YOLO))
@@ -215,8 +215,8 @@ def test_what_people_decided_is_counted(demo_labels: Labels, bare_corrector: Cor
     assert set(effective_tables(demo_labels, journal).decided) == {"objects", "relations", "expressions"}
     assert [n for n, _ in effective_tables(demo_labels, journal).decided.values()] == [0, 0, 0]
     saved(journal, edits.set_class(frame, a, "thing"))
-    saved(journal, edits.set_status(frame, Cell("object", FRAME, str(a), "status"), "accepted"))
-    saved(journal, edits.set_status(frame, Cell("object", FRAME, str(b), "status"), "unsure"))
+    saved(journal, edits.set_status(frame, FieldRef("object", FRAME, str(a), "status"), "accepted"))
+    saved(journal, edits.set_status(frame, FieldRef("object", FRAME, str(b), "status"), "unsure"))
     saved(journal, edits.judge_relation(bare_corrector.frame(FRAME, journal), a, b, relation, T, "ann"))
     found = effective_tables(demo_labels, journal)
     counted = found.decided

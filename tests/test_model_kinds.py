@@ -294,9 +294,9 @@ def test_the_command_lists_what_there_is(tmp_path: Path) -> None:
 
 def test_a_long_run_is_counted_and_keeps_its_memory(files: dict[str, Path], tmp_path: Path) -> None:
     from pipeline.answering.endurance import run_endurance
-    from pipeline.answering.source import open_source
+    from pipeline.answering.opening import open_pipeline
 
-    source = open_source("demo", detector="yolo-seg", model=files["yolo-seg"], srm="rule")
+    source = open_pipeline("demo", detector="yolo-seg", model=files["yolo-seg"], srm="rule")
     seen: list[tuple[int, int]] = []
     report = run_endurance(source, source.dataset.frame_ids[:3], 40, lambda done, total: seen.append((done, total)))
     assert seen == [(k, 40) for k in range(1, 41)]

@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import pytest
 
-from pipeline.answering.overlooked import overlooked
-from pipeline.answering.source import Source, open_source
+from pipeline.answering.missed_names import missed_names
+from pipeline.answering.opening import Pipeline, open_pipeline
 from pipeline.geometry.frame import Frame
 from pipeline.proposals.base import Proposals
 
@@ -18,7 +18,7 @@ class Cut:
     name = "cut"
     exact = False
 
-    def __init__(self, source: Source, least: float) -> None:
+    def __init__(self, source: Pipeline, least: float) -> None:
         self.inner, self.least = source.needed_detector(), least
         self.vocabulary = self.inner.vocabulary
 
@@ -34,12 +34,12 @@ class Cut:
 
 
 def test_what_was_not_found_is_looked_for_below_the_minimum_score() -> None:
-    whole = open_source("demo", srm="rule")
+    whole = open_pipeline("demo", srm="rule")
     frame = whole.dataset.load(whole.dataset.frame_ids[0])
     source = replace(whole, detector=Cut(whole, 0.3), open_unfiltered=lambda: Cut(whole, 0.0))
     trace = source.ask(frame, "mug left of the laptop")
     assert trace.missing == ("mug",)
-    found = overlooked(source, trace)
+    found = missed_names(source, trace)
     assert found.below == pytest.approx({"mug": 0.125})
     named = [one.label for one in frame.annotations]
     assert found.seen == {name: named.count(name) for name in named if name != "mug"}

@@ -7,8 +7,8 @@ from collections import Counter
 import numpy as np
 import pytest
 
-from pipeline.answering.objects import FrameContext
-from pipeline.answering.source import Source, open_source
+from pipeline.answering.objects import PreparedFrame
+from pipeline.answering.opening import Pipeline, open_pipeline
 from pipeline.datasets.demo import demo_labels
 from pipeline.evaluation.planted import KINDS, Outcome, Planted, clean_source, confusion, judge, planted_failures
 from pipeline.evaluation.run import class_names_of
@@ -21,17 +21,17 @@ BY_FLIP = ("LIFT", "SRM", "PRM")
 
 
 @pytest.fixture(scope="module", params=["rule", "trained"])
-def source(request: pytest.FixtureRequest) -> Source:
-    return open_source("demo", srm=request.param)
+def source(request: pytest.FixtureRequest) -> Pipeline:
+    return open_pipeline("demo", srm=request.param)
 
 
-def outcomes(source: Source, modules: tuple[str, ...], every: int) -> list[Outcome]:
+def outcomes(source: Pipeline, modules: tuple[str, ...], every: int) -> list[Outcome]:
     kinds = {m: KINDS[m] for m in modules}
     return list(planted_failures(source, open_labels(demo_labels()), kinds=kinds, every=every))
 
 
 @pytest.mark.parametrize(("modules", "every"), [(BY_DEFINITION, 170), (BY_FLIP, 21)])
-def test_the_verdict_names_the_planted_module(source: Source, modules: tuple[str, ...], every: int) -> None:
+def test_the_verdict_names_the_planted_module(source: Pipeline, modules: tuple[str, ...], every: int) -> None:
     by_module: dict[str, Counter[str]] = {}
     for (module, _), verdicts in confusion(outcomes(source, modules, every)).items():
         by_module.setdefault(module, Counter()).update(verdicts)
@@ -40,18 +40,18 @@ def test_the_verdict_names_the_planted_module(source: Source, modules: tuple[str
         assert verdicts[module] >= NAMED * verdicts.total(), (module, verdicts)
 
 
-def test_the_clean_pipeline_is_right(source: Source) -> None:
+def test_the_clean_pipeline_is_right(source: Pipeline) -> None:
     labels = open_labels(demo_labels())
     clean, names = clean_source(source), class_names_of(labels)
     seen: Counter[str] = Counter()
     for truth in read_cases(labels, 0, 3):
-        context = FrameContext(clean.dataset.load(truth.frame), clean.config.lift)
+        context = PreparedFrame(clean.dataset.load(truth.frame), clean.config.lift)
         seen.update(judge(Planted(clean, context, truth, case), names)[1].verdict for case in truth.cases[::15])
     assert set(seen) <= {"CORRECT", "LABEL", "PARSE"} or source.scorer.name != "rule"
     assert seen["CORRECT"] > 0.8 * seen.total()
 
 
-def test_details_of_planted_misses(source: Source) -> None:
+def test_details_of_planted_misses(source: Pipeline) -> None:
     wanted = {"absent": "ABSENT", "threshold": "THRESHOLD", "rank": "RANK", "localisation": "LOCALISATION"}
     found = outcomes(source, ("OPM-TARGET",), 60)
     right = np.array([wanted[o.kind] == o.diagnosis.detail for o in found])
@@ -59,7 +59,7 @@ def test_details_of_planted_misses(source: Source) -> None:
     assert right.mean() >= NAMED
 
 
-def test_what_is_planted_follows_from_the_seed(source: Source) -> None:
+def test_what_is_planted_follows_from_the_seed(source: Pipeline) -> None:
     labels = open_labels(demo_labels())
 
     def failures(seed: int) -> list[tuple[str, str, str, str]]:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from sam_exports import SAM2_SIDE, Export, export_sam, export_sam2, save
 
-from pipeline.answering.source import open_source
+from pipeline.answering.opening import open_pipeline
 from pipeline.datasets import Dataset
 from pipeline.evaluation.run import EvalSpec
 from pipeline.evaluation.run_folder import _read_spec, spec_record
@@ -416,7 +416,7 @@ def test_a_question_is_answered_with_masks_of_sam(sam: Export, tmp_path: Path, p
     }
     (tmp_path / "boxes.json").write_text(json.dumps(recording))
     files = (sam.encoders["inside"], sam.decoders["four"])
-    source = open_source(
+    source = open_pipeline(
         "demo", detector="recorded", model=tmp_path / "boxes.json", segmenter="sam", segmenter_model=files, srm="rule"
     )
     trace = source.ask(picture, "the mug left of the laptop")

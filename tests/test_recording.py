@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from shelf import NAMES, SHELF, H, W, rows_of
 
 from pipeline.answering.ask import AskConfig, ask
+from pipeline.answering.opening import Pipeline, frame_range, open_pipeline
 from pipeline.answering.recording import record_detections
-from pipeline.answering.source import Source, frame_range, open_source
 from pipeline.datasets.demo import demo_path
 from pipeline.geometry.run_length import decode_crop, decode_run_length, encode_run_length
 from pipeline.proposals import top_k
@@ -49,12 +49,12 @@ def test_a_mask_comes_back_from_its_code(seed: int, height: int, width: int, sha
 
 
 @pytest.fixture(scope="module")
-def demo() -> Source:
-    return open_source(demo_path(), detector="simulated", srm="rule")
+def demo() -> Pipeline:
+    return open_pipeline(demo_path(), detector="simulated", srm="rule")
 
 
 @pytest.mark.parametrize("name", ["found.json", "found"])
-def test_a_recording_answers_as_the_detector_did(tmp_path: Path, demo: Source, name: str) -> None:
+def test_a_recording_answers_as_the_detector_did(tmp_path: Path, demo: Pipeline, name: str) -> None:
     ids, names = demo.dataset.frame_ids[:2], demo.dataset.class_names
     seen: list[tuple[int, int]] = []
     out = tmp_path / "new" / name
@@ -80,13 +80,13 @@ def test_a_recording_answers_as_the_detector_did(tmp_path: Path, demo: Source, n
     assert traces[0].ranking == traces[1].ranking
 
 
-def test_a_detector_that_is_asked_once_gives_each_thing_once(tmp_path: Path, demo: Source) -> None:
+def test_a_detector_that_is_asked_once_gives_each_thing_once(tmp_path: Path, demo: Pipeline) -> None:
     record_detections(demo, tmp_path / "a.json", None, frame_ids=demo.dataset.frame_ids[:1])
     (entries,) = json.loads((tmp_path / "a.json").read_text())["frames"].values()
     assert len({e["id"] for e in entries}) == len(entries) > 5
 
 
-def test_nothing_half_written_is_left(tmp_path: Path, demo: Source) -> None:
+def test_nothing_half_written_is_left(tmp_path: Path, demo: Pipeline) -> None:
     def stop(done: int, total: int) -> None:
         raise KeyboardInterrupt
 
@@ -105,7 +105,7 @@ def test_nothing_half_written_is_left(tmp_path: Path, demo: Source) -> None:
         record_detections(demo, tmp_path / "d.json", ["mug"])
 
 
-def test_names_that_the_detector_does_not_know_are_told(tmp_path: Path, demo: Source) -> None:
+def test_names_that_the_detector_does_not_know_are_told(tmp_path: Path, demo: Pipeline) -> None:
     ids = demo.dataset.frame_ids[:1]
     report = record_detections(demo, tmp_path / "a.json", ["mug", "zebra"], frame_ids=ids)
     assert report.unknown == ("zebra",)
@@ -179,7 +179,7 @@ def test_taking_some_by_a_mask_is_not_taking_all() -> None:
     assert two.take(np.array([False, True])).ids.tolist() == [found.ids[1]]
 
 
-def test_ranges_of_frames(demo: Source) -> None:
+def test_ranges_of_frames(demo: Pipeline) -> None:
     ids = demo.dataset.frame_ids
     assert frame_range(demo.dataset, "all") == frame_range(demo.dataset, ":") == ids
     assert frame_range(demo.dataset, "1:3") == ids[1:3]

@@ -12,8 +12,8 @@ from scenes import frame_of, upright
 
 from pipeline.answering.ask import ask
 from pipeline.answering.json_records import frame_record, object_record, relation_records, trace_record, why_no_answer
-from pipeline.answering.objects import FrameContext, all_objects
-from pipeline.answering.source import FrameRelations, open_source, relate_frames
+from pipeline.answering.objects import PreparedFrame, all_objects
+from pipeline.answering.opening import FrameRelations, open_pipeline, relate_frames
 from pipeline.datasets import open_dataset
 from pipeline.datasets.survey import survey
 from pipeline.geometry.frame import Frame
@@ -122,7 +122,7 @@ def test_an_object_without_depth_is_strict_json(row: Frame) -> None:
 
 
 def test_a_relation_record_names_annotations_by_their_place(row: Frame) -> None:
-    context = FrameContext(row)
+    context = PreparedFrame(row)
     objects = all_objects(context, TRUTH)
     scores = make_scorer().score([o.lifted for o in objects], context.viewer)
     # Out of order, as a dataset's own list may be.
@@ -157,7 +157,7 @@ def test_a_detectors_relations_are_named_by_their_place_in_its_list(row: Frame) 
             found = TRUTH.detect(frame, labels)
             return Proposals(found.boxes, found.scores, found.label_index, found.labels, found.masks, found.ids + 40)
 
-    context = FrameContext(row)
+    context = PreparedFrame(row)
     objects = all_objects(context, Guess())
     scores = make_scorer().score([o.lifted for o in objects], context.viewer)
     records = list(relation_records(FrameRelations(row.id, objects, scores, Guess.exact), ("left", "on")))
@@ -166,7 +166,7 @@ def test_a_detectors_relations_are_named_by_their_place_in_its_list(row: Frame) 
 
 
 def test_every_record_of_real_frames_is_strict_json(shared_data: Path) -> None:
-    source = open_source(shared_data / "real" / "ycbv-bop")
+    source = open_pipeline(shared_data / "real" / "ycbv-bop")
     pairs = 0
     for found in relate_frames(source, "all"):
         frame = source.dataset.load(found.frame_id)
@@ -195,7 +195,7 @@ def test_a_frame_record_says_what_is_in_it(shared_data: Path) -> None:
 
 
 def test_an_object_record_rounds_and_explains(row: Frame) -> None:
-    (first, *_) = all_objects(FrameContext(row), TRUTH)
+    (first, *_) = all_objects(PreparedFrame(row), TRUTH)
     record = strict(object_record(first))
     assert set(record["quality"]) == {
         "mask_pixels", "points", "kept", "depth_missing", "touches_border", "distance", "yaw_confidence",

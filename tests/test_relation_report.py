@@ -165,13 +165,13 @@ def test_the_row_that_always_says_no(run: tuple[RunReport, Path]) -> None:
 def test_probabilities_are_those_of_relations_and_the_rule_agrees_with_its_own_labels(
     run: tuple[RunReport, Path], networks: dict[str, Path]
 ) -> None:
-    from pipeline.answering.source import open_source, relate_frames
+    from pipeline.answering.opening import open_pipeline, relate_frames
 
     _, out = run
     import pyarrow.parquet as pq
 
     rows = pq.read_table(out / "relation_records.parquet").to_pylist()
-    source = open_source("demo", srm=networks["worded"])
+    source = open_pipeline("demo", srm=networks["worded"])
     frame = next(relate_frames(source, "0"))
     place = {o.id: k for k, o in enumerate(frame.objects)}
     mine = [r for r in rows if r["frame"] == frame.frame_id]

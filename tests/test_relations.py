@@ -394,11 +394,11 @@ def test_every_relation_has_its_phrase_and_vocabularies_name_known_ones() -> Non
 
 
 def test_the_rule_scorer_turns_states_into_probabilities() -> None:
-    from pipeline.answering.objects import FrameContext, all_objects
+    from pipeline.answering.objects import PreparedFrame, all_objects
     from pipeline.proposals import AnnotationDetector
 
     frame = frame_of([upright((-0.4, 0.9, 2), (0.3, 0.3, 0.3)), upright((0.4, 0.9, 2), (0.3, 0.3, 0.3))], ["a", "b"])
-    context = FrameContext(frame)
+    context = PreparedFrame(frame)
     scorer = make_scorer("rule")
     assert isinstance(scorer, RuleScorer)
     scores = scorer.score([o.lifted for o in all_objects(context, AnnotationDetector(("a", "b")))], context.viewer)

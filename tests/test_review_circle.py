@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from review_labels import with_relations
 
-from pipeline.corrections.desk import Desk
 from pipeline.corrections.journal.edits import set_relation
 from pipeline.corrections.journal.events import Saved
 from pipeline.corrections.journal_place import JournalPlace
-from pipeline.corrections.review.circle import AFTER, BEFORE, Circle, CircleJob, run_circle
+from pipeline.corrections.label_editor import LabelEditor
 from pipeline.corrections.review.retraining import RetrainConfig
+from pipeline.corrections.review.retraining_run import AFTER, BEFORE, RetrainingJob, RetrainingRun, run_retraining
 from pipeline.evaluation.compare import read_records
 from pipeline.evaluation.job import evaluate_dataset
 from pipeline.evaluation.run import EvalSpec
@@ -64,11 +64,13 @@ def failed(planted: Labels, tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.fixture(scope="module")
-def circle(planted: Labels, held_out: set[str], failed: Path, tmp_path_factory: pytest.TempPathFactory) -> Circle:
+def circle(
+    planted: Labels, held_out: set[str], failed: Path, tmp_path_factory: pytest.TempPathFactory
+) -> RetrainingRun:
     """Every wrong cell corrected as a person does it, then retrained and replayed."""
     folder = tmp_path_factory.mktemp("circle")
     place = JournalPlace(planted, folder / "journal.sqlite")
-    desk = Desk(planted, place, "ann")
+    desk = LabelEditor(planted, place, "ann")
     for name in set(planted.frames.column("frame").to_pylist()) - held_out:
         frame = desk.frame(name)
         numbers = frame.pairs.numbers.tolist()
@@ -82,11 +84,11 @@ def circle(planted: Labels, held_out: set[str], failed: Path, tmp_path_factory: 
         ]
         assert isinstance(desk.save(edits), Saved)
     place.close()
-    job = CircleJob(
+    job = RetrainingJob(
         planted.root, folder / "out", str(folder / "journal.sqlite"), dataset="demo", run=failed,
         config=replace(CONFIG, split="scene"),
     )  # fmt: skip
-    return run_circle(job)
+    return run_retraining(job)
 
 
 def _failures(run: Path, held_out: set[str]) -> dict[tuple[str, str], dict]:
@@ -103,7 +105,7 @@ def test_the_debugger_blames_the_relations_for_what_wrong_labels_taught(failed: 
 
 
 def test_what_was_mended_is_learnt_and_the_failures_are_gone(
-    circle: Circle, failed: Path, held_out: set[str]
+    circle: RetrainingRun, failed: Path, held_out: set[str]
 ) -> None:
     wrong = _failures(failed, held_out)
     left = _failures(circle.folder / AFTER, held_out)
@@ -118,7 +120,7 @@ def test_what_was_mended_is_learnt_and_the_failures_are_gone(
     assert circle.retraining.gain.f1[circle.retraining.relations.index("front")].value > 0.5
 
 
-def test_runs_of_the_circle_can_be_opened_and_name_what_made_them(circle: Circle, failed: Path) -> None:
+def test_runs_of_the_circle_can_be_opened_and_name_what_made_them(circle: RetrainingRun, failed: Path) -> None:
     for name in (BEFORE, AFTER):
         run = open_run(circle.folder / name)
         assert Path(run.spec.labels) == circle.folder / "labels"
@@ -129,8 +131,8 @@ def test_runs_of_the_circle_can_be_opened_and_name_what_made_them(circle: Circle
 
 def test_without_corrections_nothing_is_trained(planted: Labels, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no journal here"):
-        run_circle(CircleJob(planted.root, tmp_path / "out", str(tmp_path / "none.sqlite")))
+        run_retraining(RetrainingJob(planted.root, tmp_path / "out", str(tmp_path / "none.sqlite")))
     JournalPlace(planted, tmp_path / "empty.sqlite").to_write().close()
     with pytest.raises(InputError, match="nothing was corrected"):
-        run_circle(CircleJob(planted.root, tmp_path / "out", str(tmp_path / "empty.sqlite")))
+        run_retraining(RetrainingJob(planted.root, tmp_path / "out", str(tmp_path / "empty.sqlite")))
     assert not (tmp_path / "out").exists()

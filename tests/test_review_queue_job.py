@@ -10,15 +10,15 @@ from pathlib import Path
 import pytest
 from journal_world import FRAME, saved
 
-from pipeline.answering.source import open_source
+from pipeline.answering.opening import open_pipeline
 from pipeline.corrections.journal.edits import judge_relation
 from pipeline.corrections.journal.effective import Corrector
 from pipeline.corrections.journal.journal import Journal
 from pipeline.corrections.review.detector_evidence import detector_evidence
-from pipeline.corrections.review.following import mark_of
 from pipeline.corrections.review.items import ItemKey, item_keys
 from pipeline.corrections.review.queue_job import QueueJob, Step, make_queue, second_setup
 from pipeline.corrections.review.worklist import read_queue, worklist
+from pipeline.corrections.review.worklist_refresh import mark_of
 from pipeline.datasets import Dataset
 from pipeline.labels.reading import Labels
 from pipeline.relations.relations import F, T
@@ -37,7 +37,7 @@ def test_a_queue_without_corrections_with_a_second_detector(
     del frames[second]
     recording = tmp_path / "recording.json"
     recording.write_text(json.dumps({"frames": frames}))
-    source = open_source(demo_dataset.root, detector="annotations", also=f"recorded={recording}", srm="rule")
+    source = open_pipeline(demo_dataset.root, detector="annotations", also=f"recorded={recording}", srm="rule")
     chosen = second_setup(source, demo_labels)
     assert chosen is not None
     assert chosen[0] == "recorded"
@@ -66,11 +66,11 @@ def test_a_queue_without_corrections_with_a_second_detector(
 
 
 def test_the_detector_that_made_the_labels_is_no_second_one(demo_labels: Labels, demo_dataset: Dataset) -> None:
-    own = open_source(demo_dataset.root, detector="annotations", srm="rule")
+    own = open_pipeline(demo_dataset.root, detector="annotations", srm="rule")
     assert second_setup(own, demo_labels) is None
-    with_masks = open_source(demo_dataset.root, segmenter="depth", srm="rule")
+    with_masks = open_pipeline(demo_dataset.root, segmenter="depth", srm="rule")
     assert second_setup(with_masks, demo_labels) is None, "masks are another matter"
-    other = open_source(demo_dataset.root, detector="simulated", also="annotations", srm="rule")
+    other = open_pipeline(demo_dataset.root, detector="simulated", also="annotations", srm="rule")
     chosen = second_setup(other, demo_labels)
     assert chosen is not None
     assert chosen[0] == "simulated"

@@ -14,22 +14,21 @@ from sklearn.metrics import cohen_kappa_score
 
 from pipeline.corrections.journal import edits as actions
 from pipeline.corrections.journal.batch import actions_of, apply_actions
-from pipeline.corrections.journal.cells import Cell, relation_cell
 from pipeline.corrections.journal.effective import Corrector
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Conflict, Saved
+from pipeline.corrections.journal.field_refs import FieldRef, relation_cell
 from pipeline.corrections.journal.journal import Journal, open_journal
 from pipeline.corrections.journal.judgements import judgement_cell
 from pipeline.corrections.journal.materialise import materialise
 from pipeline.corrections.journal.undo import redo, undo
 from pipeline.corrections.review.agreement import pair_agreements
-from pipeline.corrections.review.cells import read_cells
-from pipeline.corrections.review.following import NOTHING, followed, frame_states, gone_items, mark_of
 from pipeline.corrections.review.items import NOBODY, SETTLED, ItemKey, State, item_keys, left_to_review
 from pipeline.corrections.review.out_of_fold import DoubtConfig, doubt_labels
 from pipeline.corrections.review.progress import review_progress, wrong_left
 from pipeline.corrections.review.queue import QueueConfig, review_queue
 from pipeline.corrections.review.queue_job import QueueJob, make_queue
+from pipeline.corrections.review.relation_labels import read_cells
 from pipeline.corrections.review.reviewed import (
     reviewed_labels,
     settled_cells,
@@ -40,6 +39,7 @@ from pipeline.corrections.review.reviewed import (
 from pipeline.corrections.review.second_opinions import left_for
 from pipeline.corrections.review.states import item_of, judgements_of, states_of
 from pipeline.corrections.review.worklist import read_queue, worklist
+from pipeline.corrections.review.worklist_refresh import NOTHING, frame_states, gone_items, mark_of, refreshed_worklist
 from pipeline.labels.reading import Labels
 from pipeline.relations.relations import F, T
 from pipeline.system.errors import InputError
@@ -66,8 +66,8 @@ def left(a: int, b: int) -> ItemKey:
     return ItemKey(FRAME, "relation", a, b, "left")
 
 
-def status_cell(a: int, b: int) -> Cell:
-    return Cell("relation", FRAME, f"{a},{b}", "left.status")
+def status_cell(a: int, b: int) -> FieldRef:
+    return FieldRef("relation", FRAME, f"{a},{b}", "left.status")
 
 
 def test_every_state_has_its_edit_and_undo_takes_it_back(frame: Any, journal: Journal) -> None:
@@ -76,7 +76,9 @@ def test_every_state_has_its_edit_and_undo_takes_it_back(frame: Any, journal: Jo
     spoken = an_expression(frame())["id"]
     saved(journal, actions.set_relation(frame(), a, b, "left", F))
     saved(journal, actions.set_status(frame(), status_cell(c, d), "accepted", author="ann"))
-    saved(journal, actions.set_status(frame(), Cell("object", FRAME, str(number), "status"), "unsure", author="ann"))
+    saved(
+        journal, actions.set_status(frame(), FieldRef("object", FRAME, str(number), "status"), "unsure", author="ann")
+    )
     saved(journal, actions.set_mark(frame(), spoken, "BAD_LABEL"))
     expected: dict[ItemKey, State] = {
         left(a, b): "corrected",
@@ -134,7 +136,7 @@ def test_a_status_of_an_older_journal_counts_for_the_value_that_it_was_of(frame:
 
 def test_who_accepts_a_correction_agrees_with_it(frame: Any, journal: Journal) -> None:
     number = frame().pairs.numbers.tolist()[0]
-    status = Cell("object", FRAME, str(number), "status")
+    status = FieldRef("object", FRAME, str(number), "status")
     saved(journal, actions.set_class(frame(), number, "notebook"))
     saved(journal, actions.set_status(frame(), status, "accepted", author="bob"), "bob")
     key = ItemKey(FRAME, "object", number, None, "")
@@ -180,7 +182,7 @@ def test_a_second_opinion_neither_conflicts_nor_changes_the_label(frame: Any, jo
 @pytest.mark.parametrize("kind", ["object", "expression"])
 def test_who_takes_back_a_rejection_takes_it_back_for_all(frame: Any, journal: Journal, kind: Any) -> None:
     number, name = min(frame().objects), an_expression(frame())["id"]
-    cell = Cell(kind, FRAME, str(number) if kind == "object" else name, "status")
+    cell = FieldRef(kind, FRAME, str(number) if kind == "object" else name, "status")
 
     def stands() -> bool:
         return number in frame().objects if kind == "object" else name in frame().expressions
@@ -262,8 +264,8 @@ def test_the_queue_takes_what_was_said(demo_labels: Labels, journal: Journal, fr
     for author, state in (("ann", T), ("bob", F)):
         saved(journal, actions.judge_relation(seen, disputed.a, disputed.b or 0, disputed.what, state, author), author)
     number = frame().pairs.numbers.tolist()[-1]
-    saved(journal, actions.set_status(frame(), Cell("object", FRAME, str(number), "status"), "accepted", author="bob"),
-          "bob")  # fmt: skip
+    status = FieldRef("object", FRAME, str(number), "status")
+    saved(journal, actions.set_status(frame(), status, "accepted", author="bob"), "bob")
     reviewed = reviewed_labels(demo_labels, journal, tmp_path / "effective")
     queue = review_queue(reviewed.labels, RULES_ONLY, judgements=reviewed.judgements)
     rows = dict(zip(item_keys(queue), queue.to_pylist(), strict=True))
@@ -312,7 +314,7 @@ def test_settled_labels_are_never_doubted(demo_labels: Labels) -> None:
 def test_what_is_left_for_a_second_reviewer(demo_labels: Labels, journal: Journal, frame: Any) -> None:
     queue = review_queue(demo_labels, RULES_ONLY)
     of_frame = [k for k in item_keys(queue) if k.kind == "relation" and k.frame == FRAME][:60]
-    edits = [e for k in of_frame for e in actions.set_status(frame(), Cell("relation", FRAME, f"{k.a},{k.b}",
+    edits = [e for k in of_frame for e in actions.set_status(frame(), FieldRef("relation", FRAME, f"{k.a},{k.b}",
              f"{k.what}.status"), "accepted", author="ann")]  # fmt: skip
     saved(journal, tuple(edits))
     judgements = judgements_of(journal)
@@ -374,7 +376,7 @@ def test_states_are_followed_as_a_new_queue_has_them(
     saved(journal, actions.set_relation(frame(), e, f, "left", F))
     saved(journal, actions.set_relation(frame(), g, h, "left", F))
     undo(journal, "ann")
-    saved(journal, actions.set_status(frame(), Cell("expression", FRAME, name, "status"), "accepted", author="ann"))
+    saved(journal, actions.set_status(frame(), FieldRef("expression", FRAME, name, "status"), "accepted", author="ann"))
     # The labels were made again: what this was made on is no longer there.
     other = replace(actions.set_class(frame(), number, "kettle")[0], before="something else")
     saved(journal, (other,))
@@ -408,8 +410,10 @@ def test_what_a_rejected_object_takes_along_is_gone_until_it_is_back(
     more += [ItemKey(FRAME, "object", n, None, "") for n in before.objects]
     assert gone_items(before, [*of_frame, *more], {}) == frozenset()
     work = worklist(whole)
-    saved(journal, actions.set_status(before, Cell("object", FRAME, str(number), "status"), "rejected", author="ann"))
-    away, newest = followed(work, bare_corrector, journal, NOTHING)
+    saved(
+        journal, actions.set_status(before, FieldRef("object", FRAME, str(number), "status"), "rejected", author="ann")
+    )
+    away, newest = refreshed_worklist(work, bare_corrector, journal, NOTHING)
     gone = {k for k in work.keys if away.is_gone(k)}
     assert gone == {k for k in of_frame if k.kind == "relation" and number in (k.a, k.b)}
     assert gone
@@ -424,7 +428,7 @@ def test_what_a_rejected_object_takes_along_is_gone_until_it_is_back(
     assert {k.what for k in lost} == set(before.expressions) - said
     assert {k.kind for k in lost} == {"expression"}, "the object itself is settled"
     undo(journal, "ann")
-    back, _ = followed(away, bare_corrector, journal, newest)
+    back, _ = refreshed_worklist(away, bare_corrector, journal, newest)
     assert not back.gone.any()
     assert back.counts == work.counts
 
@@ -436,15 +440,15 @@ def test_of_a_journal_that_was_replaced_nothing_is_kept(
     of_frame = [k for k in work.keys if (k.frame, k.kind, k.what) == (FRAME, "relation", "left")]
     (a, b), (c, d) = [(k.a, k.b or 0) for k in of_frame[:2]]
     saved(journal, actions.set_status(frame(), status_cell(a, b), "accepted", author="ann"))
-    known, newest = followed(work, bare_corrector, journal, NOTHING)
+    known, newest = refreshed_worklist(work, bare_corrector, journal, NOTHING)
     assert known.state(left(a, b)) == "accepted"
-    assert followed(known, bare_corrector, journal, newest) == (known, newest)
+    assert refreshed_worklist(known, bare_corrector, journal, newest) == (known, newest)
     with open_journal(tmp_path / "another.sqlite") as another:
-        empty, none = followed(known, bare_corrector, another, newest)
+        empty, none = refreshed_worklist(known, bare_corrector, another, newest)
         assert (empty.counts, none) == (work.counts, NOTHING)
         # Its events have the numbers of those that were known.
         saved(another, actions.set_status(frame(), status_cell(c, d), "accepted", author="ben"))
-        found, last = followed(known, bare_corrector, another, newest)
+        found, last = refreshed_worklist(known, bare_corrector, another, newest)
         assert [found.state(left(*pair)) for pair in ((a, b), (c, d))] == ["unreviewed", "accepted"]
         assert last == mark_of(another.events())
         assert last[0] == newest[0]

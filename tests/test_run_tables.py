@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 from chat_server import MODELS, Clock, running
 
+from pipeline.answering.opening import open_pipeline
 from pipeline.answering.recording import record_detections
-from pipeline.answering.source import open_source
 from pipeline.evaluation.gain_tables import relation_gain
 from pipeline.evaluation.job import RunReport, evaluate_dataset
 from pipeline.evaluation.other_runs import other_systems
@@ -36,7 +36,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Labels, and a run of every kind of system."""
     out = tmp_path_factory.mktemp("runs")
     label_dataset(SourceSpec("demo"), out / "labels", limit=FRAMES)
-    source = open_source("demo", detector="simulated", srm="rule")
+    source = open_pipeline("demo", detector="simulated", srm="rule")
     names, frames = source.dataset.class_names, source.dataset.frame_ids[:FRAMES]
     record_detections(source, out / "found.json", names, frame_ids=frames)
     for name in ("annotations", "simulated"):

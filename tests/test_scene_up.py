@@ -12,7 +12,7 @@ from box_worlds import random_boxes
 from scenes import Plane, angle_deg, camera_of, cast, up_of
 from test_viewer import noisy
 
-from pipeline.answering.objects import frame_context
+from pipeline.answering.objects import prepare_frame
 from pipeline.datasets.base import frames_of_scene, scene_of
 from pipeline.datasets.scene_up import MAX_VOTERS, own_disagreement, resolved_camera, scene_vote
 from pipeline.geometry.camera import Camera
@@ -70,7 +70,7 @@ def test_all_frames_of_a_scene_take_the_up_that_they_agree_on() -> None:
         assert camera.up_source == "scene"
         assert camera.up is not None
         assert angle_deg(camera.up, up_of(scene.pitches[frame_id], 4)) < 1
-        context = frame_context(scene, frame)
+        context = prepare_frame(scene, frame)
         assert context.viewer.up_source == "scene"
         np.testing.assert_array_equal(context.viewer.up, camera.up)
 

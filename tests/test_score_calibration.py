@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from pipeline.answering.ask import AskConfig, ask
 from pipeline.answering.calibrating import annotated_names, calibrate_scores, collect_hits, reliability
 from pipeline.answering.json_records import trace_record
-from pipeline.answering.source import Source, open_source
+from pipeline.answering.opening import Pipeline, open_pipeline
 from pipeline.datasets.demo import demo_path
 from pipeline.geometry.boxes import iou_2d
 from pipeline.language.naming import match
@@ -34,8 +34,8 @@ SEEDS = st.integers(0, 2**32 - 1)
 
 
 @pytest.fixture(scope="module")
-def demo() -> Source:
-    return open_source(demo_path(), detector="simulated", srm="rule")
+def demo() -> Pipeline:
+    return open_pipeline(demo_path(), detector="simulated", srm="rule")
 
 
 def calibration_of(a: float = 2.0, b: float = 1.0, detector: str | None = None) -> ScoreCalibration:
@@ -90,7 +90,7 @@ def test_logits_are_clipped() -> None:
 # What it is fitted on, and what it does.
 
 
-def test_hits_are_the_detections_that_ask_gets(demo: Source) -> None:
+def test_hits_are_the_detections_that_ask_gets(demo: Pipeline) -> None:
     ids = demo.dataset.frame_ids[:3]
     scores, hits, frames = collect_hits(demo, ids)
     expected = []
@@ -107,7 +107,7 @@ def test_hits_are_the_detections_that_ask_gets(demo: Source) -> None:
     assert 0.3 < hits.mean() < 0.9
 
 
-def test_the_effect_is_measured_on_frames_it_was_not_fitted_on(demo: Source) -> None:
+def test_the_effect_is_measured_on_frames_it_was_not_fitted_on(demo: Pipeline) -> None:
     ids = demo.dataset.frame_ids
     calibration, report = calibrate_scores(demo, ids)
     scores, hits, frames = collect_hits(demo, ids)
@@ -133,7 +133,7 @@ def test_reliability_of_known_figures() -> None:
     ]
 
 
-def test_names_that_the_detector_does_not_know_take_no_part(demo: Source) -> None:
+def test_names_that_the_detector_does_not_know_take_no_part(demo: Pipeline) -> None:
     ids = demo.dataset.frame_ids[:1]
     some = collect_hits(demo, ids, lambda frame: ["mug"])
     np.testing.assert_array_equal(collect_hits(demo, ids, lambda frame: ["mug", "zebra"])[0], some[0])
@@ -142,9 +142,9 @@ def test_names_that_the_detector_does_not_know_take_no_part(demo: Source) -> Non
     assert skipped == ["absent"]
 
 
-def test_the_truth_and_the_unannotated_are_refused(demo: Source) -> None:
+def test_the_truth_and_the_unannotated_are_refused(demo: Pipeline) -> None:
     with pytest.raises(InputError, match="nothing to calibrate"):
-        collect_hits(open_source(demo_path()), demo.dataset.frame_ids)
+        collect_hits(open_pipeline(demo_path()), demo.dataset.frame_ids)
     with pytest.raises(InputError, match="found nothing"):
         calibrate_scores(demo, demo.dataset.frame_ids[:1], lambda frame: [])
 
@@ -152,7 +152,7 @@ def test_the_truth_and_the_unannotated_are_refused(demo: Source) -> None:
 # In an answer.
 
 
-def test_pairs_are_ranked_by_calibrated_scores_and_objects_keep_theirs(demo: Source) -> None:
+def test_pairs_are_ranked_by_calibrated_scores_and_objects_keep_theirs(demo: Pipeline) -> None:
     frame = demo.dataset.load(demo.dataset.frame_ids[0])
     calibration = calibration_of(1.7, 0.8)
     assert demo.detector is not None
@@ -178,22 +178,24 @@ def test_pairs_are_ranked_by_calibrated_scores_and_objects_keep_theirs(demo: Sou
 
 
 def test_the_truth_is_never_calibrated() -> None:
-    source = open_source(demo_path(), srm="rule", config=AskConfig(score_calibration=calibration_of(detector="other")))
+    source = open_pipeline(
+        demo_path(), srm="rule", config=AskConfig(score_calibration=calibration_of(detector="other"))
+    )
     trace = source.ask(source.dataset.load(source.dataset.frame_ids[0]), "mug left of the laptop")
     assert trace.score_calibration is None
     assert trace.ranking is not None
     assert trace.ranking.pairs[0].p_target == 1
 
 
-def test_another_detectors_calibration_is_refused_unless_forced(demo: Source) -> None:
+def test_another_detectors_calibration_is_refused_unless_forced(demo: Pipeline) -> None:
     assert demo.detector is not None
     own = calibration_of(detector=demo.detector.fingerprint())
     own.check(demo.detector)
     with pytest.raises(InputError, match="another detector") as caught:
-        open_source(demo_path(), detector="simulated", min_score=0.2, config=AskConfig(score_calibration=own))
+        open_pipeline(demo_path(), detector="simulated", min_score=0.2, config=AskConfig(score_calibration=own))
     assert "\n" not in str(caught.value)
     forced = AskConfig(score_calibration=own.for_any())
-    assert open_source(demo_path(), detector="simulated", min_score=0.2, config=forced).config == forced
+    assert open_pipeline(demo_path(), detector="simulated", min_score=0.2, config=forced).config == forced
 
 
 # Files.

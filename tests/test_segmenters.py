@@ -17,8 +17,8 @@ from hypothesis import strategies as st
 from pycocotools import mask as coco
 from scenes import camera_of, frame_of, upright
 
-from pipeline.answering.objects import FrameContext, all_objects
-from pipeline.answering.source import ask_frames, open_source, relate_frames
+from pipeline.answering.objects import PreparedFrame, all_objects
+from pipeline.answering.opening import ask_frames, open_pipeline, relate_frames
 from pipeline.datasets import open_dataset
 from pipeline.datasets.demo import demo_path
 from pipeline.geometry.camera import Camera
@@ -342,7 +342,7 @@ def test_only_boxes_without_masks_are_segmented() -> None:
     np.testing.assert_array_equal(found.masks[1], box_mask(frame.annotations[1].bbox, 240, 320))
     assert 0 < found.masks[2].sum() < box_mask(frame.annotations[2].bbox, 240, 320).sum()
     assert found.take(np.array([2])).segmented is not None
-    objects = all_objects(FrameContext(mixed), detector)
+    objects = all_objects(PreparedFrame(mixed), detector)
     assert [o.lifted.quality.mask_source for o in objects] == ["annotation", "box", "segmenter"]
     assert objects[1].lifted.quality.concerns == ("no mask: the whole 2D box was lifted",)
     assert objects[2].lifted.quality.concerns == (), "a segmenter's mask is no reason to doubt by itself"
@@ -403,7 +403,7 @@ def test_a_segmenter_that_breaks_the_contract_is_named() -> None:
 def test_an_exact_3d_box_goes_before_the_segmenter() -> None:
     frame = scene()
     known = tuple(replace(a, mask=None, box=a.box if a.index else None) for a in frame.annotations)
-    objects = all_objects(FrameContext(replace(frame, annotations=known)), Segmented(AnnotationDetector(), Stub()))
+    objects = all_objects(PreparedFrame(replace(frame, annotations=known)), Segmented(AnnotationDetector(), Stub()))
     assert [o.lifted.quality.mask_source for o in objects] == ["segmenter", "box3d", "box3d"]
 
 
@@ -417,9 +417,9 @@ def test_the_cache_keeps_whose_masks_they_are(tmp_path: Path) -> None:
 
 def test_lifted_boxes_gain_by_the_masks() -> None:
     frame = scene()
-    plain = all_objects(FrameContext(bare(frame)), AnnotationDetector())
-    better = all_objects(FrameContext(bare(frame)), Segmented(AnnotationDetector(), DepthSegmenter()))
-    for box, mask, real in zip(plain, better, all_objects(FrameContext(frame), AnnotationDetector()), strict=True):
+    plain = all_objects(PreparedFrame(bare(frame)), AnnotationDetector())
+    better = all_objects(PreparedFrame(bare(frame)), Segmented(AnnotationDetector(), DepthSegmenter()))
+    for box, mask, real in zip(plain, better, all_objects(PreparedFrame(frame), AnnotationDetector()), strict=True):
         off = [np.abs(o.lifted.hi - real.lifted.hi).max() for o in (box, mask)]
         assert off[1] < 0.06
         assert off[1] < off[0]
@@ -658,11 +658,11 @@ def test_segmenters_by_name(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="takes no model"):
         make_segmenter("depth", model=tmp_path)
     with pytest.raises(InputError, match="--segmenter-model needs --segmenter"):
-        open_source("demo", segmenter_model=tmp_path)
+        open_pipeline("demo", segmenter_model=tmp_path)
 
 
 def test_jobs_use_the_segmenter(tmp_path: Path) -> None:
-    plain = open_source("demo")
+    plain = open_pipeline("demo")
     frame = plain.dataset.load(plain.dataset.frame_ids[0])
     entries = [{"label": a.label, "score": 0.9, "bbox": a.bbox.tolist()} for a in frame.annotations[:8]]
     recording = tmp_path / "boxes.json"
@@ -670,7 +670,7 @@ def test_jobs_use_the_segmenter(tmp_path: Path) -> None:
     names = [e["label"] for e in entries]
     sources = {}
     for segmenter in (None, "depth"):
-        source = open_source("demo", detector="recorded", model=recording, segmenter=segmenter)
+        source = open_pipeline("demo", detector="recorded", model=recording, segmenter=segmenter)
         (related,) = relate_frames(source, frame.id)
         sources[segmenter] = {o.lifted.quality.mask_source for o in related.objects}
         (trace,) = ask_frames(source, frame.id, [f"{names[0]} left of the {names[1]}"])
@@ -691,7 +691,7 @@ def test_a_real_network_serves_as_a_segmenter(
         frame = bare(dataset.load(frame_id))
         detector = Segmented(AnnotationDetector(), segmenter)
         real_masks = masks_of(dataset.load(frame_id))
-        for found, real in zip(all_objects(FrameContext(frame), detector), real_masks, strict=True):
+        for found, real in zip(all_objects(PreparedFrame(frame), detector), real_masks, strict=True):
             assert found.lifted.quality.mask_source in ("segmenter", "box")
             if found.lifted.quality.mask_source == "segmenter":
                 overlaps.append(iou(found.mask, real))

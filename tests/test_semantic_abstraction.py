@@ -17,7 +17,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from semantic_abstraction_writer import TRUE_POSE, ViewTruth, Written, scene_pose, write_view
 
-from pipeline.answering.source import open_source
+from pipeline.answering.opening import open_pipeline
 from pipeline.datasets import GivenExpression, given_expressions, has_moves, open_dataset, splits, survey
 from pipeline.datasets.semantic_abstraction import RELATIONS, SemanticAbstractionDataset
 from pipeline.datasets.semantic_abstraction_pose import fit_pose
@@ -223,7 +223,7 @@ def test_views_are_told_from_other_folders(tmp_path: Path) -> None:
 
 
 def test_questions_are_answered(view: tuple[Path, ViewTruth]) -> None:
-    source = open_source(view[0].parent)
+    source = open_pipeline(view[0].parent)
     assert not has_moves(source.dataset)
     trace = source.ask(source.dataset.load(VIEW), "mug left of the laptop")
     assert trace.ranking is not None

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from shelf import DEPTH, NAMES, SHELF, H, U, V, W, rows_of, shelf
 
-from pipeline.answering.objects import FrameContext
+from pipeline.answering.objects import PreparedFrame
 from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.frame import Annotation
 from pipeline.geometry.lifting import LiftConfig
@@ -214,7 +214,7 @@ def test_a_corrupted_mask_corrupts_the_lift() -> None:
     sizes = {}
     for share in (0.0, 1.0):
         detector = simulated(**QUIET | {"corrupted": share})
-        lifted = FrameContext(frame, LiftConfig()).lift(detector.detect(frame, None), detector)
+        lifted = PreparedFrame(frame, LiftConfig()).lift(detector.detect(frame, None), detector)
         assert all(o.lifted.box is not None for o in lifted)
         boxes = {o.id: o.lifted.box for o in lifted}
         sizes[share] = np.array([np.linalg.norm(boxes[i].size) for i in sorted(boxes)])  # pyright: ignore

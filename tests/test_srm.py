@@ -18,8 +18,8 @@ from other_makers import FIGURES, REGIMES, figures, tallied
 from scenes import filled_cloud, frame_of, up_of, upright
 
 from pipeline.answering.ask import ask
-from pipeline.answering.objects import FrameContext, all_objects
-from pipeline.answering.source import open_source
+from pipeline.answering.objects import PreparedFrame, all_objects
+from pipeline.answering.opening import open_pipeline
 from pipeline.datasets import open_dataset
 from pipeline.geometry.fitting import pca_box
 from pipeline.geometry.frame import Frame
@@ -305,7 +305,7 @@ def scene() -> Frame:
 
 
 def test_the_network_scores_six_relations_and_the_rule_the_others(scene: Frame, shipped: OnnxScorer) -> None:
-    context = FrameContext(scene)
+    context = PreparedFrame(scene)
     objects = [o.lifted for o in all_objects(context, AnnotationDetector(("a", "b", "c")))]
     scores, rule = shipped.score(objects, context.viewer), RuleScorer().score(objects, context.viewer)
     assert shipped.name == "rel26"
@@ -324,7 +324,7 @@ def test_the_network_scores_six_relations_and_the_rule_the_others(scene: Frame, 
 
 
 def test_what_has_neither_points_nor_box_is_in_doubt(scene: Frame, shipped: OnnxScorer) -> None:
-    context = FrameContext(scene)
+    context = PreparedFrame(scene)
     objects = [o.lifted for o in all_objects(context, AnnotationDetector(("a", "b", "c")))]
     nothing = np.full(3, np.nan)
     lost = replace(objects[1], points=np.empty((0, 3), np.float32), box=None, lo=nothing, hi=nothing)
@@ -340,8 +340,8 @@ def test_scorers_by_name(tmp_path: Path) -> None:
     copy = tmp_path / "mine.onnx"
     copy.write_bytes(shipped_network().read_bytes())
     assert make_scorer(str(copy)).name == make_scorer(copy).name == "rel26"
-    assert open_source("demo").scorer.name == "rel26"
-    assert open_source("demo", srm="rule").scorer.name == "rule"
+    assert open_pipeline("demo").scorer.name == "rel26"
+    assert open_pipeline("demo", srm="rule").scorer.name == "rule"
     with pytest.raises(InputError, match="no relation network"):
         make_scorer(tmp_path / "absent.onnx")
     with pytest.raises(InputError, match="not part of this installation"):
@@ -403,7 +403,7 @@ def test_a_network_for_some_relations_leaves_the_others_to_the_rule(tmp_path: Pa
     pair = json.dumps(["on", "behind"])
     calibration = json.dumps({"on": [1.0, 0.0], "behind": [1.0, 0.0]})
     scorer = OnnxScorer(written(tmp_path / "m.onnx", said(vocabulary=pair, calibration=calibration), outputs=2))
-    context = FrameContext(scene)
+    context = PreparedFrame(scene)
     objects = [o.lifted for o in all_objects(context, AnnotationDetector(("a", "b", "c")))]
     scores = scorer.score(objects, context.viewer)
     assert [r for r, by in scores.scored_by.items() if by == "rel14"] == ["behind", "on"]
@@ -483,7 +483,7 @@ def test_the_network_that_was_shipped_before_still_answers(scene: Frame) -> None
     assert isinstance(before, OnnxScorer)
     assert (before.name, before.contract.seed) == ("rel14", 0)
     assert before.contract.data == "ad30681b5f10469c4759edb24e0f85cf"
-    context = FrameContext(scene)
+    context = PreparedFrame(scene)
     objects = [o.lifted for o in all_objects(context, AnnotationDetector(("a", "b", "c")))]
     p = before.of_pairs(objects, context.viewer)
     np.testing.assert_allclose(p[0, 1, [0, 1]], [0.999, 0.0], atol=2e-3)
@@ -560,7 +560,7 @@ def test_the_network_answers_on_real_frames(shared_data: Path, shipped: OnnxScor
     dataset = open_dataset(shared_data / "real" / "ycbv-bop")
     detector = AnnotationDetector(dataset.class_names)
     for frame_id in ("000002/000001", "000002/000020"):
-        context = FrameContext(dataset.load(frame_id))
+        context = PreparedFrame(dataset.load(frame_id))
         for text, holds in (
             ("large marker in front of the mustard bottle", True),
             ("mustard bottle behind the large marker", True),
@@ -582,7 +582,7 @@ def test_clear_pairs_of_real_frames_are_told_left_and_right_by_the_network(
     detector = AnnotationDetector(dataset.class_names)
     apart = 0
     for frame_id, left, right in ycb_pairs(root):
-        context = FrameContext(dataset.load(frame_id))
+        context = PreparedFrame(dataset.load(frame_id))
         objects = all_objects(context, detector)
         a, b = ([o.label for o in objects].index(name) for name in (left, right))
         scores = shipped.score([o.lifted for o in objects], context.viewer)

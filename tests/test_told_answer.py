@@ -10,29 +10,31 @@ import pytest
 
 from pipeline.answering.ask import Trace
 from pipeline.answering.json_records import trace_record
-from pipeline.answering.objects import FrameContext
+from pipeline.answering.objects import PreparedFrame
+from pipeline.answering.opening import Pipeline, open_pipeline
 from pipeline.answering.pair_table import HOLDS, Link, ScoredPair
-from pipeline.answering.source import Source, open_source
 from pipeline.answering.told_answer import NO_SUCH_PAIR, best_pair, holds, probability, told
 
 PAIR = ScoredPair(0, 1, 0.9, 0.8, 0.7, log_score=-0.7, product=0.5, probability=1.0)
 
 
 @pytest.fixture(scope="module")
-def source() -> Source:
-    return open_source("demo", srm="rule")
+def source() -> Pipeline:
+    return open_pipeline("demo", srm="rule")
 
 
 @pytest.fixture(scope="module")
-def context(source: Source) -> FrameContext:
-    return FrameContext(source.dataset.load(source.dataset.frame_ids[0]), source.config.lift)
+def context(source: Pipeline) -> PreparedFrame:
+    return PreparedFrame(source.dataset.load(source.dataset.frame_ids[0]), source.config.lift)
 
 
 def named(trace: Trace) -> Any:
     return lambda place: trace.objects[place].label
 
 
-def test_an_answer_that_holds_is_headed_by_its_relation_and_its_product(source: Source, context: FrameContext) -> None:
+def test_an_answer_that_holds_is_headed_by_its_relation_and_its_product(
+    source: Pipeline, context: PreparedFrame
+) -> None:
     trace = source.ask(context, "mug left of the laptop")
     best, answer = best_pair(trace), told(trace, named(trace))
     assert best is not None
@@ -47,7 +49,9 @@ def test_an_answer_that_holds_is_headed_by_its_relation_and_its_product(source: 
 
 
 @pytest.mark.parametrize("text", ["mug behind the laptop", "laptop above the shelf", "laptop below the desk"])
-def test_a_false_relation_is_no_pair_whatever_the_posterior(source: Source, context: FrameContext, text: str) -> None:
+def test_a_false_relation_is_no_pair_whatever_the_posterior(
+    source: Pipeline, context: PreparedFrame, text: str
+) -> None:
     trace = source.ask(context, text)
     best = best_pair(trace)
     assert best is not None
@@ -65,7 +69,7 @@ def test_a_false_relation_is_no_pair_whatever_the_posterior(source: Source, cont
     assert all(p["holds"] == (p["relation_probability"] >= HOLDS) for p in record["pairs"])
 
 
-def test_no_answer_does_not_hold(source: Source, context: FrameContext) -> None:
+def test_no_answer_does_not_hold(source: Pipeline, context: PreparedFrame) -> None:
     here = {a.label for a in context.frame.annotations}
     other = next(name for name in source.dataset.class_names if name not in here)
     trace = source.ask(context, f"{other} left of the laptop")

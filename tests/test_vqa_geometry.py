@@ -16,7 +16,7 @@ from box_worlds import box_world
 from scenes import frame_of, upright
 from scipy.optimize import lsq_linear
 
-from pipeline.answering.objects import FrameContext, all_objects
+from pipeline.answering.objects import PreparedFrame, all_objects
 from pipeline.datasets import Dataset
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.frame import Annotation, Frame
@@ -35,7 +35,7 @@ from pipeline.proposals.annotations import AnnotationDetector
 
 def rows_of(frame: Frame) -> FrameRows:
     """A frame's labels, as an export reads them."""
-    context = FrameContext(frame)
+    context = PreparedFrame(frame)
     config = LabelConfig(second_opinion="none")
     found = label_objects(
         context, all_objects(context, AnnotationDetector()), config, frame_index=0, scene="s", exact=True

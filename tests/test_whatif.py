@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from whatif_scenes import ScoringDetector, context_of, row, source
 
 from pipeline.answering.ask import AskConfig, Trace, ask
-from pipeline.answering.objects import FrameContext, SceneObject, appearance_of
+from pipeline.answering.objects import PreparedFrame, SceneObject, appearance_of
 from pipeline.answering.ranking import RankConfig
 from pipeline.diagnosis.whatif import Baseline, Edits, apply, edits_record, load_edits, read_edits, rerun, what_changed
 from pipeline.diagnosis.whatif.keys import object_keys
@@ -96,7 +96,7 @@ def test_settings_edited_are_settings_set(edits: Edits, config: AskConfig | None
     if config is None:
         config = AskConfig(rank=RankConfig(relation_weight=0.3, aggregate="marginal"))
     baseline = Baseline(source(ScoringDetector()), context_of(FRAME), text)
-    whole = ask(FrameContext(FRAME, config.lift), text, ScoringDetector(), scorer=make_scorer(scorer), config=config)
+    whole = ask(PreparedFrame(FRAME, config.lift), text, ScoringDetector(), scorer=make_scorer(scorer), config=config)
     assert_same(apply(baseline, edits), whole)
     # And back: nothing of an edit stays.
     assert_same(apply(baseline, Edits()), baseline.trace)
@@ -172,8 +172,8 @@ def test_a_moved_box_is_scored_as_the_scorer_scores_it(scorer: str, profile: dic
 def test_a_slider_does_not_lift_or_score_again(monkeypatch: pytest.MonkeyPatch) -> None:
     baseline = Baseline(source(ScoringDetector()), context_of(FRAME), "mug left of the laptop")
     seen: list[int] = []
-    lift = FrameContext.lift
-    monkeypatch.setattr(FrameContext, "lift", lambda self, *a: seen.append(1) or lift(self, *a))
+    lift = PreparedFrame.lift
+    monkeypatch.setattr(PreparedFrame, "lift", lambda self, *a: seen.append(1) or lift(self, *a))
     few = rerun(baseline, Edits().with_k(1))
     many = rerun(baseline, Edits().with_k(10))
     assert not seen

@@ -10,8 +10,8 @@ import numpy as np
 from scenes import frame_of, upright
 
 from pipeline.answering.ask import AskConfig
-from pipeline.answering.objects import FrameContext
-from pipeline.answering.source import Source
+from pipeline.answering.objects import PreparedFrame
+from pipeline.answering.opening import Pipeline
 from pipeline.datasets.base import Dataset
 from pipeline.geometry.frame import Frame
 from pipeline.proposals import AnnotationDetector, Proposals
@@ -58,11 +58,11 @@ class RowDataset:
     name, root, class_names, frame_ids = "row", Path("row"), KNOWN, ("scene/0",)
 
 
-def source(detector: object = None, scorer: str = "trained", **config: object) -> Source:
+def source(detector: object = None, scorer: str = "trained", **config: object) -> Pipeline:
     dataset: Dataset = RowDataset()  # pyright: ignore
     found = detector or AnnotationDetector(KNOWN)
-    return Source(dataset, found, make_scorer(scorer), AskConfig(**config))  # pyright: ignore
+    return Pipeline(dataset, found, make_scorer(scorer), AskConfig(**config))  # pyright: ignore
 
 
-def context_of(frame: Frame | None = None) -> FrameContext:
-    return FrameContext(frame or row())
+def context_of(frame: Frame | None = None) -> PreparedFrame:
+    return PreparedFrame(frame or row())

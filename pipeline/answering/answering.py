@@ -11,10 +11,10 @@ from collections.abc import Collection, Sequence
 import numpy as np
 
 from pipeline.answering.ask import Trace, merged, propose
-from pipeline.answering.objects import FrameContext, SceneObject, same_object
+from pipeline.answering.objects import PreparedFrame, SceneObject, same_object
+from pipeline.answering.opening import Pipeline
 from pipeline.answering.pair_table import PairTable, one_object_twice, pair_table, side
 from pipeline.answering.ranking import Candidates
-from pipeline.answering.source import Source
 from pipeline.answering.stage_clock import StageClock
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.proposals.base import Proposals
@@ -27,8 +27,8 @@ class FrameAnswers:
 
     Parameters
     ----------
-    source : Source
-    context : FrameContext
+    source : Pipeline
+    context : PreparedFrame
     names : sequence of str
         All class names that will be asked for.
     relations : collection of str
@@ -47,8 +47,8 @@ class FrameAnswers:
 
     def __init__(
         self,
-        source: Source,
-        context: FrameContext,
+        source: Pipeline,
+        context: PreparedFrame,
         names: Sequence[str],
         relations: Collection[str] = PAIRWISE,
         clock: StageClock | None = None,
@@ -74,8 +74,8 @@ class FrameAnswers:
 
     def _set(
         self,
-        source: Source,
-        context: FrameContext,
+        source: Pipeline,
+        context: PreparedFrame,
         objects: tuple[SceneObject, ...],
         candidates: dict[str, Candidates],
         scores: RelationScores | None,
@@ -90,7 +90,7 @@ class FrameAnswers:
         self._scores = scores
 
     @classmethod
-    def of_trace(cls, source: Source, context: FrameContext, trace: Trace) -> FrameAnswers:
+    def of_trace(cls, source: Pipeline, context: PreparedFrame, trace: Trace) -> FrameAnswers:
         """The answers that a trace holds: its own objects, candidates and relations, edited or not."""
         found = cls.__new__(cls)
         found.clock = StageClock()

@@ -9,7 +9,7 @@ from time import perf_counter
 
 import numpy as np
 
-from pipeline.answering.objects import FrameContext, SceneObject, appearance_of, same_object
+from pipeline.answering.objects import PreparedFrame, SceneObject, appearance_of, same_object
 from pipeline.answering.ranking import Candidates, RankConfig, Ranking, RelationLookup, rank
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.lifting import LiftConfig
@@ -108,7 +108,7 @@ class Trace:
 
 
 def ask(
-    frame: Frame | FrameContext,
+    frame: Frame | PreparedFrame,
     text: str,
     detector: Detector,
     *,
@@ -147,7 +147,7 @@ def ask(
         )
         names = query.labels
     calibration = None if detector.exact else config.score_calibration
-    context = frame if isinstance(frame, FrameContext) else FrameContext(frame, config.lift)
+    context = frame if isinstance(frame, PreparedFrame) else PreparedFrame(frame, config.lift)
     timings["frame"] = context.seconds
     before = getattr(detector, "seconds", 0.0)
     with _timed(timings, "opm"):
@@ -196,14 +196,14 @@ def _timed(timings: dict[str, float], stage: str) -> Iterator[None]:
     timings[stage] = timings.get(stage, 0.0) + perf_counter() - start
 
 
-def propose(context: FrameContext, detector: Detector, name: str, k: int) -> Proposals:
+def propose(context: PreparedFrame, detector: Detector, name: str, k: int) -> Proposals:
     """What goes on of a detector's run for one class name: the best K, or all where they are the truth."""
     proposals = detector.detect(context.frame, [name])
     return proposals if detector.exact else top_k(proposals, k)
 
 
 def merged(
-    context: FrameContext, detector: Detector, found: dict[str, Proposals], calibration: ScoreCalibration | None
+    context: PreparedFrame, detector: Detector, found: dict[str, Proposals], calibration: ScoreCalibration | None
 ) -> tuple[tuple[SceneObject, ...], dict[str, Candidates]]:
     """All proposals as one list in which a detection that several names found stands once."""
     return joined({name: (p, context.lift(p, detector)) for name, p in found.items()}, calibration)

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.answering.objects import FrameContext, all_objects, appearance_of
-from pipeline.answering.source import Source, contexts
+from pipeline.answering.objects import PreparedFrame, all_objects, appearance_of
+from pipeline.answering.opening import Pipeline, contexts
 from pipeline.geometry.level_plane import level_plane
 from pipeline.geometry.lifting import depth_edges, lift
 from pipeline.relations.appearance import Appearance
@@ -18,7 +18,7 @@ from pipeline.system.errors import InputError
 MAX_FRAMES = 8
 
 
-def bench_source(source: Source, repeat: int = 5) -> dict[str, Any]:
+def bench_source(source: Pipeline, repeat: int = 5) -> dict[str, Any]:
     """Time each stage on up to eight frames of a dataset.
 
     Returns
@@ -53,7 +53,7 @@ def bench_source(source: Source, repeat: int = 5) -> dict[str, Any]:
                 f.depth, f.camera, m, v, config=source.config.lift, edges=e
             ),
             "relations": lambda k=lifted, v=viewer, s=seen: source.scorer.score(k, v, s),
-            "frame context": lambda f=frame: FrameContext(f, source.config.lift),
+            "frame context": lambda f=frame: PreparedFrame(f, source.config.lift),
         }
         for name, job in stages.items():
             totals[name] = totals.get(name, 0.0) + _fastest(job, repeat)
@@ -99,7 +99,7 @@ def _whole_cloud(frame: Any) -> np.ndarray:
     return backproject(frame.depth, frame.camera, v, u)
 
 
-def _pair_by_pair(source: Source, lifted: list, viewer: Any, seen: Appearance) -> None:
+def _pair_by_pair(source: Pipeline, lifted: list, viewer: Any, seen: Appearance) -> None:
     for i, a in enumerate(lifted):
         for j, b in enumerate(lifted[:i]):
             source.scorer.score([a, b], viewer, seen.take([i, j]))

@@ -25,7 +25,7 @@ from pipeline.proposals.selection import top_k
 from pipeline.system.errors import InputError, UnknownClass
 
 if TYPE_CHECKING:
-    from pipeline.answering.source import Source
+    from pipeline.answering.opening import Pipeline
 
 
 ClassNames = Callable[[Frame], Sequence[str]]
@@ -37,7 +37,7 @@ def annotated_names(frame: Frame) -> tuple[str, ...]:
 
 
 def collect_hits(
-    source: Source,
+    source: Pipeline,
     frame_ids: Sequence[str],
     class_names: ClassNames = annotated_names,
     *,
@@ -49,7 +49,7 @@ def collect_hits(
 
     Parameters
     ----------
-    source : Source
+    source : Pipeline
         A dataset with annotations, and a detector.
     frame_ids : sequence of str
         Broken frames are left out, with their reason to `skipped`.
@@ -112,7 +112,7 @@ def _of_frame(
 
 
 def calibrate_scores(
-    source: Source,
+    source: Pipeline,
     frame_ids: Sequence[str],
     class_names: ClassNames = annotated_names,
     *,

@@ -18,7 +18,7 @@ from pipeline.proposals.mask_cache import CachedSegmenter
 from pipeline.system.errors import InputError
 
 if TYPE_CHECKING:
-    from pipeline.answering.source import Source
+    from pipeline.answering.opening import Pipeline
 
 SAMPLES = 20
 """How often the memory is looked at."""
@@ -54,7 +54,7 @@ class Endurance:
 
 
 def run_endurance(
-    source: Source,
+    source: Pipeline,
     frame_ids: Sequence[str],
     count: int,
     progress: Callable[[int, int], None] | None = None,
@@ -111,7 +111,7 @@ def _caches(part: object) -> Iterator[CachedDetector | CachedSegmenter]:
             yield from _caches(one)
 
 
-def _frames(source: Source, frame_ids: Sequence[str], most: int = 16) -> list[Frame]:
+def _frames(source: Pipeline, frame_ids: Sequence[str], most: int = 16) -> list[Frame]:
     """At most so many of the frames; broken ones are left out."""
     frames: list[Frame] = []
     reason = None

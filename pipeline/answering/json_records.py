@@ -10,8 +10,8 @@ import numpy as np
 
 from pipeline.answering.ask import Trace
 from pipeline.answering.objects import SceneObject
+from pipeline.answering.opening import FrameRelations
 from pipeline.answering.pair_table import Link, ScoredPair
-from pipeline.answering.source import FrameRelations
 from pipeline.answering.told_answer import best_pair, failing_links
 from pipeline.datasets.survey import FrameReport
 from pipeline.geometry.viewer import ViewerAxes

@@ -56,7 +56,7 @@ class SceneObject:
     lifted: LiftedObject
 
 
-class FrameContext:
+class PreparedFrame:
     """A frame with everything that does not depend on the question, computed once.
 
     Parameters
@@ -135,11 +135,11 @@ class FrameContext:
         return mask, "box"
 
 
-def frame_context(
+def prepare_frame(
     dataset: Dataset, frame: Frame, config: LiftConfig | None = None, *, boxes: bool = True
-) -> FrameContext:
+) -> PreparedFrame:
     """A frame of a dataset made ready: where it has a pose and no up vector of its own, its scene's is taken."""
-    return FrameContext(replace(frame, camera=resolved_camera(dataset, frame)), config, boxes=boxes)
+    return PreparedFrame(replace(frame, camera=resolved_camera(dataset, frame)), config, boxes=boxes)
 
 
 def pixels_inside(box: Box3D, mask: np.ndarray, frame: Frame, margin: float = BOX_MARGIN_M) -> np.ndarray:
@@ -152,7 +152,7 @@ def pixels_inside(box: Box3D, mask: np.ndarray, frame: Frame, margin: float = BO
     return within
 
 
-def all_objects(context: FrameContext, detector: Detector) -> tuple[SceneObject, ...]:
+def all_objects(context: PreparedFrame, detector: Detector) -> tuple[SceneObject, ...]:
     """Everything the detector finds in the frame, in the order of its identities."""
     proposals = detector.detect(context.frame, None)
     return context.lift(proposals.take(np.argsort(proposals.ids, kind="stable")), detector)

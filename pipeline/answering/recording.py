@@ -24,7 +24,7 @@ from pipeline.proposals.selection import top_k
 from pipeline.system.errors import InputError, UnknownClass
 
 if TYPE_CHECKING:
-    from pipeline.answering.source import Source
+    from pipeline.answering.opening import Pipeline
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,7 @@ class Finding:
 
 
 def record_detections(
-    source: Source,
+    source: Pipeline,
     out: str | Path,
     class_names: Sequence[str] | None = None,
     progress: Callable[[int, int], None] | None = None,
@@ -75,7 +75,7 @@ def record_detections(
 
     Parameters
     ----------
-    source : Source
+    source : Pipeline
         Its `config.k` proposals of each name are kept, as `ask` would; those of an exact detector all.
     out : str or Path
         A JSON file where the name ends in ".json", else a folder with an NPZ file for each frame: it must not exist,

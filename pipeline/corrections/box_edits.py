@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 from pipeline.answering.objects import pixels_inside
-from pipeline.corrections.journal.cells import object_cell
 from pipeline.corrections.journal.edits import Edits, set_box
 from pipeline.corrections.journal.effective import Corrector
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
+from pipeline.corrections.journal.field_refs import object_cell
 from pipeline.corrections.journal.relifting import Relifter
 from pipeline.corrections.scene import labelled_box, labelled_objects
 from pipeline.corrections.support import Support, Way, find_support, gap_below, snapped

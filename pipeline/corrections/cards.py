@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from pipeline.corrections.journal.cells import relation_cell
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
+from pipeline.corrections.journal.field_refs import relation_cell
 from pipeline.corrections.journal.origins import Origin
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.relations.relations import U, letter

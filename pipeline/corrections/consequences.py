@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.corrections.journal.cells import object_cell
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
+from pipeline.corrections.journal.field_refs import object_cell
 from pipeline.corrections.journal.frame_rows import NO_STATE
 from pipeline.corrections.scene import labelled_box
 from pipeline.language.relation_names import PAIRWISE, PHRASE

@@ -6,10 +6,10 @@ from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import Any
 
-from pipeline.corrections.journal.cells import Cell, shown_value
 from pipeline.corrections.journal.effective_expressions import SETS
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Conflict, Edit, Rival
+from pipeline.corrections.journal.field_refs import FieldRef, shown_value
 from pipeline.corrections.journal.setting import Setting
 from pipeline.language.relation_names import PAIRWISE
 
@@ -30,7 +30,7 @@ class Dispute:
     rivals: tuple[Rival, ...]
 
     @property
-    def cell(self) -> Cell:
+    def cell(self) -> FieldRef:
         """The field that it is told by."""
         return self.rivals[0].edit.cell
 
@@ -101,7 +101,7 @@ def _instead(edit: Edit, rival: Rival | None, frame: EffectiveFrame) -> Edit:
     return replace(edit, before=before, base=version, reason="; ".join(filter(None, (edit.reason, over))))
 
 
-def _together(cell: Cell, setting: Setting) -> Any:
+def _together(cell: FieldRef, setting: Setting) -> Any:
     if cell.kind == "expression" and cell.field in SETS:
         return cell.kind, cell.key, SETS
     if cell.kind == "relation" and cell.field in PAIRWISE:

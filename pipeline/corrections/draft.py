@@ -8,9 +8,9 @@ import numpy as np
 
 from pipeline.corrections.drawing.gestures import Canvas, Gesture, applied, goes_around
 from pipeline.corrections.drawing.splitting import split_by_depth, split_by_line, split_by_polygon
-from pipeline.corrections.journal.cells import Cell, object_cell
 from pipeline.corrections.journal.edits import Edits, add_object, pixels_of, set_mask, split_object
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
+from pipeline.corrections.journal.field_refs import FieldRef, object_cell
 from pipeline.geometry.lifting import LiftedObject, lift
 from pipeline.geometry.run_length import decode_run_length, encode_run_length
 from pipeline.system.errors import InputError
@@ -62,7 +62,7 @@ class Draft:
         return self.steps[self.at] != self.steps[0]
 
     @property
-    def cell(self) -> Cell | None:
+    def cell(self) -> FieldRef | None:
         """The cell that it will change; None for a new object."""
         return None if self.number is None else object_cell(self.frame, self.number, "mask")
 

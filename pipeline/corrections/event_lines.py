@@ -6,8 +6,8 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from pipeline.corrections.journal.cells import Cell, shown_value
 from pipeline.corrections.journal.events import Event
+from pipeline.corrections.journal.field_refs import FieldRef, shown_value
 from pipeline.corrections.journal.undo import history
 
 
@@ -55,17 +55,17 @@ class EventLine:
         }
 
 
-def about_object(cell: Cell, number: int) -> bool:
+def about_object(cell: FieldRef, number: int) -> bool:
     """Whether a cell is one of an object's own."""
     return cell.kind == "object" and cell.numbers == (number,)
 
 
-def about_pair(cell: Cell, a: int, b: int) -> bool:
+def about_pair(cell: FieldRef, a: int, b: int) -> bool:
     """Whether a cell is a relation of a pair, either way round."""
     return cell.kind == "relation" and set(cell.numbers) == {a, b}
 
 
-def about_expression(cell: Cell, name: str) -> bool:
+def about_expression(cell: FieldRef, name: str) -> bool:
     """Whether a cell is one of an expression's."""
     return cell.kind == "expression" and cell.key == name
 
@@ -103,7 +103,7 @@ def event_lines(
         root[event.ulid] = event.ulid if taken is None else root.get(taken, taken)
         newest[root[event.ulid]] = event
 
-    def wanted(cell: Cell) -> bool:
+    def wanted(cell: FieldRef) -> bool:
         return (
             any(about_object(cell, n) for n in numbers)
             or (pair is not None and about_pair(cell, *pair))

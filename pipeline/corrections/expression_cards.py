@@ -6,9 +6,9 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, Literal
 
-from pipeline.corrections.journal.cells import Cell
 from pipeline.corrections.journal.edits import Edits, set_answers
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
+from pipeline.corrections.journal.field_refs import FieldRef
 from pipeline.corrections.journal.judgements import said_of_items
 from pipeline.corrections.journal.origins import Origin
 from pipeline.system.errors import InputError
@@ -125,7 +125,7 @@ def _card(
 ) -> ExpressionCard:
     row = frame.expression(name)
     assert row is not None
-    cells = {field: Cell("expression", frame.frame, name, field) for field in CORRECTED_FIELDS}
+    cells = {field: FieldRef("expression", frame.frame, name, field) for field in CORRECTED_FIELDS}
     numbers = dict.fromkeys([row["target_object"], row["reference_object"], *row["targets"], *row["acceptable"]])
     rows = {n: frame.objects.get(n) or frame.left_out.get(n) for n in numbers}
     return ExpressionCard(

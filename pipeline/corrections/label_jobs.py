@@ -9,8 +9,8 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-from pipeline.corrections.review.circle import CircleJob, circle_in_background
 from pipeline.corrections.review.queue_job import QueueJob, Step, make_queue
+from pipeline.corrections.review.retraining_run import RetrainingJob, retraining_in_background
 from pipeline.corrections.review.worklist import Worklist, read_queue, worklist
 from pipeline.system.errors import InputError
 from pipeline.system.shared_job import SharedJob
@@ -56,7 +56,7 @@ class Training:
     step : tuple of (str, int, int)
         What is being done, how far, of how much.
     record : dict or None
-        Of `pipeline.corrections.review.circle.Circle`.
+        Of `pipeline.corrections.review.retraining_run.Circle`.
     problem : str
     seconds : float
     installed : str
@@ -125,7 +125,7 @@ class LabelJobs:
             folder.cleanup()
         return started
 
-    def train(self, job: CircleJob) -> bool:
+    def train(self, job: RetrainingJob) -> bool:
         """Retrain; whether it was started, see `SharedJob.start`."""
         began = perf_counter()
 
@@ -136,7 +136,7 @@ class LabelJobs:
             return Training(record=record, problem=problem, seconds=perf_counter() - began)
 
         return self.training.start(
-            circle_in_background, job, begun=lambda _: Training(running=True), heard=heard, ended=ended
+            retraining_in_background, job, begun=lambda _: Training(running=True), heard=heard, ended=ended
         )
 
     def end(self) -> None:

@@ -10,9 +10,9 @@ import numpy as np
 
 from pipeline.answering.objects import SceneObject
 from pipeline.corrections.cards import PairCard, RelationLine, pair_card
-from pipeline.corrections.journal.cells import box_value, object_cell, relation_cell
 from pipeline.corrections.journal.effective import Corrector
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
+from pipeline.corrections.journal.field_refs import box_value, object_cell, relation_cell
 from pipeline.corrections.journal.frame_rows import NO_STATE
 from pipeline.corrections.journal.origins import Origin
 from pipeline.geometry.boxes import Box3D

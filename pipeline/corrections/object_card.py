@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.corrections.journal.cells import object_cell, same_value, shown_value
 from pipeline.corrections.journal.edits import Edits, judge, set_status, set_value
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.effective_objects import object_value
+from pipeline.corrections.journal.field_refs import object_cell, same_value, shown_value
 from pipeline.corrections.journal.judgements import said_of_items
 from pipeline.corrections.journal.origins import Origin
 from pipeline.corrections.scene import labelled_box

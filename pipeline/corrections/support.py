@@ -9,7 +9,7 @@ from typing import Any, Literal
 import cv2
 import numpy as np
 
-from pipeline.answering.objects import FrameContext, SceneObject
+from pipeline.answering.objects import PreparedFrame, SceneObject
 from pipeline.diagnosis.whatif.box_numbers import SMALLEST_SIDE
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.camera import lift_pixels
@@ -89,7 +89,7 @@ class _Candidate:
     points: np.ndarray
 
 
-def find_support(context: FrameContext, box: Box3D, objects: Sequence[SceneObject], number: int) -> Support:
+def find_support(context: PreparedFrame, box: Box3D, objects: Sequence[SceneObject], number: int) -> Support:
     """The highest level surface under a box that can carry it.
 
     An object can carry where at least half of the footprint lies within its
@@ -105,7 +105,7 @@ def find_support(context: FrameContext, box: Box3D, objects: Sequence[SceneObjec
 
     Parameters
     ----------
-    context : FrameContext
+    context : PreparedFrame
     box : Box3D
         Camera frame.
     objects : sequence of SceneObject
@@ -182,7 +182,7 @@ def gap_below(box: Box3D, support: Support, viewer: ViewerAxes) -> float:
     return float(box.center @ viewer.up) - float(reach) - support.height
 
 
-def _level_points(context: FrameContext, objects: Sequence[SceneObject], number: int) -> _Level:
+def _level_points(context: PreparedFrame, objects: Sequence[SceneObject], number: int) -> _Level:
     frame, viewer = context.frame, context.viewer
     normals, known = surface_normals(frame.depth, frame.camera)
     level = known & (normals @ viewer.up.astype(np.float32) > np.cos(np.deg2rad(LEVEL_DEG)))

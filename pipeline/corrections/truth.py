@@ -7,8 +7,8 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.answering.ask import Trace
-from pipeline.corrections.journal.cells import Cell, same_value
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
+from pipeline.corrections.journal.field_refs import FieldRef, same_value
 from pipeline.geometry.boxes import iou_2d
 from pipeline.labels.cases import HIT, Case, FrameCases, frame_cases
 from pipeline.system.errors import InputError
@@ -48,24 +48,24 @@ def effective_mark(frame: EffectiveFrame, expression: str, mark: str | None) -> 
     What was said of the labels before holds no longer where what it was said of
     has been corrected, or where a reviewer has accepted the expression.
     """
-    if frame.version(Cell("expression", frame.frame, expression, "mark")):
+    if frame.version(FieldRef("expression", frame.frame, expression, "mark")):
         return frame.marks.get(expression)
     auto, now = frame.auto.expressions.get(expression), frame.expression(expression)
     if mark is None or auto is None or now is None:
         return mark
-    if frame.statuses.get(Cell("expression", frame.frame, expression, "status")) in ("accepted", "corrected"):
+    if frame.statuses.get(FieldRef("expression", frame.frame, expression, "status")) in ("accepted", "corrected"):
         return None
     if mark == "BAD_LABEL":
         changed = not all(same_value(now[name], auto[name]) for name in _OF_THE_LABEL)
     else:
-        cells = [Cell("object", frame.frame, str(now["target_object"]), name) for name in _OF_THE_BOX]
+        cells = [FieldRef("object", frame.frame, str(now["target_object"]), name) for name in _OF_THE_BOX]
         changed = any(frame.origin(cell).source == "human" for cell in cells)
     return None if changed else mark
 
 
 def withdrawn_by(frame: EffectiveFrame, expression: str) -> str | None:
     """Why there is nothing to judge an expression by: somebody rejected it. None where that is not so."""
-    cell = Cell("expression", frame.frame, expression, "status")
+    cell = FieldRef("expression", frame.frame, expression, "status")
     if frame.statuses.get(cell) != "rejected":
         return None
     return f"the expression was rejected by {frame.origin(cell).author}"
@@ -79,7 +79,7 @@ def answered_case(frame: EffectiveFrame, truth: FrameCases, case: Case, trace: T
     becomes that of the one that was answered, else it stays, or becomes that of
     the first one where its own target is no longer right.
     """
-    targets, status = (Cell("expression", frame.frame, case.id, field) for field in ("targets", "status"))
+    targets, status = (FieldRef("expression", frame.frame, case.id, field) for field in ("targets", "status"))
     vouched = frame.origin(targets).source == "human" or frame.statuses.get(status) in ("accepted", "corrected")
     if not vouched or not len(case.strict):
         return case

@@ -12,8 +12,8 @@ from datetime import datetime
 from threading import Lock
 from typing import Any
 
-from pipeline.corrections.journal.cells import Cell
 from pipeline.corrections.journal.events import Conflict, Edit, Event, Rival, Saved
+from pipeline.corrections.journal.field_refs import FieldRef
 from pipeline.corrections.journal.journal import Journal
 from pipeline.system.errors import InputError
 
@@ -181,7 +181,7 @@ def unsaved_actions(unsaved: Unsaved, author: str) -> list[list[dict[str, Any]]]
 
 def _merged(edits: Iterable[Edit]) -> tuple[Edit, ...]:
     """One edit a cell: from what was first seen to what was last wanted."""
-    found: dict[Cell, Edit] = {}
+    found: dict[FieldRef, Edit] = {}
     for edit in edits:
         first = found.get(edit.cell)
         found[edit.cell] = edit if first is None else replace(first, after=edit.after, reason=edit.reason)

@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.corrections.journal.cells import Cell, box_of, judged_item, shown_value
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Conflict, Event, Saved
+from pipeline.corrections.journal.field_refs import FieldRef, box_of, judged_item, shown_value
 from pipeline.corrections.unsaved import Waiting
 from pipeline.geometry.boxes import Box3D
 from pipeline.language.relation_names import INVERSE, PHRASE
@@ -43,7 +43,7 @@ def said_sentence(name: str, frame: EffectiveFrame | None) -> str:
     return f"“{text if len(text) <= LONGEST else f'{text[: LONGEST - 1]}…'}”"
 
 
-def said_cell(cell: Cell, frame: EffectiveFrame | None) -> str:
+def said_cell(cell: FieldRef, frame: EffectiveFrame | None) -> str:
     """A field in words."""
     field = FIELDS.get(cell.field, cell.field)
     if cell.kind == "review":
@@ -59,7 +59,7 @@ def said_cell(cell: Cell, frame: EffectiveFrame | None) -> str:
     return f"{field} of the {cell.kind}"
 
 
-def said_value(cell: Cell, value: Any, frame: EffectiveFrame | None) -> str:
+def said_value(cell: FieldRef, value: Any, frame: EffectiveFrame | None) -> str:
     """A value in words."""
     if cell.kind == "expression" and isinstance(value, list):
         return ", ".join(said_object(n, frame) for n in value) or "nothing"
@@ -128,7 +128,7 @@ def said_outcome(
     return "", False
 
 
-def _judged(cell: Cell, frame: EffectiveFrame | None) -> str:
+def _judged(cell: FieldRef, frame: EffectiveFrame | None) -> str:
     _, kind, a, b, what = judged_item(cell.key)
     if kind == "relation":
         return f"{said_object(a, frame)} {PHRASE.get(what, what)} {said_object(int(b or 0), frame)}"
@@ -145,7 +145,7 @@ def _mirrors(one: Event, other: Event) -> bool:
     return (a, b) == (d, c) and mirrored == ("near" if relation == "near" else INVERSE.get(relation))
 
 
-def _pair(cell: Cell) -> tuple[int, int, str] | None:
+def _pair(cell: FieldRef) -> tuple[int, int, str] | None:
     if cell.kind == "relation":
         a, b = cell.numbers
         return a, b, cell.field

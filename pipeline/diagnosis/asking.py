@@ -8,9 +8,9 @@ from typing import Any
 
 from pipeline.answering.ask import Trace
 from pipeline.answering.json_records import trace_record
-from pipeline.answering.objects import FrameContext
+from pipeline.answering.objects import PreparedFrame
+from pipeline.answering.opening import FrameUnusable, Pipeline, Skipped, contexts, skip_or_raise
 from pipeline.answering.ranking import RankConfig
-from pipeline.answering.source import FrameUnusable, Skipped, Source, contexts, skip_or_raise
 from pipeline.diagnosis.live import Judgement, annotated_truth, judge_trace, judgement_record, labelled_truth
 from pipeline.labels.cases import FrameCases
 from pipeline.labels.reading import Labels
@@ -35,7 +35,7 @@ class JudgedAnswer:
     unjudged: str | None = None
 
 
-def known_truth(source: Source, context: FrameContext, labels: Labels | None = None) -> FrameCases | None:
+def known_truth(source: Pipeline, context: PreparedFrame, labels: Labels | None = None) -> FrameCases | None:
     """What is true of a frame: by labels where they are given, else by its annotations; None without annotations.
 
     Raises
@@ -53,7 +53,7 @@ def known_truth(source: Source, context: FrameContext, labels: Labels | None = N
 
 
 def ask_and_judge(
-    source: Source,
+    source: Pipeline,
     key: str | int,
     expressions: Sequence[str],
     labels: Labels | None = None,
@@ -63,9 +63,9 @@ def ask_and_judge(
 
     Parameters
     ----------
-    source : Source
+    source : Pipeline
     key : str or int
-        As for `pipeline.answering.source.ask_frames`.
+        As for `pipeline.answering.opening.ask_frames`.
     expressions : sequence of str
     labels : Labels, optional
         What says what is true. By default the frame's annotations do.
@@ -75,7 +75,7 @@ def ask_and_judge(
     Raises
     ------
     InputError
-        As `pipeline.answering.source.ask_frames`.
+        As `pipeline.answering.opening.ask_frames`.
     """
     source.needed_detector()
     for context in contexts(source, key, skipped):
@@ -90,7 +90,7 @@ def ask_and_judge(
             skip_or_raise(error, key, context.frame.id, skipped)
 
 
-def _truth_or_reason(source: Source, context: FrameContext, labels: Labels | None) -> FrameCases | str | None:
+def _truth_or_reason(source: Pipeline, context: PreparedFrame, labels: Labels | None) -> FrameCases | str | None:
     try:
         return known_truth(source, context, labels)
     except InputError as error:
@@ -99,8 +99,8 @@ def _truth_or_reason(source: Source, context: FrameContext, labels: Labels | Non
 
 def _judged(
     trace: Trace,
-    source: Source,
-    context: FrameContext,
+    source: Pipeline,
+    context: PreparedFrame,
     truth: FrameCases | str | None,
     rank: RankConfig | None = None,
 ) -> JudgedAnswer:
@@ -116,7 +116,12 @@ def _judged(
 
 
 def edited_verdicts(
-    source: Source, context: FrameContext, before: Trace, after: Trace, rank: RankConfig, labels: Labels | None = None
+    source: Pipeline,
+    context: PreparedFrame,
+    before: Trace,
+    after: Trace,
+    rank: RankConfig,
+    labels: Labels | None = None,
 ) -> tuple[str | None, str | None]:
     """The verdicts on an answer without and with edits, by one truth; None where there is none.
 

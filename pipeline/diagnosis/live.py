@@ -11,14 +11,14 @@ import numpy as np
 
 from pipeline.answering.answering import FrameAnswers
 from pipeline.answering.ask import Trace
-from pipeline.answering.objects import FrameContext, all_objects
+from pipeline.answering.objects import PreparedFrame, all_objects
+from pipeline.answering.opening import Pipeline
 from pipeline.answering.pair_table import ScoredPair
 from pipeline.answering.ranking import RankConfig
-from pipeline.answering.source import Source
 from pipeline.datasets.base import scene_of
 from pipeline.diagnosis.frame_evidence import DEFAULT_CONFIDENCE, FrameEvidence
 from pipeline.diagnosis.oracles import names_of
-from pipeline.diagnosis.substitution import Substituted, substitute
+from pipeline.diagnosis.substitution import OracleScores, substitute
 from pipeline.diagnosis.verdict import Diagnosis, diagnose
 from pipeline.diagnosis.words import explain
 from pipeline.geometry.boxes import Box3D, iou_2d
@@ -71,7 +71,7 @@ class Judgement:
         return {name: o.lifted.box for name, o in found if o is not None and o.lifted.box is not None}
 
 
-def _same(found: Substituted, evidence: FrameEvidence) -> np.ndarray:
+def _same(found: OracleScores, evidence: FrameEvidence) -> np.ndarray:
     """(T, R) bool: candidates that are one and the same thing."""
     targets, references = (role.places[: role.found] for role in (found.target, found.reference))
     return evidence.same[np.ix_(targets, references)]
@@ -82,7 +82,7 @@ def _second_opinion() -> OnnxScorer | None:
     return open_second_opinion(LabelConfig().second_opinion)
 
 
-def annotated_truth(context: FrameContext, source: Source) -> FrameCases | None:
+def annotated_truth(context: PreparedFrame, source: Pipeline) -> FrameCases | None:
     """The truth of an annotated frame, labelled now by the default profile; None where nothing is annotated."""
     if not context.frame.annotations:
         return None
@@ -103,7 +103,7 @@ def annotated_truth(context: FrameContext, source: Source) -> FrameCases | None:
     return frame_cases(frame_id, index, scene, rows.objects, rows.relations, {}, config.relations)
 
 
-def labelled_truth(frame_id: str, source: Source, labels: Labels) -> FrameCases | None:
+def labelled_truth(frame_id: str, source: Pipeline, labels: Labels) -> FrameCases | None:
     """The truth of a frame as labels have it, with their expressions; None where they have none of it."""
     if frame_id not in source.dataset.frame_ids:
         return None
@@ -117,7 +117,7 @@ def labelled_case(truth: FrameCases, text: str) -> Case | None:
     return next((c for c in truth.cases if " ".join(c.text.casefold().split()) == wanted), None)
 
 
-def case_of(truth: FrameCases, trace: Trace, source: Source) -> tuple[FrameCases, Case] | str:
+def case_of(truth: FrameCases, trace: Trace, source: Pipeline) -> tuple[FrameCases, Case] | str:
     """A typed expression with its truth by the relations of the frame, or why there is none.
 
     Nobody has labelled one pair as meant: of those of which it is true beyond doubt, it is the one that was answered,
@@ -162,8 +162,8 @@ def _closest(pairs: np.ndarray, trace: Trace, truth: FrameCases) -> int:
 
 def judge_trace(
     trace: Trace,
-    source: Source,
-    context: FrameContext,
+    source: Pipeline,
+    context: PreparedFrame,
     truth: FrameCases,
     *,
     case: Case | None = None,
@@ -177,8 +177,8 @@ def judge_trace(
     ----------
     trace : Trace
         Edited or not.
-    source : Source
-    context : FrameContext
+    source : Pipeline
+    context : PreparedFrame
         Of the trace's frame.
     truth : FrameCases
     case : Case, optional

@@ -27,7 +27,7 @@ _ALL = np.arange(SUBSETS)
 
 
 @dataclass(frozen=True, eq=False)
-class Role:
+class CandidateSet:
     """What may fill one place of the expression: its candidates, then the labelled objects that RECALL adds.
 
     Attributes
@@ -54,12 +54,12 @@ class Role:
 
 
 @dataclass(frozen=True, eq=False)
-class Substituted:
+class OracleScores:
     """All candidate pairs of one expression under all subsets of the oracles.
 
     Attributes
     ----------
-    target, reference : Role
+    target, reference : CandidateSet
     table : PairTable
         One scene a subset; no pair is there whose objects are one thing, or have not been recalled.
     p_relation : (2, 2, T, R) float64
@@ -70,8 +70,8 @@ class Substituted:
         Targets of which the expression is or may be true.
     """
 
-    target: Role
-    reference: Role
+    target: CandidateSet
+    reference: CandidateSet
     table: PairTable
     p_relation: np.ndarray
     covered: np.ndarray
@@ -163,12 +163,12 @@ def _margins(table: PairTable, covered: np.ndarray) -> np.ndarray:
     return found
 
 
-def given_scores(role: Role) -> np.ndarray:
+def given_scores(role: CandidateSet) -> np.ndarray:
     """(K,) float64: what CONF says of each."""
     return np.where(role.object >= 0, RIGHT_SCORE, WRONG_SCORE)
 
 
-def role_of(evidence: FrameEvidence, candidates: Candidates, asked: np.ndarray) -> Role:
+def role_of(evidence: FrameEvidence, candidates: Candidates, asked: np.ndarray) -> CandidateSet:
     """The candidates of a name and the labelled objects that are missing among them.
 
     Parameters
@@ -189,7 +189,7 @@ def role_of(evidence: FrameEvidence, candidates: Candidates, asked: np.ndarray) 
     missing = np.flatnonzero(asked & ~covered & evidence.known)
     everyone = np.concatenate([objects, missing]).astype(np.int64)
     truth = evidence.truth.boxes
-    return Role(
+    return CandidateSet(
         places=np.concatenate([candidates.index, evidence.detections + missing]).astype(np.int64),
         found=len(candidates.index),
         scores=np.concatenate([candidates.scores, np.full(len(missing), evidence.confidence)]),
@@ -199,7 +199,7 @@ def role_of(evidence: FrameEvidence, candidates: Candidates, asked: np.ndarray) 
     )
 
 
-def _role(evidence: FrameEvidence, name: str, asked: np.ndarray) -> Role:
+def _role(evidence: FrameEvidence, name: str, asked: np.ndarray) -> CandidateSet:
     """The role of a name, made once for all expressions of the frame that ask for it."""
     key = (name, asked.tobytes())
     if key not in evidence.roles:
@@ -207,7 +207,7 @@ def _role(evidence: FrameEvidence, name: str, asked: np.ndarray) -> Role:
     return evidence.roles[key]
 
 
-def substitute(evidence: FrameEvidence, case: Case) -> Substituted:
+def substitute(evidence: FrameEvidence, case: Case) -> OracleScores:
     """Rank an expression's pairs with every subset of the oracles, on its gold triple."""
     truth, answers = evidence.truth, evidence.answers
     target = _role(evidence, case.target, truth.alike[case.target_object])
@@ -235,7 +235,7 @@ def substitute(evidence: FrameEvidence, case: Case) -> Substituted:
         evidence.mask_sizes,
         config,
     )
-    return Substituted(
+    return OracleScores(
         target=target,
         reference=reference,
         table=table,
@@ -245,13 +245,13 @@ def substitute(evidence: FrameEvidence, case: Case) -> Substituted:
     )
 
 
-def _side(role: Role, conf: np.ndarray, weight: float) -> Side:
+def _side(role: CandidateSet, conf: np.ndarray, weight: float) -> Side:
     """A role under every subset; `conf` says which of them give true confidences."""
     both = side(role.places, np.stack([role.scores, given_scores(role)]), weight)
     return Side(both.index, both.scores[conf], both.log[conf])
 
 
-def _relation(evidence: FrameEvidence, relation: str, target: Role, reference: Role) -> np.ndarray:
+def _relation(evidence: FrameEvidence, relation: str, target: CandidateSet, reference: CandidateSet) -> np.ndarray:
     """(2, 2, T, R): without and with LIFT, without and with SRM."""
     table = evidence.probabilities(relation)
     base = table[target.places[:, None], reference.places]

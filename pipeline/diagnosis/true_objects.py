@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.answering.objects import FrameContext, SceneObject
+from pipeline.answering.objects import PreparedFrame, SceneObject
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.lifting import LiftedObject, Quality, lift
 from pipeline.geometry.run_length import decode_run_length
@@ -24,7 +24,7 @@ class TrueObjects:
     Parameters
     ----------
     truth : FrameCases
-    context : FrameContext
+    context : PreparedFrame
 
     Attributes
     ----------
@@ -34,7 +34,7 @@ class TrueObjects:
         Those of which the label has a box and no pixels: points are not to be had.
     """
 
-    def __init__(self, truth: FrameCases, context: FrameContext) -> None:
+    def __init__(self, truth: FrameCases, context: PreparedFrame) -> None:
         self._truth, self._context = truth, context
         described = np.concatenate([truth.geometry["lo"], truth.geometry["size"]], axis=1)
         self.known: np.ndarray = np.asarray(np.isfinite(described).all(axis=1))

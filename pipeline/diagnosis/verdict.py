@@ -34,7 +34,7 @@ from pipeline.diagnosis.frame_evidence import FrameEvidence
 from pipeline.diagnosis.misses import Missed, why_missed
 from pipeline.diagnosis.oracles import CONF, LIFT, SRM, SUBSETS, names_of, size
 from pipeline.diagnosis.repair import Needed, needed_changes
-from pipeline.diagnosis.substitution import Role, Substituted, substitute
+from pipeline.diagnosis.substitution import CandidateSet, OracleScores, substitute
 from pipeline.labels.cases import HIT, Case
 from pipeline.proposals.base import Detector
 
@@ -192,7 +192,7 @@ def diagnose(
     return replace(diagnosis, verdict=verdict, detail=detail, repair=names_of(repair), mends=mends)
 
 
-def _flipped(found: Substituted, diagnosis: Diagnosis, flips: list[int]) -> tuple[str, str | None, int]:
+def _flipped(found: OracleScores, diagnosis: Diagnosis, flips: list[int]) -> tuple[str, str | None, int]:
     """Verdict, detail and repair where an acceptable pair lost; `flips` are the oracles that alone mend it."""
     if not flips:
         several = [s for s in range(SUBSETS) if not s & ~_ALL_FLIPS and size(s) > 1]
@@ -211,14 +211,14 @@ def _flipped(found: Substituted, diagnosis: Diagnosis, flips: list[int]) -> tupl
     return ("LIFT" if chosen == LIFT else "SRM"), None, chosen
 
 
-def _smallest(found: Substituted, subsets: range | list[int]) -> int | None:
+def _smallest(found: OracleScores, subsets: range | list[int]) -> int | None:
     """The smallest of these subsets with which an acceptable pair wins; of equal ones that with the largest margin."""
     able = [s for s in subsets if found.accepted[s]]
     return min(able, key=lambda s: (size(s), -found.margins[s], s)) if able else None
 
 
-def _pseudo(evidence: FrameEvidence, found: Substituted, pairs: list[tuple[int, int]]) -> bool:
-    def boxed(role: Role, k: int) -> bool:
+def _pseudo(evidence: FrameEvidence, found: OracleScores, pairs: list[tuple[int, int]]) -> bool:
+    def boxed(role: CandidateSet, k: int) -> bool:
         return role.shape_of[k] >= 0 and bool(evidence.objects.pseudo[role.shape_of[k]])
 
     return any(boxed(found.target, i) or boxed(found.reference, j) for i, j in pairs)

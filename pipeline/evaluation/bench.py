@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pipeline.answering.opening import open_pipeline
 from pipeline.answering.recording import record_detections
-from pipeline.answering.source import open_source
 from pipeline.evaluation.job import make_tables
 from pipeline.evaluation.run import (
     FRAMES_A_BLOCK,
@@ -127,7 +127,7 @@ def _inputs(dataset: str, labels: Path | None, recording: Path | None) -> Iterat
             label_dataset(SourceSpec(dataset), labels)
         if recording is None:
             recording = Path(folder) / "recording"
-            source = open_source(dataset, detector="simulated", srm="rule")
+            source = open_pipeline(dataset, detector="simulated", srm="rule")
             table = open_labels(labels).expressions
             asked = table.column("frame").unique().to_pylist()
             record_detections(source, recording, source.dataset.class_names, frame_ids=asked)

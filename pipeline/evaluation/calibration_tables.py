@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
     from pipeline.answering.ask import AskConfig
-    from pipeline.answering.source import Source
+    from pipeline.answering.opening import Pipeline
 
 ACCURACIES = {
     "Acc@0.5 single truth": "correct", "strict set": "strict_correct", "set-valued": "set_correct",
@@ -103,7 +103,7 @@ def _ece(sums: np.ndarray) -> np.ndarray:
     return ratio(np.abs(sums[:, :-1]).sum(axis=1, keepdims=True), sums[:, -1:])
 
 
-def calibration_warnings(source: Source, labels: Labels, records: pa.Table) -> tuple[str, ...]:
+def calibration_warnings(source: Pipeline, labels: Labels, records: pa.Table) -> tuple[str, ...]:
     """Why the effect of the calibration in these records is not held out, or may not be; nothing where it is."""
     calibration = source.config.score_calibration
     if calibration is None or not is_calibrated(records):

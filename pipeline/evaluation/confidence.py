@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pipeline.answering.ask import propose
-from pipeline.answering.objects import FrameContext, frame_context
-from pipeline.answering.source import Source
+from pipeline.answering.objects import PreparedFrame, prepare_frame
+from pipeline.answering.opening import Pipeline
 from pipeline.geometry.boxes import iou_2d
 from pipeline.labels.cases import HIT, FrameCases, read_cases
 from pipeline.system.errors import InputError
@@ -20,7 +20,7 @@ LOOKED_AT = 64
 """Frames that are looked at, spread evenly over those with expressions: to detect in all would double the cost."""
 
 
-def right_scores(source: Source, context: FrameContext, truth: FrameCases) -> np.ndarray:
+def right_scores(source: Pipeline, context: PreparedFrame, truth: FrameCases) -> np.ndarray:
     """(M,) float64: scores of all candidates that are objects of the class that was asked for, over a frame's names."""
     detector = source.needed_detector()
     calibration = None if detector.exact else source.config.score_calibration
@@ -38,12 +38,12 @@ def right_scores(source: Source, context: FrameContext, truth: FrameCases) -> np
     return np.concatenate(found)
 
 
-def median_confidence(source: Source, labels: Labels, looked_at: int = LOOKED_AT) -> tuple[float | None, int]:
+def median_confidence(source: Pipeline, labels: Labels, looked_at: int = LOOKED_AT) -> tuple[float | None, int]:
     """The median score of right candidates and how many there were; None where there was none.
 
     Parameters
     ----------
-    source : Source
+    source : Pipeline
     labels : Labels
     looked_at : int
         Frames that are looked at, spread evenly.
@@ -59,7 +59,7 @@ def median_confidence(source: Source, labels: Labels, looked_at: int = LOOKED_AT
     for index in chosen.tolist():
         for truth in read_cases(labels, index, index + 1):
             try:
-                context = frame_context(source.dataset, source.dataset.load(truth.frame), source.config.lift)
+                context = prepare_frame(source.dataset, source.dataset.load(truth.frame), source.config.lift)
                 found.append(right_scores(source, context, truth))
             except InputError:
                 continue

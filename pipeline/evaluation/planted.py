@@ -32,8 +32,8 @@ from typing import Any
 import numpy as np
 
 from pipeline.answering.answering import FrameAnswers
-from pipeline.answering.objects import FrameContext, frame_context
-from pipeline.answering.source import Source
+from pipeline.answering.objects import PreparedFrame, prepare_frame
+from pipeline.answering.opening import Pipeline
 from pipeline.diagnosis.frame_evidence import FrameEvidence
 from pipeline.diagnosis.verdict import Diagnosis, diagnose
 from pipeline.evaluation.planted_parts import (
@@ -84,8 +84,8 @@ AWAY_IOU = 0.3
 class Planted:
     """A pipeline and a label with one fault, for one expression."""
 
-    source: Source
-    context: FrameContext
+    source: Pipeline
+    context: PreparedFrame
     truth: FrameCases
     case: Case
     mark: str | None = None
@@ -111,14 +111,14 @@ class Outcome:
     diagnosis: Diagnosis
 
 
-def clean_source(source: Source, seed: int = 0) -> Source:
+def clean_source(source: Pipeline, seed: int = 0) -> Pipeline:
     """The source with a detector that is right."""
     truth = AnnotationDetector(source.dataset.class_names, source.synonyms)
     return replace(source, detector=PlantedDetector(truth, seed), open_unfiltered=None)
 
 
 def plant(
-    module: str, kind: str, source: Source, context: FrameContext, truth: FrameCases, case: Case, seed: int = 0
+    module: str, kind: str, source: Pipeline, context: PreparedFrame, truth: FrameCases, case: Case, seed: int = 0
 ) -> Planted | None:
     """Break one module for one expression; None where this expression leaves nothing to break in that way.
 
@@ -126,7 +126,7 @@ def plant(
     ----------
     module, kind : str
         As in KINDS.
-    source : Source
+    source : Pipeline
         A clean one.
     context, truth, case
         The frame and the expression.
@@ -164,7 +164,7 @@ def judge(planted: Planted, class_names: Sequence[str]) -> tuple[dict[str, Any],
 
 
 def planted_failures(
-    source: Source,
+    source: Pipeline,
     labels: Labels,
     *,
     kinds: dict[str, tuple[str, ...]] | None = None,
@@ -176,7 +176,7 @@ def planted_failures(
 
     Parameters
     ----------
-    source : Source
+    source : Pipeline
         Gives the dataset, the relation scorer and the configuration; its detector is not used.
     labels : Labels
         Of that dataset, from its annotations.
@@ -191,7 +191,7 @@ def planted_failures(
     clean = clean_source(source, seed)
     class_names = class_names_of(labels)
     for truth in read_cases(labels, 0, 2**31 - 1 if stop is None else stop):
-        context = frame_context(clean.dataset, clean.dataset.load(truth.frame), clean.config.lift)
+        context = prepare_frame(clean.dataset, clean.dataset.load(truth.frame), clean.config.lift)
         for case in truth.cases[::every]:
             row, _ = judge(Planted(clean, context, truth, case), class_names)
             if not row["correct"]:
@@ -217,7 +217,7 @@ def confusion(outcomes: Iterable[Outcome]) -> dict[tuple[str, str], Counter[str]
 _NameEdit = Callable[[Frame, Proposals], Proposals]
 
 
-def _edited(source: Source, edits: dict[str, _NameEdit], *, key: str = "", least: float = 0.0) -> Source:
+def _edited(source: Pipeline, edits: dict[str, _NameEdit], *, key: str = "", least: float = 0.0) -> Pipeline:
     """The source with the detections of some names edited."""
 
     def edit(frame: Frame, name: str, found: Proposals) -> Proposals:
@@ -241,7 +241,7 @@ def _others(truth: FrameCases, right: np.ndarray, name_object: int, seed: int, *
 
 
 def _missing(
-    module: str, kind: str, source: Source, context: FrameContext, truth: FrameCases, case: Case
+    module: str, kind: str, source: Pipeline, context: PreparedFrame, truth: FrameCases, case: Case
 ) -> Planted | None:
     pairs = truth.acceptable_pairs(case)
     name, example = (case.target, case.target_object) if module == "OPM-TARGET" else (
@@ -266,7 +266,7 @@ def _missing(
 
 
 def _misplaced(
-    kind: str, source: Source, context: FrameContext, truth: FrameCases, case: Case, seed: int
+    kind: str, source: Pipeline, context: PreparedFrame, truth: FrameCases, case: Case, seed: int
 ) -> Planted:
     asked = truth.alike[case.target_object] | truth.alike[case.reference_object]
     ids = truth.numbers[asked]
@@ -283,7 +283,7 @@ def _misplaced(
 
 
 def _mistaken(
-    kind: str, source: Source, context: FrameContext, truth: FrameCases, case: Case, seed: int
+    kind: str, source: Pipeline, context: PreparedFrame, truth: FrameCases, case: Case, seed: int
 ) -> Planted | None:
     if truth.alike[case.target_object, case.reference_object]:
         return None
@@ -298,7 +298,7 @@ def _mistaken(
     return Planted(_edited(source, {name: edit}), context, truth, case)
 
 
-def _misread(kind: str, source: Source, context: FrameContext, truth: FrameCases, case: Case) -> Planted | None:
+def _misread(kind: str, source: Pipeline, context: PreparedFrame, truth: FrameCases, case: Case) -> Planted | None:
     target, relation, reference = case.target, case.relation, case.reference
     if kind == "swapped":
         if target == reference:
@@ -314,7 +314,7 @@ def _misread(kind: str, source: Source, context: FrameContext, truth: FrameCases
 
 
 def _mislabelled(
-    kind: str, source: Source, context: FrameContext, truth: FrameCases, case: Case, seed: int
+    kind: str, source: Pipeline, context: PreparedFrame, truth: FrameCases, case: Case, seed: int
 ) -> Planted | None:
     k = case.target_object
     if kind == "another":

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import xxhash
 
-from pipeline.answering.objects import FrameContext, SceneObject
+from pipeline.answering.objects import PreparedFrame, SceneObject
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.lifting import LiftedObject
@@ -120,17 +120,17 @@ class WrongScorer:
         return replace(found, probabilities=np.where(high[..., None], 1 - found.probabilities, found.probabilities))
 
 
-class ShiftedContext(FrameContext):
+class ShiftedContext(PreparedFrame):
     """A frame in which everything that is detected, but not what is true, is lifted to a wrong place.
 
     Parameters
     ----------
-    context : FrameContext
+    context : PreparedFrame
     shift : dict of int to (3,) float64
         Identity of a detection -> how far it is moved along right, up and forward, metres.
     """
 
-    def __init__(self, context: FrameContext, shift: dict[int, np.ndarray]) -> None:
+    def __init__(self, context: PreparedFrame, shift: dict[int, np.ndarray]) -> None:
         self.__dict__ |= context.__dict__
         self._shift = shift
 

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.answering.objects import FrameContext
-from pipeline.answering.source import Source
+from pipeline.answering.objects import PreparedFrame
+from pipeline.answering.opening import Pipeline
 from pipeline.evaluation.relation_systems import RelationSystem
 from pipeline.labels.reading import Labels
 from pipeline.language.relation_names import PAIRWISE
@@ -118,7 +118,7 @@ def _part(labels: Labels, table: str, names: Sequence[str], first: int, stop: in
     return column_arrays(found.select(list(names)))
 
 
-def labelled_detector(source: Source) -> Detector:
+def labelled_detector(source: Pipeline) -> Detector:
     """What finds the labelled objects in a frame: the run's own detector where it is exact, else the annotations."""
     if source.detector is not None and source.detector.exact:
         return source.detector
@@ -126,7 +126,7 @@ def labelled_detector(source: Source) -> Detector:
 
 
 def score_lifted(
-    source: Source, systems: Sequence[RelationSystem], pairs: FramePairs, context: FrameContext
+    source: Pipeline, systems: Sequence[RelationSystem], pairs: FramePairs, context: PreparedFrame
 ) -> list[np.ndarray]:
     """What each system says of the pairs, on the objects as the dataset's annotations and depth give them.
 

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.answering.source import Source
+from pipeline.answering.opening import Pipeline
 from pipeline.evaluation.relation_records import (
     FILE,
     RelationRecords,
@@ -79,7 +79,7 @@ def relation_sink(spec: EvalSpec, labels: Labels, folder: Path) -> Iterator[Rela
 
 
 def measure_relations(
-    spec: EvalSpec, source: Source, labels: Labels, folder: Path, bootstrap: BootstrapConfig | None = None
+    spec: EvalSpec, source: Pipeline, labels: Labels, folder: Path, bootstrap: BootstrapConfig | None = None
 ) -> RelationRun:
     """The tables of a run's relation records.
 

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.answering.objects import FrameContext
-from pipeline.answering.source import Source
+from pipeline.answering.objects import PreparedFrame
+from pipeline.answering.opening import Pipeline
 from pipeline.evaluation.relation_cases import FramePairs, read_pairs, score_lifted, score_stored
 from pipeline.evaluation.relation_systems import RelationSpec, RelationSystem, geometry_of_labels, open_systems
 from pipeline.labels.reading import Labels
@@ -111,7 +111,7 @@ class RelationPass:
         """The labelled pairs of the chosen frames in this range, by index."""
         return {f.key.index: f for f in read_pairs(self.labels, first, stop, self._chosen)}
 
-    def table(self, source: Source, pairs: FramePairs, context: FrameContext | None) -> pa.Table:
+    def table(self, source: Pipeline, pairs: FramePairs, context: PreparedFrame | None) -> pa.Table:
         """The rows of one frame; `context` is needed where `needs_frames`."""
         if self.needs_frames:
             assert context is not None

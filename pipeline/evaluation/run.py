@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from pipeline.answering.answering import FrameAnswers
-from pipeline.answering.objects import FrameContext, frame_context
-from pipeline.answering.source import Source, open_source
+from pipeline.answering.objects import PreparedFrame, prepare_frame
+from pipeline.answering.opening import Pipeline, open_pipeline
 from pipeline.answering.stage_clock import StageClock
 from pipeline.datasets.capabilities import load_picture
 from pipeline.diagnosis.columns import diagnosis_columns
@@ -53,7 +53,7 @@ class EvalSpec:
     dataset : str
     labels : str
     options : dict
-        Arguments of `jobs.open_source`: detector, model, srm, config, ...
+        Arguments of `jobs.open_pipeline`: detector, model, srm, config, ...
     system : str
         "pipeline"; "referring", the detector fed the whole expression; or "vlm".
     vlm : VlmOptions or None
@@ -84,9 +84,9 @@ class EvalSpec:
     verdicts: bool = True
     marks: dict[tuple[str, str], str] = field(default_factory=dict)
 
-    def open(self) -> tuple[Source, Labels]:
+    def open(self) -> tuple[Pipeline, Labels]:
         """The dataset with its models, and the labels."""
-        return open_source(self.dataset, **self.options), open_labels(self.labels)
+        return open_pipeline(self.dataset, **self.options), open_labels(self.labels)
 
 
 class Evaluator:
@@ -119,7 +119,7 @@ class Evaluator:
         self._chosen = chosen_ids(self.labels, spec.limit)
         self._parsed: dict[str, tuple[Query | None, str | None]] = {}
 
-    def frame(self, truth: FrameCases, context: FrameContext | None = None) -> list[dict[str, Any]]:
+    def frame(self, truth: FrameCases, context: PreparedFrame | None = None) -> list[dict[str, Any]]:
         """The records of a frame's expressions; the frame is loaded where it is not given.
 
         Raises
@@ -147,7 +147,7 @@ class Evaluator:
         if context is None:
             # No answer depends on 3D boxes: features that are made of boxes fit them to the points themselves.
             with self.clock.stage("lift"):
-                context = frame_context(self.source.dataset, frame, self.source.config.lift, boxes=False)
+                context = prepare_frame(self.source.dataset, frame, self.source.config.lift, boxes=False)
         names = dict.fromkeys(name for case in truth.cases for name in (case.target, case.reference))
         relations = {case.relation for case in truth.cases}
         answers = FrameAnswers(self.source, context, tuple(names), relations, self.clock)
@@ -206,7 +206,7 @@ class Evaluator:
             if self.relations is not None and index in pairs:
                 if self.relations.needs_frames:
                     frame = self.source.dataset.load(pairs[index].key.frame)
-                    context = frame_context(self.source.dataset, frame, self.source.config.lift)
+                    context = prepare_frame(self.source.dataset, frame, self.source.config.lift)
                 tables.append(self.relations.table(self.source, pairs[index], context))
             if index in cases:
                 rows += self.frame(cases[index], context)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 from pydantic import TypeAdapter, ValidationError
 
 from pipeline.answering.ask import AskConfig
-from pipeline.answering.source import Source, open_source
+from pipeline.answering.opening import Pipeline, open_pipeline
 from pipeline.datasets.demo import DEMO_NAME
 from pipeline.evaluation.run import EvalSpec
 from pipeline.evaluation.shared_makers import Share, shares_of_run
@@ -68,9 +68,9 @@ class Run:
         return read_records(self.folder)
 
     @cached_property
-    def source(self) -> Source:
-        """The dataset with the run's models; raises as `open_source`."""
-        return open_source(self.spec.dataset, **self.spec.options)
+    def source(self) -> Pipeline:
+        """The dataset with the run's models; raises as `open_pipeline`."""
+        return open_pipeline(self.spec.dataset, **self.spec.options)
 
     @cached_property
     def shares(self) -> tuple[Share, ...]:

@@ -19,7 +19,7 @@ from pipeline.system.errors import InputError
 from pipeline.system.onnx_session import file_hash
 
 if TYPE_CHECKING:
-    from pipeline.answering.source import Source
+    from pipeline.answering.opening import Pipeline
     from pipeline.evaluation.relation_systems import RelationSystem
     from pipeline.metrics.tables import Table
 
@@ -94,12 +94,12 @@ class Measured:
         return {"masks": masks, "scorer": self.scorer, "network": self.network, "rule_too": list(self.rule_too)}
 
 
-def measured_of(source: Source, labels: Labels, system: str = "pipeline") -> Measured:
+def measured_of(source: Pipeline, labels: Labels, system: str = "pipeline") -> Measured:
     """What of a source a run measures.
 
     Parameters
     ----------
-    source : Source
+    source : Pipeline
     labels : Labels
         Whose relations are asked.
     system : str

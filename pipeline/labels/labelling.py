@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import xxhash
 
-from pipeline.answering.objects import FrameContext, SceneObject, appearance_of
+from pipeline.answering.objects import PreparedFrame, SceneObject, appearance_of
 from pipeline.datasets import GivenExpression
 from pipeline.geometry.fitting import pca_box
 from pipeline.geometry.frame import Annotation, Frame
@@ -49,7 +49,7 @@ def broken_frame(frame_id: str, frame_index: int, scene: str, problem: str) -> F
 
 
 def label_objects(
-    context: FrameContext,
+    context: PreparedFrame,
     objects: Sequence[SceneObject],
     config: LabelConfig,
     *,
@@ -64,7 +64,7 @@ def label_objects(
 
     Parameters
     ----------
-    context : FrameContext
+    context : PreparedFrame
     objects : sequence of SceneObject
         In any order; those of one detector.
     config : LabelConfig
@@ -113,7 +113,7 @@ def label_objects(
 
 
 def judge_list(
-    context: FrameContext, objects: Sequence[SceneObject], config: LabelConfig, network: OnnxScorer | None = None
+    context: PreparedFrame, objects: Sequence[SceneObject], config: LabelConfig, network: OnnxScorer | None = None
 ) -> Judged:
     """Every ordered pair of objects as it is labelled: by the rules, in doubt where the geometry or a network is."""
     lifted = [o.lifted for o in objects]

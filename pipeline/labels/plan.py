@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline import __version__
-from pipeline.answering.source import Source, open_source
+from pipeline.answering.opening import Pipeline, open_pipeline
 from pipeline.datasets import Dataset, splits
 from pipeline.labels.config import LabelConfig
 from pipeline.labels.profiles import canonical_hash
@@ -33,16 +33,16 @@ _CAMERA = ("intrinsics", "depth_scale", "up", "level_at")
 
 @dataclass(frozen=True)
 class SourceSpec:
-    """How a worker opens the dataset and its models: the arguments of `jobs.open_source`, as plain values."""
+    """How a worker opens the dataset and its models: the arguments of `jobs.open_pipeline`, as plain values."""
 
     path: str
     options: dict[str, Any] = field(default_factory=dict)
 
-    def open(self, config: LabelConfig) -> Source:
+    def open(self, config: LabelConfig) -> Pipeline:
         """The dataset with its models; relations are judged by the rules, and so no network is loaded."""
         from pipeline.answering.ask import AskConfig
 
-        return open_source(self.path, srm="rule", config=AskConfig(lift=config.lift), **self.options)
+        return open_pipeline(self.path, srm="rule", config=AskConfig(lift=config.lift), **self.options)
 
     def absolute(self) -> SourceSpec:
         """The same with absolute paths: workers, and later readers of the plan, may stand in another folder."""
@@ -223,7 +223,7 @@ def input_changed(plan: Plan, out: str | Path) -> bool:
     return _input_hash(SourceSpec(plan.spec.path, camera).open(plan.config), out) != plan.input_hash
 
 
-def _input_hash(source: Source, out: str | Path | None) -> str:
+def _input_hash(source: Pipeline, out: str | Path | None) -> str:
     local = None if out is None or "://" in str(out) else Path(out).expanduser()
     return files_hash(source.dataset.root, local)
 

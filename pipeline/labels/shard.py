@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipeline.answering.objects import frame_context
-from pipeline.answering.source import Source
+from pipeline.answering.objects import prepare_frame
+from pipeline.answering.opening import Pipeline
 from pipeline.datasets import given_expressions
 from pipeline.datasets.base import scene_of
 from pipeline.labels.config import LabelConfig
@@ -63,14 +63,14 @@ class Labeller:
     Attributes
     ----------
     config : LabelConfig
-    source : Source
+    source : Pipeline
         The dataset and what finds objects in it.
     network : OnnxScorer or None
         The second opinion.
     """
 
     config: LabelConfig
-    source: Source
+    source: Pipeline
     network: OnnxScorer | None
 
 
@@ -89,7 +89,7 @@ def label_frame(labeller: Labeller, frame_id: str, frame_index: int, found: Prop
     detector = source.needed_detector()
     try:
         given = given_expressions(source.dataset, frame_id) if config.profile == GIVEN else ()
-        context = frame_context(source.dataset, source.dataset.load(frame_id), config.lift)
+        context = prepare_frame(source.dataset, source.dataset.load(frame_id), config.lift)
         found = detector.detect(context.frame, None) if found is None else found
         if (np.diff(found.ids) < 0).any():
             found = found.take(np.argsort(found.ids, kind="stable"))
@@ -108,13 +108,13 @@ def label_frame(labeller: Labeller, frame_id: str, frame_index: int, found: Prop
     )
 
 
-def detect_shard(shard: Shard, source: Source) -> dict[str, Proposals]:
+def detect_shard(shard: Shard, source: Pipeline) -> dict[str, Proposals]:
     """What the detector finds in the frames of a shard; frames that cannot be used are left to the labelling."""
     detector = source.needed_detector()
     found = {}
     for frame_id in shard.frames:
         try:
-            found[frame_id] = detector.detect(frame_context(source.dataset, source.dataset.load(frame_id)).frame, None)
+            found[frame_id] = detector.detect(prepare_frame(source.dataset, source.dataset.load(frame_id)).frame, None)
         except InputError:
             continue
     return found

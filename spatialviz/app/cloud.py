@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.answering.objects import FrameContext
+from pipeline.answering.objects import PreparedFrame
 from pipeline.geometry.camera import lift_pixels
 from pipeline.geometry.lifting import flying_pixels
 
@@ -43,7 +43,7 @@ class Cloud:
     stride: int
 
 
-def cloud_of(context: FrameContext) -> Cloud:
+def cloud_of(context: PreparedFrame) -> Cloud:
     """The cloud of a frame, without pixels that fly between two surfaces."""
     frame, viewer = context.frame, context.viewer
     to_show = np.stack([viewer.right, viewer.forward, viewer.up])

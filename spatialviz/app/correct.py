@@ -9,16 +9,16 @@ import viser
 
 from pipeline.corrections.cards import ASKED_BEYOND_M, PairCard, RelationLine, pair_card
 from pipeline.corrections.consequences import consequences
-from pipeline.corrections.desk import Desk, Outcome
 from pipeline.corrections.expression_cards import expression_cards
-from pipeline.corrections.journal.cells import LONGEST_NAME, plain_text, relation_cell
 from pipeline.corrections.journal.edits import Edits, judge_relation, set_relation, settle
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Conflict, Event, Saved
+from pipeline.corrections.journal.field_refs import LONGEST_NAME, plain_text, relation_cell
+from pipeline.corrections.label_editor import LabelEditor, Outcome
 from pipeline.corrections.scene import labelled_objects
 from pipeline.corrections.wording import said_events, said_outcome
 from pipeline.system.errors import InputError
-from spatialviz.app.label_view import LabelView, Wanted
+from spatialviz.app.label_view import LabelView, Target
 from spatialviz.app.layout import Page
 from spatialviz.app.place import Place
 from spatialviz.app.review_html import pair_html, review_head_html
@@ -51,7 +51,7 @@ class Correct:
         self,
         client: viser.ClientHandle,
         page: Page,
-        desks: Mapping[str, Callable[[], Desk]],
+        desks: Mapping[str, Callable[[], LabelEditor]],
         *,
         state: Callable[[], State],
         take: Callable[[State], None],
@@ -63,12 +63,12 @@ class Correct:
         self._client, self._page, self._openers = client, page, desks
         self._state, self._take, self._draw, self._ask, self._note = state, take, draw, ask, note
         self._open_frame = open_frame
-        self._desks: dict[str, Desk] = {}
+        self._desks: dict[str, LabelEditor] = {}
         self._author = ""
         self.keeps_name = False
         self.on_conflict: Callable[[], None] = lambda: None
         self.on_doubt: Callable[[PairCard, RelationLine, int], None] = lambda card, line, state: None
-        self._wanted: Wanted | None = None
+        self._wanted: Target | None = None
         self._listeners: list[Callable[[tuple[Event, ...]], None]] = []
         self._said: tuple[str, bool] = "", False
 
@@ -88,11 +88,11 @@ class Correct:
     # ---- what is shown ----------------------------------------------------------------
 
     @property
-    def desk(self) -> Desk | None:
+    def desk(self) -> LabelEditor | None:
         """The desk of the source that is looked at, opened when it is first needed."""
         return self._opened(self._state().source)
 
-    def _opened(self, name: str) -> Desk | None:
+    def _opened(self, name: str) -> LabelEditor | None:
         if name not in self._desks and name in self._openers:
             self._desks[name] = self._openers[name]()
             self._desks[name].author = self._author or self._desks[name].author
@@ -109,7 +109,7 @@ class Correct:
         return rest
 
     @property
-    def open_desk(self) -> Desk | None:
+    def open_desk(self) -> LabelEditor | None:
         """The desk of the source that is looked at, where it was needed before; any thread may ask."""
         return self._desks.get(self._state().source)
 
@@ -119,7 +119,7 @@ class Correct:
         return None if desk is None else desk.corrected(frame)
 
     def sign(self, author: str) -> None:
-        """Save what follows under another name; raises as `Desk.sign`."""
+        """Save what follows under another name; raises as `LabelEditor.sign`."""
         name = plain_text(author.strip(), "an author", LONGEST_NAME).strip()
         # All of them, or none.
         for desk in self._desks.values():
@@ -135,15 +135,15 @@ class Correct:
 
     def stay(self) -> None:
         """Have the frame that is opened next show its labels."""
-        self._wanted = Wanted("")
+        self._wanted = Target("")
 
     def look_at_said(self, said: str) -> None:
         """Show a pair: "a,b,relation,frame"."""
         parts = said.split(",", 3)
         if len(parts) == 4 and parts[0].isdecimal() and parts[1].isdecimal():
-            self.look_at(Wanted(parts[3], (int(parts[0]), int(parts[1])), parts[2] or None))
+            self.look_at(Target(parts[3], (int(parts[0]), int(parts[1])), parts[2] or None))
 
-    def look_at(self, wanted: Wanted) -> None:
+    def look_at(self, wanted: Target) -> None:
         """Show the labels of a frame, and in it a pair or an object."""
         self._wanted = wanted
         if wanted.frame == self._state().frame_id:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.answering.objects import SceneObject
-from pipeline.answering.source import Source
+from pipeline.answering.opening import Pipeline
 from pipeline.diagnosis.live import Judgement
 from pipeline.diagnosis.whatif import Edits
 from pipeline.diagnosis.whatif.box_numbers import box_numbers, with_numbers
@@ -22,7 +22,7 @@ PROFILE_SETTINGS = ("cone", "doubtful_cone", "dead_zone", "dead_zone_depth")
 WEIGHTS = ("target_weight", "reference_weight", "relation_weight")
 
 
-def edited_by(said: str, state: State, source: Source, keys: tuple[str, ...]) -> Edits:
+def edited_by(said: str, state: State, source: Pipeline, keys: tuple[str, ...]) -> Edits:
     """The edits of a state after one more.
 
     Parameters
@@ -77,7 +77,7 @@ def _box_of(state: State, keys: tuple[str, ...]) -> tuple[str, Box3D]:
     return key, entry.lifted.box
 
 
-def _place(state: State, source: Source, keys: tuple[str, ...], rest: list[str]) -> Edits:
+def _place(state: State, source: Pipeline, keys: tuple[str, ...], rest: list[str]) -> Edits:
     """center:AXIS:METRES, size:AXIS:METRES, yaw:DEGREES."""
     what, *numbers = rest
     key, box = _box_of(state, keys)
@@ -94,21 +94,21 @@ def _place(state: State, source: Source, keys: tuple[str, ...], rest: list[str])
     return state.edits.with_box(key, changed)
 
 
-def _hide(state: State, source: Source, keys: tuple[str, ...], rest: list[str]) -> Edits:
+def _hide(state: State, source: Pipeline, keys: tuple[str, ...], rest: list[str]) -> Edits:
     entry = None if state.selected is None else state.shown.objects[state.selected]
     if entry is not None and entry.id >= 0 and f"#{entry.id}" in state.edits.hidden:
         return state.edits.with_shown(f"#{entry.id}")
     return state.edits.with_hidden(_selected(state, keys)[0])
 
 
-def _confidence(state: State, source: Source, keys: tuple[str, ...], rest: list[str]) -> Edits:
+def _confidence(state: State, source: Pipeline, keys: tuple[str, ...], rest: list[str]) -> Edits:
     """confidence:NUMBER OF THE NAME:P."""
     assert state.trace is not None
     name = list(state.trace.candidates)[int(rest[0])]
     return state.edits.with_confidence(name, _selected(state, keys)[0], _number(rest[1]))
 
 
-def _relation(state: State, source: Source, keys: tuple[str, ...], rest: list[str]) -> Edits:
+def _relation(state: State, source: Pipeline, keys: tuple[str, ...], rest: list[str]) -> Edits:
     """relation:A:B:P, of the asked relation of two objects that are shown; without A and B of the chosen pair.
 
     A slider names its own pair: what is chosen moves on where the answer does, while the hand still holds the slider.
@@ -124,7 +124,7 @@ def _relation(state: State, source: Source, keys: tuple[str, ...], rest: list[st
     return state.edits.with_relation(state.trace.asked.relation, at[places[0]], at[places[1]], _number(value))
 
 
-def _mask(state: State, source: Source, keys: tuple[str, ...], rest: list[str]) -> Edits:
+def _mask(state: State, source: Pipeline, keys: tuple[str, ...], rest: list[str]) -> Edits:
     """mask:grow:PIXELS, mask:label, mask:swap, mask:rectangle:x0,y0,x1,y1."""
     key, entry = _selected(state, keys)
     assert state.loaded is not None
@@ -172,7 +172,7 @@ def _without_boxes(edits: Edits, *keys: str) -> Edits:
     return replace(edits, boxes={k: box for k, box in edits.boxes.items() if k not in keys})
 
 
-def _setting(state: State, source: Source, keys: tuple[str, ...], rest: list[str]) -> Edits:
+def _setting(state: State, source: Pipeline, keys: tuple[str, ...], rest: list[str]) -> Edits:
     """set:NAME:VALUE; a value that is that of the source is no edit."""
     name, value = rest
     edits = state.edits
@@ -199,7 +199,7 @@ def _known_scorer(name: str) -> str:
     return name
 
 
-_Edit = Callable[[State, Source, tuple[str, ...], list[str]], Edits]
+_Edit = Callable[[State, Pipeline, tuple[str, ...], list[str]], Edits]
 
 
 _EDITS: Mapping[str, _Edit] = {

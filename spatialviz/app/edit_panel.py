@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipeline.answering.source import Source
+from pipeline.answering.opening import Pipeline
 from pipeline.diagnosis.live import Judgement
 from pipeline.diagnosis.whatif.box_numbers import box_numbers
 from pipeline.diagnosis.whatif.decision_map import DecisionMap
@@ -56,7 +56,7 @@ def cost_html(state: State, undos: int) -> str:
     )
 
 
-def edit_html(state: State, source: Source, editable: bool, found: DecisionMap | None) -> str:
+def edit_html(state: State, source: Pipeline, editable: bool, found: DecisionMap | None) -> str:
     """Everything that can be edited; `editable` says whether the selected object is among it."""
     if state.trace is None:
         return ""
@@ -179,7 +179,7 @@ def _map(state: State, editable: bool, found: DecisionMap | None) -> str:
     )
 
 
-def _settings(state: State, source: Source) -> str:
+def _settings(state: State, source: Pipeline) -> str:
     edits, config = state.edits, source.config
     rank, profile = replace(config.rank, **edits.rank), replace(Profile(), **edits.profile)
     fields = []

@@ -12,8 +12,8 @@ import cv2
 import numpy as np
 
 from pipeline.answering.agreement.frames import Beside, beside
-from pipeline.answering.objects import FrameContext, SceneObject, all_objects, frame_context
-from pipeline.answering.source import Source
+from pipeline.answering.objects import PreparedFrame, SceneObject, all_objects, prepare_frame
+from pipeline.answering.opening import Pipeline
 from pipeline.datasets import Dataset
 from pipeline.datasets.given_up import with_frame_up
 from pipeline.datasets.up_text import Vector
@@ -44,7 +44,7 @@ class LoadedFrame:
 
     Attributes
     ----------
-    context : FrameContext
+    context : PreparedFrame
     objects : tuple of SceneObject
         Everything the detector finds in it; empty without a detector.
     problem : str
@@ -55,7 +55,7 @@ class LoadedFrame:
         What was said of up since the program began.
     """
 
-    context: FrameContext
+    context: PreparedFrame
     objects: tuple[SceneObject, ...]
     problem: str = ""
     beside: Beside | None = None
@@ -78,7 +78,7 @@ class LoadedFrame:
 class FrameStore:
     """Loads frames of named sources and keeps the latest few."""
 
-    def __init__(self, sources: dict[str, Source]) -> None:
+    def __init__(self, sources: dict[str, Pipeline]) -> None:
         self.sources = sources
         self._loaded: OrderedDict[tuple[str, str], LoadedFrame] = OrderedDict()
         self._thumbs: dict[tuple[str, str], tuple[str, str]] = {}
@@ -101,7 +101,7 @@ class FrameStore:
                 self._loaded.move_to_end(key)
                 return self._loaded[key]
         opened = self.sources[source]
-        context = frame_context(opened.dataset, opened.dataset.load(frame_id), opened.config.lift)
+        context = prepare_frame(opened.dataset, opened.dataset.load(frame_id), opened.config.lift)
         objects: tuple[SceneObject, ...] = ()
         problem, second = "", None
         if opened.detector is not None:

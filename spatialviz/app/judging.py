@@ -6,9 +6,9 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from pipeline.answering.ask import Trace
-from pipeline.answering.objects import FrameContext
+from pipeline.answering.objects import PreparedFrame
+from pipeline.answering.opening import Pipeline
 from pipeline.answering.ranking import RankConfig
-from pipeline.answering.source import Source
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.truth import answered_case, effective_mark, effective_truth, withdrawn_by
 from pipeline.diagnosis.live import Judgement, annotated_truth, judge_trace, labelled_case, labelled_truth
@@ -44,7 +44,7 @@ class Judge:
         self._runs, self._others, self._labels, self._corrected = runs, others, labels or {}, corrected
         self._kept: tuple[tuple[str, str, bytes], EffectiveFrame | None, FrameCases | None] | None = None
 
-    def truth(self, name: str, source: Source, context: FrameContext) -> FrameCases | None:
+    def truth(self, name: str, source: Pipeline, context: PreparedFrame) -> FrameCases | None:
         """What is true in a frame: by the run's labels or those that were named, else by the frame's annotations.
 
         Labels count as they were corrected by now.
@@ -72,8 +72,8 @@ class Judge:
     def judge(
         self,
         name: str,
-        source: Source,
-        context: FrameContext,
+        source: Pipeline,
+        context: PreparedFrame,
         trace: Trace,
         expression: str | None = None,
         rank: RankConfig | None = None,
@@ -99,7 +99,7 @@ class Judge:
             return str(error)
 
     def known(
-        self, name: str, context: FrameContext, truth: FrameCases | None, expression: str | None
+        self, name: str, context: PreparedFrame, truth: FrameCases | None, expression: str | None
     ) -> dict[str, Any]:
         """What a run knows of a labelled expression: its case, mark and confidence, as arguments of `judge_trace`."""
         run, corrected = self._runs.get(name), self._corrected(name, context.frame.id)
@@ -112,14 +112,14 @@ class Judge:
             "confidence": None if run is None else run.spec.confidence,
         }
 
-    def other(self, name: str, context: FrameContext, text: str, expression: str | None) -> OtherAnswer | None:
+    def other(self, name: str, context: PreparedFrame, text: str, expression: str | None) -> OtherAnswer | None:
         """What the run to compare with answers now, with its verdict by the same truth; None where there is none."""
         run = self._others.get(name)
         if run is None:
             return None
         try:
             source = run.source
-            own = context if source.config.lift == context.config else FrameContext(context.frame, source.config.lift)
+            own = context if source.config.lift == context.config else PreparedFrame(context.frame, source.config.lift)
             trace = source.ask(own, text)
         except InputError as error:
             return OtherAnswer(run.name, None, error=str(error))

@@ -10,8 +10,8 @@ from typing import Any
 
 import viser
 
-from pipeline.answering.objects import FrameContext
-from pipeline.answering.source import Source
+from pipeline.answering.objects import PreparedFrame
+from pipeline.answering.opening import Pipeline
 from pipeline.diagnosis.cases import Answered, answer, save_case
 from pipeline.diagnosis.whatif import edits_record
 from pipeline.diagnosis.whatif.state import ViewState, encode
@@ -58,7 +58,7 @@ class Keeping:
         self,
         client: viser.ClientHandle,
         dialog: Dialog,
-        sources: Mapping[str, Source],
+        sources: Mapping[str, Pipeline],
         runs: Mapping[str, Run],
         judge: Judge,
         opened_by: Sequence[str],
@@ -141,7 +141,7 @@ class Keeping:
         self._client.send_file_download(name, page.encode("utf-8", "replace"), save_immediately=True)
         self._note(f"report made: {name}")
 
-    def _given(self) -> tuple[Source, FrameContext, State, dict[str, Any]]:
+    def _given(self) -> tuple[Pipeline, PreparedFrame, State, dict[str, Any]]:
         """What is asked of which frame, and what is known of the truth."""
         state = self._state()
         if state.trace is None or state.loaded is None:

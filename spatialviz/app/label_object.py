@@ -10,12 +10,12 @@ import numpy as np
 import viser
 
 from pipeline.corrections.box_edits import fit_to_points, snap_to_support
-from pipeline.corrections.desk import Desk
-from pipeline.corrections.journal.cells import object_cell
 from pipeline.corrections.journal.edits import Edits, set_box, set_class, set_status
 from pipeline.corrections.journal.effective import Corrector
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Saved
+from pipeline.corrections.journal.field_refs import object_cell
+from pipeline.corrections.label_editor import LabelEditor
 from pipeline.corrections.moving import MovingBox
 from pipeline.corrections.object_card import back_to_automatic, bring_back, judgements, object_card
 from pipeline.corrections.vocabulary import Vocabulary, completions, vocabulary_of
@@ -117,7 +117,7 @@ class LabelObject:
 
     # ---- class ------------------------------------------------------------------------
 
-    def _vocabulary(self, desk: Desk) -> Vocabulary:
+    def _vocabulary(self, desk: LabelEditor) -> Vocabulary:
         source = self._state().source
         if source not in self._words:
             labels, dataset = desk.labels, desk.corrector.dataset

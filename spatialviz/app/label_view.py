@@ -13,7 +13,7 @@ from pipeline.corrections.review.items import ItemKey
 
 
 @dataclass(frozen=True)
-class Wanted:
+class Target:
     """What of the labels is to be looked at.
 
     Attributes

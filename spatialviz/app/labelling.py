@@ -10,8 +10,8 @@ from typing import Any
 import viser
 from platformdirs import user_data_path
 
-from pipeline.corrections.desk import Desk
 from pipeline.corrections.journal_place import JournalPlace
+from pipeline.corrections.label_editor import LabelEditor
 from pipeline.evaluation.run_folder import Run
 from spatialviz.app.bridge import Bridge
 from spatialviz.app.correct import Correct
@@ -87,8 +87,8 @@ class Labelling:
         handle: Callable[[str], None],
         note: Callable[[str], None],
     ) -> None:
-        def opener(name: str, place: JournalPlace) -> Callable[[], Desk]:
-            return lambda: Desk(place.labels, place, author or login_name(), store.sources[name].dataset)
+        def opener(name: str, place: JournalPlace) -> Callable[[], LabelEditor]:
+            return lambda: LabelEditor(place.labels, place, author or login_name(), store.sources[name].dataset)
 
         def whole() -> None:
             draw(False)

@@ -12,9 +12,9 @@ import viser
 from pipeline.corrections.draft import Draft, begun, come_apart, continued, edits_of_draft, fitted, rebased
 from pipeline.corrections.drawing.depth_region import TOLERANCE
 from pipeline.corrections.drawing.gestures import Canvas, Gesture, gesture_of, read_gesture
-from pipeline.corrections.journal.cells import same_value
 from pipeline.corrections.journal.edits import merge_objects
 from pipeline.corrections.journal.events import Conflict, Event
+from pipeline.corrections.journal.field_refs import same_value
 from pipeline.geometry.palette import depth_colors, hex_color
 from pipeline.system.errors import InputError
 from spatialviz.app.bridge import call_html

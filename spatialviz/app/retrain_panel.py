@@ -9,10 +9,10 @@ from pathlib import Path
 
 import viser
 
-from pipeline.answering.source import Source
+from pipeline.answering.opening import Pipeline
 from pipeline.corrections.journal_place import JournalPlace
 from pipeline.corrections.label_jobs import CANCELLED, Training
-from pipeline.corrections.review.circle import CircleJob
+from pipeline.corrections.review.retraining_run import RetrainingJob
 from pipeline.evaluation.run_folder import Run
 from pipeline.relations.installed import install_network
 from pipeline.system.errors import InputError
@@ -50,7 +50,7 @@ class RetrainPanel:
         self,
         client: viser.ClientHandle,
         page: Page,
-        sources: Mapping[str, Source],
+        sources: Mapping[str, Pipeline],
         runs: Mapping[str, Run],
         journals: Mapping[str, JournalPlace],
         folder: Path,
@@ -110,7 +110,7 @@ class RetrainPanel:
             return
         run = self._runs.get(name)
         place.jobs.train(
-            CircleJob(
+            RetrainingJob(
                 place.labels.root,
                 self._folder / f"{name}-{datetime.now():%Y%m%d-%H%M%S}",
                 None if place.where is None else str(place.where),

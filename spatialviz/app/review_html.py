@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pipeline.corrections.cards import PairCard, RelationLine
-from pipeline.corrections.desk import Desk
+from pipeline.corrections.label_editor import LabelEditor
 from pipeline.geometry.palette import palette
 from pipeline.language.relation_names import PHRASE
 from pipeline.relations.relations import F, T, U, letter
@@ -15,7 +15,7 @@ STATES = {T: ("T", GOOD, "true"), U: ("U", DOUBT, "undecided"), F: ("F", "#8a919
 MARKS = {"auto": "", "human": "by hand", "recomputed": "recomputed", "stale": "stale"}
 
 
-def review_head_html(state: State, opened: bool, desk: Desk | None) -> str:
+def review_head_html(state: State, opened: bool, desk: LabelEditor | None) -> str:
     """Whether labels are shown, under whose name they are corrected, what came of the last edit, and what waits.
 
     `desk` is None until labels are shown for the first time.
@@ -40,7 +40,7 @@ def review_head_html(state: State, opened: bool, desk: Desk | None) -> str:
     return panel(*parts)
 
 
-def _reviewer(desk: Desk | None) -> str:
+def _reviewer(desk: LabelEditor | None) -> str:
     if desk is None:
         return ""
     send = "sv('author:'+this.value)"

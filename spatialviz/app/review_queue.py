@@ -8,17 +8,17 @@ from contextlib import suppress
 from dataclasses import replace
 
 from pipeline.corrections.cards import PairCard, RelationLine
-from pipeline.corrections.journal.cells import Cell, object_cell
 from pipeline.corrections.journal.edits import Edits, judge_both_ways, judge_missing, set_status
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Event
+from pipeline.corrections.journal.field_refs import FieldRef, object_cell
 from pipeline.corrections.journal_place import JournalPlace
 from pipeline.corrections.label_jobs import CANCELLED, Making
-from pipeline.corrections.review.following import NOTHING, Mark, followed
 from pipeline.corrections.review.items import ItemKey
 from pipeline.corrections.review.ordering import BLOCK
 from pipeline.corrections.review.queue_job import QueueJob, second_setup
 from pipeline.corrections.review.worklist import Worklist
+from pipeline.corrections.review.worklist_refresh import NOTHING, Mark, refreshed_worklist
 from pipeline.corrections.scene import labelled_objects
 from pipeline.relations.relations import F, T, U, letter
 from pipeline.system.errors import InputError
@@ -26,7 +26,7 @@ from spatialviz.app.correct import Correct
 from spatialviz.app.dialog import Dialog
 from spatialviz.app.frames import FrameStore
 from spatialviz.app.keys import KEYS_OF_ONE
-from spatialviz.app.label_view import Wanted
+from spatialviz.app.label_view import Target
 from spatialviz.app.layout import Page
 from spatialviz.app.queue_html import KINDS, Asked, item_html, queue_html
 from spatialviz.app.review_html import doubt_html
@@ -194,7 +194,9 @@ class ReviewQueue:
         with suppress(InputError):
             journal = desk.place.to_read()
             if journal is not None:
-                work, self._newest[name] = followed(work, desk.corrector, journal, self._newest.get(name, NOTHING))
+                work, self._newest[name] = refreshed_worklist(
+                    work, desk.corrector, journal, self._newest.get(name, NOTHING)
+                )
                 self._works[name] = work
         return work
 
@@ -245,7 +247,7 @@ class ReviewQueue:
             ends = (row["a"], row["b"])
         numbers = tuple(n for n in ends if n is not None and n >= 0)
         relation = key.what if key.kind == "relation" else None
-        self._correct.look_at(Wanted(key.frame, numbers, relation, key))
+        self._correct.look_at(Target(key.frame, numbers, relation, key))
         self._prefetch(key)
 
     def _prefetch(self, key: ItemKey | None) -> None:
@@ -399,10 +401,10 @@ class ReviewQueue:
         return self._names[name]
 
 
-def status_cell(item: ItemKey) -> Cell:
+def status_cell(item: ItemKey) -> FieldRef:
     """The status of an item."""
     if item.kind == "relation":
-        return Cell("relation", item.frame, f"{item.a},{item.b}", f"{item.what}.status")
+        return FieldRef("relation", item.frame, f"{item.a},{item.b}", f"{item.what}.status")
     if item.kind == "object":
         return object_cell(item.frame, item.a, "status")
-    return Cell("expression", item.frame, item.what, "status")
+    return FieldRef("expression", item.frame, item.what, "status")

@@ -15,7 +15,7 @@ import viser
 import viser.transforms as vtf
 
 from pipeline.answering.objects import SceneObject
-from pipeline.datasets.fused_mesh import ContextMesh
+from pipeline.datasets.scene_mesh import ContextMesh
 from pipeline.geometry.boxes import EDGES, Box3D, ray_entry
 from pipeline.geometry.palette import RGB, Role, hex_color, palette
 from spatialviz.app.bridge import Tag

@@ -7,9 +7,9 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from pipeline.corrections.expression_cards import ExpressionCard, set_answer
-from pipeline.corrections.journal.cells import Cell
 from pipeline.corrections.journal.edits import Edits, set_ambiguous, set_mark, set_status, set_text
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
+from pipeline.corrections.journal.field_refs import FieldRef
 from pipeline.diagnosis.live import Judgement
 from pipeline.diagnosis.verdict import MARKS
 from pipeline.system.errors import InputError
@@ -150,7 +150,7 @@ class Sentences:
         author = "" if desk is None else desk.author
 
         def made(frame: EffectiveFrame, card: ExpressionCard) -> Edits:
-            cell = Cell("expression", card.frame, card.id, "status")
+            cell = FieldRef("expression", card.frame, card.id, "status")
             return set_status(frame, cell, None if card.said.get(author) == status else status, author=author)
 
         self._save(made)

@@ -14,9 +14,9 @@ from contextlib import redirect_stdout
 
 import viser
 
-from pipeline.answering.source import Source
+from pipeline.answering.opening import Pipeline
 from pipeline.corrections.journal_place import JournalPlace
-from pipeline.corrections.rescue import rescue
+from pipeline.corrections.unsaved_dump import dump_unsaved
 from pipeline.datasets.demo import DEMO_EXPRESSION, DEMO_NAME
 from pipeline.diagnosis.whatif.state import ViewState
 from pipeline.evaluation.run_folder import Run
@@ -30,7 +30,7 @@ from spatialviz.app.theme import apply_theme
 
 
 def start(
-    sources: dict[str, Source],
+    sources: dict[str, Pipeline],
     *,
     runs: Mapping[str, Run] | None = None,
     others: Mapping[str, Run] | None = None,
@@ -127,7 +127,7 @@ def _check_address(host: str, port: int) -> None:
 
 
 def serve(
-    sources: dict[str, Source],
+    sources: dict[str, Pipeline],
     *,
     runs: Mapping[str, Run] | None = None,
     others: Mapping[str, Run] | None = None,
@@ -187,7 +187,7 @@ def _end_in_order() -> None:
 
 def _say_unsaved(place: JournalPlace) -> None:
     """Say which corrections could not be saved, and how they can be later."""
-    for found in rescue(place):
+    for found in dump_unsaved(place):
         count = len(found.edits)
         print(
             f"spatialviz: {count} edit{'s' if count > 1 else ''} of {found.author} could not be saved: {found.problem}",

@@ -10,8 +10,8 @@ from datetime import datetime
 import viser
 
 from pipeline.answering.ask import Trace
+from pipeline.answering.opening import Pipeline
 from pipeline.answering.ranking import RankConfig
-from pipeline.answering.source import Source
 from pipeline.answering.suggestions import suggest_expressions
 from pipeline.answering.told_answer import holds
 from pipeline.corrections.journal_place import JournalPlace
@@ -185,7 +185,7 @@ class Session:
     def _take(self, state: State) -> None:
         self.state = state
 
-    def _source(self) -> Source:
+    def _source(self) -> Pipeline:
         return self._store.sources[self.state.source]
 
     def _exact(self) -> bool:

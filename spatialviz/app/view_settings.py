@@ -7,8 +7,8 @@ from dataclasses import replace
 
 import viser
 
-from pipeline.answering.source import Source
-from pipeline.datasets.fused_mesh import fuse_context
+from pipeline.answering.opening import Pipeline
+from pipeline.datasets.scene_mesh import fuse_context
 from pipeline.system.errors import FrameUnusable, MissingExtra
 from spatialviz.app import left
 from spatialviz.app.layout import Page
@@ -43,7 +43,7 @@ class ViewSettings:
         client: viser.ClientHandle,
         page: Page,
         scene: SceneView,
-        source: Callable[[], Source],
+        source: Callable[[], Pipeline],
         state: Callable[[], State],
         take: Callable[[State], None],
         draw: Callable[[], None],

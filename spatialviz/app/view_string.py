@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.answering.objects import SceneObject
-from pipeline.answering.source import Source
+from pipeline.answering.opening import Pipeline
 from pipeline.diagnosis.whatif.keys import detection_keys
 from pipeline.diagnosis.whatif.state import CameraView, Toggle, ViewState
 from spatialviz.app.scene import SceneFlags
@@ -24,14 +24,14 @@ SHIPPED_SCORERS = (None, "rule", "trained")
 
 
 def view_of(
-    state: State, source: Source, camera: tuple[CameraView, float] | None, run: str | None, expression: str | None
+    state: State, source: Pipeline, camera: tuple[CameraView, float] | None, run: str | None, expression: str | None
 ) -> ViewState:
     """What a client looks at.
 
     Parameters
     ----------
     state : State
-    source : Source
+    source : Pipeline
         Of the state.
     camera : (CameraView, float) or None
         Where the camera was turned to, and its field of view; None where it is as it was placed.
@@ -70,7 +70,7 @@ def with_settings(state: State, view: ViewState) -> State:
     return replace(state, **changed)
 
 
-def with_objects(state: State, source: Source, view: ViewState) -> State:
+def with_objects(state: State, source: Pipeline, view: ViewState) -> State:
     """The state with a view's selected object and chosen pair, as far as they are among its objects."""
     selected = next((object_place(state, source, key) for key in view.selection), None)
     pair = state.pair
@@ -80,7 +80,7 @@ def with_objects(state: State, source: Source, view: ViewState) -> State:
     return replace(state, selected=selected, pair=pair)
 
 
-def object_key(state: State, source: Source, place: int) -> str | None:
+def object_key(state: State, source: Pipeline, place: int) -> str | None:
     """The key of a shown object (`diagnosis.whatif.keys`); None where the detector does not find it as it is shown."""
     entry = state.shown.objects[place]
     if entry.id >= 0:
@@ -93,7 +93,7 @@ def object_key(state: State, source: Source, place: int) -> str | None:
     return next((key for key, same in zip(keys, alike(entry), strict=True) if same), None)
 
 
-def object_place(state: State, source: Source, key: str) -> int | None:
+def object_place(state: State, source: Pipeline, key: str) -> int | None:
     """The shown object of a key; None where there is none."""
     objects = state.shown.objects
     if key.startswith("#") and "/" not in key:
@@ -109,7 +109,7 @@ def object_place(state: State, source: Source, key: str) -> int | None:
 
 
 def _detections(
-    state: State, source: Source, name: str
+    state: State, source: Pipeline, name: str
 ) -> tuple[tuple[str, ...], Callable[[SceneObject], np.ndarray]]:
     """Keys of all that the detector finds of a name, and which of them an object is."""
     if state.loaded is None or source.detector is None:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 
-from pipeline.answering.source import Source
+from pipeline.answering.opening import Pipeline
 from pipeline.diagnosis.whatif import Edits
 from pipeline.diagnosis.whatif.state import ViewState, decode, encode
 from pipeline.evaluation.run_folder import Run
@@ -58,7 +58,7 @@ class ViewStrings:
     def __init__(
         self,
         dialog: Dialog,
-        sources: Mapping[str, Source],
+        sources: Mapping[str, Pipeline],
         runs: Mapping[str, Run],
         panel: RunPanel,
         viewpoint: Viewpoint,

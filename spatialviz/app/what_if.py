@@ -11,8 +11,8 @@ import numpy as np
 import viser
 
 from pipeline.answering.ask import Trace
+from pipeline.answering.opening import Pipeline
 from pipeline.answering.ranking import RankConfig
-from pipeline.answering.source import Source
 from pipeline.diagnosis.live import Judgement
 from pipeline.diagnosis.whatif import Baseline, Edits, Outcome, rerun
 from pipeline.diagnosis.whatif.decision_map import DecisionMap, decision_map
@@ -61,7 +61,7 @@ class WhatIf:
         client: viser.ClientHandle,
         page: Page,
         scene: SceneView,
-        source: Callable[[], Source],
+        source: Callable[[], Pipeline],
         state: Callable[[], State],
         take: Callable[[State], None],
         draw: Callable[[bool], None],

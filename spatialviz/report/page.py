@@ -10,15 +10,15 @@ from pathlib import Path
 
 from pipeline import __version__
 from pipeline.answering.json_records import why_no_answer
-from pipeline.answering.objects import FrameContext
-from pipeline.answering.source import Source
+from pipeline.answering.objects import PreparedFrame
+from pipeline.answering.opening import Pipeline
 from pipeline.answering.told_answer import best_pair, told
 from pipeline.diagnosis.cases.answered import Answered
 from pipeline.diagnosis.live import Judgement
 from pipeline.language.lexicon import wording
 from pipeline.system.errors import InputError
 from pipeline.system.whole_files import temporary_beside, write_synced
-from spatialviz.report.cast import Cast, cast_of
+from spatialviz.report.answer_roles import AnswerRoles, answer_roles
 from spatialviz.report.picture_svg import picture_svg
 from spatialviz.report.style import STYLE
 from spatialviz.report.subject import Subject
@@ -31,21 +31,21 @@ POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data: blob:; fr
 
 
 def failure_page(
-    answered: Answered, source: Source, context: FrameContext, subject: Subject, scene: str | None = None
+    answered: Answered, source: Pipeline, context: PreparedFrame, subject: Subject, scene: str | None = None
 ) -> str:
     """The page of one answer as HTML.
 
     Parameters
     ----------
     answered : Answered
-    source : Source
+    source : Pipeline
         What answered.
-    context : FrameContext
+    context : PreparedFrame
     subject : Subject
     scene : str, optional
         A self-contained page of the scene in 3D, which is put into a frame of its own.
     """
-    cast = cast_of(answered)
+    cast = answer_roles(answered)
     judged = answered.judgement
     title = f"{answered.text} · {subject.frame}"
     body = [
@@ -103,7 +103,7 @@ def headline(answered: Answered) -> str:
     )
 
 
-def _header(answered: Answered, subject: Subject, cast: Cast) -> str:
+def _header(answered: Answered, subject: Subject, cast: AnswerRoles) -> str:
     judged = answered.judgement
     if judged is None:
         chip = '<span class="verdict none">NO VERDICT</span>'
@@ -120,7 +120,7 @@ def _header(answered: Answered, subject: Subject, cast: Cast) -> str:
     )
 
 
-def _answer(answered: Answered, cast: Cast) -> str:
+def _answer(answered: Answered, cast: AnswerRoles) -> str:
     """The answer in words, with the numbers at its top."""
     trace = answered.trace
     best = None if trace is None else best_pair(trace)
@@ -146,7 +146,7 @@ def _expression(answered: Answered) -> str:
     )
 
 
-def _views(answered: Answered, context: FrameContext, cast: Cast, scene: str | None) -> str:
+def _views(answered: Answered, context: PreparedFrame, cast: AnswerRoles, scene: str | None) -> str:
     keys = _key("target", "target") + _key("reference", "reference")
     truth = _key("truth", "true", " dashed") if cast.true_masks else ""
     picture = f'<figure>{picture_svg(context.frame, cast)}<figcaption>{keys}{truth}</figcaption></figure>'
@@ -177,7 +177,7 @@ def _commands(subject: Subject) -> str:
 
 
 def _facts(
-    answered: Answered, source: Source, context: FrameContext, subject: Subject, judged: Judgement | None
+    answered: Answered, source: Pipeline, context: PreparedFrame, subject: Subject, judged: Judgement | None
 ) -> str:
     config = source.config
     rank = config.rank

@@ -12,7 +12,7 @@ from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.camera import Camera
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.palette import Role
-from spatialviz.report.cast import Cast
+from spatialviz.report.answer_roles import AnswerRoles
 from spatialviz.report.picture import box_edges_2d
 
 WIDEST = 1280
@@ -23,7 +23,7 @@ _GLYPH = 0.53
 """Mean width of a letter over the size of the type."""
 
 
-def picture_svg(frame: Frame, cast: Cast) -> str:
+def picture_svg(frame: Frame, cast: AnswerRoles) -> str:
     """Masks and 3D boxes of the answer, dashed outlines of what is true, and a tag on each."""
     width, height = frame.width, frame.height
     unit = width / 640
@@ -54,7 +54,7 @@ def picture_svg(frame: Frame, cast: Cast) -> str:
     return "".join([*parts, "</g></svg>"])
 
 
-def _true_places(cast: Cast) -> tuple[int | None, ...]:
+def _true_places(cast: AnswerRoles) -> tuple[int | None, ...]:
     return cast.true_places if len(cast.true_places) == len(cast.true_masks) else (None,) * len(cast.true_masks)
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from pipeline.answering.objects import FrameContext
+from pipeline.answering.objects import PreparedFrame
 from pipeline.diagnosis.cases.answered import Answered
 from pipeline.geometry.boxes import EDGES, Box3D
 from pipeline.geometry.camera import lift_pixels
@@ -18,7 +18,7 @@ from pipeline.geometry.palette import RGB, Role, palette
 from spatialviz.app.cloud import BAND_RATIO, FAR
 from spatialviz.app.origin import checked_origins
 from spatialviz.app.scene import CUBE, CUBE_FACES, FACE_OPACITY, LINE_WIDTH
-from spatialviz.report.cast import Cast, cast_of
+from spatialviz.report.answer_roles import AnswerRoles, answer_roles
 
 if TYPE_CHECKING:
     import viser
@@ -29,7 +29,7 @@ ASPECT = 1.6
 """Width over height of the part of the page that shows the scene."""
 
 
-def scene_html(answered: Answered, context: FrameContext) -> str:
+def scene_html(answered: Answered, context: PreparedFrame) -> str:
     """The scene as one HTML page of about 1.5 MB, drawn in the viewer's level frame, dark."""
     import viser
 
@@ -38,7 +38,7 @@ def scene_html(answered: Answered, context: FrameContext) -> str:
         return _with_server(viser.ViserServer(host="127.0.0.1", port=0, verbose=False), answered, context)
 
 
-def _with_server(server: viser.ViserServer, answered: Answered, context: FrameContext) -> str:
+def _with_server(server: viser.ViserServer, answered: Answered, context: PreparedFrame) -> str:
     try:
         axes = context.viewer
         to_show = np.stack([axes.right, axes.forward, axes.up])
@@ -47,14 +47,14 @@ def _with_server(server: viser.ViserServer, answered: Answered, context: FrameCo
         server.scene.configure_environment_map(hdri=None)
         server.scene.configure_default_lights(cast_shadow=False)
         points = _draw_cloud(server.scene, context, to_show)
-        _draw_boxes(server.scene, cast_of(answered), to_show)
+        _draw_boxes(server.scene, answer_roles(answered), to_show)
         _place_camera(server, points, context, to_show)
         return server.scene.as_html(dark_mode=True)
     finally:
         server.stop()
 
 
-def _draw_cloud(scene: viser.SceneApi, context: FrameContext, to_show: np.ndarray) -> np.ndarray:
+def _draw_cloud(scene: viser.SceneApi, context: PreparedFrame, to_show: np.ndarray) -> np.ndarray:
     """Surfaces in bands of depth, each with its point size; returns the shown points (N, 3)."""
     frame = context.frame
     usable = (frame.depth > 0) & (frame.depth < FAR) & ~flying_pixels(frame.depth)
@@ -75,7 +75,7 @@ def _draw_cloud(scene: viser.SceneApi, context: FrameContext, to_show: np.ndarra
     return points
 
 
-def _draw_boxes(scene: viser.SceneApi, cast: Cast, to_show: np.ndarray) -> None:
+def _draw_boxes(scene: viser.SceneApi, cast: AnswerRoles, to_show: np.ndarray) -> None:
     colors = palette(dark=True)
     by_role: dict[Role, list[Box3D]] = {}
     for place, entry in enumerate(cast.objects):
@@ -130,7 +130,7 @@ def _shown(box: Box3D, to_show: np.ndarray) -> Box3D:
     return Box3D(to_show @ box.center, to_show @ box.R, box.size)
 
 
-def _place_camera(server: viser.ViserServer, points: np.ndarray, context: FrameContext, to_show: np.ndarray) -> None:
+def _place_camera(server: viser.ViserServer, points: np.ndarray, context: PreparedFrame, to_show: np.ndarray) -> None:
     """Behind, above and to the left of the sensor, turned to the middle of what it saw."""
     forward = to_show @ np.array([0.0, 0.0, 1.0])
     middle = np.median(points, axis=0) if len(points) else forward * 2

@@ -7,8 +7,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from pipeline.answering.objects import FrameContext
-from pipeline.answering.source import Source
+from pipeline.answering.objects import PreparedFrame
+from pipeline.answering.opening import Pipeline
 from pipeline.diagnosis.cases.manifest import PROPOSALS
 from pipeline.diagnosis.cases.opening import OpenedCase
 from pipeline.system.errors import InputError
@@ -57,7 +57,7 @@ class Subject:
 
     @staticmethod
     def of_dataset(
-        path: str, source: Source, context: FrameContext, text: str, options: Sequence[str] = ()
+        path: str, source: Pipeline, context: PreparedFrame, text: str, options: Sequence[str] = ()
     ) -> Subject:
         """An expression on a frame of a dataset; `options` are those of the command line."""
         frame = context.frame.id

@@ -11,7 +11,7 @@ from pipeline.diagnosis.verdict import MODULE_OF
 from pipeline.language.lexicon import wording
 from pipeline.language.relation_names import PHRASE
 from pipeline.relations.relations import letter
-from spatialviz.report.cast import Cast
+from spatialviz.report.answer_roles import AnswerRoles
 
 SHOWN_PAIRS = 8
 _MODULES = (
@@ -48,7 +48,7 @@ def blamed_modules(judged: Judgement | None) -> frozenset[str]:
     return frozenset({MODULE_OF[judged.diagnosis.verdict]})
 
 
-def decomposition_html(judged: Judgement, cast: Cast) -> str:
+def decomposition_html(judged: Judgement, cast: AnswerRoles) -> str:
     """The answer against the best right pair, factor by factor, as contributions to the log score."""
     d = judged.diagnosis
     if d.winner is None or d.right is None or d.contributions is None:
@@ -116,7 +116,7 @@ def _missed_html(judged: Judgement) -> str:
     return '<dl class="facts">' + "".join(f"<dt>{k}</dt><dd>{v}</dd>" for k, v in rows) + "</dl>"
 
 
-def pairs_html(answered: Answered, cast: Cast) -> str:
+def pairs_html(answered: Answered, cast: AnswerRoles) -> str:
     """The ranked pairs with their factors; the best right pair too, where it stands lower."""
     trace = answered.trace
     if trace is None or trace.ranking is None or trace.ranking.degenerate:
@@ -157,7 +157,7 @@ def pairs_html(answered: Answered, cast: Cast) -> str:
     )
 
 
-def relations_html(answered: Answered, cast: Cast) -> str:
+def relations_html(answered: Answered, cast: AnswerRoles) -> str:
     """Every relation of the answer's pair, and of the best right pair, with the label's word."""
     trace, judged = answered.trace, answered.judgement
     if trace is None or cast.target is None or cast.reference is None:
@@ -189,7 +189,7 @@ def relations_html(answered: Answered, cast: Cast) -> str:
     )
 
 
-def _pair(cast: Cast, target: int, reference: int | None) -> str:
+def _pair(cast: AnswerRoles, target: int, reference: int | None) -> str:
     if reference is None or not all(0 <= place < len(cast.objects) for place in (target, reference)):
         return ""
     return f"{escape(cast.name(target))} / {escape(cast.name(reference))}"

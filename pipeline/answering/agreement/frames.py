@@ -14,8 +14,8 @@ from pipeline.answering.agreement.agreement import (
     layer_of_proposals,
 )
 from pipeline.answering.agreement.agreement_figures import AgreementFigures, figures
-from pipeline.answering.objects import FrameContext, SceneObject, all_objects
-from pipeline.answering.source import ALL_FRAMES, Skipped, Source, frame_range, skip_or_raise
+from pipeline.answering.objects import PreparedFrame, SceneObject, all_objects
+from pipeline.answering.opening import ALL_FRAMES, Pipeline, Skipped, frame_range, skip_or_raise
 from pipeline.geometry.frame import Frame
 from pipeline.language.naming import Synonyms
 from pipeline.proposals.base import Detector
@@ -36,7 +36,7 @@ def find_layer(
 
 
 def agree_frames(
-    source: Source,
+    source: Pipeline,
     frames: str = ALL_FRAMES,
     *,
     names: Sequence[str] | None = None,
@@ -48,10 +48,10 @@ def agree_frames(
 
     Parameters
     ----------
-    source : Source
+    source : Pipeline
         With a detector and another `beside` it.
     frames : str
-        As in `pipeline.answering.source.frame_range`.
+        As in `pipeline.answering.opening.frame_range`.
     names : sequence of str, optional
         What both are asked for. Default: everything that each knows.
     min_iou : float
@@ -128,7 +128,7 @@ class Beside:
         return (*otherwise, *((int(i), None) for i in found.only_a), *((None, int(j)) for j in found.only_b))
 
 
-def beside(source: Source, context: FrameContext, objects: Sequence[SceneObject]) -> Beside | None:
+def beside(source: Pipeline, context: PreparedFrame, objects: Sequence[SceneObject]) -> Beside | None:
     """What the detector beside the source's finds, and how far it agrees with these objects of the source's.
 
     Raises

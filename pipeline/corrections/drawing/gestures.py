@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from pipeline.answering.objects import FrameContext
+from pipeline.answering.objects import PreparedFrame
 from pipeline.corrections.drawing.depth_region import LEAST, MOST, TOLERANCE, Surface, grown_region, surface_of
 from pipeline.corrections.drawing.strokes import polygon_mask, rectangle_mask, stroke_mask
 from pipeline.system.errors import InputError
@@ -135,10 +135,10 @@ class Canvas:
 
     Attributes
     ----------
-    context : FrameContext
+    context : PreparedFrame
     """
 
-    context: FrameContext
+    context: PreparedFrame
     _surface: Surface | None = field(default=None, repr=False)
     _segmenter: Any = field(default=None, repr=False)
 

@@ -12,10 +12,10 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError,
 from pipeline.corrections.drawing.gestures import Canvas
 from pipeline.corrections.journal import edits as actions
 from pipeline.corrections.journal.batch_shapes import Mode, Shapes, combined
-from pipeline.corrections.journal.cells import OF_ALL, Cell, Kind, box_of, judged_item
 from pipeline.corrections.journal.effective import Corrector
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Conflict, Edit, Rival, Saved
+from pipeline.corrections.journal.field_refs import OF_ALL, FieldRef, Kind, box_of, judged_item
 from pipeline.corrections.journal.journal import Journal
 from pipeline.relations.relations import F, T, U
 from pipeline.system.errors import InputError
@@ -254,7 +254,7 @@ def edits_of(action: AnyAction, frame: EffectiveFrame, author: str, canvas: Canv
     if isinstance(a, Mark):
         return actions.set_mark(frame, a.expression, a.to, why)
     if isinstance(a, Value):
-        cell = Cell(a.kind, a.frame, a.key, a.field)
+        cell = FieldRef(a.kind, a.frame, a.key, a.field)
         if cell.kind == "review" and judged_item(cell.key)[0] not in (author.strip(), OF_ALL):
             raise InputError("a judgement of another person", got=judged_item(cell.key)[0], expected=author)
         return actions.set_value(frame, cell, a.to, why)
@@ -267,7 +267,7 @@ def _judged(action: Judge | Settle, frame: EffectiveFrame, author: str) -> tuple
         state = _STATES.get(action.to) if cell.kind == "relation" else None
         if state is None:
             return actions.settle(frame, cell, action.to, why)
-        now = frame.value(Cell("relation", cell.frame, cell.key, cell.field.removesuffix(".status")))
+        now = frame.value(FieldRef("relation", cell.frame, cell.key, cell.field.removesuffix(".status")))
         return actions.settle(frame, cell, "accepted" if state == now else "corrected", why, state)
     if cell.kind == "relation" and to is not None and to in _STATES:
         a, b = cell.numbers
@@ -275,14 +275,14 @@ def _judged(action: Judge | Settle, frame: EffectiveFrame, author: str) -> tuple
     return actions.judge(frame, cell, to, author, why)
 
 
-def _status_cell(action: OfItem) -> Cell:
+def _status_cell(action: OfItem) -> FieldRef:
     if action.object is not None:
-        return Cell("object", action.frame, str(action.object), "status")
+        return FieldRef("object", action.frame, str(action.object), "status")
     if action.expression is not None:
-        return Cell("expression", action.frame, action.expression, "status")
+        return FieldRef("expression", action.frame, action.expression, "status")
     if action.a is not None and action.b is not None and action.relation is not None:
-        return Cell("relation", action.frame, f"{action.a},{action.b}", f"{action.relation}.status")
-    return Cell("frame", action.frame, "", "status")
+        return FieldRef("relation", action.frame, f"{action.a},{action.b}", f"{action.relation}.status")
+    return FieldRef("frame", action.frame, "", "status")
 
 
 def apply_actions(

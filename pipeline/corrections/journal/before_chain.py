@@ -8,9 +8,9 @@ from collections.abc import Mapping, Sequence
 from datetime import datetime, timedelta, timezone
 from typing import Any, get_args
 
-from pipeline.corrections.journal.cells import LONGEST_NAME, LONGEST_TEXT, Cell, checked, plain_text
 from pipeline.corrections.journal.chain import Row, Verdict
 from pipeline.corrections.journal.events import CROCKFORD, Action
+from pipeline.corrections.journal.field_refs import LONGEST_NAME, LONGEST_TEXT, FieldRef, checked, plain_text
 from pipeline.system.errors import InputError
 
 _APART = timedelta(seconds=2)
@@ -52,7 +52,7 @@ def judged_alone(rows: Sequence[tuple[int, Row | None]]) -> Verdict:
 def _wrong(row: Row) -> str | None:
     """What is impossible in one event."""
     try:
-        cell = Cell(row["kind"], row["frame"], row["key"], row["field"])
+        cell = FieldRef(row["kind"], row["frame"], row["key"], row["field"])
         for value in (row["after"], *([] if row["before"] is None else [row["before"]])):
             if checked(cell, value) != value:
                 return "a value is not as it is kept"

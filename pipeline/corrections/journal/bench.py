@@ -16,8 +16,8 @@ from pathlib import Path
 from time import perf_counter
 from typing import Any
 
-from pipeline.corrections.journal.cells import Cell, relation_cell
 from pipeline.corrections.journal.events import Edit, Event, Saved
+from pipeline.corrections.journal.field_refs import FieldRef, relation_cell
 from pipeline.corrections.journal.journal import open_journal
 
 SHARED_CELLS = 20
@@ -76,7 +76,7 @@ def write_many(where: str, name: str, edits: int, report: Path, seed: int = 0, s
     """
     rng = random.Random(f"{seed} {name}")
     own = 3_000 + int(name) * 100_000
-    seen: dict[Cell, tuple[int, int | None]] = {}
+    seen: dict[FieldRef, tuple[int, int | None]] = {}
     with open_journal(where) as journal, open(report, "w", encoding="utf-8") as told:
         if start is not None:
             start.wait()
@@ -142,7 +142,7 @@ def judge(
     saved = [entry for entries in told for entry in entries if "saved" in entry]
     lost = sum(after.get(e["saved"], "nothing") != e["after"] for e in saved)
     acknowledged = {e["saved"] for e in saved}
-    chains: dict[Cell, list[Event]] = {}
+    chains: dict[FieldRef, list[Event]] = {}
     for event in events:
         chains.setdefault(event.cell, []).append(event)
     overwritten = 0

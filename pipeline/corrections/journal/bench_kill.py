@@ -17,8 +17,8 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.corrections.journal.bench import read_report
-from pipeline.corrections.journal.cells import object_cell, relation_cell
 from pipeline.corrections.journal.events import Conflict, Edit, Event, NotSaved, Saved
+from pipeline.corrections.journal.field_refs import object_cell, relation_cell
 from pipeline.corrections.journal.journal import Journal, open_journal
 
 FRAME = "scene/000000"

@@ -13,17 +13,17 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.corrections.journal.cells import (
+from pipeline.corrections.journal.effective_frame import EffectiveFrame
+from pipeline.corrections.journal.events import Edit
+from pipeline.corrections.journal.field_refs import (
     FIRST_NEW_OBJECT,
     OF_ALL,
-    Cell,
+    FieldRef,
     box_value,
     checked,
     object_cell,
     relation_cell,
 )
-from pipeline.corrections.journal.effective_frame import EffectiveFrame
-from pipeline.corrections.journal.events import Edit
 from pipeline.corrections.journal.judgements import judgement_cell
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.run_length import decode_run_length, encode_run_length
@@ -39,7 +39,7 @@ def set_class(frame: EffectiveFrame, number: int, label: str, reason: str = "") 
 
 
 def set_status(
-    frame: EffectiveFrame, cell: Cell, status: str | None, reason: str = "", author: str | None = None
+    frame: EffectiveFrame, cell: FieldRef, status: str | None, reason: str = "", author: str | None = None
 ) -> Edits:
     """Accept or reject an object, an expression, a frame, or a relation of a pair ("left.status"): see `STATUSES`.
 
@@ -161,12 +161,12 @@ def set_relation(
     return tuple(_edit(frame, cell, state, reason) for cell in cells)
 
 
-def judge(frame: EffectiveFrame, cell: Cell, status: str | None, author: str, reason: str = "") -> Edits:
+def judge(frame: EffectiveFrame, cell: FieldRef, status: str | None, author: str, reason: str = "") -> Edits:
     """What a reviewer says of an item, for this person alone; None takes it back. No label changes by it.
 
     Parameters
     ----------
-    cell : Cell
+    cell : FieldRef
         The status of an object, an expression, or of a relation ("left.status"). What is accepted of a relation is
         its state as it is now.
     """
@@ -182,11 +182,11 @@ def judge_relation(
 
     It is "accepted" where the label says so, else "corrected", and the label stays what it is: for a second opinion.
     """
-    cells = [Cell("relation", frame.frame, f"{a},{b}", f"{relation}.status")]
+    cells = [FieldRef("relation", frame.frame, f"{a},{b}", f"{relation}.status")]
     _check_judged(frame, cells[0])
     inverse = frame.setting.inverse(relation)
     if inverse is not None:
-        cells.append(Cell("relation", frame.frame, f"{b},{a}", f"{inverse}.status"))
+        cells.append(FieldRef("relation", frame.frame, f"{b},{a}", f"{inverse}.status"))
     return tuple(
         _judgement(frame, c, "accepted" if frame.value(_state_cell(c)) == state else "corrected", state, author, reason)
         for c in cells
@@ -194,14 +194,14 @@ def judge_relation(
 
 
 def judge_both_ways(
-    frame: EffectiveFrame, cell: Cell, status: str | None, author: str, reason: str = ""
+    frame: EffectiveFrame, cell: FieldRef, status: str | None, author: str, reason: str = ""
 ) -> Edits:
     """As `judge` of a relation, and of what says the same the other way round, unless the labels contradict it."""
     _check_judged(frame, cell)
     cells, inverse = [cell], frame.setting.inverse(cell.field.removesuffix(".status"))
     if inverse is not None:
         a, b = cell.numbers
-        mirror = Cell("relation", frame.frame, f"{b},{a}", f"{inverse}.status")
+        mirror = FieldRef("relation", frame.frame, f"{b},{a}", f"{inverse}.status")
         if frame.value(_state_cell(mirror)) == frame.value(_state_cell(cell)):
             cells.append(mirror)
     return tuple(e for c in cells for e in judge(frame, c, status, author, reason))
@@ -213,12 +213,12 @@ def judge_missing(frame: EffectiveFrame, what: str, status: str | None, author: 
     return (_edit(frame, cell, None if status is None else {"status": status}, reason),)
 
 
-def settle(frame: EffectiveFrame, cell: Cell, status: str, reason: str = "", state: int | None = None) -> Edits:
+def settle(frame: EffectiveFrame, cell: FieldRef, status: str, reason: str = "", state: int | None = None) -> Edits:
     """The last word on an item that reviewers judge differently: for all of them, and a judgement of none.
 
     Parameters
     ----------
-    cell : Cell
+    cell : FieldRef
         As of `judge`.
     state : int, optional
         Of a relation: what it is to be, T, U or F; the labels follow. Default: what it is.
@@ -236,11 +236,11 @@ def settle(frame: EffectiveFrame, cell: Cell, status: str, reason: str = "", sta
     return (*made, _judgement(frame, cell, status, state, OF_ALL, reason))
 
 
-def _state_cell(cell: Cell) -> Cell:
-    return Cell(cell.kind, cell.frame, cell.key, cell.field.removesuffix(".status"))
+def _state_cell(cell: FieldRef) -> FieldRef:
+    return FieldRef(cell.kind, cell.frame, cell.key, cell.field.removesuffix(".status"))
 
 
-def _check_judged(frame: EffectiveFrame, cell: Cell) -> None:
+def _check_judged(frame: EffectiveFrame, cell: FieldRef) -> None:
     if cell.kind not in ("object", "relation", "expression") or not cell.field.endswith("status"):
         raise InputError("only objects, relations and expressions are judged", got=str(cell))
     if cell.kind == "object":
@@ -250,7 +250,7 @@ def _check_judged(frame: EffectiveFrame, cell: Cell) -> None:
 
 
 def _judgement(
-    frame: EffectiveFrame, cell: Cell, status: str | None, state: int | None, author: str, reason: str
+    frame: EffectiveFrame, cell: FieldRef, status: str | None, state: int | None, author: str, reason: str
 ) -> Edit:
     a, b, what = -1, None, cell.key
     if cell.kind == "object":
@@ -305,10 +305,10 @@ def set_mark(frame: EffectiveFrame, expression: str, mark: str | None, reason: s
 
 def set_note(frame: EffectiveFrame, note: str | None, reason: str = "") -> Edits:
     """A note on the frame."""
-    return (_edit(frame, Cell("frame", frame.frame, "", "note"), note, reason),)
+    return (_edit(frame, FieldRef("frame", frame.frame, "", "note"), note, reason),)
 
 
-def set_value(frame: EffectiveFrame, cell: Cell, value: Any, reason: str = "") -> Edits:
+def set_value(frame: EffectiveFrame, cell: FieldRef, value: Any, reason: str = "") -> Edits:
     """Any one cell, as it is kept; nothing else is set with it."""
     if cell.kind == "object" and cell.field != "exists":
         return (_object_edit(frame, cell.numbers[0], cell.field, value, reason),)
@@ -317,12 +317,12 @@ def set_value(frame: EffectiveFrame, cell: Cell, value: Any, reason: str = "") -
     return (_edit(frame, cell, value, reason),)
 
 
-def reapply(frame: EffectiveFrame, cell: Cell, value: Any, reason: str = "") -> Edits:
+def reapply(frame: EffectiveFrame, cell: FieldRef, value: Any, reason: str = "") -> Edits:
     """Correct again what no longer applied since the labels were made again; as `set_value`."""
     return set_value(frame, cell, value, reason or "applied again")
 
 
-def _edit(frame: EffectiveFrame, cell: Cell, after: Any, reason: str) -> Edit:
+def _edit(frame: EffectiveFrame, cell: FieldRef, after: Any, reason: str) -> Edit:
     if cell.frame != frame.frame:
         raise InputError("an edit of another frame", got=cell.frame, expected=frame.frame)
     boxes = frame.auto.objects
@@ -336,7 +336,7 @@ def _object_edit(frame: EffectiveFrame, number: int, field: str, after: Any, rea
 
 
 def _expression_edit(frame: EffectiveFrame, expression: str, field: str, after: Any, reason: str) -> Edit:
-    cell = Cell("expression", frame.frame, expression, field)
+    cell = FieldRef("expression", frame.frame, expression, field)
     _check_expression(frame, cell)
     return _edit(frame, cell, after, reason)
 
@@ -348,12 +348,12 @@ def _row(frame: EffectiveFrame, number: int) -> dict[str, Any]:
     return row
 
 
-def _check_expression(frame: EffectiveFrame, cell: Cell) -> None:
+def _check_expression(frame: EffectiveFrame, cell: FieldRef) -> None:
     if cell.kind == "expression" and cell.key not in frame.auto.expressions:
         raise InputError(f"frame {frame.frame} has no such expression", got=repr(cell.key))
 
 
-def _check_pair(frame: EffectiveFrame, cell: Cell) -> None:
+def _check_pair(frame: EffectiveFrame, cell: FieldRef) -> None:
     if cell.kind != "relation":
         return
     relation = cell.field.removesuffix(".status")

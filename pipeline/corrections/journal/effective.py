@@ -9,10 +9,10 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from pipeline.corrections.journal.cells import Cell, judged_item
 from pipeline.corrections.journal.effective_expressions import Withdrawn
 from pipeline.corrections.journal.effective_frame import EffectiveFrame, effective_frame
 from pipeline.corrections.journal.events import Event
+from pipeline.corrections.journal.field_refs import FieldRef, judged_item
 from pipeline.corrections.journal.frame_rows import FrameIndex
 from pipeline.corrections.journal.journal import Journal
 from pipeline.corrections.journal.origins import provenance_schema
@@ -113,7 +113,7 @@ class EffectiveLabels:
     withdrawn: tuple[Withdrawn, ...]
     marks: dict[tuple[str, str], str]
     events: int
-    statuses: dict[Cell, Any]
+    statuses: dict[FieldRef, Any]
     last: str | None
     relifted: bool
 
@@ -218,7 +218,7 @@ def effective_tables(
     unapplied: list[Unapplied] = []
     withdrawn: list[Withdrawn] = []
     marks: dict[tuple[str, str], str] = {}
-    statuses: dict[Cell, Any] = {}
+    statuses: dict[FieldRef, Any] = {}
     for name in sorted(known, key=corrector.index.of_frame.__getitem__):
         found = corrector.frame(name, by_frame[name])
         changed = found.tables()

@@ -8,10 +8,10 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.corrections.journal.cells import Cell
 from pipeline.corrections.journal.effective_objects import CorrectedObjects
 from pipeline.corrections.journal.effective_pairs import CorrectedPairs
 from pipeline.corrections.journal.events import Event
+from pipeline.corrections.journal.field_refs import FieldRef
 from pipeline.corrections.journal.frame_rows import FrameRows, Pairs
 from pipeline.corrections.journal.origins import Origin, Origins
 from pipeline.corrections.journal.replay import Unapplied, all_gone, replay
@@ -66,8 +66,8 @@ class CorrectedExpressions:
     rows: dict[str, Row] = field(default_factory=dict)
     withdrawn: list[Withdrawn] = field(default_factory=list)
     marks: dict[str, str] = field(default_factory=dict)
-    versions: dict[Cell, int] = field(default_factory=dict)
-    statuses: dict[Cell, str] = field(default_factory=dict)
+    versions: dict[FieldRef, int] = field(default_factory=dict)
+    statuses: dict[FieldRef, str] = field(default_factory=dict)
     unapplied: list[Unapplied] = field(default_factory=list)
 
 
@@ -105,7 +105,7 @@ def correct_expressions(
     auto: FrameRows,
     objects: CorrectedObjects,
     pairs: CorrectedPairs,
-    cells: Mapping[Cell, Sequence[Event]],
+    cells: Mapping[FieldRef, Sequence[Event]],
     setting: Setting,
     origins: Origins,
     cause: Event | None,
@@ -136,7 +136,7 @@ def correct_expressions(
     for name in by_id.keys() - auto.expressions.keys():
         for column, events in by_id[name].items():
             after = all_gone(None, events, "there is no such expression any more")
-            found.versions[Cell("expression", auto.frame, name, column)] = after.version
+            found.versions[FieldRef("expression", auto.frame, name, column)] = after.version
             found.unapplied += after.unapplied
     return found
 
@@ -158,7 +158,7 @@ def _correct(
         reason = _follow(row, objects, pairs, setting, origins, followed)
     human: set[str] = set()
     for column in sorted(fields):
-        events, cell = fields[column], Cell("expression", auto.frame, name, column)
+        events, cell = fields[column], FieldRef("expression", auto.frame, name, column)
         trusted = column in OPEN_FIELDS and row[column] != was[column]
         after = replay(was[column] if column in OPEN_FIELDS else None, events, trusted=trusted)
         found.versions[cell] = after.version
@@ -184,7 +184,7 @@ def _correct(
             reason = f"its answers name object {missing[0]}, which there is no more"
         elif not row["acceptable"]:
             reason = "it has no answer"
-    if found.statuses.get(Cell("expression", auto.frame, name, "status")) == "rejected":
+    if found.statuses.get(FieldRef("expression", auto.frame, name, "status")) == "rejected":
         reason = "rejected"
     if reason is None:
         found.rows[name] = row

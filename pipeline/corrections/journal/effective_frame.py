@@ -6,7 +6,6 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Protocol
 
-from pipeline.corrections.journal.cells import FIELDS, Cell
 from pipeline.corrections.journal.effective_expressions import Withdrawn, correct_expressions
 from pipeline.corrections.journal.effective_objects import (
     BOX_COLUMNS,
@@ -19,6 +18,7 @@ from pipeline.corrections.journal.effective_objects import (
 )
 from pipeline.corrections.journal.effective_pairs import correct_pairs
 from pipeline.corrections.journal.events import Event
+from pipeline.corrections.journal.field_refs import FIELDS, FieldRef
 from pipeline.corrections.journal.frame_rows import FrameRows, Pairs
 from pipeline.corrections.journal.judgements import replayed_judgement
 from pipeline.corrections.journal.origins import Origin, Origins
@@ -92,8 +92,8 @@ class EffectiveFrame:
     expressions: dict[str, Row]
     withdrawn: tuple[Withdrawn, ...]
     marks: dict[str, str]
-    versions: dict[Cell, int]
-    statuses: dict[Cell, Any]
+    versions: dict[FieldRef, int]
+    statuses: dict[FieldRef, Any]
     unapplied: tuple[Unapplied, ...]
     origins: Origins
     setting: Setting
@@ -106,9 +106,9 @@ class EffectiveFrame:
     @property
     def stands(self) -> bool:
         """Whether the frame was not rejected as a whole."""
-        return self.statuses.get(Cell("frame", self.frame, "", "status")) != "rejected"
+        return self.statuses.get(FieldRef("frame", self.frame, "", "status")) != "rejected"
 
-    def value(self, cell: Cell) -> Any:
+    def value(self, cell: FieldRef) -> Any:
         """What a cell says now; None where there is no such entity."""
         if cell.field not in FIELDS[cell.kind]:
             return None
@@ -131,11 +131,11 @@ class EffectiveFrame:
         left_out = (w.row for w in self.withdrawn if w.id == name)
         return self.expressions.get(name) or next(left_out, None) or self.auto.expressions.get(name)
 
-    def version(self, cell: Cell) -> int:
+    def version(self, cell: FieldRef) -> int:
         """How many events a cell has: what an edit of it is based on."""
         return self.versions.get(cell, 0)
 
-    def origin(self, cell: Cell) -> Origin:
+    def origin(self, cell: FieldRef) -> Origin:
         """Where the value of a cell comes from."""
         table = {"object": "objects", "relation": "relations", "expression": "expressions", "frame": "frames",
                  "review": "reviews"}  # fmt: skip
@@ -186,7 +186,7 @@ def effective_frame(
     cause = max((e for e in events if e.cell in concerned), key=lambda e: e.id, default=None)
     expressions = correct_expressions(auto, objects, pairs, cells, setting, origins, cause)
     versions = {**objects.versions, **pairs.versions, **expressions.versions}
-    statuses: dict[Cell, Any] = {**objects.statuses, **pairs.statuses, **expressions.statuses}
+    statuses: dict[FieldRef, Any] = {**objects.statuses, **pairs.statuses, **expressions.statuses}
     unapplied = [*objects.unapplied, *pairs.unapplied, *expressions.unapplied]
     known = {n: row["bbox"] for n, row in auto.objects.items()}
     for cell, members in cells.items():

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-from pipeline.corrections.journal.cells import Cell, box_of, same_value
 from pipeline.corrections.journal.events import Event
+from pipeline.corrections.journal.field_refs import FieldRef, box_of, same_value
 from pipeline.corrections.journal.frame_rows import FrameRows
 from pipeline.corrections.journal.origins import Origin, Origins
 from pipeline.corrections.journal.replay import Replayed, Unapplied, all_gone, is_another, replay
@@ -55,13 +55,13 @@ class CorrectedObjects:
     human_bbox: set[int] = field(default_factory=set)
     renamed: dict[int, Event] = field(default_factory=dict)
     rejected_by: dict[int, Event] = field(default_factory=dict)
-    versions: dict[Cell, int] = field(default_factory=dict)
-    statuses: dict[Cell, str] = field(default_factory=dict)
+    versions: dict[FieldRef, int] = field(default_factory=dict)
+    statuses: dict[FieldRef, str] = field(default_factory=dict)
     unapplied: list[Unapplied] = field(default_factory=list)
 
 
 def correct_objects(
-    auto: FrameRows, cells: Mapping[Cell, Sequence[Event]], setting: Setting, origins: Origins
+    auto: FrameRows, cells: Mapping[FieldRef, Sequence[Event]], setting: Setting, origins: Origins
 ) -> CorrectedObjects:
     """Apply the corrections of objects; what follows from new pixels or a new box is left as it was.
 
@@ -95,7 +95,7 @@ def _correct(
     found: CorrectedObjects,
 ) -> None:
     def note(name: str, replayed: Replayed) -> Replayed:
-        found.versions[Cell("object", auto.frame, str(number), name)] = replayed.version
+        found.versions[FieldRef("object", auto.frame, str(number), name)] = replayed.version
         found.unapplied += replayed.unapplied
         return replayed
 
@@ -137,7 +137,7 @@ def _correct(
         for column in BOX_COLUMNS if name == "box" else (name,):
             automatic = None if created else auto.objects[number].get(column)
             origins.put("objects", str(number), column, Origin.of("human", after.event), automatic)
-    status = found.statuses.get(Cell("object", auto.frame, str(number), "status"))
+    status = found.statuses.get(FieldRef("object", auto.frame, str(number), "status"))
     (found.left_out if status == "rejected" else found.rows)[number] = row
 
 

@@ -7,9 +7,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from pipeline.corrections.journal.cells import Cell
 from pipeline.corrections.journal.effective_objects import CorrectedObjects
 from pipeline.corrections.journal.events import Event
+from pipeline.corrections.journal.field_refs import FieldRef
 from pipeline.corrections.journal.frame_rows import NO_STATE, FrameRows, Pairs
 from pipeline.corrections.journal.origins import Origin, Origins
 from pipeline.corrections.journal.replay import Unapplied, all_gone, is_another, replay, standing
@@ -44,8 +44,8 @@ class CorrectedPairs:
     human: np.ndarray
     stale: np.ndarray
     changed: bool = False
-    versions: dict[Cell, int] = field(default_factory=dict)
-    statuses: dict[Cell, str] = field(default_factory=dict)
+    versions: dict[FieldRef, int] = field(default_factory=dict)
+    statuses: dict[FieldRef, str] = field(default_factory=dict)
     unapplied: list[Unapplied] = field(default_factory=list)
 
 
@@ -53,7 +53,7 @@ def correct_pairs(
     auto: FrameRows,
     objects: CorrectedObjects,
     relifted: Pairs | None,
-    cells: Mapping[Cell, Sequence[Event]],
+    cells: Mapping[FieldRef, Sequence[Event]],
     setting: Setting,
     origins: Origins,
 ) -> CorrectedPairs:
@@ -120,7 +120,7 @@ def _follow(
 
 def _correct(
     found: CorrectedPairs,
-    cell: Cell,
+    cell: FieldRef,
     events: Sequence[Event],
     auto: FrameRows,
     objects: CorrectedObjects,
@@ -167,13 +167,13 @@ def _correct(
     origins.put("relations", cell.key, relation, Origin.of("human", after.event), automatic)
 
 
-def _ruled_out_before(cell: Cell, judged: Mapping[Cell, Sequence[Event]]) -> bool:
+def _ruled_out_before(cell: FieldRef, judged: Mapping[FieldRef, Sequence[Event]]) -> bool:
     """Whether a person had said what rules the cell's relation out (see `_exclude`) when it was corrected."""
     stands = standing(judged[cell])
     if cell.field not in _OPPOSITE or not stands:
         return False
     (a, b), first = cell.numbers, stands[0]
-    others = (Cell("relation", cell.frame, cell.key, _OPPOSITE[cell.field]), replace(cell, key=f"{b},{a}"))
+    others = (FieldRef("relation", cell.frame, cell.key, _OPPOSITE[cell.field]), replace(cell, key=f"{b},{a}"))
     return first.before == F and any(e.after == T and e.id < first.id for c in others for e in judged.get(c, ()))
 
 

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from datetime import datetime
 from typing import Any, Literal
 
-from pipeline.corrections.journal.cells import LONGEST_TEXT, Cell, checked, plain_text, shown_value
+from pipeline.corrections.journal.field_refs import LONGEST_TEXT, FieldRef, checked, plain_text, shown_value
 from pipeline.system.errors import InputError
 
 Action = Literal["edit", "undo", "redo"]
@@ -28,7 +28,7 @@ class Edit:
 
     Attributes
     ----------
-    cell : Cell
+    cell : FieldRef
     before, after : JSON value
         What the person saw, and what it is to be.
     base : int
@@ -39,7 +39,7 @@ class Edit:
         labels made again may give their numbers to other things.
     """
 
-    cell: Cell
+    cell: FieldRef
     before: Any
     after: Any
     base: int = 0
@@ -67,7 +67,7 @@ class Event:
     author : str
     time : datetime
         UTC.
-    cell : Cell
+    cell : FieldRef
     before, after : JSON value
     base, version : int
         The cell's version that it was made on, and the one that it made.
@@ -87,7 +87,7 @@ class Event:
     ulid: str
     author: str
     time: datetime
-    cell: Cell
+    cell: FieldRef
     before: Any
     after: Any
     base: int

@@ -13,7 +13,6 @@ from typing import Any
 import sqlalchemy as sa
 from sqlalchemy.exc import IntegrityError
 
-from pipeline.corrections.journal.cells import LONGEST_NAME, Cell, Kind, plain_text
 from pipeline.corrections.journal.chain import CONTENT, Head, chained, link
 from pipeline.corrections.journal.connection import (
     DATABASE_ERRORS,
@@ -29,6 +28,7 @@ from pipeline.corrections.journal.connection import (
 )
 from pipeline.corrections.journal.events import Action, Conflict, Edit, Event, NotSaved, Rival, Saved, new_ulid
 from pipeline.corrections.journal.examining import DamagedJournal, empty_file, examine, is_empty
+from pipeline.corrections.journal.field_refs import LONGEST_NAME, FieldRef, Kind, plain_text
 from pipeline.corrections.journal.schema import EVENTS, HEAD
 from pipeline.corrections.journal.taking_over import move_head
 from pipeline.labels.reading import Labels
@@ -237,14 +237,14 @@ class Journal:
             wanted = sa.select(sa.func.count()).select_from(EVENTS).where(EVENTS.c.project == self.project)
             return int(connection.execute(wanted).scalar_one())
 
-    def heads(self, cells: Sequence[Cell]) -> dict[Cell, Event]:
+    def heads(self, cells: Sequence[FieldRef]) -> dict[FieldRef, Event]:
         """The newest event of each of the cells that has any; InputError where the journal cannot be read."""
         with reading(self.engine) as connection:
             return self._heads(connection, cells)
 
-    def _heads(self, connection: sa.Connection, cells: Sequence[Cell]) -> dict[Cell, Event]:
+    def _heads(self, connection: sa.Connection, cells: Sequence[FieldRef]) -> dict[FieldRef, Event]:
         named = sa.tuple_(EVENTS.c.kind, EVENTS.c.frame, EVENTS.c.key, EVENTS.c.field)
-        found: dict[Cell, Event] = {}
+        found: dict[FieldRef, Event] = {}
         for first in range(0, len(cells), _AT_ONCE):
             wanted = [(c.kind, c.frame, c.key, c.field) for c in cells[first : first + _AT_ONCE]]
             newest = (
@@ -280,7 +280,7 @@ def _last(connection: sa.Connection) -> Head:
 
 
 def _event(row: sa.RowMapping) -> Event:
-    cell = Cell(row["kind"], row["frame"], row["key"], row["field"])
+    cell = FieldRef(row["kind"], row["frame"], row["key"], row["field"])
     plain = (
         "id", "ulid", "author", "time", "before", "after", "base", "version", "labels", "reason", "group", "action",
         "undo_of", "anchor",

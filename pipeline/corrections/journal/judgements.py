@@ -13,12 +13,12 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
-from pipeline.corrections.journal.cells import OF_ALL, Cell, judged_item, judged_key
 from pipeline.corrections.journal.events import Event
+from pipeline.corrections.journal.field_refs import OF_ALL, FieldRef, judged_item, judged_key
 from pipeline.corrections.journal.replay import Replayed, all_gone, is_another, replay
 
 
-def judgement_cell(frame: str, kind: str, a: int, b: int | None, what: str, author: str) -> Cell:
+def judgement_cell(frame: str, kind: str, a: int, b: int | None, what: str, author: str) -> FieldRef:
     """The cell of what someone says of an item, or, by OF_ALL, of what settles it.
 
     Parameters
@@ -38,10 +38,10 @@ def judgement_cell(frame: str, kind: str, a: int, b: int | None, what: str, auth
         There is no such item.
     """
     name = author.strip()
-    return Cell("review", frame, judged_key(name, kind, a, b, what), "settled" if name == OF_ALL else "said")
+    return FieldRef("review", frame, judged_key(name, kind, a, b, what), "settled" if name == OF_ALL else "said")
 
 
-def said_of_items(statuses: Mapping[Cell, Any]) -> dict[tuple[str, int, int | None, str], dict[str, str]]:
+def said_of_items(statuses: Mapping[FieldRef, Any]) -> dict[tuple[str, int, int | None, str], dict[str, str]]:
     """The status that each author gives, by kind, a, b and what of the item (see `judgement_cell`).
 
     Parameters
@@ -58,7 +58,7 @@ def said_of_items(statuses: Mapping[Cell, Any]) -> dict[tuple[str, int, int | No
 
 
 def replayed_judgement(
-    cell: Cell,
+    cell: FieldRef,
     events: Sequence[Event],
     boxes: Mapping[int, Any],
     objects: Collection[int],

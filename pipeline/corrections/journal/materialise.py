@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from pipeline import __version__
-from pipeline.corrections.journal.cells import shown_value
 from pipeline.corrections.journal.effective import EffectiveLabels, effective_tables
+from pipeline.corrections.journal.field_refs import shown_value
 from pipeline.corrections.journal.journal import Journal
 from pipeline.corrections.journal.records import who_and_what
 from pipeline.corrections.journal.replay import Unapplied

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.answering.objects import FrameContext, SceneObject, frame_context, pixels_inside
-from pipeline.corrections.journal.cells import box_of
+from pipeline.answering.objects import PreparedFrame, SceneObject, pixels_inside, prepare_frame
+from pipeline.corrections.journal.field_refs import box_of
 from pipeline.corrections.journal.frame_rows import FrameRows, Pairs
 from pipeline.corrections.journal.setting import Setting
 from pipeline.datasets import Dataset
@@ -53,18 +53,18 @@ class Relifter:
     dataset: Dataset
     setting: Setting
     ups: Mapping[str, LabelledUp]
-    _contexts: OrderedDict[str, FrameContext] = field(default_factory=OrderedDict, repr=False)
+    _contexts: OrderedDict[str, PreparedFrame] = field(default_factory=OrderedDict, repr=False)
     _lifted: dict[tuple[str, str, str], LiftedObject] = field(default_factory=dict, repr=False)
     _network: OnnxScorer | None = field(default=None, repr=False)
 
-    def context(self, frame: str) -> FrameContext:
+    def context(self, frame: str) -> PreparedFrame:
         """A frame of the dataset, ready to lift from; raises as `Dataset.load`."""
         if frame not in self._contexts:
             loaded = self.dataset.load(frame)
             if frame in self.ups:
                 up, source = self.ups[frame]
                 loaded = replace(loaded, camera=loaded.camera.with_up(np.array(up), source))
-            self._contexts[frame] = frame_context(self.dataset, loaded, self.setting.config.lift)
+            self._contexts[frame] = prepare_frame(self.dataset, loaded, self.setting.config.lift)
             while len(self._contexts) > FRAMES_KEPT:
                 gone, _ = self._contexts.popitem(last=False)
                 self._lifted = {key: value for key, value in self._lifted.items() if key[0] != gone}
@@ -102,7 +102,7 @@ class Relifter:
         found = {n: {name: values[k] for name, values in columns.items()} for k, n in enumerate(numbers)}
         return found, Pairs.of_columns(numbers, labels.relations)
 
-    def _object(self, context: FrameContext, row: Row, box: Any, human_bbox: bool) -> SceneObject:
+    def _object(self, context: PreparedFrame, row: Row, box: Any, human_bbox: bool) -> SceneObject:
         """An object as its row and corrections have it: its mask, else the pixels in its 3D box, else its 2D box."""
         frame, source = context.frame, row["mask_source"]
         bbox = np.array(row["bbox"], np.float32)
@@ -121,7 +121,7 @@ class Relifter:
             bbox = np.array([u.min(), v.min(), u.max() + 1, v.max() + 1], np.float32)
         return SceneObject(row["object"], row["label"], row["score"], bbox, mask, lifted)
 
-    def _lift(self, context: FrameContext, mask: np.ndarray, source: Any) -> LiftedObject:
+    def _lift(self, context: PreparedFrame, mask: np.ndarray, source: Any) -> LiftedObject:
         import xxhash
 
         key = context.frame.id, xxhash.xxh3_128_hexdigest(np.ascontiguousarray(mask).data), str(source)

@@ -8,8 +8,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from pipeline.corrections.journal.cells import Cell, same_value, shown_value
 from pipeline.corrections.journal.events import Event
+from pipeline.corrections.journal.field_refs import FieldRef, same_value, shown_value
 from pipeline.geometry.boxes import iou_2d
 
 ANCHOR_IOU = 0.5
@@ -110,9 +110,9 @@ def is_another(anchor: dict[str, list[float]], number: int, bbox: Sequence[float
     return was is not None and float(iou_2d(np.array([was]), np.array([bbox]))[0, 0]) < ANCHOR_IOU
 
 
-def by_cell(events: Iterable[Event]) -> dict[Cell, list[Event]]:
+def by_cell(events: Iterable[Event]) -> dict[FieldRef, list[Event]]:
     """Events of each cell, in the order of their versions."""
-    found: dict[Cell, list[Event]] = {}
+    found: dict[FieldRef, list[Event]] = {}
     for event in events:
         found.setdefault(event.cell, []).append(event)
     return {cell: sorted(members, key=lambda e: e.version) for cell, members in found.items()}

@@ -13,8 +13,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from pipeline.corrections.review.cells import Cells, read_cells
 from pipeline.corrections.review.items import ItemKey
+from pipeline.corrections.review.relation_labels import RelationLabels, read_cells
 from pipeline.labels.check.findings import Finding
 from pipeline.labels.reading import Labels
 from pipeline.language.relation_names import INVERSE
@@ -74,7 +74,7 @@ class ItemEvidence:
     label: str | None = None
 
 
-def network_evidence(cells: Cells, probability: np.ndarray, wrong: np.ndarray, least: float) -> CellEvidence:
+def network_evidence(cells: RelationLabels, probability: np.ndarray, wrong: np.ndarray, least: float) -> CellEvidence:
     """Labels that networks which have not learnt from them find wrong with at least this probability."""
     rows, columns = np.nonzero(wrong >= least)
     states = _letters(cells.states[rows, columns])
@@ -86,7 +86,7 @@ def network_evidence(cells: Cells, probability: np.ndarray, wrong: np.ndarray, l
     return CellEvidence(rows, columns, q, reason)
 
 
-def doubtful_evidence(cells: Cells, probability: np.ndarray) -> CellEvidence:
+def doubtful_evidence(cells: RelationLabels, probability: np.ndarray) -> CellEvidence:
     """Cells that the rule finds too close to call (U); the surer the networks are, the more is to be gained."""
     known = np.where(np.isnan(probability), 0.5, probability)
     rows, columns = np.nonzero(cells.states == U)
@@ -100,7 +100,7 @@ def doubtful_evidence(cells: Cells, probability: np.ndarray) -> CellEvidence:
     return CellEvidence(rows, columns, UNDECIDED * sure, reason)
 
 
-def margin_evidence(cells: Cells, least: float) -> CellEvidence:
+def margin_evidence(cells: RelationLabels, least: float) -> CellEvidence:
     """Labels near a threshold of the rule: half the chance that an error of MARGIN_SIGMA_M crosses it, for it leads to
     U and not to the opposite."""
     from scipy.special import ndtr
@@ -114,7 +114,9 @@ def margin_evidence(cells: Cells, least: float) -> CellEvidence:
     return CellEvidence(rows, columns, weight[rows, columns], reason)
 
 
-def linter_evidence(cells: Cells, findings: Iterable[Finding]) -> tuple[CellEvidence, tuple[ItemEvidence, ...], int]:
+def linter_evidence(
+    cells: RelationLabels, findings: Iterable[Finding]
+) -> tuple[CellEvidence, tuple[ItemEvidence, ...], int]:
     """The findings of `check_labels` by the labels that they are about.
 
     Returns
@@ -187,7 +189,9 @@ def _blamed_items(found: Finding) -> list[ItemEvidence]:
     return [ItemEvidence(ItemKey(found.frame, "expression", a, b, str(found.figures.get("id", ""))), weight, reason)]
 
 
-def disputed_evidence(labels: Labels, cells: Cells, other: Labels) -> tuple[CellEvidence, tuple[ItemEvidence, ...]]:
+def disputed_evidence(
+    labels: Labels, cells: RelationLabels, other: Labels
+) -> tuple[CellEvidence, tuple[ItemEvidence, ...]]:
     """What labels of the same dataset by another detector or run say otherwise.
 
     Objects are the same where their 2D boxes overlap best, either way, with an
@@ -196,7 +200,7 @@ def disputed_evidence(labels: Labels, cells: Cells, other: Labels) -> tuple[Cell
     Parameters
     ----------
     labels : Labels
-    cells : Cells
+    cells : RelationLabels
         Of these.
     other : Labels
     """
@@ -261,7 +265,6 @@ def matched_boxes(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     here = np.arange(len(first))
     mutual = (iou.argmax(axis=0)[best] == here) & (iou[here, best] >= SAME_BOX_IOU)
     return np.where(mutual, best, -1)
-
 
 
 def _letters(states: np.ndarray) -> np.ndarray:

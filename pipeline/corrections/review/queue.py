@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.corrections.review.cells import Cells, doubts_of_cells, read_cells
 from pipeline.corrections.review.evidence import (
     CellEvidence,
     ItemEvidence,
@@ -21,6 +20,7 @@ from pipeline.corrections.review.evidence import (
 )
 from pipeline.corrections.review.items import SETTLED, ItemKey
 from pipeline.corrections.review.out_of_fold import DoubtConfig, Doubts, doubt_labels
+from pipeline.corrections.review.relation_labels import RelationLabels, doubts_of_cells, read_cells
 from pipeline.corrections.review.reviewed import (
     automatic_version,
     disagreement_evidence,
@@ -154,7 +154,11 @@ def review_queue(
 
 
 def _relation_rows(
-    cells: Cells, parts: Sequence[CellEvidence], probability: np.ndarray, wrong: np.ndarray, settled: np.ndarray
+    cells: RelationLabels,
+    parts: Sequence[CellEvidence],
+    probability: np.ndarray,
+    wrong: np.ndarray,
+    settled: np.ndarray,
 ) -> dict[str, Any]:
     score = combined(parts, (len(cells), len(cells.relations)))
     row, column = np.nonzero((score >= LEAST) | settled)

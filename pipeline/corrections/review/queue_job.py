@@ -8,19 +8,19 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from pipeline.answering.source import Source
+from pipeline.answering.opening import Pipeline
 from pipeline.corrections.journal.journal import journal_of
 from pipeline.corrections.journal.setting import setting_of
 from pipeline.corrections.review.agreement import pair_agreements
-from pipeline.corrections.review.cells import read_cells
 from pipeline.corrections.review.detector_evidence import SecondDetector, detector_evidence
-from pipeline.corrections.review.following import NOTHING, Mark, mark_of
 from pipeline.corrections.review.items import with_states
 from pipeline.corrections.review.ordering import by_frame
 from pipeline.corrections.review.out_of_fold import DoubtConfig
 from pipeline.corrections.review.queue import QueueConfig, review_queue
+from pipeline.corrections.review.relation_labels import read_cells
 from pipeline.corrections.review.reviewed import Reviewed, reviewed_labels, states_on_labels
 from pipeline.corrections.review.worklist import write_queue
+from pipeline.corrections.review.worklist_refresh import NOTHING, Mark, mark_of
 from pipeline.datasets import Dataset
 from pipeline.labels.pictures import labelled_dataset
 from pipeline.labels.reading import Labels, open_labels
@@ -67,14 +67,14 @@ class QueueJob:
     called: str | None = None
 
 
-def second_setup(source: Source, labels: Labels) -> tuple[str, DetectorSetup] | None:
+def second_setup(source: Pipeline, labels: Labels) -> tuple[str, DetectorSetup] | None:
     """The detector that can say something new of labels: the one beside the source's, else the source's own.
 
     One that the labels were made from is none; None where there is no other.
 
     Returns
     -------
-    (its name, see `Source.sides`; what it is made from)
+    (its name, see `Pipeline.sides`; what it is made from)
     """
     said = labels.manifest.models.get("detector")
     own, other = source.sides

@@ -17,10 +17,10 @@ import numpy as np
 
 from pipeline.corrections.journal.journal import Journal
 from pipeline.corrections.journal.materialise import materialise
-from pipeline.corrections.review.cells import Cells, read_cells
 from pipeline.corrections.review.evidence import CellEvidence, ItemEvidence
 from pipeline.corrections.review.items import DISAGREED, SETTLED, ItemKey, State, item_keys
 from pipeline.corrections.review.out_of_fold import unstacked
+from pipeline.corrections.review.relation_labels import RelationLabels, read_cells
 from pipeline.corrections.review.states import Judgements, item_of, judgements_of
 from pipeline.datasets import Dataset
 from pipeline.labels.reading import Labels, open_labels
@@ -75,14 +75,14 @@ def reviewed_labels(labels: Labels, journal: Journal, folder: Path, dataset: Dat
     return Reviewed(open_labels(folder), judgements_of(events, automatic=automatic.get, ignored=ignored))
 
 
-def relation_states(cells: Cells, keys: set[ItemKey]) -> dict[ItemKey, int]:
+def relation_states(cells: RelationLabels, keys: set[ItemKey]) -> dict[ItemKey, int]:
     """T, U or F of those of the items that are relations of the labels and have a state."""
     wanted, rows, columns = _places(cells, keys)
     states = cells.states[rows, columns].tolist()
     return {key: state for key, state in zip(wanted, states, strict=True) if state in _LETTER}
 
 
-def _places(cells: Cells, keys: set[ItemKey]) -> tuple[list[ItemKey], np.ndarray, np.ndarray]:
+def _places(cells: RelationLabels, keys: set[ItemKey]) -> tuple[list[ItemKey], np.ndarray, np.ndarray]:
     wanted = [k for k in keys if k.kind == "relation" and k.what in cells.relations]
     rows = cells.rows_of([(k.frame, k.a, -1 if k.b is None else k.b) for k in wanted])
     columns = np.array([cells.relations.index(k.what) for k in wanted], np.int64)
@@ -90,7 +90,7 @@ def _places(cells: Cells, keys: set[ItemKey]) -> tuple[list[ItemKey], np.ndarray
     return [k for k, known in zip(wanted, there.tolist(), strict=True) if known], rows[there], columns[there]
 
 
-def states_on_labels(judgements: Judgements, cells: Cells) -> dict[ItemKey, State]:
+def states_on_labels(judgements: Judgements, cells: RelationLabels) -> dict[ItemKey, State]:
     """The state of each item over all; "unsure" of a relation whose label is not what people said of it.
 
     That is so where labels were made again, and where the only word on a label is that of a second opinion.
@@ -137,7 +137,7 @@ def without_gone(queue: pa.Table, labels: Labels, states: Mapping[ItemKey, State
     return queue.filter([stands(key) for key in keys])
 
 
-def settled_cells(cells: Cells, states: Mapping[ItemKey, State]) -> np.ndarray:
+def settled_cells(cells: RelationLabels, states: Mapping[ItemKey, State]) -> np.ndarray:
     """(P, R) bool: the relation labels that are settled."""
     found = np.zeros(cells.states.shape, np.bool_)
     _, rows, columns = _places(cells, {k for k, state in states.items() if state in SETTLED})
@@ -145,7 +145,7 @@ def settled_cells(cells: Cells, states: Mapping[ItemKey, State]) -> np.ndarray:
     return found
 
 
-def trusted_of_data(cells: Cells, settled: np.ndarray, data: LabelData) -> tuple[np.ndarray, ...]:
+def trusted_of_data(cells: RelationLabels, settled: np.ndarray, data: LabelData) -> tuple[np.ndarray, ...]:
     """(N, N, R) bool of each frame: settled cells in the order of the data's objects and relations."""
     columns = [cells.relations.index(r) for r in data.vocabulary]
     pairs = [
@@ -165,7 +165,9 @@ def without_settled(evidence: CellEvidence, settled: np.ndarray) -> CellEvidence
     return CellEvidence(evidence.rows[kept], evidence.columns[kept], evidence.weight[kept], evidence.reason[kept])
 
 
-def disagreement_evidence(cells: Cells, judgements: Judgements) -> tuple[CellEvidence, tuple[ItemEvidence, ...]]:
+def disagreement_evidence(
+    cells: RelationLabels, judgements: Judgements
+) -> tuple[CellEvidence, tuple[ItemEvidence, ...]]:
     """Items on which reviewers say different things, and what each says."""
     differ = {key: _who_says(judgements, key) for key in judgements.words if judgements.differ(key)}
     keys, rows, columns = _places(cells, set(differ))

@@ -20,8 +20,8 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Any
 
-from pipeline.corrections.journal.cells import Cell, judged_item, same_value
 from pipeline.corrections.journal.events import Event
+from pipeline.corrections.journal.field_refs import FieldRef, judged_item, same_value
 from pipeline.corrections.journal.journal import Journal
 from pipeline.corrections.journal.replay import by_cell
 from pipeline.corrections.review.items import NOBODY, SETTLED, ItemKey, State
@@ -149,7 +149,7 @@ def judgements_of(
     cells = by_cell(events)
     standing = {cell: [x for x in standing_at(members) if x[0].ulid not in ignored] for cell, members in cells.items()}
     settling = {e.group for cell, found in standing.items() if cell.field == "settled" for e, _ in found}
-    of_entity: dict[ItemKey, list[Cell]] = {}
+    of_entity: dict[ItemKey, list[FieldRef]] = {}
     for cell in cells:
         key = item_of(cell)
         if key is not None and _is_value(cell):
@@ -192,7 +192,7 @@ def standing_at(events: Sequence[Event]) -> list[tuple[Event, int]]:
     return found
 
 
-def item_of(cell: Cell) -> ItemKey | None:
+def item_of(cell: FieldRef) -> ItemKey | None:
     """The item that a cell is about; None of a frame's."""
     if cell.kind == "review":
         _, kind, a, b, what = judged_item(cell.key)
@@ -205,7 +205,7 @@ def item_of(cell: Cell) -> ItemKey | None:
     return ItemKey(cell.frame, "expression", NOBODY, None, cell.key) if cell.kind == "expression" else None
 
 
-def _is_value(cell: Cell) -> bool:
+def _is_value(cell: FieldRef) -> bool:
     return cell.kind != "review" and not cell.field.endswith("status") and cell.field != "mark"
 
 
@@ -213,8 +213,8 @@ def _word(
     event: Event,
     at: int,
     key: ItemKey,
-    cells: Mapping[Cell, Sequence[Event]],
-    of_entity: Sequence[Cell],
+    cells: Mapping[FieldRef, Sequence[Event]],
+    of_entity: Sequence[FieldRef],
     automatic: Labelled | None,
 ) -> Word:
     cell, after = event.cell, event.after
@@ -245,8 +245,8 @@ def _said_by(event: Event, automatic: Any) -> tuple[State, int | None]:
     return ("corrected" if changed else "accepted"), (after if cell.kind == "relation" else None)
 
 
-def _value_cell(key: ItemKey) -> Cell:
-    return Cell("relation", key.frame, f"{key.a},{key.b}", key.what)
+def _value_cell(key: ItemKey) -> FieldRef:
+    return FieldRef("relation", key.frame, f"{key.a},{key.b}", key.what)
 
 
 def _value_at(event: Event, key: ItemKey, values: Sequence[Event], automatic: Labelled | None) -> int | None:
@@ -259,7 +259,7 @@ def _value_at(event: Event, key: ItemKey, values: Sequence[Event], automatic: La
     return None if automatic is None else automatic(key)
 
 
-def _changed_before(event: Event, of_entity: Sequence[Cell], cells: Mapping[Cell, Sequence[Event]]) -> bool:
+def _changed_before(event: Event, of_entity: Sequence[FieldRef], cells: Mapping[FieldRef, Sequence[Event]]) -> bool:
     """Whether people had changed an object or expression when the event was saved."""
     for cell in of_entity:
         earlier = [e for e in cells[cell] if e.id <= event.id]

@@ -9,9 +9,9 @@ from typing import Any
 from pipeline.answering.answering import FrameAnswers
 from pipeline.answering.ask import Trace
 from pipeline.answering.json_records import trace_record
-from pipeline.answering.objects import FrameContext
+from pipeline.answering.objects import PreparedFrame
+from pipeline.answering.opening import Pipeline
 from pipeline.answering.ranking import RankConfig
-from pipeline.answering.source import Source
 from pipeline.diagnosis.frame_evidence import DEFAULT_CONFIDENCE, FrameEvidence
 from pipeline.diagnosis.live import Judgement, judge_trace, judgement_record
 from pipeline.diagnosis.verdict import diagnose
@@ -48,8 +48,8 @@ class Answered:
 
 
 def answer(
-    source: Source,
-    context: FrameContext,
+    source: Pipeline,
+    context: PreparedFrame,
     text: str,
     *,
     truth: FrameCases | None = None,
@@ -62,8 +62,8 @@ def answer(
 
     Parameters
     ----------
-    source : Source
-    context : FrameContext
+    source : Pipeline
+    context : PreparedFrame
     text : str
     truth : FrameCases, optional
     case, mark, confidence
@@ -93,7 +93,7 @@ def answer(
     return Answered(text, trace, None, judged)
 
 
-def edited_trace(source: Source, context: FrameContext, text: str, edits: Edited) -> tuple[Trace, RankConfig]:
+def edited_trace(source: Pipeline, context: PreparedFrame, text: str, edits: Edited) -> tuple[Trace, RankConfig]:
     """The answer under edits, and the weights it was ranked with.
 
     Raises
@@ -110,7 +110,7 @@ def edited_trace(source: Source, context: FrameContext, text: str, edits: Edited
 
 
 def _unasked(
-    source: Source, context: FrameContext, truth: FrameCases, case: Case, problem: str, mark: str | None
+    source: Pipeline, context: PreparedFrame, truth: FrameCases, case: Case, problem: str, mark: str | None
 ) -> Judgement:
     """The verdict on an expression that could not be asked."""
     query, unread = read_query(case, source.dataset.class_names)

@@ -8,8 +8,8 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-from pipeline.answering.objects import FrameContext
-from pipeline.answering.source import Source
+from pipeline.answering.objects import PreparedFrame
+from pipeline.answering.opening import Pipeline
 from pipeline.datasets.saved_case import MANIFEST, SavedCaseDataset, checked_file, read_manifest
 from pipeline.datasets.settings import Settings
 from pipeline.diagnosis.cases.answered import Answered, answer
@@ -33,7 +33,7 @@ class OpenedCase:
     table : dict
         The manifest as it stands in the file.
     expected : Expected
-    source : Source
+    source : Pipeline
     truth : FrameCases or None
     case : Case or None
     mark : str or None
@@ -46,7 +46,7 @@ class OpenedCase:
     manifest: Manifest
     table: dict[str, Any]
     expected: Expected
-    source: Source
+    source: Pipeline
     truth: FrameCases | None
     case: Case | None
     mark: str | None
@@ -54,9 +54,9 @@ class OpenedCase:
     notes: tuple[str, ...]
 
     @cached_property
-    def context(self) -> FrameContext:
+    def context(self) -> PreparedFrame:
         """The frame, ready for questions."""
-        return FrameContext(self.source.dataset.load(self.manifest.frame.id), self.source.config.lift)
+        return PreparedFrame(self.source.dataset.load(self.manifest.frame.id), self.source.config.lift)
 
     def answer(self) -> Answered:
         """Answer and judge now."""
@@ -138,7 +138,7 @@ def open_case(
         synonyms = Synonyms(
             tuple(frozenset(g) for g in manifest.synonyms.groups), frozenset(manifest.synonyms.exceptions)
         )
-    source = Source(
+    source = Pipeline(
         SavedCaseDataset(root, Settings()), detector, scorer, config, synonyms,
         lambda: replace(detector, everything=True, _answers={}),
     )  # fmt: skip

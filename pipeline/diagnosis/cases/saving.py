@@ -12,8 +12,8 @@ from pathlib import Path
 from typing import Any
 
 from pipeline import __version__
-from pipeline.answering.objects import FrameContext
-from pipeline.answering.source import Source
+from pipeline.answering.objects import PreparedFrame
+from pipeline.answering.opening import Pipeline
 from pipeline.datasets.saved_case import CASE_FORMAT, MANIFEST, saved_frame
 from pipeline.diagnosis.cases.answered import Answered, Edited, answer, answer_record
 from pipeline.diagnosis.cases.kept_proposals import keep_proposals
@@ -32,8 +32,8 @@ LARGEST_COPY = 16 * 2**20
 
 def save_case(
     folder: str | Path,
-    source: Source,
-    context: FrameContext,
+    source: Pipeline,
+    context: PreparedFrame,
     text: str,
     *,
     truth: FrameCases | None = None,
@@ -52,9 +52,9 @@ def save_case(
     ----------
     folder : str or Path
         Must not exist, or be empty.
-    source : Source
+    source : Pipeline
         What answers; its detector is asked once more, without its minimum score too.
-    context : FrameContext
+    context : PreparedFrame
     text : str
         The expression.
     truth : FrameCases, optional
@@ -131,7 +131,7 @@ def save_case(
     return now
 
 
-def _write_whole(folder: Path, files: dict[str, bytes], source: Source, record: dict[str, Any]) -> None:
+def _write_whole(folder: Path, files: dict[str, bytes], source: Pipeline, record: dict[str, Any]) -> None:
     """Write beside the place, replay, and rename."""
     partial = temporary_beside(folder)
     try:
@@ -158,7 +158,7 @@ def _write_whole(folder: Path, files: dict[str, bytes], source: Source, record: 
         shutil.rmtree(partial, ignore_errors=True)
 
 
-def _proposals(source: Source, context: FrameContext, now: Answered, case: Case | None) -> dict[str, Any]:
+def _proposals(source: Pipeline, context: PreparedFrame, now: Answered, case: Case | None) -> dict[str, Any]:
     names: list[str] = [] if now.trace is None else list(now.trace.query.labels)
     case = now.judgement.case if now.judgement is not None else case
     if case is not None:

@@ -18,9 +18,9 @@ from typing import Any, TypeVar
 import numpy as np
 
 from pipeline.answering.ask import Trace, joined, relation_lookup
-from pipeline.answering.objects import FrameContext, SceneObject, same_object
+from pipeline.answering.objects import PreparedFrame, SceneObject, same_object
+from pipeline.answering.opening import Pipeline
 from pipeline.answering.ranking import Candidates, RelationLookup, rank
-from pipeline.answering.source import Source
 from pipeline.diagnosis.whatif.edits import Edits, PlacedBox, RunLengthMask
 from pipeline.diagnosis.whatif.keys import detection_keys
 from pipeline.diagnosis.whatif.pair_tables import PairTables, identity, score_pairs
@@ -64,8 +64,8 @@ class Baseline:
 
     Parameters
     ----------
-    source : Source
-    context : FrameContext
+    source : Pipeline
+    context : PreparedFrame
     text : str
         The expression.
 
@@ -85,7 +85,7 @@ class Baseline:
         As `pipeline.answering.ask.ask`.
     """
 
-    def __init__(self, source: Source, context: FrameContext, text: str) -> None:
+    def __init__(self, source: Pipeline, context: PreparedFrame, text: str) -> None:
         self.source, self.context, self.text = source, context, text
         self.detector = source.needed_detector()
         start = perf_counter()
@@ -163,7 +163,7 @@ def foreign_keys(baseline: Baseline, edits: Edits) -> tuple[str, ...]:
 def rerun(baseline: Baseline, edits: Edits) -> Outcome:
     """Answer again with edits.
 
-    With `Edits()` this is `Source.ask`'s own trace; only the timings differ:
+    With `Edits()` this is `Pipeline.ask`'s own trace; only the timings differ:
     they say what this answer cost, what was kept costs nothing.
 
     Raises
@@ -245,14 +245,14 @@ class _Clock:
         self._since = now
 
 
-def _context(baseline: Baseline, edits: Edits) -> FrameContext:
+def _context(baseline: Baseline, edits: Edits) -> PreparedFrame:
     """The frame under the edited cleaning; the viewer and the pixels are the same."""
     if not edits.lift:
         return baseline.context
     config = replace(baseline.context.config, **edits.lift)
     if config == baseline.context.config:
         return baseline.context
-    return baseline.kept("context", config, lambda: FrameContext(baseline.context.frame, config))
+    return baseline.kept("context", config, lambda: PreparedFrame(baseline.context.frame, config))
 
 
 def _selected(baseline: Baseline, edits: Edits, name: str) -> np.ndarray:
@@ -272,7 +272,7 @@ def _selected(baseline: Baseline, edits: Edits, name: str) -> np.ndarray:
     return baseline.kept("selected", (name, hidden, k, least), select)
 
 
-def _edited(baseline: Baseline, context: FrameContext, edits: Edits, name: str, at: int) -> SceneObject:
+def _edited(baseline: Baseline, context: PreparedFrame, edits: Edits, name: str, at: int) -> SceneObject:
     """A detection in 3D, with the edits of its mask and its box."""
     key = baseline.keys[name][at]
     config = context.config
@@ -308,7 +308,7 @@ def _alike(a: Any, b: Any) -> bool:
 
 
 def _repainted(
-    baseline: Baseline, context: FrameContext, entry: SceneObject, key: str, code: RunLengthMask
+    baseline: Baseline, context: PreparedFrame, entry: SceneObject, key: str, code: RunLengthMask
 ) -> SceneObject:
     """The object by other pixels; one thing that several names found is lifted once, and stays one thing."""
     frame = context.frame
@@ -338,7 +338,7 @@ def _with_confidences(
 
 def _tables(
     baseline: Baseline,
-    context: FrameContext,
+    context: PreparedFrame,
     edits: Edits,
     scorer: RelationScorer,
     objects: tuple[SceneObject, ...],

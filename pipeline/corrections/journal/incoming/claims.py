@@ -8,8 +8,8 @@ from collections import Counter
 from dataclasses import dataclass, field
 from typing import Any
 
-from pipeline.corrections.journal.cells import FIRST_NEW_OBJECT, Cell, checked, object_cell, same_value
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
+from pipeline.corrections.journal.field_refs import FIRST_NEW_OBJECT, FieldRef, checked, object_cell, same_value
 from pipeline.corrections.journal.incoming.states import States
 from pipeline.labels.exports.provenance import ExportedFrom
 from pipeline.system.errors import InputError
@@ -30,14 +30,14 @@ class Claim:
     ----------
     where : str
         File, and line or annotation.
-    cell : Cell
+    cell : FieldRef
     value : JSON value
     base : ExportedFrom
         What it is a correction of.
     """
 
     where: str
-    cell: Cell
+    cell: FieldRef
     value: Any
     base: ExportedFrom
 
@@ -60,7 +60,7 @@ class Claims:
     """
 
     states: States
-    found: dict[Cell, Claim] = field(default_factory=dict)
+    found: dict[FieldRef, Claim] = field(default_factory=dict)
     problems: list[str] = field(default_factory=list)
     ignored: Counter[str] = field(default_factory=Counter)
     notes: Counter[str] = field(default_factory=Counter)
@@ -76,7 +76,7 @@ class Claims:
         """A frame as it was exported."""
         return self.states.frame(frame, state)
 
-    def say(self, where: str, cell: Cell, value: Any, state: ExportedFrom) -> None:
+    def say(self, where: str, cell: FieldRef, value: Any, state: ExportedFrom) -> None:
         """A cell's value in the file; kept where it is not the exported one."""
         try:
             value = checked(cell, value)

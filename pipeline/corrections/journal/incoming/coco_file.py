@@ -20,8 +20,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.corrections.journal.cells import Cell, object_cell
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
+from pipeline.corrections.journal.field_refs import FieldRef, object_cell
 from pipeline.corrections.journal.incoming.claims import Claims
 from pipeline.corrections.journal.incoming.outlines import is_rectangle, mask_of, polygons_of, same_outline
 from pipeline.geometry.boxes import iou_2d
@@ -366,5 +366,5 @@ def _box3d(value: Any) -> Any:
     return found
 
 
-def expression_cell(frame: str, name: str, field: str) -> Cell:
-    return Cell("expression", frame, name, field)
+def expression_cell(frame: str, name: str, field: str) -> FieldRef:
+    return FieldRef("expression", frame, name, field)

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from pipeline.corrections.journal.cells import relation_cell
+from pipeline.corrections.journal.field_refs import relation_cell
 from pipeline.corrections.journal.incoming.claims import Claims
 from pipeline.corrections.journal.incoming.coco_file import expression_cell, images_of, listed, number_of
 from pipeline.corrections.journal.incoming.jsonl_file import check_pair

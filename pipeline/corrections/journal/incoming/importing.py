@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
-from pipeline.corrections.journal.cells import LONGEST_NAME, plain_text
 from pipeline.corrections.journal.events import Conflict, Edit, Saved
+from pipeline.corrections.journal.field_refs import LONGEST_NAME, plain_text
 from pipeline.corrections.journal.incoming.claims import MOST_PROBLEMS, Claims, TooManyProblems
 from pipeline.corrections.journal.incoming.coco_file import CocoOptions, load_coco, read_instances
 from pipeline.corrections.journal.incoming.coco_refs import annotated, read_refs, read_relations

@@ -13,9 +13,9 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from pipeline.corrections.journal.cells import Cell, object_cell, relation_cell, same_value
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.effective_objects import BOX_COLUMNS
+from pipeline.corrections.journal.field_refs import FieldRef, object_cell, relation_cell, same_value
 from pipeline.corrections.journal.incoming.claims import Claims
 from pipeline.geometry.run_length import decode_run_length
 from pipeline.labels.exports.jsonl import BLOCK
@@ -68,7 +68,7 @@ def read_lines(path: Path, claims: Claims, state_of: StateOf, *, reject_deleted:
             else:
                 for field in ("status", "note"):
                     if field in row:
-                        claims.say(where, Cell("frame", frame, "", field), row[field], state)
+                        claims.say(where, FieldRef("frame", frame, "", field), row[field], state)
         except InputError as error:
             claims.problem(where, error)
     if reject_deleted:
@@ -215,7 +215,7 @@ def _expression(where: str, row: Row, frame: str, state: ExportedFrom, claims: C
         raise InputError(f"frame {frame} has no such expression", got=repr(name)[:60])
     for field in _TEXTS:
         if field in row:
-            claims.say(where, Cell("expression", frame, name, field), row[field], state)
+            claims.say(where, FieldRef("expression", frame, name, field), row[field], state)
     _ignore(row, base.expressions.get(name, base.auto.expressions[name]), set(_TEXTS), claims)
 
 

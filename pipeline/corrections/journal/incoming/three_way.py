@@ -7,9 +7,9 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 from pipeline.corrections.journal import edits as actions
-from pipeline.corrections.journal.cells import Cell, box_of, same_value, shown_value
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Edit, Event
+from pipeline.corrections.journal.field_refs import FieldRef, box_of, same_value, shown_value
 from pipeline.corrections.journal.incoming.claims import Claim, Claims
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.system.errors import InputError
@@ -24,7 +24,7 @@ class Contradiction:
     Attributes
     ----------
     where : str
-    cell : Cell
+    cell : FieldRef
     exported, wanted, now : JSON value
     event : Event or None
         The newest of the cell; None where `now` follows from something else.
@@ -33,7 +33,7 @@ class Contradiction:
     """
 
     where: str
-    cell: Cell
+    cell: FieldRef
     exported: Any
     wanted: Any
     now: Any
@@ -63,7 +63,7 @@ class Settled:
         Claims that the labels fulfil by now.
     """
 
-    edits: dict[Cell, Edit] = field(default_factory=dict)
+    edits: dict[FieldRef, Edit] = field(default_factory=dict)
     contradictions: list[Contradiction] = field(default_factory=list)
     agreed: int = 0
 
@@ -74,7 +74,7 @@ def settle(claims: Claims, reason: str) -> Settled:
     A claim that cannot be done becomes a problem of the file.
     """
     found = Settled()
-    wanted: dict[Cell, str] = {}
+    wanted: dict[FieldRef, str] = {}
     for group in _grouped(claims.found.values()):
         first = group[0]
         now = claims.states.frame_now(first.cell.frame, first.base)
@@ -121,13 +121,13 @@ def _grouped(claims: Iterable[Claim]) -> list[list[Claim]]:
 
 
 def _gone(
-    cell: Cell, base: EffectiveFrame, now: EffectiveFrame, claims: Claims
+    cell: FieldRef, base: EffectiveFrame, now: EffectiveFrame, claims: Claims
 ) -> tuple[Event | None, str] | None:
     """Why there is nothing to correct any more, where it was taken away here since."""
     if cell.kind in ("object", "relation") and cell.field not in ("status", "exists"):
         for number in cell.numbers:
             if number in base.objects and number not in now.objects:
-                by = claims.states.newest(cell.frame, Cell("object", cell.frame, str(number), "status"))
+                by = claims.states.newest(cell.frame, FieldRef("object", cell.frame, str(number), "status"))
                 return by, f"object {number} was rejected since" + (f" by {by.author}" if by is not None else "")
     if cell.kind == "relation" and any(
         base.pairs.place(n) is not None and now.pairs.place(n) is None for n in cell.numbers

@@ -6,13 +6,13 @@ from collections import Counter
 from dataclasses import dataclass
 
 from pipeline.answering.ask import Trace
-from pipeline.answering.source import Source
+from pipeline.answering.opening import Pipeline
 from pipeline.proposals import Segmented
 from pipeline.system.errors import InputError
 
 
 @dataclass(frozen=True)
-class Overlooked:
+class MissedNames:
     """What may help where a name was not found.
 
     Attributes
@@ -28,7 +28,7 @@ class Overlooked:
     seen: dict[str, int]
 
 
-def overlooked(source: Source, trace: Trace) -> Overlooked:
+def missed_names(source: Pipeline, trace: Trace) -> MissedNames:
     """What stands below the detector's minimum score of the names that a trace misses, and what else is there.
 
     The detector runs again on the frame, once for each missing name and once for everything.
@@ -52,4 +52,4 @@ def overlooked(source: Source, trace: Trace) -> Overlooked:
         # Not every detector of a vocabulary can be asked for all of it.
         found = None
     labels = [] if found is None else [found.label(i) for i in range(len(found))]
-    return Overlooked(below, dict(Counter(labels).most_common()))
+    return MissedNames(below, dict(Counter(labels).most_common()))

@@ -45,7 +45,7 @@ def frame_states(frame: EffectiveFrame, events: Sequence[Event]) -> dict[ItemKey
     return states
 
 
-def followed(work: Worklist, corrector: Corrector, journal: Journal, after: Mark) -> tuple[Worklist, Mark]:
+def refreshed_worklist(work: Worklist, corrector: Corrector, journal: Journal, after: Mark) -> tuple[Worklist, Mark]:
     """A list with what became of its items since an event, whoever saved it: their states, and which of them have gone.
 
     Parameters

@@ -30,7 +30,7 @@ TOLERANCE = 1e-6
 
 
 @dataclass(frozen=True, order=True)
-class Cell:
+class FieldRef:
     """One field of one entity: what is locked, versioned and corrected as one.
 
     Attributes
@@ -89,12 +89,12 @@ class Cell:
         return f"{self.field} of {self.entity} in {self.frame}"
 
 
-def object_cell(frame: str, number: int, field: str) -> Cell:
-    return Cell("object", frame, str(int(number)), field)
+def object_cell(frame: str, number: int, field: str) -> FieldRef:
+    return FieldRef("object", frame, str(int(number)), field)
 
 
-def relation_cell(frame: str, a: int, b: int, relation: str) -> Cell:
-    return Cell("relation", frame, f"{int(a)},{int(b)}", relation)
+def relation_cell(frame: str, a: int, b: int, relation: str) -> FieldRef:
+    return FieldRef("relation", frame, f"{int(a)},{int(b)}", relation)
 
 
 def judged_item(key: str) -> tuple[str, str, int, int | None, str]:
@@ -151,7 +151,7 @@ def plain_text(value: Any, what: str, longest: int) -> str:
     return value
 
 
-def checked(cell: Cell, value: Any) -> Any:
+def checked(cell: FieldRef, value: Any) -> Any:
     """A value as the cell keeps it: JSON with plain numbers.
 
     Raises
@@ -175,7 +175,7 @@ def same_value(a: Any, b: Any) -> bool:
     return a == b
 
 
-def shown_value(cell: Cell, value: Any) -> str:
+def shown_value(cell: FieldRef, value: Any) -> str:
     """A value in a few words, for messages and lists."""
     if value is None:
         return "nothing"

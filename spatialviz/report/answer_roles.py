@@ -13,7 +13,7 @@ from pipeline.geometry.palette import Role
 
 
 @dataclass(frozen=True)
-class Cast:
+class AnswerRoles:
     """The roles of one answer.
 
     Attributes
@@ -55,7 +55,7 @@ class Cast:
         return f"{entry.label}·{entry.id if self.exact else place}"
 
 
-def cast_of(answered: Answered) -> Cast:
+def answer_roles(answered: Answered) -> AnswerRoles:
     """The roles of an answer."""
     trace, judged = answered.trace, answered.judgement
     objects: tuple[SceneObject, ...] = () if trace is None else trace.objects
@@ -89,7 +89,7 @@ def cast_of(answered: Answered) -> Cast:
             if entry.lifted.box is not None:
                 boxes.append((judged.truth.labels[k], entry.lifted.box))
                 places.append(k)
-    return Cast(
+    return AnswerRoles(
         objects, target, reference, roles, right, labelled, tuple(boxes), tuple(places), tuple(masks),
         trace is not None and trace.exact,
     )  # fmt: skip

@@ -18,7 +18,7 @@ from pipeline.system.whole_files import temporary_beside, write_synced
 
 
 @dataclass(frozen=True)
-class Rescued:
+class UnsavedDump:
     """What could not be saved of one author.
 
     Attributes
@@ -39,7 +39,7 @@ class Rescued:
     files: tuple[Path, ...]
 
 
-def rescue(place: JournalPlace, folders: Sequence[Path] | None = None) -> tuple[Rescued, ...]:
+def dump_unsaved(place: JournalPlace, folders: Sequence[Path] | None = None) -> tuple[UnsavedDump, ...]:
     """Save what waits; what cannot be saved is written to the first folder that can be written.
 
     Parameters
@@ -59,7 +59,7 @@ def rescue(place: JournalPlace, folders: Sequence[Path] | None = None) -> tuple[
         problem = waiting[0].problem if waiting else "somebody else was faster, and nobody has decided"
         edits = [e for w in waiting for e in w.edits] + [e for c in disputed for e in c.edits]
         said = tuple(f"{e.cell}: {json.dumps(e.after, ensure_ascii=False)[:60]}" for e in edits)
-        found.append(Rescued(author, problem, said, _written(lists, author, folders)))
+        found.append(UnsavedDump(author, problem, said, _written(lists, author, folders)))
     return tuple(found)
 
 

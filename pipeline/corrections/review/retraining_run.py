@@ -38,7 +38,7 @@ Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)
-class CircleJob:
+class RetrainingJob:
     """What is retrained on.
 
     Attributes
@@ -71,7 +71,7 @@ class CircleJob:
 
 
 @dataclass(frozen=True)
-class Circle:
+class RetrainingRun:
     """What came of it.
 
     Attributes
@@ -115,7 +115,7 @@ class Circle:
         }
 
 
-def run_circle(job: CircleJob, progress: Progress | None = None) -> Circle:
+def run_retraining(job: RetrainingJob, progress: Progress | None = None) -> RetrainingRun:
     """Mend, retrain, compare, and make the run again; the folder appears whole or not at all.
 
     Raises
@@ -144,10 +144,10 @@ def run_circle(job: CircleJob, progress: Progress | None = None) -> Circle:
         comparisons: tuple[Comparison | None, Comparison | None] = None, None
         if run is not None:
             comparisons = _replay(run, folder, job.workers, tell)
-    return Circle(Path(job.out), corrections, retraining, in_use, *comparisons)
+    return RetrainingRun(Path(job.out), corrections, retraining, in_use, *comparisons)
 
 
-def _mend(job: CircleJob, labels: Labels, folder: Path) -> tuple[Labels, dict[str, Any]]:
+def _mend(job: RetrainingJob, labels: Labels, folder: Path) -> tuple[Labels, dict[str, Any]]:
     try:
         dataset = labelled_dataset(labels.manifest, job.dataset, **job.options)
     except InputError:
@@ -210,6 +210,6 @@ def _replay(run: Run, folder: Path, workers: int, tell: Progress) -> tuple[Compa
     return found[0], found[1]
 
 
-def circle_in_background(job: CircleJob, report: Callable[[tuple[str, int, int]], None]) -> dict[str, Any]:
-    """`run_circle` for `pipeline.system.background`: its record."""
-    return run_circle(job, lambda what, done, of: report((what, done, of))).record()
+def retraining_in_background(job: RetrainingJob, report: Callable[[tuple[str, int, int]], None]) -> dict[str, Any]:
+    """`run_retraining` for `pipeline.system.background`: its record."""
+    return run_retraining(job, lambda what, done, of: report((what, done, of))).record()

@@ -9,10 +9,10 @@ from threading import Lock
 
 from pipeline.corrections.disputes import decided
 from pipeline.corrections.event_lines import EventLine, event_lines
-from pipeline.corrections.journal.cells import LONGEST_NAME, plain_text
 from pipeline.corrections.journal.effective import Corrector
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Conflict, Edit, Event, NotSaved, Saved, new_ulid
+from pipeline.corrections.journal.field_refs import LONGEST_NAME, plain_text
 from pipeline.corrections.journal.undo import redo, undo
 from pipeline.corrections.journal_place import JournalPlace
 from pipeline.corrections.unsaved import Waiting
@@ -27,7 +27,7 @@ Outcome = Saved | Conflict | Waiting
 """What comes of saving."""
 
 
-class Desk:
+class LabelEditor:
     """What one person corrects. Not shared by threads, but for `news`, `saved` and `retry`; the journal behind it is.
 
     Parameters

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.answering.ask import AskConfig, Trace, ask
-from pipeline.answering.objects import FrameContext, SceneObject, all_objects, appearance_of, frame_context
+from pipeline.answering.objects import PreparedFrame, SceneObject, all_objects, appearance_of, prepare_frame
 from pipeline.datasets import Dataset, open_dataset, resolve_frame
 from pipeline.datasets.demo import DEMO_NAME, demo_path
 from pipeline.geometry.frame import Frame
@@ -29,7 +29,7 @@ Skipped = Callable[[str, str], None]
 
 
 @dataclass(frozen=True)
-class Source:
+class Pipeline:
     """A dataset with the models to be used on it.
 
     Attributes
@@ -93,13 +93,13 @@ class Source:
         return self.detector
 
     def score(
-        self, context: FrameContext, objects: Sequence[SceneObject], relations: Collection[str] = PAIRWISE
+        self, context: PreparedFrame, objects: Sequence[SceneObject], relations: Collection[str] = PAIRWISE
     ) -> RelationScores:
         """The relations of every ordered pair of the frame's objects; InputError where the scorer lacks a class."""
         appearance = appearance_of(objects, context.frame)
         return self.scorer.score([o.lifted for o in objects], context.viewer, appearance, relations)
 
-    def ask(self, frame: Frame | FrameContext, text: str) -> Trace:
+    def ask(self, frame: Frame | PreparedFrame, text: str) -> Trace:
         """Answer an expression on a frame with these models; raises as `pipeline.answering.ask.ask`."""
         detector = self.needed_detector()
         return ask(
@@ -113,7 +113,7 @@ class Source:
         )
 
 
-def open_source(
+def open_pipeline(
     path: str | Path,
     *,
     intrinsics: tuple[float, float, float, float] | None = None,
@@ -133,7 +133,7 @@ def open_source(
     fuse: Sequence[str] = (),
     fusion: str = "wbf",
     also: str | None = None,
-) -> Source:
+) -> Pipeline:
     """Open a dataset and the models for it; the path "demo" is the built-in one.
 
     `intrinsics`, `depth_scale`, `up` and `level_at` are those of `open_dataset`.
@@ -186,12 +186,12 @@ def open_source(
     config = config or AskConfig()
     if config.score_calibration is not None and found is not None:
         config.score_calibration.check(found)
-    return Source(
+    return Pipeline(
         dataset, found, make_scorer(srm, vectors), config, table, lambda: make(0.0), beside, setup, beside_setup
     )
 
 
-def open_sources(path: str | Path, **options: Any) -> tuple[dict[str, Source], dict[str, str]]:
+def open_sources(path: str | Path, **options: Any) -> tuple[dict[str, Pipeline], dict[str, str]]:
     """A dataset, or all datasets in the folders of a folder.
 
     Parameters
@@ -199,7 +199,7 @@ def open_sources(path: str | Path, **options: Any) -> tuple[dict[str, Source], d
     path : str or Path
         A dataset, "demo", or a folder whose folders are datasets.
     options
-        As for `open_source`.
+        As for `open_pipeline`.
 
     Returns
     -------
@@ -214,14 +214,14 @@ def open_sources(path: str | Path, **options: Any) -> tuple[dict[str, Source], d
         Where nothing can be opened; the reason is that of the folder itself.
     """
     try:
-        return {Path(path).name or str(path): open_source(path, **options)}, {}
+        return {Path(path).name or str(path): open_pipeline(path, **options)}, {}
     except UnknownFormat:
         folder = Path(path)
-        sources: dict[str, Source] = {}
+        sources: dict[str, Pipeline] = {}
         left_out: dict[str, str] = {}
         for inside in sorted(p for p in folder.iterdir() if p.is_dir() and not p.name.startswith(".")):
             try:
-                sources[inside.name] = open_source(inside, **options)
+                sources[inside.name] = open_pipeline(inside, **options)
             except InputError as error:
                 left_out[inside.name] = str(error)
         if not sources:
@@ -253,14 +253,14 @@ def frame_range(dataset: Dataset, text: str) -> tuple[str, ...]:
     return found
 
 
-def contexts(source: Source, key: str | int | None, skipped: Skipped | None = None) -> Iterator[FrameContext]:
+def contexts(source: Pipeline, key: str | int | None, skipped: Skipped | None = None) -> Iterator[PreparedFrame]:
     """The frames, ready for questions, one at a time.
 
     A broken frame that was asked for by name is an error; among all frames it is skipped with its reason.
     """
     for frame_id in frame_ids(source.dataset, key):
         try:
-            context = frame_context(source.dataset, source.dataset.load(frame_id), source.config.lift)
+            context = prepare_frame(source.dataset, source.dataset.load(frame_id), source.config.lift)
         except InputError as error:
             skip_or_raise(error, key, frame_id, skipped)
             continue
@@ -276,7 +276,7 @@ def skip_or_raise(error: InputError, key: str | int | None, frame_id: str, skipp
 
 
 def ask_frames(
-    source: Source, key: str | int, expressions: Sequence[str], skipped: Skipped | None = None
+    source: Pipeline, key: str | int, expressions: Sequence[str], skipped: Skipped | None = None
 ) -> Iterator[Trace]:
     """Every expression on every frame that `key` means."""
     source.needed_detector()
@@ -300,7 +300,7 @@ class FrameRelations:
     viewer: ViewerAxes | None = None
 
 
-def relate_frames(source: Source, key: str | int | None, skipped: Skipped | None = None) -> Iterator[FrameRelations]:
+def relate_frames(source: Pipeline, key: str | int | None, skipped: Skipped | None = None) -> Iterator[FrameRelations]:
     """Every pair of objects of every frame that `key` means."""
     detector = source.needed_detector()
     for context in contexts(source, key, skipped):

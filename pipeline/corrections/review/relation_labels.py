@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class Cells:
+class RelationLabels:
     """The table of relations as arrays, in its order.
 
     Attributes
@@ -57,7 +57,7 @@ class Cells:
         return np.array([place.get(key, -1) for key in keys], np.int64)
 
 
-def read_cells(labels: Labels) -> Cells:
+def read_cells(labels: Labels) -> RelationLabels:
     """All relation labels of a folder.
 
     Raises
@@ -74,7 +74,7 @@ def read_cells(labels: Labels) -> Cells:
     found = column_arrays(table.select(["frame", "frame_index", "a", "b"]))
     shape = (table.num_rows, len(relations))
     margin_columns = [table.column(m).to_numpy().astype(np.float64) for m in margins]
-    return Cells(
+    return RelationLabels(
         relations,
         found["frame"].astype(object),
         found["frame_index"].astype(np.int64),
@@ -89,7 +89,7 @@ def _order(table: pa.Table) -> np.ndarray:
     return np.lexsort([table.column(name).to_numpy() for name in ("b", "a", "frame_index")])
 
 
-def doubts_of_cells(cells: Cells, data: LabelData, doubts: Doubts) -> tuple[np.ndarray, np.ndarray]:
+def doubts_of_cells(cells: RelationLabels, data: LabelData, doubts: Doubts) -> tuple[np.ndarray, np.ndarray]:
     """What the networks say of each cell.
 
     Returns
