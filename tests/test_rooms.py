@@ -1,0 +1,79 @@
+"""The rooms of the core and their order: a room imports only rooms below it, and nothing runs in a circle."""
+
+from __future__ import annotations
+
+import ast
+from collections.abc import Iterator
+from functools import cache
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+ROOMS = (
+    "system",
+    "geometry",
+    "language",
+    "metrics",
+    "datasets",
+    "proposals",
+    "relations",
+    "answering",
+    "labels",
+    "training",
+    "diagnosis",
+    "evaluation",
+    "corrections",
+)
+"""From the ground up."""
+
+
+@cache
+def modules() -> dict[str, ast.Module]:
+    """Every module of the core by its dotted name."""
+    found = {}
+    for path in sorted((ROOT / "pipeline").rglob("*.py")):
+        parts = path.relative_to(ROOT).with_suffix("").parts
+        found[".".join(parts).removesuffix(".__init__")] = ast.parse(path.read_text(encoding="utf-8"))
+    return found
+
+
+def imported(tree: ast.Module) -> Iterator[tuple[str, int]]:
+    """Modules of the core that one imports, at its top, in a function or for its types, and in which line."""
+    for node in ast.walk(tree):
+        if isinstance(node, ast.Import):
+            yield from ((a.name, node.lineno) for a in node.names if a.name in modules())
+        elif isinstance(node, ast.ImportFrom) and node.module and node.module.split(".")[0] == "pipeline":
+            for alias in node.names:
+                whole = f"{node.module}.{alias.name}"
+                yield (whole if whole in modules() else node.module), node.lineno
+
+
+def room(module: str) -> str:
+    """ "geometry" of "pipeline.geometry.boxes"; "" of the package itself."""
+    return module.split(".")[1] if "." in module else ""
+
+
+def test_only_the_package_itself_stands_outside_the_rooms() -> None:
+    folder = ROOT / "pipeline"
+    assert [p.name for p in folder.glob("*.py")] == ["__init__.py"]
+    assert {p.name for p in folder.iterdir() if (p / "__init__.py").exists()} == set(ROOMS)
+
+
+def test_a_room_imports_only_rooms_below_it() -> None:
+    upwards = [
+        f"{name}:{line} imports {target}"
+        for name, tree in modules().items()
+        if name != "pipeline"
+        for target, line in imported(tree)
+        if room(target) and ROOMS.index(room(target)) > ROOMS.index(room(name))
+    ]
+    assert not upwards
+
+
+def test_no_imports_run_in_a_circle() -> None:
+    arrows = {name: {t for t, _ in imported(tree)} - {name} for name, tree in modules().items() if name != "pipeline"}
+    # What imports nothing that is left is taken away; what cannot be taken away stands in a circle or above one.
+    left = {name: targets & arrows.keys() for name, targets in arrows.items()}
+    while free := [name for name, targets in left.items() if not targets & left.keys()]:
+        for name in free:
+            del left[name]
+    assert not left
