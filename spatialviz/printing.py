@@ -175,7 +175,7 @@ def print_frames(dataset: Dataset, reports: Iterable[FrameReport]) -> int:
             pose = "pose" if report.has_pose else "no pose"
             line = (
                 f"{report.index:>5}  {report.id}  {report.width}x{report.height}  {depth}  {pose}"
-                f"  up {report.up_source}, {_off_image_up(report.up)} off the picture's  {report.annotations} objects"
+                f"  up {report.up_source}, {_off_image_up(report.up)} off image-up  {report.annotations} objects"
             )
             console.print(Text(line))
             if report.labels:

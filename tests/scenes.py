@@ -76,16 +76,27 @@ def cast(camera: Camera, boxes: Sequence[Box3D], planes: Sequence[Plane], viewer
     seen = tuple(b.transformed(T) for b in boxes)
     with np.errstate(divide="ignore", invalid="ignore"):
         for number, box in enumerate(seen):
-            origin, direction = -box.center @ box.R, rays @ box.R
+            here = _window(camera, box)
+            origin, direction = -box.center @ box.R, rays[here] @ box.R
             faces = np.stack([(s * box.size / 2 - origin) / direction for s in (-1, 1)])
             enter, leave = np.nanmax(faces.min(axis=0), axis=-1), np.nanmin(faces.max(axis=0), axis=-1)
-            hit = (enter <= leave) & (enter > 0) & (enter < depth)
-            depth[hit], ids[hit] = enter[hit], number
+            hit = (enter <= leave) & (enter > 0) & (enter < depth[here])
+            depth[here][hit], ids[here][hit] = enter[hit], number
         for number, plane in enumerate(planes, start=len(boxes)):
             z = plane.offset / (rays @ (viewer.R_level_camera.T @ np.array(plane.normal)))
             hit = (z > 0) & (z < depth)
             depth[hit], ids[hit] = z[hit], number
     return Seen(np.where(np.isfinite(depth), depth, 0).astype(np.float32), ids, seen)
+
+
+def _window(camera: Camera, box: Box3D) -> tuple[slice, slice]:
+    """Rows and columns outside of which a box in the camera frame is not seen."""
+    x, y, z = box.corners.T
+    if z.min() < 0.05:
+        return slice(None), slice(None)
+    u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
+    (left, top), (right, bottom) = (np.clip((f(u), f(v)), 0, 10_000).astype(int) for f in (np.min, np.max))
+    return slice(top, bottom + 2), slice(left, right + 2)
 
 
 def frame_of(
