@@ -168,6 +168,7 @@ def print_review_bench(record: dict[str, Any]) -> None:
         f"back{_between(mean['recovered_interval'])}, in all {_share(mean['recovered_again'])}"
         f"{_between(mean['recovered_again_interval'])}"
     )
+    console.print(Text(record["caveat"], "yellow"))
 
 
 def _between(interval: list[float] | None) -> str:
