@@ -11,6 +11,7 @@ from pipeline.answering.told_answer import NO_SUCH_PAIR
 from pipeline.diagnosis.cases.answered import Answered
 from pipeline.diagnosis.cases.manifest import Expected
 from pipeline.diagnosis.cases.suite import Result
+from pipeline.language.counted import counted
 from spatialviz.printing import make_console
 
 _STYLE = {"same": "green", "updated": "yellow", "changed": "red", "damaged": "red"}
@@ -59,7 +60,7 @@ def print_totals(totals: dict[str, int]) -> None:
     """The last line of a run."""
     shown = ", ".join(f"{n} {status}" for status, n in totals.items() if n or status in ("same", "changed"))
     count = sum(totals.values())
-    make_console().print(f"{count} case{'' if count == 1 else 's'}: {shown}", markup=False)
+    make_console().print(f"{counted(count, 'case')}: {shown}", markup=False)
 
 
 def replay_record(result: Result) -> dict[str, Any]:

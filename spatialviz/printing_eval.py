@@ -12,6 +12,7 @@ from rich.text import Text
 from pipeline.diagnosis.verdict import VERDICTS
 from pipeline.evaluation.compare import Comparison
 from pipeline.evaluation.job import RunReport
+from pipeline.language.counted import counted
 from pipeline.metrics.intervals import Estimate
 from pipeline.metrics.tables import Cell, Table, with_heads
 from spatialviz.printing import make_console
@@ -77,7 +78,7 @@ def rich_table(table: Table) -> RichTable:
 def print_comparison(found: Comparison, show: int) -> None:
     """Differences with intervals and tests, and the first expressions of each kind."""
     console = make_console()
-    console.print(Text(f"compared on {found.shared} expressions", "bold"))
+    console.print(Text(f"compared on {counted(found.shared, 'expression')}", "bold"))
     table = RichTable(box=None, pad_edge=False, header_style="dim")
     for name in ("measure", "difference", "only now right", "only before right", "McNemar p"):
         table.add_column(name, justify="left" if name == "measure" else "right")

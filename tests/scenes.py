@@ -69,23 +69,36 @@ def rigid_into_camera(viewer: ViewerAxes) -> np.ndarray:
 def cast(camera: Camera, boxes: Sequence[Box3D], planes: Sequence[Plane], viewer: ViewerAxes) -> Seen:
     """Cast a ray through each pixel's centre; boxes and planes are given in the level frame."""
     v, u = np.mgrid[: camera.height, : camera.width]
-    rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(u)], axis=-1)
-    depth = np.full(rays.shape[:2], np.inf)
-    ids = np.full(rays.shape[:2], -1)
+    rays = np.stack([(u - camera.cx) / camera.fx, (v - camera.cy) / camera.fy, np.ones_like(u, float)])
+    depth = np.full((camera.height, camera.width), np.inf)
+    ids = np.full(depth.shape, -1)
     T = rigid_into_camera(viewer)
     seen = tuple(b.transformed(T) for b in boxes)
     with np.errstate(divide="ignore", invalid="ignore"):
         for number, box in enumerate(seen):
-            origin, direction = -box.center @ box.R, rays @ box.R
-            faces = np.stack([(s * box.size / 2 - origin) / direction for s in (-1, 1)])
-            enter, leave = np.nanmax(faces.min(axis=0), axis=-1), np.nanmin(faces.max(axis=0), axis=-1)
-            hit = (enter <= leave) & (enter > 0) & (enter < depth)
-            depth[hit], ids[hit] = enter[hit], number
+            window = _window(box, camera)
+            enter, leave = np.float64(-np.inf), np.float64(np.inf)
+            for axis, half in zip(box.R.T, box.size / 2, strict=True):
+                origin, direction = -box.center @ axis, np.tensordot(axis, rays[(slice(None), *window)], 1)
+                low, high = (-half - origin) / direction, (half - origin) / direction
+                enter, leave = np.fmax(enter, np.minimum(low, high)), np.fmin(leave, np.maximum(low, high))
+            hit = (enter <= leave) & (enter > 0) & (enter < depth[window])
+            depth[window][hit], ids[window][hit] = enter[hit], number
         for number, plane in enumerate(planes, start=len(boxes)):
-            z = plane.offset / (rays @ (viewer.R_level_camera.T @ np.array(plane.normal)))
+            z = plane.offset / np.tensordot(viewer.R_level_camera.T @ np.array(plane.normal), rays, 1)
             hit = (z > 0) & (z < depth)
             depth[hit], ids[hit] = z[hit], number
     return Seen(np.where(np.isfinite(depth), depth, 0).astype(np.float32), ids, seen)
+
+
+def _window(box: Box3D, camera: Camera) -> tuple[slice, slice]:
+    """Rows and columns outside of which no ray meets the box."""
+    x, y, z = box.corners.T
+    if z.min() <= 0:
+        return slice(None), slice(None)
+    u, v = camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy
+    rows, columns = (slice(max(int(a.min()) - 1, 0), max(int(a.max()) + 2, 0)) for a in (v, u))
+    return rows, columns
 
 
 def frame_of(

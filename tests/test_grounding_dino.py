@@ -4,20 +4,12 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 from onnx import TensorProto
 from onnx_stubs import GROUNDING, grounding_outputs, write_stub
-from open_vocabulary_models import (
-    HEIGHT,
-    WIDTH,
-    Export,
-    bert_vocabulary,
-    export_grounding_dino,
-    grounding_dino,
-)
 from scenes import frame_of, upright
 
 from pipeline.evaluation.whole_expression import Referring
@@ -29,6 +21,9 @@ from pipeline.proposals.grounding_dino_contract import CONTRACTS
 from pipeline.proposals.resampling import IMAGENET_MEAN, IMAGENET_STD, normalised, pillow_resized, shortest_edge
 from pipeline.proposals.tokenizer_file import load_tokenizer
 from pipeline.system.errors import InputError, MissingExtra
+
+if TYPE_CHECKING:
+    from open_vocabulary_models import Export
 
 NAMES = ["mug", "hot dog", "Coffee_Mug", "laptop"]
 KEEP_ALL: dict[str, Any] = {"nms_iou": 1.0, "k": 1000}
@@ -47,6 +42,8 @@ def frame() -> Frame:
 @pytest.fixture(scope="session")
 def transformers_export(tmp_path_factory: pytest.TempPathFactory) -> Export:
     """A random network in the contract of transformers."""
+    from open_vocabulary_models import Export, export_grounding_dino, grounding_dino
+
     folder = tmp_path_factory.mktemp("transformers")
     model, tokenizer = grounding_dino(folder)
     export_grounding_dino(model, folder / "model.onnx")
@@ -56,6 +53,8 @@ def transformers_export(tmp_path_factory: pytest.TempPathFactory) -> Export:
 @pytest.fixture(scope="session")
 def original_export(tmp_path_factory: pytest.TempPathFactory) -> Export:
     """The same network in the contract of the original code."""
+    from open_vocabulary_models import Export, export_grounding_dino, grounding_dino
+
     folder = tmp_path_factory.mktemp("original")
     model, tokenizer = grounding_dino(folder)
     export_grounding_dino(model, folder / "model.onnx", outside=True)
@@ -69,6 +68,8 @@ def exported(transformers_export: Export, original_export: Export) -> dict[str, 
 
 @pytest.fixture
 def vocabulary(tmp_path: Path) -> Path:
+    from open_vocabulary_models import bert_vocabulary
+
     path = tmp_path / "vocab.txt"
     words = sorted(bert_vocabulary().items(), key=lambda item: item[1])
     path.write_text("\n".join(w for w, _ in words) + "\n", encoding="utf-8")
@@ -90,6 +91,7 @@ def test_detections_are_those_of_the_reference(
     request: pytest.FixtureRequest, contract: str, frame: Frame
 ) -> None:
     import torch
+    from open_vocabulary_models import HEIGHT, WIDTH
 
     export = request.getfixturevalue(f"{contract}_export")
     processor = processor_of(export.tokenizer, {"height": HEIGHT, "width": WIDTH})
@@ -172,7 +174,7 @@ def test_captions_are_tokenised_as_the_reference_does(transformers_export: Expor
         expected = export.tokenizer("tv stand. mug. hot-dog. ")["input_ids"][:-1]
         assert caption.ids[: len(expected)].tolist() == expected
         assert (caption.ids == 102).sum() == 1
-        words = {n: w for w, n in bert_vocabulary().items()}
+        words = vocabulary.read_text(encoding="utf-8").splitlines()
         spans = [" ".join(words[t] for t in caption.ids[a:b]) for a, b in caption.spans]
         assert spans == ["tv stand", "mug", "hot - dog", "[ sep ] cat"]
 
@@ -397,10 +399,12 @@ def test_another_models_tokenizer_is_refused(tmp_path: Path, vocabulary: Path, t
     assert GroundingDinoDetector(tmp_path / "onnx" / "model.onnx").tokenizer_path == tmp_path / "tokenizer.json"
 
 
-def test_a_token_beyond_the_models_vocabulary_is_explained(transformers_export: Export, tmp_path: Path) -> None:
-    words = sorted(bert_vocabulary().items(), key=lambda item: item[1])
-    longer = tmp_path / "vocab.txt"
-    longer.write_text("\n".join([*(w for w, _ in words), "zebra"]) + "\n", encoding="utf-8")
+def test_a_token_beyond_the_models_vocabulary_is_explained(
+    transformers_export: Export, tmp_path: Path, vocabulary: Path
+) -> None:
+    longer = tmp_path / "longer" / "vocab.txt"
+    longer.parent.mkdir()
+    longer.write_text(vocabulary.read_text(encoding="utf-8") + "zebra\n", encoding="utf-8")
     detector = GroundingDinoDetector(transformers_export.path, tokenizer=longer)
     frame = frame_of([upright((0.1, 0.9, 2), (0.3, 0.4, 0.3))], ["mug"])
     with pytest.raises(InputError, match="tokenizer that of another model"):

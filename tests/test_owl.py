@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 from onnx import TensorProto
 from onnx_stubs import OWL, write_stub
-from open_vocabulary_models import SIDE, Export, export_owl, owl
 from scenes import camera_of, frame_of, upright
 
 from pipeline.evaluation.whole_expression import Referring
@@ -19,6 +18,9 @@ from pipeline.proposals.owl import OwlDetector
 from pipeline.proposals.owl_contract import CONTRACTS
 from pipeline.proposals.resampling import CLIP_MEAN, CLIP_STD, normalised, padded_square, pillow_resized
 from pipeline.system.errors import InputError
+
+if TYPE_CHECKING:
+    from open_vocabulary_models import Export
 
 KINDS = ("owlv2", "owlvit")
 NAMES = ["mug", "Hot_Dog", "dog", "tap"]
@@ -37,6 +39,8 @@ def frame() -> Frame:
 @pytest.fixture(scope="session")
 def exported(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Export]:
     """A random network of each kind."""
+    from open_vocabulary_models import Export, export_owl, owl
+
     found = {}
     for kind in KINDS:
         folder = tmp_path_factory.mktemp(kind)
@@ -57,6 +61,7 @@ def image_processor(kind: str, side: int) -> Any:
 
 def reference_answer(export: Export, kind: str, frame: Frame, texts: list[str]) -> tuple[Any, Any, Any]:
     import torch
+    from open_vocabulary_models import SIDE
 
     processor = image_processor(kind, SIDE)
     text = export.tokenizer(texts, padding="max_length", max_length=16, return_tensors="pt")
@@ -137,6 +142,8 @@ def test_what_is_found_does_not_depend_on_what_else_is_asked(
 
 
 def test_a_file_for_a_fixed_number_of_names(exported: dict[str, Export], frame: Frame, tmp_path: Path) -> None:
+    from open_vocabulary_models import export_owl
+
     export = exported["owlvit"]
     export_owl(export.model, tmp_path / "fixed.onnx", names=3)
     tokenizer = export.path.with_name("tokenizer.json")

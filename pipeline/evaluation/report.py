@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from pipeline.evaluation.confusion import RELATION_RECORDS, Confusion, answer_confusion, network_confusion
-from pipeline.evaluation.shared_makers import Share, with_caveats
+from pipeline.evaluation.shared_makers import Share, titles_of, with_caveats
 from pipeline.evaluation.slices import DIMENSIONS, Slices, slice_by, slice_table
 from pipeline.evaluation.summary import RunSummary, has_verdicts, oracle_table, summarise_run, verdict_table
 from pipeline.labels.reading import Labels
@@ -72,7 +72,11 @@ class RunDiagnosis:
         if plots:
             from pipeline.evaluation.loss_plots import draw_diagnosis
 
-            draw_diagnosis(self.summaries, self.slices, self.confusions, folder / "plots", caveats_html(self.tables))
+            shares = {name: self.shares.get(name, ()) for name in self.summaries}
+            draw_diagnosis(
+                self.summaries, self.slices, self.confusions, folder / "plots", caveats_html(self.tables),
+                titles_of(shares),
+            )  # fmt: skip
 
 
 def diagnose_run(

@@ -48,6 +48,10 @@ def call_html(function: str, data: object) -> str:
     return script_html(call_script(function, data))
 
 
+THREADS = "session-"
+"""How the names of the clients' threads begin."""
+
+
 @dataclass(frozen=True)
 class Tag:
     """A coloured name that follows a node of the scene.
@@ -109,7 +113,7 @@ class Bridge:
 
     def start(self) -> None:
         """Begin to handle messages. The page may say hello while it is still being built; until now that waits."""
-        threading.Thread(target=self._work, daemon=True, name=f"session-{self._client.client_id}").start()
+        threading.Thread(target=self._work, daemon=True, name=f"{THREADS}{self._client.client_id}").start()
 
     def post(self, job: Callable[[], None]) -> None:
         """Run something after everything that waits already."""

@@ -12,6 +12,7 @@ from pipeline.diagnosis.whatif.box_numbers import box_numbers
 from pipeline.diagnosis.whatif.decision_map import DecisionMap
 from pipeline.diagnosis.whatif.edit_list import each_edit
 from pipeline.geometry.palette import hex_color, palette
+from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE
 from pipeline.relations.installed import installed_networks
 from pipeline.relations.relations import Profile
@@ -47,7 +48,7 @@ def cost_html(state: State, undos: int) -> str:
     else:
         assert state.edited is not None or state.trace is None
         cost = "" if state.edited is None else f" · recomputed in {state.edited.seconds * 1000:.1f} ms"
-        said = f"<b>{len(edits)} edit{'s' if len(edits) > 1 else ''}</b>{cost}"
+        said = f"<b>{counted(len(edits), 'edit')}</b>{cost}"
     undo = button("undo", "sv('edit-undo')", "take the last edit back (Ctrl+Z)", bool(undos))
     reset = button("reset all", "sv('edit-reset')", "take all edits back (0)", bool(edits))
     return panel(

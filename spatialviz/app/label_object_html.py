@@ -9,6 +9,7 @@ from pipeline.corrections.moving import Moved
 from pipeline.corrections.object_card import FieldLine, ObjectCard
 from pipeline.diagnosis.whatif.box_numbers import BoxNumbers
 from pipeline.geometry.palette import RGB
+from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE
 from pipeline.relations.relations import letter
 from spatialviz.app.edit_panel import AXES, MODES, button, field
@@ -54,8 +55,8 @@ def _moved(moved: Moved) -> str:
 
 def object_html(card: ObjectCard, name: str, color: RGB, mode: str, author: str) -> str:
     """The selected object."""
-    facts = [f"{card.points:,} points", *([] if card.distance is None else [f"{card.distance:.2f} m"])]
-    asked = f"{card.expressions} expression{'' if card.expressions == 1 else 's'}"
+    facts = [counted(card.points, "point"), *([] if card.distance is None else [f"{card.distance:.2f} m"])]
+    asked = counted(card.expressions, "expression")
     counts = " ".join(f"{n} {state}" for state, n in card.states.items())
     concern = note(f"Not asked for: {card.concern}", DOUBT) if card.concern else ""
     added = f" · added by {safe(card.added_by)}" if card.added_by else ""

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pipeline.corrections.cards import PairCard, RelationLine
 from pipeline.corrections.label_editor import LabelEditor
 from pipeline.geometry.palette import palette
+from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE
 from pipeline.relations.relations import F, T, U, letter
 from spatialviz.app.keys import KEYS_OF_ONE
@@ -31,7 +32,7 @@ def review_head_html(state: State, opened: bool, desk: LabelEditor | None) -> st
     if state.labels is not None and state.labels.said and not (waiting and state.labels.bad):
         parts.append(note(state.labels.said, BAD if state.labels.bad else GOOD))
     if waiting:
-        count = f"{len(waiting)} action{'s' if len(waiting) > 1 else ''} not saved yet"
+        count = f"{counted(len(waiting), 'action')} not saved yet"
         parts.append(note(f"{count}, kept here and tried again every few seconds: {waiting[-1].problem}", BAD))
         parts.append('<span class="try go" role="button" onclick="sv(\'save-again\')">try again</span>')
     if desk is not None and desk.disputed:

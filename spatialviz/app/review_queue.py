@@ -20,6 +20,7 @@ from pipeline.corrections.review.queue_job import QueueJob, second_setup
 from pipeline.corrections.review.worklist import Worklist
 from pipeline.corrections.review.worklist_refresh import NOTHING, Mark, refreshed_worklist
 from pipeline.corrections.scene import labelled_objects
+from pipeline.language.counted import counted
 from pipeline.relations.relations import F, T, U, letter
 from pipeline.system.errors import InputError
 from spatialviz.app.correct import Correct
@@ -171,7 +172,7 @@ class ReviewQueue:
         if now.work is not None and now.work is not was.work:
             self._works[name], self._newest[name] = now.work, (now.made or {}).get("last", NOTHING)
             self._behind.add(name)
-            self._note(f"review queue: {len(now.work)} items")
+            self._note(f"review queue: {counted(len(now.work), 'item')}")
             self._note_skipped(now)
         if now.problem and now.problem != was.problem:
             stopped = now.problem == CANCELLED
@@ -182,7 +183,8 @@ class ReviewQueue:
         asked = (making.made or {}).get("detector")
         if asked is not None and (skipped := asked["skipped"]):
             frame, why = next(iter(skipped.items()))
-            self._note(f"the detector {asked['name']} could not look at {len(skipped)} frames, as {frame}: {why}")
+            number = counted(len(skipped), "frame")
+            self._note(f"the detector {asked['name']} could not look at {number}, as {frame}: {why}")
 
     def _caught_up(self) -> Worklist | None:
         """The list of the source that is looked at, with what anybody has saved by now."""

@@ -8,6 +8,7 @@ import signal
 import socket
 import sys
 import threading
+import time
 import webbrowser
 from collections.abc import Mapping, Sequence
 from contextlib import redirect_stdout
@@ -21,12 +22,17 @@ from pipeline.datasets.demo import DEMO_EXPRESSION, DEMO_NAME
 from pipeline.diagnosis.whatif.state import ViewState
 from pipeline.evaluation.run_folder import Run
 from pipeline.labels.reading import Labels
+from pipeline.language.counted import counted
 from pipeline.system.errors import InputError
+from spatialviz.app.bridge import THREADS
 from spatialviz.app.frames import FrameStore
 from spatialviz.app.memory import return_freed_memory
 from spatialviz.app.origin import LOCAL_NAMES, checked_origins
 from spatialviz.app.session import Session
 from spatialviz.app.theme import apply_theme
+
+ENDS_WITHIN = 3.0
+"""Seconds that clients' threads have to finish what they are at."""
 
 
 def start(
@@ -168,8 +174,17 @@ def serve(
             place.jobs.end()
         with redirect_stdout(io.StringIO()):
             server.stop()
+        _let_finish()
         for place in (journals or {}).values():
             _say_unsaved(place)
+
+
+def _let_finish() -> None:
+    """Wait, but not for long, until clients' threads are done: a query that is cut off makes DuckDB print its leaks."""
+    until = time.monotonic() + ENDS_WITHIN
+    for thread in threading.enumerate():
+        if thread.name.startswith(THREADS):
+            thread.join(max(0.0, until - time.monotonic()))
 
 
 def _end_in_order() -> None:
@@ -190,7 +205,7 @@ def _say_unsaved(place: JournalPlace) -> None:
     for found in dump_unsaved(place):
         count = len(found.edits)
         print(
-            f"spatialviz: {count} edit{'s' if count > 1 else ''} of {found.author} could not be saved: {found.problem}",
+            f"spatialviz: {counted(count, 'edit')} of {found.author} could not be saved: {found.problem}",
             file=sys.stderr,
         )
         for edit in found.edits:

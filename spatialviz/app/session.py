@@ -22,6 +22,7 @@ from pipeline.diagnosis.live import Judgement
 from pipeline.diagnosis.whatif.state import ViewState
 from pipeline.evaluation.run_folder import Run
 from pipeline.labels.reading import Labels
+from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE
 from pipeline.system.errors import InputError
 from spatialviz.app import bottom, left, right
@@ -266,7 +267,7 @@ class Session:
         self._cloud.place_anew = first
         viewer = loaded.context.viewer
         self._suggestions = () if scores is None else suggest_expressions(loaded.objects, scores, viewer)
-        self._note(f"frame {frame_id}: {len(loaded.objects)} objects, up {viewer.up_source}")
+        self._note(f"frame {frame_id}: {counted(len(loaded.objects), 'object')}, up {viewer.up_source}")
         for remark in dataset_notes(self._source().dataset) if first else ():
             self._note(remark)
         if loaded.problem:

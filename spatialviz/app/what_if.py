@@ -18,6 +18,7 @@ from pipeline.diagnosis.whatif import Baseline, Edits, Outcome, rerun
 from pipeline.diagnosis.whatif.decision_map import DecisionMap, decision_map
 from pipeline.diagnosis.whatif.edit_list import each_edit, without_edit
 from pipeline.geometry.boxes import Box3D
+from pipeline.language.counted import counted
 from pipeline.system.errors import InputError
 from spatialviz.app.edit_messages import edited_by
 from spatialviz.app.edit_panel import cost_html, edit_html
@@ -106,7 +107,7 @@ class WhatIf:
         state = self._state()
         if state.edits:
             count = len(each_edit(state.edits))
-            self._note(f"{count} edit{'s' if count > 1 else ''} dropped: of “{self._of[2]}” in frame {self._of[1]}")
+            self._note(f"{counted(count, 'edit')} dropped: of “{self._of[2]}” in frame {self._of[1]}")
         self._take(replace(state, edits=Edits(), edited=None))
         self._undo, self._of, self._baseline, self._map, self._live_since = [], None, None, None, None
 

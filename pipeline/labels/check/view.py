@@ -13,6 +13,7 @@ from pipeline.labels.check.findings import RULES, Figure, Finding, Severity
 from pipeline.labels.check.runs import MaskRuns, read_runs
 from pipeline.labels.check.stream import UNKNOWN, Rows
 from pipeline.language.naming import normal_form, same_class
+from pipeline.language.noun_phrase import alone
 from pipeline.language.relation_names import PAIRWISE, PHRASE
 from pipeline.relations.relations import F, T, U, letter
 
@@ -178,6 +179,11 @@ class FrameView:
     def alike(self) -> np.ndarray:
         """(N, N) bool: objects whose names mean the same."""
         return self.names.alike(self.labels)
+
+    @cached_property
+    def alone(self) -> np.ndarray:
+        """(N,) bool: objects whose name means no other one of the frame."""
+        return alone(self.labels)
 
     @cached_property
     def related(self) -> np.ndarray:
