@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 from hypothesis import settings
 
+from pipeline.system.threads import THREAD_VARIABLES
+
 if TYPE_CHECKING:
     from chat_server import ChatServer, Clock, Make
 
@@ -21,6 +23,11 @@ if TYPE_CHECKING:
     from pipeline.labels.reading import Labels
 
 ROOT = Path(__file__).resolve().parent.parent
+
+# Workers of pytest-xdist share the cores, and threads that wait for one another would take half of them. The
+# variables are read when numpy is loaded, and handed on to children.
+for _variable in THREAD_VARIABLES:
+    os.environ.setdefault(_variable, "1")
 
 # No test is about time: on a busy machine one example may well take a second.
 settings.register_profile("untimed", deadline=None)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections import Counter
-
 import numpy as np
 import pytest
 from diagnosis_worlds import world
@@ -12,13 +10,14 @@ from hypothesis import strategies as st
 
 from pipeline.answering.pair_table import PairTable, RankConfig, ScoredPair, pair_table, side
 from pipeline.answering.ranking import alone, rank
+from pipeline.diagnosis.frame_evidence import FrameEvidence
 from pipeline.diagnosis.oracles import CONF, LIFT, RECALL, SRM, STATE_PROBABILITY, SUBSETS, names_of, size, subset_of
 from pipeline.diagnosis.substitution import given_scores, substitute
-from pipeline.diagnosis.verdict import MARKS, VERDICTS, diagnose
+from pipeline.diagnosis.verdict import MARKS, VERDICTS, Diagnosis, diagnose
 from pipeline.diagnosis.words import explain
 from pipeline.evaluation.records import record
 from pipeline.evaluation.shapley import oracle_deltas
-from pipeline.labels.cases import HIT
+from pipeline.labels.cases import HIT, Case
 from pipeline.language.expression import parse
 from pipeline.relations.relations import U
 
@@ -170,12 +169,17 @@ def test_verdicts_are_exclusive_and_hold_what_they_say(
     assert all(bool(d.right_with >> s & 1) == bool(found.right_target[s]) for s in range(SUBSETS))
 
 
-def test_all_verdicts_of_ranking_occur_in_the_worlds() -> None:
-    seen: Counter[str] = Counter()
-    for seed in range(1500):
-        evidence, case = world(seed)
-        seen[diagnose(evidence, case, parse_ok=True).verdict] += 1
-    assert set(VERDICTS) - {"PARSE"} == set(seen)
+Diagnosed = list[tuple[FrameEvidence, Case, Diagnosis]]
+
+
+@pytest.fixture(scope="module")
+def diagnosed() -> Diagnosed:
+    """Many worlds and what is found in them; not to be changed."""
+    return [(e, c, diagnose(e, c, parse_ok=True)) for e, c in map(world, range(1500))]
+
+
+def test_all_verdicts_of_ranking_occur_in_the_worlds(diagnosed: Diagnosed) -> None:
+    assert set(VERDICTS) - {"PARSE"} == {d.verdict for _, _, d in diagnosed}
 
 
 @given(SEEDS, WEIGHTS)
@@ -217,11 +221,9 @@ def _changed(table: PairTable, factor: str, pair: ScoredPair, value: float) -> S
     return changed.pair(int(changed.first()[0]))
 
 
-def test_words_name_the_numbers() -> None:
+def test_words_name_the_numbers(diagnosed: Diagnosed) -> None:
     seen = set()
-    for seed in range(1500):
-        evidence, case = world(seed)
-        d = diagnose(evidence, case, parse_ok=True)
+    for _, case, d in diagnosed:
         said = explain(d, case, query=QUERY)
         if d.winner is None or d.right is None or d.detail == "DEGENERATE":
             continue
@@ -239,13 +241,12 @@ def test_words_name_the_numbers() -> None:
     assert seen == {"LIFT", "SRM", "PRM", "OPM-CONF"}
 
 
-def test_true_masks_tell_two_objects_apart() -> None:
+def test_true_masks_tell_two_objects_apart(diagnosed: Diagnosed) -> None:
     """Masks that leak into each other make two things one; true geometry mends it, and LIFT is named."""
     seen = 0
-    for seed in range(1500):
-        evidence, case = world(seed)
-        d, found = diagnose(evidence, case, parse_ok=True), substitute(evidence, case)
+    for evidence, case, d in diagnosed:
         if d.verdict == "LIFT" and d.right is None:
+            found = substitute(evidence, case)
             assert np.isneginf(found.log_score[0][found.covered]).all()
             assert found.accepted[LIFT]
             assert "count as one thing" in explain(d, case, query=QUERY)

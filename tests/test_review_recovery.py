@@ -21,10 +21,10 @@ from pipeline.training.train import TrainConfig
 pytest.importorskip("embreex")
 pytest.importorskip("torch")
 
-QUICK = DoubtConfig(folds=3, passes=1, train=TrainConfig(vocabulary="all", epochs=3, batch=32))
+QUICK = DoubtConfig(folds=3, passes=1, train=TrainConfig(vocabulary="all", epochs=3, batch=64))
 THOROUGH = replace(QUICK, passes=PASSES, train=replace(QUICK.train, epochs=5))
 SMALL = ReviewBenchConfig(
-    rooms=15, views=1, width=320, height=240, networks=1, again=0.02, doubts=THOROUGH, train=TrainConfig(batch=32)
+    rooms=15, views=1, width=320, height=240, networks=1, again=0.02, doubts=THOROUGH, train=TrainConfig(batch=64)
 )
 
 

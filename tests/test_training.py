@@ -281,7 +281,10 @@ def test_train_writes_a_network_that_answers_and_its_card(
     assert {"train_rooms", "calibration_rooms", "test_rooms"} <= set(card["rooms"])
     assert card["held_out"]["network"]["all_negative_accuracy"] > 0.7
     assert sorted(p.name for p in out.parent.iterdir()) == ["mine.json", "mine.onnx"]
-    assert main(["ask", "demo", "0", "mug left of the laptop", "--srm", str(out), "--json"]) in (0, 1)
-    assert json.loads(capsys.readouterr().out)["scorer"] == "canon30"
+    status = main(["ask", "demo", "0", "mug left of the laptop", "--srm", str(out), "--json"])
+    asked = json.loads(capsys.readouterr().out)
+    # Whether so small a network finds that it holds is left open.
+    assert status == (0 if asked["answer"]["holds"] else 1)
+    assert asked["scorer"] == "canon30"
     assert main(["train", "rooms", "--out", str(tmp_path / "mine.pt"), *small]) == 2
     assert ".onnx" in capsys.readouterr().err

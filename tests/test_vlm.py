@@ -5,6 +5,7 @@ from __future__ import annotations
 import _thread
 import gc
 import json
+import signal
 import socket
 import threading
 from collections.abc import Iterator
@@ -336,16 +337,19 @@ def test_an_error_in_making_a_question_ends_the_run(client_of: Make) -> None:
 
 
 @pytest.fixture
-def uncollected() -> Iterator[None]:
-    """No garbage is collected: Python drops an interrupt that comes in a callback of the collector, as others have."""
+def interruptible() -> Iterator[None]:
+    """An interrupt comes through: a shell lets its jobs in the background ignore them, and Python drops one that comes
+    in a callback of the garbage collector, as others have."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
     gc.collect()
     gc.disable()
     yield
     gc.enable()
+    signal.signal(signal.SIGINT, before)
 
 
 def test_an_interrupt_is_heeded_while_answers_are_awaited(
-    server: ChatServer, client_of: Make, uncollected: None
+    server: ChatServer, client_of: Make, interruptible: None
 ) -> None:
     server.gate = threading.Event()
 

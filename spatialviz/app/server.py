@@ -8,7 +8,6 @@ import signal
 import socket
 import sys
 import threading
-import time
 import webbrowser
 from collections.abc import Mapping, Sequence
 from contextlib import redirect_stdout
@@ -24,14 +23,14 @@ from pipeline.evaluation.run_folder import Run
 from pipeline.labels.reading import Labels
 from pipeline.language.counted import counted
 from pipeline.system.errors import InputError
-from spatialviz.app.bridge import THREADS
+from spatialviz.app.bridge import end_all
 from spatialviz.app.frames import FrameStore
 from spatialviz.app.memory import return_freed_memory
 from spatialviz.app.origin import LOCAL_NAMES, checked_origins
 from spatialviz.app.session import Session
 from spatialviz.app.theme import apply_theme
 
-ENDS_WITHIN = 3.0
+ENDS_WITHIN = 10.0
 """Seconds that clients' threads have to finish what they are at."""
 
 
@@ -172,19 +171,11 @@ def serve(
     finally:
         for place in (journals or {}).values():
             place.jobs.end()
+        end_all(ENDS_WITHIN)
         with redirect_stdout(io.StringIO()):
             server.stop()
-        _let_finish()
         for place in (journals or {}).values():
             _say_unsaved(place)
-
-
-def _let_finish() -> None:
-    """Wait, but not for long, until clients' threads are done: a query that is cut off makes DuckDB print its leaks."""
-    until = time.monotonic() + ENDS_WITHIN
-    for thread in threading.enumerate():
-        if thread.name.startswith(THREADS):
-            thread.join(max(0.0, until - time.monotonic()))
 
 
 def _end_in_order() -> None:
