@@ -35,8 +35,7 @@ class Agree:
 
     def run(self) -> int:
         from pipeline.answering.agreement.agreement_figures import figures
-        from pipeline.answering.agreement.frames import agree_frames
-        from pipeline.answering.agreement.records import agreement_record
+        from pipeline.answering.agreement.frames import agree_frames, agreement_record
         from pipeline.answering.opening import ALL_FRAMES
         from spatialviz.printing import rate_bar
         from spatialviz.printing_agreement import print_agreement, print_frame_agreement

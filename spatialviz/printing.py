@@ -20,7 +20,7 @@ from pipeline.answering.objects import SceneObject
 from pipeline.answering.opening import FrameRelations
 from pipeline.answering.told_answer import probability, told
 from pipeline.datasets import Dataset, FrameReport
-from pipeline.datasets.up_words import ASSUMED, DECLARE
+from pipeline.datasets.up_text import ASSUMED, DECLARE
 from pipeline.diagnosis.asking import JudgedAnswer
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.language.counted import counted

@@ -14,7 +14,7 @@ from pipeline.answering.model_catalogue import Adapter, FileReport, Here, is_fet
 from pipeline.proposals.contracts import Contract
 from pipeline.proposals.mismatch import BOXES, shapes
 from pipeline.system.execution import ACCELERATORS
-from pipeline.system.known_models import KnownModel
+from pipeline.system.model_files import KnownModel
 from spatialviz.printing import make_console
 
 

@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.answering.answering import FrameAnswers
+from pipeline.answering.answering import FrameAnswers, StageClock
 from pipeline.answering.ranking import Candidates, RankConfig
-from pipeline.answering.stage_clock import StageClock
 from pipeline.diagnosis.frame_evidence import FrameEvidence
 from pipeline.geometry.boxes import iou_2d
 from pipeline.labels.cases import Case, FrameCases

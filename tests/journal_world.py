@@ -12,7 +12,7 @@ from pipeline.corrections.journal.events import Edit, Event, Saved
 from pipeline.corrections.journal.field_refs import FieldRef, object_cell, relation_cell
 from pipeline.corrections.journal.journal import Journal
 from pipeline.corrections.journal.undo import redo, undo
-from pipeline.geometry.run_length import decode_run_length, encode_run_length
+from pipeline.geometry.masks import decode_run_length, encode_run_length
 
 FRAME = "000001/000000"
 

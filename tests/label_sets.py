@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.geometry.boxes import Box3D
-from pipeline.geometry.run_length import encode_run_length
+from pipeline.geometry.masks import encode_run_length
 from pipeline.geometry.viewer import viewer_axes
 from pipeline.labels.config import LabelConfig
 from pipeline.labels.job import label_dataset

@@ -24,8 +24,7 @@ from pipeline.answering.agreement.agreement import (
     overlaps,
 )
 from pipeline.answering.agreement.agreement_figures import figures, rank_correlation
-from pipeline.answering.agreement.frames import agree_frames, beside
-from pipeline.answering.agreement.records import agreement_record
+from pipeline.answering.agreement.frames import agree_frames, agreement_record, beside
 from pipeline.answering.objects import PreparedFrame, all_objects
 from pipeline.answering.opening import open_pipeline
 from pipeline.geometry.boxes import iou_2d

@@ -19,8 +19,7 @@ from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.frame import Frame
 from pipeline.proposals import make_detector
 from pipeline.proposals.box_config import BoxInput, read_box_model
-from pipeline.proposals.box_detector import BoxDetector
-from pipeline.proposals.box_placement import place_picture
+from pipeline.proposals.box_detector import BoxDetector, place_picture
 from pipeline.system.errors import InputError
 
 EXAMPLES = Path(read_box_model.__code__.co_filename).with_name("detectors")

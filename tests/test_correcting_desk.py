@@ -23,7 +23,7 @@ from pipeline.corrections.scene import labelled_objects
 from pipeline.corrections.unsaved import Waiting
 from pipeline.corrections.wording import said_events
 from pipeline.datasets import Dataset
-from pipeline.geometry.run_length import decode_run_length
+from pipeline.geometry.masks import decode_run_length
 from pipeline.labels.reading import Labels
 from pipeline.relations.relations import F, T, U
 from pipeline.system.errors import InputError

@@ -17,8 +17,7 @@ from scenes import frame_of, upright
 from pipeline.geometry.frame import Frame
 from pipeline.proposals import make_detector
 from pipeline.proposals.class_names import read_class_names
-from pipeline.proposals.detic import DeticDetector, resized_shape
-from pipeline.proposals.mask_paste import paste_masks
+from pipeline.proposals.detic import DeticDetector, paste_masks, resized_shape
 from pipeline.system.errors import InputError, UnknownClass
 
 NAMES = ("cup", "dining_table", "hot dog", "cracker box", "dog", "cup")

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 import pipeline.evaluation.bench as bench
+from pipeline.answering.answering import StageClock
 from pipeline.answering.objects import PreparedFrame, mask_iou
 from pipeline.answering.opening import open_pipeline
 from pipeline.answering.recording import record_detections
-from pipeline.answering.stage_clock import StageClock
 from pipeline.datasets.capabilities import load_picture
 from pipeline.evaluation.run import EvalSpec, evaluate_labels
 from pipeline.geometry.lifting import lift

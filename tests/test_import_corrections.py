@@ -25,7 +25,7 @@ from pipeline.corrections.journal.journal import Journal
 from pipeline.corrections.journal.materialise import materialise
 from pipeline.corrections.journal.undo import undo
 from pipeline.datasets import Dataset
-from pipeline.geometry.run_length import decode_run_length, encode_run_length
+from pipeline.geometry.masks import decode_run_length, encode_run_length
 from pipeline.labels.exports import export_labels
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.language.relation_names import INVERSE

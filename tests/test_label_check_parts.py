@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 from scenes import camera_of, frame_of, upright
 
-from pipeline.geometry.run_length import encode_run_length
+from pipeline.geometry.masks import encode_run_length
 from pipeline.labels.check.constraints import violations
 from pipeline.labels.check.expressions import says_the
 from pipeline.labels.check.objects import corners_of, iou_each, moved_towards, projected

@@ -14,16 +14,16 @@ from pipeline.answering.model_catalogue import describe_file
 from pipeline.evaluation.run import EvalSpec
 from pipeline.evaluation.run_folder import _read_spec, spec_record
 from pipeline.labels.plan import SourceSpec
-from pipeline.proposals.mismatch import DETECTORS
-from pipeline.proposals.segmenter_contracts import CONTRACTS
-from pipeline.system import known_models as table
+from pipeline.proposals.mismatch import DETECTORS, SEGMENTERS
 from pipeline.system import model_files
 from pipeline.system.errors import InputError, MissingExtra
-from pipeline.system.known_models import KnownFile, KnownModel, known_models
 from pipeline.system.model_files import (
     HubId,
+    KnownFile,
+    KnownModel,
     all_fetched,
     fetched,
+    known_models,
     model_folder,
     parse_hub_id,
     resolve_model,
@@ -191,7 +191,7 @@ def test_manifests_keep_an_id_as_an_id(tmp_path: Path, monkeypatch: pytest.Monke
 
 
 def test_the_table_of_public_files_is_sound() -> None:
-    options = {c.option for c in (*DETECTORS, *CONTRACTS)} | {"--detector boxes"}
+    options = {c.option for c in (*DETECTORS, *SEGMENTERS)} | {"--detector boxes"}
     assert {m.option for m in known_models()} == options
     for model in known_models():
         assert model.name
@@ -206,7 +206,7 @@ def test_the_table_of_public_files_is_sound() -> None:
                 assert parse_hub_id(f"{model.repo}:{file.file}@{model.revision}") is not None
     hashes = [f.sha256 for m in known_models() for f in m.files if f.sha256]
     assert len(set(hashes)) == len(hashes)
-    assert table.TABLE.is_file()
+    assert model_files.TABLE.is_file()
 
 
 def test_the_hash_is_that_of_the_standard_library(tmp_path: Path) -> None:

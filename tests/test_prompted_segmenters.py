@@ -20,10 +20,10 @@ from pipeline.geometry.frame import Frame
 from pipeline.proposals import make_segmenter
 from pipeline.proposals.efficientsam import EfficientSamModel
 from pipeline.proposals.mask_cache import CachedSegmenter
+from pipeline.proposals.mismatch import CONTRACTS
 from pipeline.proposals.prompted import PromptedSegmenter
 from pipeline.proposals.sam import SamModel
 from pipeline.proposals.sam2 import Sam2Model
-from pipeline.proposals.segmenter_contracts import CONTRACTS
 from pipeline.system.errors import InputError
 
 

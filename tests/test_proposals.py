@@ -20,14 +20,14 @@ from scenes import frame_of, upright
 from pipeline.datasets import open_dataset
 from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.frame import Frame
-from pipeline.geometry.run_length import decode_run_length
+from pipeline.geometry.masks import decode_run_length
 from pipeline.language.naming import Synonyms, default_synonyms
 from pipeline.proposals import AnnotationDetector, CachedDetector, Detector, Proposals, make_detector, top_k
 from pipeline.proposals.annotations import box_mask
 from pipeline.proposals.base import no_proposals
-from pipeline.proposals.letterbox import letterbox
 from pipeline.proposals.recorded import RecordedDetector
 from pipeline.proposals.selection import suppress
+from pipeline.proposals.yolo_seg import letterbox
 from pipeline.system.errors import InputError
 
 SEEDS = st.integers(0, 2**32 - 1)

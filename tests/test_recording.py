@@ -17,7 +17,7 @@ from pipeline.answering.ask import AskConfig, ask
 from pipeline.answering.opening import Pipeline, frame_range, open_pipeline
 from pipeline.answering.recording import record_detections
 from pipeline.datasets.demo import demo_path
-from pipeline.geometry.run_length import decode_crop, decode_run_length, encode_run_length
+from pipeline.geometry.masks import decode_crop, decode_run_length, encode_run_length
 from pipeline.proposals import top_k
 from pipeline.proposals.recorded import RecordedDetector
 from pipeline.proposals.simulated import SimulatedDetector

@@ -34,8 +34,8 @@ from pipeline.relations.features import FEATURES, feature_set
 from pipeline.relations.model import Contract, OnnxScorer
 from pipeline.relations.relations import directional_states
 from pipeline.relations.scorer import rule_probabilities, stacked_extents
-from pipeline.system.assets import asset_path
 from pipeline.system.errors import InputError
+from pipeline.system.paths import asset_path
 from pipeline.training.evaluation import clear_cut, clear_cut_report, evaluate
 
 LEFT, RIGHT, ABOVE, BELOW, FRONT, BEHIND = range(6)

@@ -29,7 +29,7 @@ from pipeline.datasets.synthetic.layout import FLOOR, TOUCH_M, WALL, overlaps, p
 from pipeline.datasets.synthetic.lighting import sunlight
 from pipeline.datasets.synthetic.model import Model
 from pipeline.datasets.synthetic.raycast import build_scene, pixel_rays
-from pipeline.datasets.synthetic.sensor import noise_sigma, sense
+from pipeline.datasets.synthetic.render import noise_sigma, sense
 from pipeline.datasets.synthetic.surfaces import OFFSET_M, find_surfaces
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.camera import lift_pixels, to_world

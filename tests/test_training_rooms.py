@@ -9,8 +9,14 @@ from hypothesis import strategies as st
 
 from pipeline.datasets.synthetic import Room, exact_view
 from pipeline.datasets.synthetic.layout import Instance, overlaps, part_boxes
-from pipeline.datasets.synthetic.roaming import NEAR_SHARE, NEAREST_M, roaming_cameras
-from pipeline.datasets.synthetic.scattered import SCATTERED, TABLE_TOP, make_scattered
+from pipeline.datasets.synthetic.scattered import (
+    NEAR_SHARE,
+    NEAREST_M,
+    SCATTERED,
+    TABLE_TOP,
+    make_scattered,
+    roaming_cameras,
+)
 from pipeline.datasets.synthetic.solids import Solid, solid, solid_view
 from pipeline.geometry.camera import lift_pixels
 from pipeline.geometry.viewer import viewer_axes

@@ -14,7 +14,7 @@ from pipeline.diagnosis.whatif.box_numbers import SMALLEST_SIDE, box_numbers, wi
 from pipeline.diagnosis.whatif.edit_list import each_edit, without_edit
 from pipeline.diagnosis.whatif.masks import MOST_PIXELS, grown, labelled_mask, rectangle
 from pipeline.geometry.boxes import Box3D
-from pipeline.geometry.run_length import encode_run_length
+from pipeline.geometry.masks import encode_run_length
 from pipeline.geometry.viewer import ViewerAxes, viewer_axes
 from pipeline.labels.cases import FrameCases
 from pipeline.system.errors import InputError

@@ -12,8 +12,15 @@ from pipeline.proposals.contracts import Contract, TensorSpec, declared
 from pipeline.proposals.mismatch import BOXES, DETECTORS, FileKind, recognise
 from pipeline.proposals.mismatch import SEGMENTERS as SEGMENTER_CONTRACTS
 from pipeline.system.errors import InputError
-from pipeline.system.known_models import KnownModel, known_models
-from pipeline.system.model_files import HubId, all_fetched, fetched, parse_hub_id, refuse_address
+from pipeline.system.model_files import (
+    HubId,
+    KnownModel,
+    all_fetched,
+    fetched,
+    known_models,
+    parse_hub_id,
+    refuse_address,
+)
 from pipeline.system.onnx_session import open_session
 
 BOXES_CONTRACT = Contract(

@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.geometry.frame import Frame
-from pipeline.geometry.run_length import encode_run_length
+from pipeline.geometry.masks import encode_run_length
 from pipeline.proposals.base import Detector, Proposals
 from pipeline.proposals.recorded import MADE_BY, MADE_BY_FILE
 from pipeline.proposals.selection import top_k

@@ -12,7 +12,7 @@ from pipeline.corrections.journal.edits import Edits, add_object, pixels_of, set
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.field_refs import FieldRef, object_cell
 from pipeline.geometry.lifting import LiftedObject, lift
-from pipeline.geometry.run_length import decode_run_length, encode_run_length
+from pipeline.geometry.masks import decode_run_length, encode_run_length
 from pipeline.system.errors import InputError
 
 MOST_STEPS = 500

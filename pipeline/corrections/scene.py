@@ -11,7 +11,7 @@ from pipeline.answering.objects import SceneObject
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.lifting import LiftedObject, Quality
-from pipeline.geometry.run_length import decode_crop
+from pipeline.geometry.masks import decode_crop
 from pipeline.proposals.annotations import box_mask
 from pipeline.system.errors import InputError
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pipeline.system.assets import asset_path
+from pipeline.system.paths import asset_path
 
 DEMO_NAME = "demo"
 DEMO_EXPRESSION = "mug left of the laptop"

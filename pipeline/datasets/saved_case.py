@@ -22,7 +22,7 @@ from pipeline.datasets.settings import Settings
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.camera import Camera, UpSource
 from pipeline.geometry.frame import Annotation, Frame
-from pipeline.geometry.run_length import RunLength, decode_run_length, encode_run_length
+from pipeline.geometry.masks import RunLength, decode_run_length, encode_run_length
 from pipeline.system.errors import InputError
 
 MANIFEST = "spatialviz-case.json"

@@ -22,8 +22,8 @@ from pipeline.datasets import Dataset
 from pipeline.geometry.camera import project
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.lifting import depth_edges, flying_pixels
-from pipeline.system.cache_folder import cache_folder
 from pipeline.system.errors import FrameUnusable, InputError, MissingExtra
+from pipeline.system.paths import cache_folder
 
 _VERSION = "1"
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.datasets.base import Dataset
 from pipeline.datasets.capabilities import dataset_notes, has_moves, moves
-from pipeline.datasets.up_words import ASSUMED, DECLARE
+from pipeline.datasets.up_text import ASSUMED, DECLARE
 from pipeline.geometry.camera import Camera, UpSource
 from pipeline.geometry.frame import Frame
 from pipeline.system.errors import InputError

@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal
 
+from pipeline.geometry.camera import UpSource
 from pipeline.system.errors import InputError
 
 Vector = tuple[float, float, float]
@@ -59,3 +60,16 @@ def parse_level_at(text: str) -> tuple[str | None, int, int]:
     if u < 0 or v < 0 or (colon and not frame):
         raise InputError("no pixel of a level surface", got=repr(text), expected="U,V or FRAME:U,V: column, row")
     return frame or None, u, v
+
+
+SOURCES: dict[UpSource, str] = {
+    "given": "you said so: --up, --level-at, spatialviz.toml, or a surface that was called level",
+    "declared": "the dataset declares it",
+    "imu": "an inertial sensor measured it",
+    "scene": "the posed frames of the scene agree on it",
+    "plane": "it is the normal of a level plane of this frame",
+    "assumed": "nothing tells: image-up is taken",
+}
+"""How an up vector is known, by its source."""
+ASSUMED = "up is assumed to be image-up: left, right, above, below, in front and behind may all be wrong"
+DECLARE = "--up X,Y,Z says where up is, --level-at U,V that the surface at a pixel is level"

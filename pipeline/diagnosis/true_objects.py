@@ -7,7 +7,7 @@ import numpy as np
 from pipeline.answering.objects import PreparedFrame, SceneObject
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.lifting import LiftedObject, Quality, lift
-from pipeline.geometry.run_length import decode_run_length
+from pipeline.geometry.masks import decode_run_length
 from pipeline.labels.cases import FrameCases
 from pipeline.language.relation_names import DIRECTIONAL
 from pipeline.proposals.annotations import box_mask

@@ -105,7 +105,7 @@ def bench_labels(spec: SourceSpec, *, views: int = 12, repeat: int = 3, workers:
 def bench_views(seed: int) -> list[BenchView]:
     """Views of one rendered room, with the extents of what is truly visible."""
     from pipeline.datasets.synthetic import choose_views, exact_view, make_room
-    from pipeline.datasets.synthetic.sensor import sense
+    from pipeline.datasets.synthetic.render import sense
     from pipeline.training.training_data import MIN_PIXELS, degraded
 
     rng = np.random.default_rng([seed, 31])

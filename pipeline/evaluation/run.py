@@ -12,10 +12,9 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from pipeline.answering.answering import FrameAnswers
+from pipeline.answering.answering import FrameAnswers, StageClock
 from pipeline.answering.objects import PreparedFrame, prepare_frame
 from pipeline.answering.opening import Pipeline, open_pipeline
-from pipeline.answering.stage_clock import StageClock
 from pipeline.datasets.capabilities import load_picture
 from pipeline.diagnosis.columns import diagnosis_columns
 from pipeline.diagnosis.frame_evidence import DEFAULT_CONFIDENCE, FrameEvidence

@@ -14,7 +14,7 @@ from pipeline.datasets import GivenExpression
 from pipeline.geometry.fitting import pca_box
 from pipeline.geometry.frame import Annotation, Frame
 from pipeline.geometry.lifting import LiftedObject
-from pipeline.geometry.run_length import encode_run_length
+from pipeline.geometry.masks import encode_run_length
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.labels.config import LabelConfig
 from pipeline.labels.expressions import candidate_expressions

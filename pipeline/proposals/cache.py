@@ -14,7 +14,7 @@ import xxhash
 
 from pipeline.geometry.frame import Frame
 from pipeline.proposals.base import Detector, Proposals, detect_expression, reads_annotations
-from pipeline.system.cache_folder import cache_folder
+from pipeline.system.paths import cache_folder
 
 _IN_MEMORY = 8
 _VERSION = "2"

@@ -12,7 +12,7 @@ import xxhash
 
 from pipeline.geometry.frame import Frame
 from pipeline.proposals.segmenter import Segmenter
-from pipeline.system.cache_folder import cache_folder
+from pipeline.system.paths import cache_folder
 
 _VERSION = "1"
 

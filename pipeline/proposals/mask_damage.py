@@ -5,7 +5,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from pipeline.geometry.mask_crop import MaskCrop
+from pipeline.geometry.masks import MaskCrop
 
 LEAST_LEFT = 0.25
 """An erosion that leaves less of a mask than this share does not take place: what is found is never nothing."""

@@ -7,10 +7,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pipeline.proposals import detic_contract, grounding_dino_contract, owl_contract, yolo_seg_contract
+from pipeline.proposals import (
+    detic_contract,
+    efficientsam_contract,
+    grounding_dino_contract,
+    owl_contract,
+    sam2_contract,
+    sam_contract,
+    yolo_seg_contract,
+)
 from pipeline.proposals.contracts import Contract, TensorSpec, declared, follows
-from pipeline.proposals.segmenter_contracts import CONTRACTS as SEGMENTERS
-from pipeline.proposals.segmenter_contracts import INSTEAD, REFUSED
 from pipeline.system.errors import InputError
 from pipeline.system.onnx_session import metadata
 
@@ -165,3 +171,48 @@ def not_fitting(what: str, option: str, session: Any, path: Path, contracts: Seq
 
 def _alike(wanted: Sequence[TensorSpec], given: Sequence[TensorSpec]) -> bool:
     return len(wanted) == len(given) and all(len(a.shape) == len(b.shape) for a, b in zip(wanted, given, strict=True))
+
+
+SEGMENTERS: tuple[Contract, ...] = sam_contract.CONTRACTS + sam2_contract.CONTRACTS + efficientsam_contract.CONTRACTS
+"""Of every segmenter that takes an encoder and a decoder."""
+_NO_BOX = "the export of SAM 1 for transformers.js, whose decoder takes no box"
+_EMBEDDINGS = TensorSpec("image_embeddings", "float32", ("batch", 256, 64, 64))
+_POSITIONS = TensorSpec("image_positional_embeddings", "float32", ("batch", 256, 64, 64))
+REFUSED: tuple[Contract, ...] = (
+    Contract(
+        sam_contract.OPTION,
+        _NO_BOX,
+        (TensorSpec("pixel_values", "float32", ("batch", 3, "side", "side")),),
+        (_EMBEDDINGS, _POSITIONS),
+    ),
+    Contract(
+        sam_contract.OPTION,
+        _NO_BOX,
+        (
+            _EMBEDDINGS,
+            _POSITIONS,
+            TensorSpec("input_points", "float32", ("batch", "prompts", "points", 2)),
+            TensorSpec("input_labels", "int64", ("batch", "prompts", "points")),
+        ),
+        (
+            TensorSpec("iou_scores", "float32", ("batch", "prompts", "masks")),
+            TensorSpec("pred_masks", "float32", ("batch", "prompts", "masks", 256, 256)),
+        ),
+    ),
+    Contract(
+        efficientsam_contract.OPTION,
+        "an EfficientSAM in one file, which would be run whole for each box",
+        (
+            TensorSpec("batched_images", "float32", ("batch", 3, "height", "width")),
+            TensorSpec("batched_point_coords", "float32", ("batch", "boxes", "points", 2)),
+            TensorSpec("batched_point_labels", "float32", ("batch", "boxes", "points")),
+        ),
+        (),
+    ),
+)
+"""Files that look right and cannot be used; `what` says why."""
+INSTEAD = {
+    sam_contract.OPTION: "MobileSAM's or the official exporter's files do",
+    efficientsam_contract.OPTION: "take the split export",
+}
+"""What to do in place of those."""

@@ -29,8 +29,7 @@ import numpy as np
 from pydantic import BaseModel, Field, FiniteFloat, TypeAdapter, ValidationError
 
 from pipeline.geometry.frame import Frame
-from pipeline.geometry.mask_crop import MaskCrop
-from pipeline.geometry.run_length import RunLength, decode_crop
+from pipeline.geometry.masks import MaskCrop, RunLength, decode_crop
 from pipeline.language.naming import Synonyms, match
 from pipeline.proposals.annotations import box_mask
 from pipeline.proposals.base import Proposals, no_proposals, unknown_class

@@ -18,7 +18,7 @@ import numpy as np
 from pydantic import BaseModel, Field, FiniteFloat, ValidationError
 
 from pipeline.geometry.frame import Frame
-from pipeline.geometry.run_length import RunLength, decode_run_length
+from pipeline.geometry.masks import RunLength, decode_run_length
 from pipeline.language.naming import Synonyms
 from pipeline.proposals.assignment import Segments, segment_from
 from pipeline.proposals.detector_masks import DetectorSegmenter

@@ -29,7 +29,7 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError,
 
 from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.frame import Annotation, Frame
-from pipeline.geometry.mask_crop import MaskCrop
+from pipeline.geometry.masks import MaskCrop
 from pipeline.language.naming import Synonyms, default_synonyms, match
 from pipeline.proposals.base import Proposals, no_proposals, unknown_class
 from pipeline.proposals.mask_damage import leaked, resized, surroundings, truncated

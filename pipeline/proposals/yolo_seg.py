@@ -23,7 +23,6 @@ from pipeline.geometry.frame import Frame
 from pipeline.language.naming import Synonyms
 from pipeline.proposals.base import Proposals, no_proposals
 from pipeline.proposals.class_names import metadata_names, names_hash, read_class_names, synonyms_hash, wanted_names
-from pipeline.proposals.letterbox import Letterbox, letterbox
 from pipeline.proposals.selection import suppress
 from pipeline.proposals.yolo_seg_contract import CONTRACTS, MASK_COEFFICIENTS, OPTION, tensors_of
 from pipeline.system.errors import InputError
@@ -231,3 +230,49 @@ def _checked_names(names: tuple[str, ...] | None, classes: int | None, path: Pat
     if classes is not None and len(names) != classes:
         raise InputError("the class names are not those of the model", got=len(names), expected=classes, path=path)
     return names
+
+
+@dataclass(frozen=True)
+class Letterbox:
+    """How a picture lies in the network's input.
+
+    Attributes
+    ----------
+    scale : float
+        Input pixels per picture pixel.
+    left, top : int
+        Where the picture begins in the input, pixels.
+    width, height : int
+        Size of the picture in the input, pixels.
+    """
+
+    scale: float
+    left: int
+    top: int
+    width: int
+    height: int
+
+    def to_picture(self, boxes: np.ndarray, picture_height: int, picture_width: int) -> np.ndarray:
+        """(N, 4) boxes in input pixels as boxes in picture pixels, clipped to the picture."""
+        boxes = (boxes - np.array([self.left, self.top] * 2, np.float32)) / self.scale
+        return np.clip(boxes, 0, np.array([picture_width, picture_height] * 2)).astype(np.float32)
+
+
+def letterbox(rgb: np.ndarray, height: int, width: int, pad: int = 114) -> tuple[np.ndarray, Letterbox]:
+    """The picture scaled to fit (height, width), centred, the rest filled with grey.
+
+    Returns
+    -------
+    image : (height, width, 3) uint8
+    placement : Letterbox
+    """
+    h, w = rgb.shape[:2]
+    scale = min(height / h, width / w)
+    inner_w, inner_h = min(max(round(w * scale), 1), width), min(max(round(h * scale), 1), height)
+    left, top = round((width - inner_w) / 2 - 0.1), round((height - inner_h) / 2 - 0.1)
+    image = np.full((height, width, 3), pad, np.uint8)
+    resized = rgb
+    if (inner_h, inner_w) != (h, w):
+        resized = cv2.resize(rgb, (inner_w, inner_h), interpolation=cv2.INTER_LINEAR)
+    image[top : top + inner_h, left : left + inner_w] = resized
+    return image, Letterbox(scale, left, top, inner_w, inner_h)

@@ -4,8 +4,8 @@ from pathlib import Path
 
 from pipeline.relations.installed import installed_network, installed_networks
 from pipeline.relations.scorer import RelationScorer, RelationScores, RuleScorer
-from pipeline.system.assets import asset_path
 from pipeline.system.errors import InputError
+from pipeline.system.paths import asset_path
 
 __all__ = ["RelationScorer", "RelationScores", "RuleScorer", "make_scorer", "shipped_network"]
 

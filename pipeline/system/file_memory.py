@@ -43,7 +43,7 @@ def memory_path(path: Path, cache: Path | None) -> Path:
 
     To read all of several gigabytes would cost what the cache is to save.
     """
-    from pipeline.system.cache_folder import cache_folder
+    from pipeline.system.paths import cache_folder
 
     try:
         state = path.stat()

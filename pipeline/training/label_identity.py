@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.labels.reading import Labels
 from pipeline.metrics.splits import DROPPED, TRAIN, VALIDATION, FrameKey, SplitPlan
-from pipeline.relations.trained_on import TrainedOn
+from pipeline.relations.contract import TrainedOn
 
 
 def identity(labels: Labels) -> tuple[str, str, str]:

@@ -20,8 +20,7 @@ import cv2
 import numpy as np
 
 from pipeline.datasets.synthetic import Instance, Room, choose_views, make_room, sense_view
-from pipeline.datasets.synthetic.roaming import roaming_cameras
-from pipeline.datasets.synthetic.scattered import make_scattered
+from pipeline.datasets.synthetic.scattered import make_scattered, roaming_cameras
 from pipeline.datasets.synthetic.solids import solid_view
 from pipeline.geometry.camera import Camera
 from pipeline.geometry.lifting import LiftedObject, lift

@@ -12,8 +12,8 @@ import numpy as np
 from pipeline.answering.objects import SceneObject
 from pipeline.corrections.draft import Draft
 from pipeline.geometry.lifting import LiftedObject
+from pipeline.geometry.masks import decode_crop
 from pipeline.geometry.palette import ON_DARK, RGB, instance_colors
-from pipeline.geometry.run_length import decode_crop
 from spatialviz.app.state import State
 from spatialviz.app.text import BAD, IDLE, note, safe
 

@@ -26,7 +26,7 @@ from pipeline.corrections.journal.field_refs import (
 )
 from pipeline.corrections.journal.judgements import judgement_cell
 from pipeline.geometry.boxes import Box3D
-from pipeline.geometry.run_length import decode_run_length, encode_run_length
+from pipeline.geometry.masks import decode_run_length, encode_run_length
 from pipeline.system.errors import InputError
 
 Edits = tuple[Edit, ...]

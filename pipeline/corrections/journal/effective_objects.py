@@ -12,7 +12,7 @@ from pipeline.corrections.journal.frame_rows import FrameRows
 from pipeline.corrections.journal.origins import Origin, Origins
 from pipeline.corrections.journal.replay import Replayed, Unapplied, all_gone, is_another, replay
 from pipeline.corrections.journal.setting import Setting
-from pipeline.geometry.run_length import decode_crop
+from pipeline.geometry.masks import decode_crop
 
 Row = dict[str, Any]
 BOX_COLUMNS = ("center", "R", "size")

@@ -12,7 +12,7 @@ from typing import Any, Literal
 import numpy as np
 
 from pipeline.geometry.boxes import Box3D
-from pipeline.geometry.run_length import run_lengths
+from pipeline.geometry.masks import run_lengths
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.relations.relations import letter
 from pipeline.system.errors import InputError

@@ -16,7 +16,7 @@ from pipeline.corrections.journal.setting import Setting
 from pipeline.datasets import Dataset
 from pipeline.geometry.camera import UpSource
 from pipeline.geometry.lifting import LiftedObject, lift
-from pipeline.geometry.run_length import decode_run_length
+from pipeline.geometry.masks import decode_run_length
 from pipeline.labels.labelling import label_objects
 from pipeline.labels.second_opinion import NONE, open_second_opinion
 from pipeline.proposals.annotations import box_mask

@@ -19,7 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from pipeline.datasets.saved_case import Four, damaged
 from pipeline.geometry.frame import Frame
-from pipeline.geometry.run_length import RunLength, decode_run_length, encode_run_length
+from pipeline.geometry.masks import RunLength, decode_run_length, encode_run_length
 from pipeline.proposals.annotations import box_mask
 from pipeline.proposals.base import Detector, Proposals, no_proposals
 from pipeline.system.errors import InputError, UnknownClass

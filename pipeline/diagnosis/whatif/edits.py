@@ -22,7 +22,7 @@ import numpy as np
 
 from pipeline.diagnosis.whatif.settings_check import checked_lift, checked_profile, checked_rank
 from pipeline.geometry.boxes import Box3D
-from pipeline.geometry.run_length import decode_run_length, encode_run_length
+from pipeline.geometry.masks import decode_run_length, encode_run_length
 from pipeline.system.errors import InputError
 
 Three = tuple[float, float, float]

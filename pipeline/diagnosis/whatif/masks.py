@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from pipeline.geometry.boxes import iou_2d
-from pipeline.geometry.run_length import decode_run_length
+from pipeline.geometry.masks import decode_run_length
 from pipeline.labels.cases import FrameCases
 from pipeline.system.errors import InputError
 

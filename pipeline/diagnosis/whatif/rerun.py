@@ -25,7 +25,7 @@ from pipeline.diagnosis.whatif.edits import Edits, PlacedBox, RunLengthMask
 from pipeline.diagnosis.whatif.keys import detection_keys
 from pipeline.diagnosis.whatif.pair_tables import PairTables, identity, score_pairs
 from pipeline.geometry.lifting import LiftedObject, lift
-from pipeline.geometry.mask_crop import MaskCrop
+from pipeline.geometry.masks import MaskCrop
 from pipeline.language.expression import Attachment, parse
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.proposals.base import Proposals

@@ -29,8 +29,8 @@ from pipeline.evaluation.vlm.protocol import (
 from pipeline.evaluation.vlm.transport import Failure, checked_base, send
 from pipeline.evaluation.vlm.view import Picture
 from pipeline.proposals.base import listed
-from pipeline.system.cache_folder import cache_folder
 from pipeline.system.errors import InputError
+from pipeline.system.paths import cache_folder
 
 KEY_VARIABLE = "SPATIALVIZ_VLM_KEY"
 FIRST_WAIT_S = 0.5

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.geometry.run_length import run_lengths
+from pipeline.geometry.masks import run_lengths
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from pipeline.datasets.up_words import ASSUMED
+from pipeline.datasets.up_text import ASSUMED
 from pipeline.labels.check.findings import Finding
 from pipeline.labels.check.view import FrameView
 

@@ -17,7 +17,7 @@ from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.effective_objects import BOX_COLUMNS
 from pipeline.corrections.journal.field_refs import FieldRef, object_cell, relation_cell, same_value
 from pipeline.corrections.journal.incoming.claims import Claims
-from pipeline.geometry.run_length import decode_run_length
+from pipeline.geometry.masks import decode_run_length
 from pipeline.labels.exports.jsonl import BLOCK
 from pipeline.labels.exports.provenance import ExportedFrom
 from pipeline.labels.schema import TABLES

@@ -1,8 +1,13 @@
-"""Where the files that come with the program lie: beside the package in a checkout, inside it when installed."""
+"""Where the files that come with the program lie (beside the package in a checkout, inside it when installed), and the
+folder in which what was computed once is kept.
+"""
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
+
+import platformdirs
 
 from pipeline.system.errors import InputError
 
@@ -21,3 +26,8 @@ def asset_path(*parts: str) -> Path:
         if candidate.exists():
             return candidate
     raise InputError(f"{'/'.join(parts)} is not part of this installation", cause="reinstall spatialviz")
+
+
+def cache_folder() -> Path:
+    """Where cached results live: SPATIALVIZ_CACHE, or the user's cache folder."""
+    return Path(os.environ.get("SPATIALVIZ_CACHE") or platformdirs.user_cache_dir("spatialviz"))

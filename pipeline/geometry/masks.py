@@ -1,15 +1,18 @@
-"""COCO's run-length code of masks: read without trust, decoded no further than to the mask's box, and written."""
+"""COCO's run-length code of masks: read without trust, decoded no further than to the mask's box, and written.
+
+In memory a mask is bool (H, W), or a crop without the empty picture around it.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import cv2
 import numpy as np
 from pydantic import BaseModel, ConfigDict
 
-from pipeline.geometry.mask_crop import MaskCrop
 from pipeline.system.errors import InputError
 
 _LONGEST = 7
@@ -102,3 +105,30 @@ def encode_run_length(mask: np.ndarray) -> str:
     # The code runs down columns; OpenCV transposes several times faster than a strided copy.
     code: Any = coco.encode(cv2.transpose(mask.view(np.uint8)).T)
     return code["counts"].decode("ascii")
+
+
+@dataclass(frozen=True)
+class MaskCrop:
+    """The part of a picture's mask that is not empty.
+
+    Attributes
+    ----------
+    x, y : int
+        Its upper left pixel in the picture.
+    mask : (h, w) bool
+    """
+
+    x: int
+    y: int
+    mask: np.ndarray
+
+    @property
+    def box(self) -> tuple[int, int, int, int]:
+        """x0, y0, x1, y1 of the mask, exclusive right and bottom edges; empty where the mask is."""
+        x, y, w, h = cv2.boundingRect(self.mask.view(np.uint8))
+        return self.x + x, self.y + y, self.x + x + w, self.y + y + h
+
+    def paint(self, picture: np.ndarray) -> None:
+        """Set its pixels in an empty mask of the whole picture, (H, W) bool."""
+        h, w = self.mask.shape
+        picture[self.y : self.y + h, self.x : self.x + w] = self.mask
