@@ -20,7 +20,7 @@ from pipeline.geometry.frame import Frame
 from pipeline.proposals import make_segmenter
 from pipeline.proposals.efficientsam import EfficientSamModel
 from pipeline.proposals.mask_cache import CachedSegmenter
-from pipeline.proposals.mismatch import CONTRACTS
+from pipeline.proposals.mismatch import SEGMENTERS
 from pipeline.proposals.prompted import PromptedSegmenter
 from pipeline.proposals.sam import SamModel
 from pipeline.proposals.sam2 import Sam2Model
@@ -434,6 +434,6 @@ def test_a_run_names_both_files(tmp_path: Path) -> None:
 
 
 def test_every_contract_says_what_it_is() -> None:
-    assert len({c.what for c in CONTRACTS}) == len(CONTRACTS)
-    assert {c.option for c in CONTRACTS} == {"--segmenter sam", "--segmenter sam2", "--segmenter efficientsam"}
-    assert all(c.inputs and c.outputs for c in CONTRACTS)
+    assert len({c.what for c in SEGMENTERS}) == len(SEGMENTERS)
+    assert {c.option for c in SEGMENTERS} == {"--segmenter sam", "--segmenter sam2", "--segmenter efficientsam"}
+    assert all(c.inputs and c.outputs for c in SEGMENTERS)

@@ -10,7 +10,7 @@ from pipeline.proposals.box_config import find_box_model
 from pipeline.proposals.class_names import metadata_names
 from pipeline.proposals.contracts import Contract, TensorSpec, declared
 from pipeline.proposals.mismatch import BOXES, DETECTORS, FileKind, recognise
-from pipeline.proposals.mismatch import SEGMENTERS as SEGMENTER_CONTRACTS
+from pipeline.proposals.mismatch import SEGMENTERS
 from pipeline.system.errors import InputError
 from pipeline.system.model_files import (
     HubId,
@@ -106,7 +106,7 @@ class Here:
 
 def adapters() -> tuple[Adapter, ...]:
     """Every option that reads a network."""
-    contracts = (*DETECTORS, BOXES_CONTRACT, *SEGMENTER_CONTRACTS)
+    contracts = (*DETECTORS, BOXES_CONTRACT, *SEGMENTERS)
     options = dict.fromkeys(c.option for c in contracts)
     text = {c.option for c in contracts if any(s.name == "input_ids" for s in c.inputs)}
     lacks = "hub" if find_spec("tokenizers") is None else None
