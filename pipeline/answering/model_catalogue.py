@@ -9,8 +9,7 @@ from pathlib import Path
 from pipeline.proposals.box_config import find_box_model
 from pipeline.proposals.class_names import metadata_names
 from pipeline.proposals.contracts import Contract, TensorSpec, declared
-from pipeline.proposals.mismatch import BOXES, DETECTORS, FileKind, recognise
-from pipeline.proposals.mismatch import SEGMENTERS
+from pipeline.proposals.mismatch import BOXES, DETECTORS, SEGMENTERS, FileKind, recognise
 from pipeline.system.errors import InputError
 from pipeline.system.model_files import (
     HubId,
