@@ -18,7 +18,7 @@ from pipeline.geometry.frame import Frame
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.language.naming import Synonyms
 from pipeline.language.relation_names import PAIRWISE
-from pipeline.proposals import Detector, Segmented, make_segmenter
+from pipeline.proposals import Detector, Segmented, Segmenter, make_segmenter
 from pipeline.proposals.detector_setup import DetectorSetup
 from pipeline.proposals.segmenters import SegmenterFiles
 from pipeline.relations import RelationScorer, RelationScores, make_scorer
@@ -141,9 +141,9 @@ def open_pipeline(
     model: Path | None = None,
     model_config: Path | None = None,
     min_score: float | None = None,
-    segmenter: str | None = None,
+    segmenter: str | Segmenter | None = None,
     segmenter_model: SegmenterFiles = None,
-    srm: str | Path = "trained",
+    srm: str | Path | RelationScorer = "trained",
     vectors: Path | None = None,
     synonyms: Path | None = None,
     config: AskConfig | None = None,
@@ -153,8 +153,9 @@ def open_pipeline(
 ) -> Pipeline:
     """Open a dataset and the models for it; the path "demo" is the built-in one, and a dataset may be open already.
 
-    `intrinsics`, `depth_scale`, `up` and `level_at` are those of `open_dataset`. `detector` is a name, as on the
-    command line, or an object of one's own; then `model`, `model_config`, `min_score` and `fuse` are not for it.
+    `intrinsics`, `depth_scale`, `up` and `level_at` are those of `open_dataset`. `detector`, `segmenter` and `srm` are
+    names, as on the command line, or objects of one's own; a detector of one's own takes no `model`, `model_config`,
+    `min_score` and `fuse`.
     `segmenter` makes masks for boxes that have none ("depth", "recorded", "yolo-seg", "sam", "sam2", "efficientsam");
     by default there is none. `segmenter_model` is its file, or its encoder and decoder. A network's file may also be
     named by its id on the model hub. `model_config` says what the detector's file does not.
@@ -206,14 +207,17 @@ def open_pipeline(
     if segmenter is None and segmenter_model is not None:
         raise InputError("--segmenter-model needs --segmenter", cause="what is it for?")
     if segmenter is not None:
-        masks = make_segmenter(segmenter, model=segmenter_model, synonyms=table)
+        masks = segmenter
+        if isinstance(masks, str):
+            masks = make_segmenter(masks, model=segmenter_model, synonyms=table)
         found = None if found is None else Segmented(found, masks)
         beside = None if beside is None else Segmented(beside, masks)
     config = config or AskConfig()
     if config.score_calibration is not None and found is not None:
         config.score_calibration.check(found)
+    scorer = make_scorer(srm, vectors) if isinstance(srm, str | Path) else srm
     return Pipeline(
-        dataset, found, make_scorer(srm, vectors), config, table, lambda: make(0.0), beside, setup, beside_setup
+        dataset, found, scorer, config, table, lambda: make(0.0), beside, setup, beside_setup
     )
 
 
