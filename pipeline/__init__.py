@@ -11,9 +11,8 @@ change without notice. `spatialviz` has the same face, and a screen. Data flows 
 scored -> ranked. Importing this package imports nothing but the standard library: a name is loaded when it is used.
 """
 
-from importlib import import_module
-from typing import TYPE_CHECKING, Any
-
+TYPE_CHECKING = False
+# Type checkers take it for that of `typing`, whose import would be most of what importing this package costs.
 if TYPE_CHECKING:
     from pipeline.datasets.base import Dataset, DatasetFormat
     from pipeline.diagnosis.asking import Answer
@@ -80,12 +79,16 @@ _ROOMS = {
 _MODULE_OF = {name: module for module, names in _ROOMS.items() for name in names.split()}
 
 
-def __getattr__(name: str) -> Any:
-    if name not in _MODULE_OF:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    found = getattr(import_module(f"{__name__}.{_MODULE_OF[name]}"), name)
-    globals()[name] = found
-    return found
+if not TYPE_CHECKING:  # A type checker would take any name for one of this module's.
+
+    def __getattr__(name: str) -> object:
+        from importlib import import_module
+
+        if name not in _MODULE_OF:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        found = getattr(import_module(f"{__name__}.{_MODULE_OF[name]}"), name)
+        globals()[name] = found
+        return found
 
 
 def __dir__() -> list[str]:

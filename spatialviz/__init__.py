@@ -13,12 +13,15 @@ the shell how an answer and a run look.
 """
 
 import sys
-from typing import TYPE_CHECKING, Any
 
 import pipeline
 from pipeline import __version__
 
+TYPE_CHECKING = False
+# See `pipeline`.
 if TYPE_CHECKING:
+    from typing import Any
+
     from pipeline import (
         Annotation,
         Answer,
@@ -75,14 +78,16 @@ __all__ = [
 ]
 
 
-def __getattr__(name: str) -> Any:
-    if name not in __all__:
-        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    if name in ("ask", "open", "show"):
-        from spatialviz import face
+if not TYPE_CHECKING:
 
-        return getattr(face, name)
-    return getattr(pipeline, name)
+    def __getattr__(name: str) -> object:
+        if name not in __all__:
+            raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+        if name in ("ask", "open", "show"):
+            from spatialviz import face
+
+            return getattr(face, name)
+        return getattr(pipeline, name)
 
 
 def __dir__() -> list[str]:
@@ -96,7 +101,7 @@ def _in_notebook() -> None:
     if shell is None:
         return
 
-    def html(shown: Any) -> str:
+    def html(shown: "Any") -> str:
         from spatialviz.report.notebook import notebook_html
 
         return notebook_html(shown)

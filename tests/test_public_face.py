@@ -6,7 +6,9 @@ import json
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +17,7 @@ from waiting import LONG_S
 import pipeline
 from pipeline.datasets.demo import demo_labels, demo_run
 from pipeline.geometry.frame import Frame
+from pipeline.relations.scorer import RuleScorer
 
 ROOT = Path(__file__).resolve().parent.parent
 QUESTION = "mug left of the laptop"
@@ -157,6 +160,34 @@ def test_what_is_made_already_takes_no_options_of_making_it(opened: pipeline.Ope
         pipeline.open(opened.pipeline.dataset, depth_scale=1000)
     with pytest.raises(pipeline.InputError, match="model is not for the detector annotations"):
         pipeline.open("demo", detector=opened.pipeline.needed_detector(), model="x.onnx")
+
+
+def test_parts_may_be_objects_of_ones_own(opened: pipeline.Opened) -> None:
+    class Never(RuleScorer):
+        name = "never"
+
+        def score(self, *args: Any, **options: Any) -> pipeline.RelationScores:
+            found = super().score(*args, **options)
+            return replace(found, probabilities=found.probabilities * 0)
+
+    class Everything:
+        name = "everything"
+
+        def fingerprint(self) -> str:
+            return "everything"
+
+        def segment(self, frame: Frame, boxes: np.ndarray, labels: object) -> tuple[np.ndarray, np.ndarray]:
+            masks = np.ones((len(boxes), frame.height, frame.width), np.bool_)
+            return masks, np.ones(len(boxes), np.bool_)
+
+    answer = pipeline.ask("demo", 0, QUESTION, srm=Never())
+    assert (answer.holds, answer.relation_probability, answer.trace.scorer) == (False, 0, "never")
+    frame = opened.frames[0]
+    bare = tuple(replace(a, mask=None, box=None) for a in frame.annotations)
+    answer = pipeline.ask(replace(frame, annotations=bare), 0, QUESTION, srm="rule", segmenter=Everything())
+    assert answer.target is not None
+    assert answer.target.mask.all()
+    assert answer.target.lifted.quality.mask_source == "segmenter"
 
 
 def test_the_core_has_no_screen_and_says_so(opened: pipeline.Opened) -> None:
