@@ -11,6 +11,8 @@ change without notice. `spatialviz` has the same face, and a screen. Data flows 
 scored -> ranked. Importing this package imports nothing but the standard library: a name is loaded when it is used.
 """
 
+from pipeline.system.version import __version__ as __version__
+
 TYPE_CHECKING = False
 # Type checkers take it for that of `typing`, whose import would be most of what importing this package costs.
 if TYPE_CHECKING:
@@ -30,7 +32,6 @@ if TYPE_CHECKING:
     from pipeline.relations.scorer import RelationScorer, RelationScores
     from pipeline.system.errors import InputError
 
-__version__ = "0.1.0"
 __all__ = [
     "Annotation",
     "Answer",

@@ -30,9 +30,10 @@ def opened() -> pipeline.Opened:
 
 def test_each_public_name_is_said_once_for_programs_and_once_for_type_checkers() -> None:
     text = (ROOT / "pipeline" / "__init__.py").read_text(encoding="utf-8")
-    typed = text.split("if TYPE_CHECKING:")[1].split("__version__")[0]
+    typed = text.split("\nif TYPE_CHECKING:")[1].split("__all__")[0]
     told = {name.strip() for names in re.findall(r"import (.+)", typed) for name in names.split(",")}
     homes = dict(re.findall(r"from pipeline\.(\S+) import (.+)", typed))
+    assert pipeline.__version__ in (ROOT / "CITATION.cff").read_text(encoding="utf-8")
     assert told == set(pipeline.__all__) == set(pipeline._MODULE_OF)
     for module, names in homes.items():
         assert {n for n, m in pipeline._MODULE_OF.items() if m == module} == {n.strip() for n in names.split(",")}
@@ -46,7 +47,7 @@ def test_importing_the_core_loads_nothing_but_the_standard_library() -> None:
     code = "import json, sys; import pipeline; dir(pipeline); print(json.dumps(sorted(sys.modules)))"
     done = subprocess.run([sys.executable, "-c", code], cwd=ROOT, capture_output=True, text=True, timeout=LONG_S)
     ours = {name for name in json.loads(done.stdout) if name.split(".")[0] in ("pipeline", "numpy", "pydantic", "cv2")}
-    assert ours == {"pipeline"}
+    assert ours == {"pipeline", "pipeline.system", "pipeline.system.version"}
 
 
 def test_an_answer_is_its_objects_its_figures_and_its_verdict(opened: pipeline.Opened) -> None:

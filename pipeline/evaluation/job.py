@@ -10,7 +10,6 @@ from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
-from pipeline import __version__
 from pipeline.evaluation.calibration_tables import calibration_table, calibration_warnings, recorded_config
 from pipeline.evaluation.compare import Comparison, compare, read_records
 from pipeline.evaluation.confidence import median_confidence
@@ -46,6 +45,7 @@ from pipeline.metrics.intervals import BootstrapConfig
 from pipeline.metrics.tables import NOTHING_SHARED, Table, as_csv, latex, markdown
 from pipeline.system.errors import InputError, MissingExtra
 from pipeline.system.staging import staged_folder, write_json
+from pipeline.system.version import __version__
 
 if TYPE_CHECKING:
     import pyarrow as pa
