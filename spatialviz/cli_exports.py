@@ -31,8 +31,9 @@ class Export:
     """Labels folder."""
     out: Path
     """Folder to write; it must not exist, or be empty."""
-    format: Literal["jsonl", "coco", "kitti", "vqa", "parquet"]
-    """kitti: boxes only. vqa: conversations for tuning a vision-language model. parquet: Hugging Face's layout."""
+    format: str
+    """jsonl | coco | kitti (boxes only) | vqa (conversations for tuning a vision-language model) | parquet (Hugging
+    Face's layout), or the name that a plugin gives its own."""
     images: Literal["none", "copy"] = "none"
     """copy: write the colour images beside the labels too."""
     dataset: str | None = None

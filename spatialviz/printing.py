@@ -16,12 +16,11 @@ from rich.text import Text
 from pipeline.answering.ask import Trace
 from pipeline.answering.json_records import why_no_answer
 from pipeline.answering.missed_names import MissedNames
-from pipeline.answering.objects import SceneObject
 from pipeline.answering.opening import FrameRelations
 from pipeline.answering.told_answer import probability, told
 from pipeline.datasets import Dataset, FrameReport
 from pipeline.datasets.up_text import ASSUMED, DECLARE
-from pipeline.diagnosis.asking import JudgedAnswer
+from pipeline.diagnosis.asking import Answer
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.language.counted import counted
 from pipeline.language.lexicon import wording
@@ -47,10 +46,6 @@ def make_console() -> Console:
     return console
 
 
-def _name(entry: SceneObject, place: int, exact: bool) -> str:
-    return f"{entry.label}·{entry.id if exact else place}"
-
-
 def print_trace(trace: Trace) -> None:
     """The answer, the ranked pairs with their factors, the doubts, and what each stage cost."""
     console = make_console()
@@ -63,14 +58,14 @@ def print_trace(trace: Trace) -> None:
         pairs = trace.ranking.pairs
         best = pairs[0]
         assert best.reference is not None
-        second = "" if best.second_reference is None else f" and {_at(trace, best.second_reference)}"
-        answer = told(trace, lambda place: _at(trace, place))
+        second = "" if best.second_reference is None else f" and {trace.name(best.second_reference)}"
+        answer = told(trace, trace.name)
         console.print(
             Text.assemble(
                 (answer.lead, "yellow"),
-                (_at(trace, best.target), "bold dark_orange"),
+                (trace.name(best.target), "bold dark_orange"),
                 f" {phrase} ",
-                (_at(trace, best.reference) + second, "bold dodger_blue2"),
+                (trace.name(best.reference) + second, "bold dodger_blue2"),
                 (f"   {answer.numbers}", "bold" if answer.holds else "yellow"),
             )
         )
@@ -86,11 +81,11 @@ def print_trace(trace: Trace) -> None:
             table.add_column(column, justify="right")
         for place, pair in enumerate(pairs[:SHOWN_PAIRS], start=1):
             assert pair.reference is not None
-            other = "" if pair.second_reference is None else f", {_at(trace, pair.second_reference)}"
+            other = "" if pair.second_reference is None else f", {trace.name(pair.second_reference)}"
             table.add_row(
                 str(place),
-                _at(trace, pair.target),
-                _at(trace, pair.reference) + other,
+                trace.name(pair.target),
+                trace.name(pair.reference) + other,
                 f"{pair.p_target:.2f}",
                 f"{pair.p_reference:.2f}",
                 f"{pair.p_relation:.2f}",
@@ -102,7 +97,7 @@ def print_trace(trace: Trace) -> None:
             console.print(Text(f"and {len(pairs) - SHOWN_PAIRS} more pairs", "dim"))
         for role, place in (("target", best.target), ("reference", best.reference)):
             for concern in trace.objects[place].lifted.quality.concerns:
-                console.print(Text(f"{role} {_at(trace, place)}: {concern}", "yellow"))
+                console.print(Text(f"{role} {trace.name(place)}: {concern}", "yellow"))
     _warn_assumed(console, trace.viewer)
     stages = " · ".join(f"{k} {v * 1000:.1f} ms" for k, v in trace.timings.items())
     console.print(
@@ -115,7 +110,7 @@ def _warn_assumed(console: Console, viewer: ViewerAxes) -> None:
         console.print(Text(f"{ASSUMED}; {DECLARE}", "yellow"))
 
 
-def print_verdict(answer: JudgedAnswer) -> None:
+def print_verdict(answer: Answer) -> None:
     """What the frame's truth says of the answer: a line, or nothing where no truth is known."""
     if answer.judgement is not None:
         found = answer.judgement.diagnosis
@@ -135,10 +130,6 @@ def print_overlooked(found: MissedNames) -> None:
             console.print(Text(f"the best {name!r} has {score:.3f}: --min-score {least:.2f} keeps it", "yellow"))
     if found.seen:
         console.print(Text("the detector finds " + ", ".join(f"{name} {n}" for name, n in found.seen.items()), "dim"))
-
-
-def _at(trace: Trace, place: int) -> str:
-    return _name(trace.objects[place], place, trace.exact)
 
 
 def print_relations(found: FrameRelations, relations: Sequence[str]) -> None:
@@ -161,7 +152,7 @@ def print_relations(found: FrameRelations, relations: Sequence[str]) -> None:
                     doubt = "?" if state == "U" else ""
                     said.append(f"{PHRASE[r]} {found.scores.probabilities[i, j, n]:.2f}{doubt}")
             if said:
-                first, second = _name(a, i, found.exact), _name(b, j, found.exact)
+                first, second = a.name(i, found.exact), b.name(j, found.exact)
                 console.print(Text.assemble(first, (" — ", "dim"), ", ".join(said), (" — ", "dim"), second))
 
 

@@ -100,6 +100,14 @@ class Trace:
     exact: bool
     score_calibration: ScoreCalibration | None = None
 
+    def __repr__(self) -> str:
+        pairs = 0 if self.ranking is None else len(self.ranking.pairs)
+        return f"<Trace {self.query.text!r} on {self.frame.id!r}: {len(self.objects)} objects, {pairs} pairs>"
+
+    def name(self, index: int) -> str:
+        """An object as tables call it: "mug·4"."""
+        return self.objects[index].name(index, self.exact)
+
     @property
     def asked(self) -> Attachment:
         """The target's first relation in the reading that was taken: that of the ranked pairs."""

@@ -55,6 +55,18 @@ class SceneObject:
     mask: np.ndarray
     lifted: LiftedObject
 
+    def __repr__(self) -> str:
+        return f"<SceneObject {self.label!r}, score {self.score:.2f}, {self.box or 'no 3D box'}>"
+
+    @property
+    def box(self) -> Box3D | None:
+        """In the camera frame, metres; None where no point has a depth."""
+        return self.lifted.box
+
+    def name(self, index: int, exact: bool) -> str:
+        """As tables call it: by the dataset's own number where it is the dataset's, else by its place in the list."""
+        return f"{self.label}·{self.id if exact else index}"
+
 
 class PreparedFrame:
     """A frame with everything that does not depend on the question, computed once.
@@ -88,6 +100,9 @@ class PreparedFrame:
         self.edges = depth_edges(frame.depth, self.config)
         self._lifted: dict[tuple[str, int], tuple[LiftedObject, np.ndarray]] = {}
         self.seconds = perf_counter() - start
+
+    def __repr__(self) -> str:
+        return f"<PreparedFrame {self.frame.id!r}, up {self.viewer.up_source}>"
 
     def lift(self, proposals: Proposals, detector: Detector) -> tuple[SceneObject, ...]:
         """The proposals in 3D; one that was lifted before is not lifted again."""

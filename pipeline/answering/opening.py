@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
@@ -13,11 +13,12 @@ from pipeline.answering.ask import AskConfig, Trace, ask
 from pipeline.answering.objects import PreparedFrame, SceneObject, all_objects, appearance_of, prepare_frame
 from pipeline.datasets import Dataset, open_dataset, resolve_frame
 from pipeline.datasets.demo import DEMO_NAME, demo_path
+from pipeline.datasets.frames import Frames
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.language.naming import Synonyms
 from pipeline.language.relation_names import PAIRWISE
-from pipeline.proposals import Detector, Segmented, make_segmenter
+from pipeline.proposals import Detector, Segmented, Segmenter, make_segmenter
 from pipeline.proposals.detector_setup import DetectorSetup
 from pipeline.proposals.segmenters import SegmenterFiles
 from pipeline.relations import RelationScorer, RelationScores, make_scorer
@@ -57,6 +58,22 @@ class Pipeline:
     beside: Detector | None = None
     setup: DetectorSetup | None = None
     beside_setup: DetectorSetup | None = None
+
+    def __repr__(self) -> str:
+        name = self.dataset.root.resolve().name
+        detector = "no detector" if self.detector is None else f"detector {self.detector.name}"
+        return f"<Pipeline {name}: {len(self.dataset.frame_ids)} frames, {detector}, relations by {self.scorer.name}>"
+
+    @property
+    def frames(self) -> Frames:
+        """The frames of the dataset, decoded one by one."""
+        return Frames(self.dataset)
+
+    def prepare(self, frame: int | str | Frame) -> PreparedFrame:
+        """A frame ready for questions: by its number, its id, or one that is at hand; InputError where it is broken."""
+        if not isinstance(frame, Frame):
+            frame = self.dataset.load(resolve_frame(self.dataset, frame))
+        return prepare_frame(self.dataset, frame, self.config.lift)
 
     @property
     def sides(self) -> tuple[str, str]:
@@ -114,19 +131,19 @@ class Pipeline:
 
 
 def open_pipeline(
-    path: str | Path,
+    path: str | Path | Dataset,
     *,
     intrinsics: tuple[float, float, float, float] | None = None,
     depth_scale: float | None = None,
     up: str | None = None,
     level_at: str | None = None,
-    detector: str | None = None,
+    detector: str | Detector | None = None,
     model: Path | None = None,
     model_config: Path | None = None,
     min_score: float | None = None,
-    segmenter: str | None = None,
+    segmenter: str | Segmenter | None = None,
     segmenter_model: SegmenterFiles = None,
-    srm: str | Path = "trained",
+    srm: str | Path | RelationScorer = "trained",
     vectors: Path | None = None,
     synonyms: Path | None = None,
     config: AskConfig | None = None,
@@ -134,9 +151,11 @@ def open_pipeline(
     fusion: str = "wbf",
     also: str | None = None,
 ) -> Pipeline:
-    """Open a dataset and the models for it; the path "demo" is the built-in one.
+    """Open a dataset and the models for it; the path "demo" is the built-in one, and a dataset may be open already.
 
-    `intrinsics`, `depth_scale`, `up` and `level_at` are those of `open_dataset`.
+    `intrinsics`, `depth_scale`, `up` and `level_at` are those of `open_dataset`. `detector`, `segmenter` and `srm` are
+    names, as on the command line, or objects of one's own; a detector of one's own takes no `model`, `model_config`,
+    `min_score` and `fuse`.
     `segmenter` makes masks for boxes that have none ("depth", "recorded", "yolo-seg", "sam", "sam2", "efficientsam");
     by default there is none. `segmenter_model` is its file, or its encoder and decoder. A network's file may also be
     named by its id on the model hub. `model_config` says what the detector's file does not.
@@ -152,9 +171,14 @@ def open_pipeline(
         For a folder that cannot be read, an unknown model name, a model file of another contract, a score
         calibration of another detector.
     """
-    if str(path) == DEMO_NAME and not Path(path).exists():
-        path = demo_path()
-    dataset = open_dataset(path, intrinsics=intrinsics, depth_scale=depth_scale, up=up, level_at=level_at)
+    if isinstance(path, str | Path):
+        if str(path) == DEMO_NAME and not Path(path).exists():
+            path = demo_path()
+        dataset = open_dataset(path, intrinsics=intrinsics, depth_scale=depth_scale, up=up, level_at=level_at)
+    else:
+        camera = {"intrinsics": intrinsics, "depth_scale": depth_scale, "up": up, "level_at": level_at}
+        _refuse(camera, "a dataset that is open already")
+        dataset = path
     table = Synonyms.load(synonyms)
     if detector is None:
         detector = "annotations" if dataset.class_names else None
@@ -168,27 +192,40 @@ def open_pipeline(
         raise InputError("--model-config needs --detector", cause="what is it for?", path=model_config)
 
     setup = None
-    if detector is not None:
+    if isinstance(detector, str):
         setup = DetectorSetup(detector, model, model_config, min_score, synonyms, tuple(fuse), fusion)
+    elif detector is not None:
+        own = {"model": model, "model_config": model_config, "min_score": min_score, "fuse": fuse or None}
+        _refuse(own, f"the detector {detector.name}, which is made already")
     beside_setup = None if also is None else DetectorSetup.named(also, min_score, synonyms)
 
     def make(min_score: float | None) -> Detector | None:
         return None if setup is None else setup.with_min_score(min_score).open(dataset.class_names, table)
 
-    found = make(min_score)
+    found = make(min_score) if detector is None or isinstance(detector, str) else detector
     beside = None if beside_setup is None else beside_setup.open(dataset.class_names, table)
     if segmenter is None and segmenter_model is not None:
         raise InputError("--segmenter-model needs --segmenter", cause="what is it for?")
     if segmenter is not None:
-        masks = make_segmenter(segmenter, model=segmenter_model, synonyms=table)
+        masks = segmenter
+        if isinstance(masks, str):
+            masks = make_segmenter(masks, model=segmenter_model, synonyms=table)
         found = None if found is None else Segmented(found, masks)
         beside = None if beside is None else Segmented(beside, masks)
     config = config or AskConfig()
     if config.score_calibration is not None and found is not None:
         config.score_calibration.check(found)
+    scorer = make_scorer(srm, vectors) if isinstance(srm, str | Path) else srm
     return Pipeline(
-        dataset, found, make_scorer(srm, vectors), config, table, lambda: make(0.0), beside, setup, beside_setup
+        dataset, found, scorer, config, table, lambda: make(0.0), beside, setup, beside_setup
     )
+
+
+def _refuse(options: Mapping[str, object], what: str) -> None:
+    """InputError where one of the options is given."""
+    given = [name for name, value in options.items() if value is not None]
+    if given:
+        raise InputError(f"{given[0]} is not for {what}", got=options[given[0]], expected="leave it out")
 
 
 def open_sources(path: str | Path, **options: Any) -> tuple[dict[str, Pipeline], dict[str, str]]:

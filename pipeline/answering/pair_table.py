@@ -86,6 +86,10 @@ class ScoredPair:
     links: tuple[Link, ...] = ()
     second_reference: int | None = None
 
+    def __repr__(self) -> str:
+        factors = f"{self.p_target:.3f} · {self.p_reference:.3f} · {self.p_relation:.3f}"
+        return f"<ScoredPair {self.target}, {self.reference}: {factors}, posterior {self.probability:.3f}>"
+
     @property
     def weakest(self) -> Link | None:
         """The least probable relation of the answer; None where its links are not kept."""

@@ -52,6 +52,9 @@ class Candidates:
     labels: tuple[str, ...] = ()
     raw_scores: np.ndarray | None = None
 
+    def __repr__(self) -> str:
+        return f"<Candidates {len(self.index)}: objects {' '.join(map(str, self.index.tolist()))}>"
+
 
 @dataclass(frozen=True)
 class Ranking:
@@ -81,6 +84,9 @@ class Ranking:
     entropy: float
     degenerate: bool
     reading_scores: tuple[float, ...]
+
+    def __repr__(self) -> str:
+        return f"<Ranking of {len(self.pairs)} pairs, margin {self.margin:.3f}>"
 
 
 def rank(

@@ -2,37 +2,137 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 from pipeline.answering.ask import Trace
-from pipeline.answering.json_records import trace_record
-from pipeline.answering.objects import PreparedFrame
+from pipeline.answering.json_records import trace_record, why_no_answer
+from pipeline.answering.objects import PreparedFrame, SceneObject
 from pipeline.answering.opening import FrameUnusable, Pipeline, Skipped, contexts, skip_or_raise
+from pipeline.answering.pair_table import ScoredPair
 from pipeline.answering.ranking import RankConfig
+from pipeline.answering.told_answer import holds, told
 from pipeline.diagnosis.live import Judgement, annotated_truth, judge_trace, judgement_record, labelled_truth
 from pipeline.labels.cases import FrameCases
 from pipeline.labels.reading import Labels
+from pipeline.language.lexicon import wording
 from pipeline.system.errors import InputError
 
 
+class Origin(Protocol):
+    """What answered: it can answer under edits, and may have a screen."""
+
+    def what_if(self, answer: Answer, edits: Mapping[str, Any]) -> Answer: ...
+
+    def view(self, what: Any, **options: Any) -> Any: ...
+
+
 @dataclass(frozen=True)
-class JudgedAnswer:
-    """An answer, with what is known of it.
+class Answer:
+    """An answer, with what is known of it; positions in `pairs` are those in `objects`.
 
     Attributes
     ----------
     trace : Trace
+        Every stage's input and output.
     judgement : Judgement or None
         None where there is no verdict.
     unjudged : str or None
         Why there is a truth and no verdict on this answer; None also where no truth is known at all.
+    origin : Origin or None
+        What answered it, where one is asked from Python: edits and the page need it.
+    edits : mapping or None
+        What it was answered under, as JSON; None for none.
     """
 
     trace: Trace
     judgement: Judgement | None = None
     unjudged: str | None = None
+    origin: Origin | None = None
+    edits: Mapping[str, Any] | None = None
+
+    def __repr__(self) -> str:
+        return f"<Answer {self.text!r} on {self.trace.frame.id!r}: {self.sentence}; {self.verdict or 'no verdict'}>"
+
+    @property
+    def text(self) -> str:
+        """The expression as it was asked."""
+        return self.trace.query.text
+
+    @property
+    def objects(self) -> tuple[SceneObject, ...]:
+        """All that was detected for the names of the expression, lifted."""
+        return self.trace.objects
+
+    @property
+    def pairs(self) -> tuple[ScoredPair, ...]:
+        """All candidate pairs, the best first; empty where a name was not found."""
+        return () if self.trace.ranking is None or self.trace.ranking.degenerate else self.trace.ranking.pairs
+
+    @property
+    def target(self) -> SceneObject | None:
+        """What the answer is; None where there is none."""
+        return self.objects[self.pairs[0].target] if self.pairs else None
+
+    @property
+    def reference(self) -> SceneObject | None:
+        """What it stands in relation to; of "between" the first end."""
+        number = self.pairs[0].reference if self.pairs else None
+        return None if number is None else self.objects[number]
+
+    @property
+    def holds(self) -> bool:
+        """There is an answer, and it stands in every relation that was asked."""
+        return holds(self.trace)
+
+    @property
+    def relation_probability(self) -> float | None:
+        """That the best pair stands in what was asked, of several relations in the weakest; None without a pair."""
+        return self.pairs[0].relation_probability if self.pairs else None
+
+    @property
+    def sentence(self) -> str:
+        """The answer in words, or why there is none."""
+        if not self.pairs:
+            return why_no_answer(self.trace) or "no answer"
+        best, asked = self.pairs[0], self.trace.asked
+        ends = " and ".join(self.trace.name(k) for k in (best.reference, best.second_reference) if k is not None)
+        phrase = wording(asked.relation, inverse=asked.inverse)
+        return told(self.trace, self.trace.name).sentence(f"{self.trace.name(best.target)} {phrase} {ends}")
+
+    @property
+    def verdict(self) -> str | None:
+        """CORRECT, or the module that failed; None where nothing says what is true."""
+        return None if self.judgement is None else self.judgement.diagnosis.verdict
+
+    @property
+    def why(self) -> str | None:
+        """The verdict in words with the smallest change that would mend it; else why there is none, if it is known."""
+        return self.unjudged if self.judgement is None else self.judgement.said
+
+    def record(self) -> dict[str, Any]:
+        """The whole of `ask --json` as plain values."""
+        return judged_record(self)
+
+    def what_if(self, edits: Mapping[str, Any]) -> Answer:
+        """The answer under edits, written as for `whatif --edits`; its verdict is by the same truth.
+
+        Raises
+        ------
+        InputError
+            Edits that cannot be read, or an answer of another origin than `open`.
+        """
+        return self._origin().what_if(self, edits)
+
+    def show(self, **options: Any) -> Any:
+        """Open this answer in the page; `options` as for `spatialviz.show`."""
+        return self._origin().view(self, **options)
+
+    def _origin(self) -> Origin:
+        if self.origin is None:
+            raise InputError("this answer does not know what answered it", expected="one that `ask` of `open` gave")
+        return self.origin
 
 
 def known_truth(source: Pipeline, context: PreparedFrame, labels: Labels | None = None) -> FrameCases | None:
@@ -58,7 +158,7 @@ def ask_and_judge(
     expressions: Sequence[str],
     labels: Labels | None = None,
     skipped: Skipped | None = None,
-) -> Iterator[JudgedAnswer]:
+) -> Iterator[Answer]:
     """Every expression on every frame that `key` means, with verdicts; the truth of a frame is worked out once.
 
     Parameters
@@ -84,35 +184,37 @@ def ask_and_judge(
             for n, text in enumerate(expressions):
                 trace = source.ask(context, text)
                 if n == 0:
-                    truth = _truth_or_reason(source, context, labels)
-                yield _judged(trace, source, context, truth)
+                    truth = truth_or_reason(source, context, labels)
+                yield judged(trace, source, context, truth)
         except FrameUnusable as error:
             skip_or_raise(error, key, context.frame.id, skipped)
 
 
-def _truth_or_reason(source: Pipeline, context: PreparedFrame, labels: Labels | None) -> FrameCases | str | None:
+def truth_or_reason(source: Pipeline, context: PreparedFrame, labels: Labels | None) -> FrameCases | str | None:
+    """`known_truth`, or why it cannot be had."""
     try:
         return known_truth(source, context, labels)
     except InputError as error:
         return str(error)
 
 
-def _judged(
+def judged(
     trace: Trace,
     source: Pipeline,
     context: PreparedFrame,
     truth: FrameCases | str | None,
     rank: RankConfig | None = None,
-) -> JudgedAnswer:
+) -> Answer:
+    """A trace as an answer with its verdict, or the reason for none; `rank` are the weights of an edited one."""
     if truth is None:
-        return JudgedAnswer(trace)
+        return Answer(trace)
     if isinstance(truth, str):
-        return JudgedAnswer(trace, unjudged=truth)
+        return Answer(trace, unjudged=truth)
     try:
         judged = judge_trace(trace, source, context, truth, rank=rank)
     except InputError as error:
         judged = str(error)
-    return JudgedAnswer(trace, unjudged=judged) if isinstance(judged, str) else JudgedAnswer(trace, judged)
+    return Answer(trace, unjudged=judged) if isinstance(judged, str) else Answer(trace, judged)
 
 
 def edited_verdicts(
@@ -130,19 +232,19 @@ def edited_verdicts(
     rank : RankConfig
         The weights that `after` was ranked with.
     """
-    truth = _truth_or_reason(source, context, labels)
+    truth = truth_or_reason(source, context, labels)
     if truth is None or isinstance(truth, str):
         return None, None
-    first = _judged(before, source, context, truth)
-    last = _judged(after, source, context, truth, rank)
+    first = judged(before, source, context, truth)
+    last = judged(after, source, context, truth, rank)
     return _verdict(first), _verdict(last)
 
 
-def _verdict(answer: JudgedAnswer) -> str | None:
+def _verdict(answer: Answer) -> str | None:
     return None if answer.judgement is None else answer.judgement.diagnosis.verdict
 
 
-def judged_record(answer: JudgedAnswer) -> dict[str, Any]:
+def judged_record(answer: Answer) -> dict[str, Any]:
     """The whole of `ask --json`: `trace_record`, and where truth is known "verdict", or null with "verdict_reason"."""
     record = trace_record(answer.trace)
     if answer.judgement is not None:

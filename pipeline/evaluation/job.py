@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 from datetime import datetime, timezone
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from pipeline import __version__
 from pipeline.evaluation.calibration_tables import calibration_table, calibration_warnings, recorded_config
 from pipeline.evaluation.compare import Comparison, compare, read_records
 from pipeline.evaluation.confidence import median_confidence
@@ -32,20 +31,22 @@ from pipeline.evaluation.raw_scores import is_calibrated, raw_records
 from pipeline.evaluation.relation_cases import labelled_detector
 from pipeline.evaluation.relation_job import measure_relations, relation_sink
 from pipeline.evaluation.relation_report import shares_by_title
+from pipeline.evaluation.relation_systems import RelationSpec
 from pipeline.evaluation.report import diagnose_run
 from pipeline.evaluation.reported import reported_rows
 from pipeline.evaluation.run import EvalSpec, Progress, evaluate_labels, write_records
-from pipeline.evaluation.run_folder import RUN_FILE, spec_record
+from pipeline.evaluation.run_folder import RUN_FILE, Run, open_run, spec_record
 from pipeline.evaluation.shared_makers import Share, measured_of, rank, shared_makers, title_of, titles_of, with_caveats
 from pipeline.labels.makers import makers_of
 from pipeline.labels.merge import environment
 from pipeline.labels.pictures import labelled_up
 from pipeline.labels.profiles import canonical_hash
-from pipeline.labels.reading import open_labels
+from pipeline.labels.reading import Labels, open_labels
 from pipeline.metrics.intervals import BootstrapConfig
 from pipeline.metrics.tables import NOTHING_SHARED, Table, as_csv, latex, markdown
 from pipeline.system.errors import InputError, MissingExtra
 from pipeline.system.staging import staged_folder, write_json
+from pipeline.system.version import __version__
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -78,6 +79,9 @@ class RunReport:
     pairs: int = 0
     warnings: tuple[str, ...] = ()
     shares: tuple[Share, ...] = ()
+
+    def __repr__(self) -> str:
+        return f"<RunReport {self.folder.name}: {self.expressions} expressions, {len(self.tables)} tables>"
 
 
 def evaluate_dataset(
@@ -234,6 +238,57 @@ def evaluate_dataset(
             (folder / "records.parquet").unlink()
     pairs = 0 if relations is None else relations.pairs
     return RunReport(out, tuple(shown), count, perf_counter() - start, comparison, pairs, warnings, own)
+
+
+def evaluate(
+    dataset: str | Path,
+    labels: str | Path | Labels,
+    out: str | Path,
+    *,
+    limit: int | None = None,
+    name: str | None = None,
+    workers: int = 1,
+    against: str | Path | None = None,
+    relations: bool = True,
+    plots: bool = True,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+    **options: Any,
+) -> Run:
+    """Answer every expression of labels, and write the run folder: tables, records, verdicts, plots.
+
+    Parameters
+    ----------
+    dataset : str or Path
+        A folder, or "demo".
+    labels : str, Path or Labels
+    out : str or Path
+        Run folder to write.
+    limit : int, optional
+        Only so many expressions, spread evenly.
+    against : str or Path, optional
+        A run to compare with.
+    relations : bool
+        Measure relations alone too, pair by pair.
+    name, workers, plots, overwrite, progress
+        As for `evaluate_dataset`. More than one worker needs a script that starts under `if __name__ == "__main__":`.
+    options
+        Further arguments of `open_pipeline`: detector, model, min_score, srm, config, ...
+
+    Raises
+    ------
+    InputError
+        As `evaluate_dataset`.
+    """
+    vectors = options.get("vectors")
+    alone = RelationSpec(vectors=None if vectors is None else str(vectors)) if relations else None
+    where = labels.root if isinstance(labels, Labels) else labels
+    spec = EvalSpec(str(dataset), str(where), options, limit=limit, relations=alone)
+    report = evaluate_dataset(
+        spec, Path(out), name=name, workers=workers, against=None if against is None else Path(against), plots=plots,
+        overwrite=overwrite, progress=progress,
+    )  # fmt: skip
+    return open_run(report.folder)
 
 
 def make_tables(

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import csv
 import json
 import os
+from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
@@ -15,6 +17,7 @@ from pydantic import TypeAdapter, ValidationError
 from pipeline.answering.ask import AskConfig
 from pipeline.answering.opening import Pipeline, open_pipeline
 from pipeline.datasets.demo import DEMO_NAME
+from pipeline.diagnosis.verdict import VERDICTS
 from pipeline.evaluation.run import EvalSpec
 from pipeline.evaluation.shared_makers import Share, shares_of_run
 from pipeline.labels.reading import Labels, open_labels
@@ -54,6 +57,23 @@ class Run:
     manifest: Mapping[str, Any]
     spec: EvalSpec
 
+    def __repr__(self) -> str:
+        return f"<Run {self.folder.name}: {self.name}, {self.manifest.get('expressions')} expressions>"
+
+    @cached_property
+    def tables(self) -> dict[str, list[dict[str, str | float]]]:
+        """The run's tables by name, each a list of rows: column -> text or number, as in `tables/*.csv`. Shares lie
+        between 0 and 1; an empty cell is left out. Empty for a run whose tables were not kept."""
+        return {path.stem: _rows(path) for path in sorted((self.folder / "tables").glob("*.csv"))}
+
+    @cached_property
+    def verdicts(self) -> dict[str, int]:
+        """How many expressions have each verdict, in the order of VERDICTS; empty for a run without any."""
+        if "verdict" not in self.records.column_names:
+            return {}
+        counts = Counter(self.records.column("verdict").to_pylist())
+        return {name: counts[name] for name in VERDICTS if counts[name]}
+
     @cached_property
     def records(self) -> pa.Table:
         """One row an expression.
@@ -81,6 +101,19 @@ class Run:
     def labels(self) -> Labels:
         """The labels; raises as `open_labels`."""
         return open_labels(self.spec.labels)
+
+
+def _rows(path: Path) -> list[dict[str, str | float]]:
+    """The rows of a table that was written as CSV."""
+    with path.open(encoding="utf-8", newline="") as file:
+        return [{name: _number(cell) for name, cell in row.items() if cell} for row in csv.DictReader(file)]
+
+
+def _number(cell: str) -> str | float:
+    try:
+        return float(cell)
+    except ValueError:
+        return cell
 
 
 def spec_record(spec: EvalSpec, folder: Path) -> dict[str, Any]:

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from pipeline import __version__
 from pipeline.labels.makers import (
     ANNOTATIONS,
     OF_ANNOTATIONS,
@@ -27,6 +26,7 @@ from pipeline.relations.model import OnnxScorer
 from pipeline.relations.relations import PROFILE
 from pipeline.system.errors import InputError
 from pipeline.system.onnx_session import file_hash
+from pipeline.system.version import __version__
 
 if TYPE_CHECKING:
     from pipeline.answering.opening import Pipeline

@@ -55,6 +55,10 @@ class Box3D:
         object.__setattr__(self, "R", R)
         object.__setattr__(self, "size", size)
 
+    def __repr__(self) -> str:
+        center, size = (" ".join(f"{x:.3f}" for x in values) for values in (self.center, self.size))
+        return f"<Box3D center {center}, size {size} m>"
+
     @property
     def corners(self) -> np.ndarray:
         """(8, 3) float64, metres, in the order of CORNER_SIGNS."""

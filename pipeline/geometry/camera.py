@@ -86,6 +86,12 @@ class Camera:
             # A unit vector stays as it is to the last bit, so that what was written is what is read.
             object.__setattr__(self, "up", up if abs(norm - 1) < 1e-15 else up / norm)
 
+    def __repr__(self) -> str:
+        posed = "" if self.T_world_camera is None else ", posed"
+        up = "" if self.up is None else f", up {self.up_source}"
+        center = f"cx={self.cx:g} cy={self.cy:g}"
+        return f"<Camera {self.width}x{self.height}, fx={self.fx:g} fy={self.fy:g} {center}{posed}{up}>"
+
     @property
     def fx(self) -> float:
         return float(self.K[0, 0])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -60,6 +61,10 @@ class Annotation:
                 f"annotation {self.index}: a mask must be bool (H, W)",
                 got=f"{self.mask.dtype} {self.mask.shape}",
             )
+
+    def __repr__(self) -> str:
+        parts = [f"{name}" for name in ("mask", "box") if getattr(self, name) is not None]
+        return f"<Annotation {self.index} {self.label!r} at {_pixels(self.bbox)}{''.join(f', {p}' for p in parts)}>"
 
 
 @dataclass(frozen=True)
@@ -132,6 +137,63 @@ class Frame:
                     expected=depth.shape,
                 )
 
+    @classmethod
+    def of_arrays(
+        cls,
+        rgb: np.ndarray,
+        depth: np.ndarray,
+        K: np.ndarray,
+        *,
+        masks: Sequence[np.ndarray] | np.ndarray = (),
+        names: Sequence[str] | None = None,
+        up: Sequence[float] | np.ndarray | None = None,
+        T_world_camera: np.ndarray | None = None,
+        id: str = "frame",
+    ) -> Frame:
+        """A frame of arrays that are at hand, with what is seen in it.
+
+        Parameters
+        ----------
+        rgb : (H, W, 3) uint8
+        depth : (H, W) float
+            Metres along the camera's z axis; 0 or NaN where nothing was measured.
+        K : (3, 3) float
+            Intrinsics, pixels.
+        masks : (N, H, W) bool
+            The pixels of each object.
+        names : sequence of str, optional
+            What each of them is; by default "object 1", "object 2", ...
+        up : (3,) float, optional
+            Against gravity, camera frame.
+        T_world_camera : (4, 4) float, optional
+            Pose.
+
+        Raises
+        ------
+        InputError
+            Arrays of other shapes, types or units; an empty mask; another number of names than of masks.
+        """
+        rgb, depth = np.asarray(rgb), np.asarray(depth)
+        names = tuple(f"object {n}" for n in range(1, len(masks) + 1)) if names is None else tuple(names)
+        if len(names) != len(masks):
+            raise InputError(f"frame {id}: a name for each mask", got=f"{len(names)} names, {len(masks)} masks")
+        if depth.dtype.kind == "f":
+            # NaN and infinity are how others write that nothing was measured.
+            depth = np.where(np.isfinite(depth), depth, 0).astype(np.float32)
+        annotations = []
+        for index, (mask, name) in enumerate(zip(masks, names, strict=True)):
+            rows, columns = (np.flatnonzero(np.any(mask, axis=axis)) for axis in (1, 0))
+            if not len(rows):
+                raise InputError(f"frame {id}: the mask of {name!r} is empty")
+            bbox = np.array([columns[0], rows[0], columns[-1] + 1, rows[-1] + 1], np.float32)
+            annotations.append(Annotation(index, name, bbox, np.asarray(mask)))
+        known = None if up is None else np.asarray(up, np.float64)
+        camera = Camera(K, rgb.shape[1], rgb.shape[0], T_world_camera, known, None if up is None else "given")
+        return cls(id, rgb, depth, camera, tuple(annotations))
+
+    def __repr__(self) -> str:
+        return f"<Frame {self.id!r}: {self.width}x{self.height}, {len(self.annotations)} annotations>"
+
     @property
     def height(self) -> int:
         return int(self.depth.shape[0])
@@ -149,3 +211,7 @@ class Frame:
         digest.update(str(self.rgb.shape).encode())
         digest.update(np.ascontiguousarray(self.rgb).data)
         return digest.hexdigest()
+
+
+def _pixels(bbox: np.ndarray) -> str:
+    return " ".join(f"{x:.0f}" for x in bbox)

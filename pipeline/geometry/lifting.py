@@ -190,6 +190,9 @@ class LiftedObject:
     evidence: Evidence | None
     quality: Quality
 
+    def __repr__(self) -> str:
+        return f"<LiftedObject {len(self.points)} points, {self.box or 'no box'}>"
+
     def moved_to(self, box: Box3D, viewer: ViewerAxes) -> LiftedObject:
         """The object after an edit of its box: its points move by the same affine map."""
         if self.box is None or not len(self.points):

@@ -6,12 +6,13 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
-from typing import Literal
+from typing import Any, Literal
 
 from pipeline.labels.config import LabelConfig, SelectConfig
 from pipeline.labels.local import run_local
 from pipeline.labels.merge import merge_labels
 from pipeline.labels.plan import SourceSpec, input_changed, make_plan, part_of, save_plan
+from pipeline.labels.reading import Labels, open_labels
 from pipeline.labels.schema import Manifest
 from pipeline.labels.second_opinion import NONE, TRAINED, open_second_opinion
 from pipeline.labels.shard import ShardReport
@@ -49,6 +50,9 @@ class LabelReport:
     candidates: int
     seconds: float
     manifest: Manifest | None
+
+    def __repr__(self) -> str:
+        return f"<LabelReport: {self.frames} frames, {self.objects} objects, {self.seconds:.1f} s>"
 
 
 def label_dataset(
@@ -153,3 +157,50 @@ def label_dataset(
         perf_counter() - start,
         manifest,
     )
+
+
+def label(
+    dataset: str | Path,
+    out: str | Path,
+    *,
+    config: LabelConfig | None = None,
+    selection: SelectConfig | None = None,
+    detector: str | None = None,
+    segmenter: str | None = "depth",
+    engine: Engine = "local",
+    workers: int = 1,
+    resume: bool = False,
+    limit: int | None = None,
+    progress: Progress | None = None,
+    **options: Any,
+) -> Labels:
+    """Label a dataset: objects, every relation between them, and sentences that are true of them.
+
+    Parameters
+    ----------
+    dataset : str or Path
+        A folder, or "demo". Workers open it again: a dataset in memory cannot be labelled.
+    out : str or Path
+        Folder for the labels; new or empty, but for `resume`.
+    config, selection
+        How frames are labelled, and which sentences are kept; by default as on the command line.
+    detector : str, optional
+        What finds the objects. Default: the dataset's annotations.
+    segmenter : str, optional
+        Makes masks for boxes that have none.
+    engine, workers, resume, limit, progress
+        As for `label_dataset`. More than one worker needs a script that starts under `if __name__ == "__main__":`.
+    options
+        Further arguments of `open_pipeline`: model, min_score, up, intrinsics, ...
+
+    Raises
+    ------
+    InputError
+        As `label_dataset`.
+    """
+    plain = {name: str(value) if isinstance(value, Path) else value for name, value in options.items()}
+    spec = SourceSpec(str(dataset), {"detector": detector, "segmenter": segmenter, **plain})
+    label_dataset(
+        spec, out, config, selection, engine=engine, workers=workers, resume=resume, limit=limit, progress=progress
+    )
+    return open_labels(out)

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline import __version__
 from pipeline.datasets.up_text import ASSUMED, DECLARE
 from pipeline.labels.card import croissant, dataset_card
 from pipeline.labels.config import SelectConfig, TextStyle
@@ -31,6 +30,7 @@ from pipeline.labels.wording import expression_text
 from pipeline.language.noun_phrase import alone
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.system.errors import InputError
+from pipeline.system.version import __version__
 from pipeline.system.whole_files import clear_abandoned, temporary_beside, write_synced
 
 if TYPE_CHECKING:

@@ -10,7 +10,6 @@ from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
-from pipeline import __version__
 from pipeline.answering.opening import Pipeline, open_pipeline
 from pipeline.datasets import Dataset, splits
 from pipeline.labels.config import LabelConfig
@@ -20,6 +19,7 @@ from pipeline.labels.store import PLAN_FILE, Store
 from pipeline.proposals.registry import with_model
 from pipeline.system.errors import InputError
 from pipeline.system.model_files import parse_hub_id
+from pipeline.system.version import __version__
 
 MOST_FRAMES_A_SHARD = 64
 FEWEST_FRAMES_A_SHARD = 4

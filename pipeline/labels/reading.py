@@ -33,6 +33,10 @@ class Labels:
     root: Path
     manifest: Manifest
 
+    def __repr__(self) -> str:
+        counts = ", ".join(f"{self.manifest.tables[name].rows} {name}" for name in TABLES)
+        return f"<Labels {self.root.name}: {counts}>"
+
     def table(self, name: str) -> pa.Table:
         """One of the tables "frames", "objects", "relations", "expressions", in canonical order."""
         return read_table(self.root / f"{name}.parquet", name)

@@ -73,6 +73,10 @@ class Proposals:
                 cause="are they x, y, width, height?",
             )
 
+    def __repr__(self) -> str:
+        found = ", ".join(f"{self.label(i)} {self.scores[i]:.2f}" for i in range(min(len(self), 5)))
+        return f"<Proposals {len(self)}: {found}{', ...' if len(self) > 5 else ''}>"
+
     def __len__(self) -> int:
         return len(self.scores)
 

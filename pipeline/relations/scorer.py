@@ -39,6 +39,9 @@ class RelationScores:
     probabilities: np.ndarray
     scored_by: dict[str, str]
 
+    def __repr__(self) -> str:
+        return f"<RelationScores of {len(self.probabilities)} objects: {', '.join(self.relations)}>"
+
     def of(self, relation: str) -> np.ndarray:
         """(N, N) probabilities of one relation."""
         return self.probabilities[..., self.relations.index(relation)]

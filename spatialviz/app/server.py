@@ -9,7 +9,7 @@ import socket
 import sys
 import threading
 import webbrowser
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import redirect_stdout
 
 import viser
@@ -151,20 +151,7 @@ def serve(
         sources, runs=runs, others=others, labels=labels, journals=journals, author=author, opened_by=opened_by,
         first_view=first_view, host=host, port=port, dark=dark,
     )  # fmt: skip
-    shown = "127.0.0.1" if host in ("", "0.0.0.0", "::") else f"[{host}]" if ":" in host else host
-    address = f"http://{shown}:{server.get_port()}"
-    if host not in (*LOCAL_NAMES, "::1"):
-        print(
-            f"spatialviz: warning: listening on {host}: anyone who reaches this machine sees the data, "
-            "there is no password",
-            file=sys.stderr,
-        )
-    if port and server.get_port() != port:
-        print(f"spatialviz: port {port} is taken, using {server.get_port()}", file=sys.stderr)
-    names = ", ".join("the built-in demo" if n == DEMO_NAME else n for n in sources)
-    print(f"spatialviz: {names} at {address} (Ctrl-C stops)", flush=True)
-    if open_browser:
-        webbrowser.open(address)
+    announce(server, sources, host, port, open_browser)
     _end_in_order()
     try:
         server.sleep_forever()
@@ -176,6 +163,26 @@ def serve(
             server.stop()
         for place in (journals or {}).values():
             _say_unsaved(place)
+
+
+def announce(
+    server: viser.ViserServer, sources: Iterable[str], host: str, port: int, open_browser: bool, stop: str = "Ctrl-C"
+) -> None:
+    """Say where a server is, asked for at `host` and `port`, and what stops it; open it where that is wanted."""
+    shown = "127.0.0.1" if host in ("", "0.0.0.0", "::") else f"[{host}]" if ":" in host else host
+    address = f"http://{shown}:{server.get_port()}"
+    if host not in (*LOCAL_NAMES, "::1"):
+        print(
+            f"spatialviz: warning: listening on {host}: anyone who reaches this machine sees the data, "
+            "there is no password",
+            file=sys.stderr,
+        )
+    if port and server.get_port() != port:
+        print(f"spatialviz: port {port} is taken, using {server.get_port()}", file=sys.stderr)
+    names = ", ".join("the built-in demo" if n == DEMO_NAME else n for n in sources)
+    print(f"spatialviz: {names} at {address} ({stop} stops)", flush=True)
+    if open_browser:
+        webbrowser.open(address)
 
 
 def _end_in_order() -> None:

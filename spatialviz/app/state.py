@@ -285,5 +285,5 @@ def shown_objects(loaded: LoadedFrame, trace: Trace | None, exact: bool, before:
             # The question's name and score are those the answer was made with.
             objects[at] = entry
         place[i] = at
-    names = tuple(f"{o.label}·{o.id if exact else i}" for i, o in enumerate(objects))
+    names = tuple(o.name(i, exact) for i, o in enumerate(objects))
     return Shown(tuple(objects), names, place)

@@ -51,8 +51,7 @@ class AnswerRoles:
 
     def name(self, place: int) -> str:
         """An object as the tables call it."""
-        entry = self.objects[place]
-        return f"{entry.label}·{entry.id if self.exact else place}"
+        return self.objects[place].name(place, self.exact)
 
 
 def answer_roles(answered: Answered) -> AnswerRoles:

@@ -8,7 +8,6 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
-from pipeline import __version__
 from pipeline.corrections.journal.effective import EffectiveLabels, effective_tables
 from pipeline.corrections.journal.field_refs import shown_value
 from pipeline.corrections.journal.journal import Journal
@@ -24,6 +23,7 @@ from pipeline.labels.schema import SCHEMA_VERSION, TABLES, Manifest, labels_vers
 from pipeline.labels.schema_files import write_schemas
 from pipeline.labels.tables import write_table
 from pipeline.system.errors import InputError
+from pipeline.system.version import __version__
 from pipeline.system.whole_files import temporary_beside, write_synced
 
 UNAPPLIED_FILE = "unapplied.json"

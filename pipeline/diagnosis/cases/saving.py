@@ -11,7 +11,6 @@ from datetime import datetime, timezone
 from pathlib import Path
 from typing import Any
 
-from pipeline import __version__
 from pipeline.answering.objects import PreparedFrame
 from pipeline.answering.opening import Pipeline
 from pipeline.datasets.saved_case import CASE_FORMAT, MANIFEST, saved_frame
@@ -24,6 +23,7 @@ from pipeline.labels.cases import Case, FrameCases
 from pipeline.language.naming import Synonyms, default_synonyms
 from pipeline.relations import RelationScorer, RuleScorer, shipped_network
 from pipeline.system.errors import InputError
+from pipeline.system.version import __version__
 from pipeline.system.whole_files import temporary_beside, write_synced
 
 LARGEST_COPY = 16 * 2**20

@@ -9,7 +9,6 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from pipeline import __version__
 from pipeline.datasets import Dataset
 from pipeline.labels.exports import coco, hub, jsonl, kitti, vqa
 from pipeline.labels.exports.base import ExportFormat, ExportReport, Job, Progress
@@ -22,6 +21,7 @@ from pipeline.labels.tables import content_hash
 from pipeline.system.errors import InputError
 from pipeline.system.plugins import load_plugins
 from pipeline.system.staging import staged_folder, write_json
+from pipeline.system.version import __version__
 
 if TYPE_CHECKING:
     import pyarrow as pa

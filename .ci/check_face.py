@@ -1,0 +1,131 @@
+"""Check of the public face with a screen: what importing loads, notebooks, and the page on arrays."""
+
+import json
+import re
+import subprocess
+import sys
+import urllib.request
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+from IPython.core.interactiveshell import InteractiveShell
+
+import pipeline
+import spatialviz as sp
+from pipeline.datasets.demo import demo_run
+
+HEAVY = ("torch", "open3d", "viser", "numpy", "scipy", "cv2", "pydantic", "onnxruntime", "IPython")
+ROOT = Path(__file__).resolve().parent.parent
+QUESTION = "mug left of the laptop"
+
+
+def loaded_by(code: str) -> set[str]:
+    """Which of the heavy libraries a fresh interpreter has loaded after the code."""
+    code += f"; import json, sys; print(json.dumps([n for n in {HEAVY} if n in sys.modules]))"
+    return set(json.loads(subprocess.run([sys.executable, "-c", code], capture_output=True, check=True).stdout))
+
+
+def check_imports() -> None:
+    assert set(sp.__all__) == {*pipeline.__all__, "show", "__version__"}
+    own = {"ask", "open", "show", "__version__"}
+    assert all(getattr(sp, name) is getattr(pipeline, name) for name in sp.__all__ if name not in own)
+    assert set(sp.__all__) <= set(dir(sp))
+    assert not loaded_by("import spatialviz, pipeline")
+    asking = f"import spatialviz as sp; sp.ask('demo', 0, {QUESTION!r}); sp.show"
+    assert not {"torch", "open3d", "viser", "IPython"} & loaded_by(asking)
+
+
+class Tags(HTMLParser):
+    """The tags and the text of a piece of HTML, as a browser would take them."""
+
+    def __init__(self, html: str) -> None:
+        super().__init__()
+        self.names: set[str] = set()
+        self.text = ""
+        self.feed(html)
+
+    def handle_starttag(self, tag: str, attrs: object) -> None:
+        self.names.add(tag)
+
+    def handle_data(self, data: str) -> None:
+        self.text += f"{data} "
+
+
+def check_notebook() -> None:
+    shell = InteractiveShell.instance()
+    shell.run_cell("import importlib, spatialviz; importlib.reload(spatialviz);").raise_error()
+    html = shell.display_formatter.formatters["text/html"]
+    opened = sp.open("demo")
+    answer = opened.ask(0, QUESTION)
+    found = html(answer)
+    assert found is not None
+    tags = Tags(found)
+    assert tags.names == {"div", "p", "b", "span", "img", "table", "thead", "tbody", "tr", "th", "td"}, tags.names
+    assert answer.sentence in tags.text
+    assert "CORRECT" in tags.text
+    assert 'src="data:image/jpeg;base64,' in found
+    assert f"{answer.pairs[0].probability:.3f}" in tags.text
+    assert len(re.findall("<tr>", found)) == 1 + len(answer.pairs)
+    run = html(sp.open_run(demo_run()))
+    assert run is not None
+    assert "simulated detector" in run
+    assert "OPM-TARGET" in run
+    # Whatever a dataset calls its frames and its things is text.
+    evil = "<script>alert('&\"')</script>"
+    objects = tuple(replace(found, label=evil) for found in answer.objects)
+    trace = replace(answer.trace, objects=objects, frame=replace(answer.trace.frame, id=evil))
+    attacked = html(replace(answer, trace=trace, unjudged=evil, judgement=None))
+    assert attacked is not None
+    assert Tags(attacked).names == tags.names
+    assert Tags(attacked).text.count(evil) > 3
+
+
+def check_page() -> None:
+    frame = sp.open("demo").frames[0]
+    seen = [a for a in frame.annotations if a.mask is not None]
+    masks = np.array([a.mask for a in seen])
+    opened = sp.open("demo")
+    for what, options in (
+        (frame.rgb, {"depth": frame.depth, "K": frame.camera.K, "masks": masks, "names": [a.label for a in seen]}),
+        (frame, {}),
+        (opened, {}),
+        (opened.ask(0, QUESTION), {}),
+        (sp.open_run(demo_run()), {}),
+    ):
+        server = sp.show(what, **options, port=0, open_browser=False, block=False)
+        assert server is not None
+        with urllib.request.urlopen(f"http://127.0.0.1:{server.get_port()}", timeout=20) as page:
+            assert page.status == 200
+        server.stop()
+    for wrong in ((frame.rgb,), (frame, frame.depth)):
+        try:
+            sp.show(*wrong, open_browser=False, block=False)
+        except sp.InputError:
+            continue
+        raise SystemExit(f"shown, and should not be: {len(wrong)} arguments")
+
+
+def check_documents() -> None:
+    """The README's Python runs, and every file that the architecture names is there."""
+    readme = (ROOT / "README.md").read_text(encoding="utf-8")
+    snippets = re.findall(r"<!-- command: python -->\n```python\n(.*?)```", readme, re.S)
+    assert snippets, "README.md has no Python"
+    for snippet in snippets:
+        done = subprocess.run([sys.executable, "-c", snippet], capture_output=True, text=True, check=True)
+        assert "mug" in done.stdout
+        assert "CORRECT" in done.stdout
+    architecture = (ROOT / "docs" / "architecture.md").read_text(encoding="utf-8")
+    named = set(re.findall(r"`([a-z_/]+\.(?:py|json))`", architecture))
+    assert len(named) > 30
+    missing = {path for path in named if not (ROOT / path).is_file() and not (ROOT / "pipeline" / path).is_file()}
+    assert not missing, f"docs/architecture.md names files that are not there: {sorted(missing)}"
+
+
+if __name__ == "__main__":
+    check_documents()
+    check_imports()
+    check_notebook()
+    check_page()
+    print("the public face answers, in a notebook too, and is shown")

@@ -1,0 +1,150 @@
+"""A pipeline opened for questions from Python: what `open` and `ask` of the public face are."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Any
+
+from pipeline.answering.objects import PreparedFrame
+from pipeline.answering.opening import Pipeline, open_pipeline
+from pipeline.datasets import Dataset, resolve_frame
+from pipeline.datasets.frames import Frames, InMemoryDataset
+from pipeline.diagnosis.asking import Answer, judged, truth_or_reason
+from pipeline.diagnosis.cases.answered import edited_trace
+from pipeline.geometry.frame import Frame
+from pipeline.labels.cases import FrameCases
+from pipeline.labels.pictures import labelled_up
+from pipeline.labels.reading import Labels, open_labels
+from pipeline.proposals import Detector
+from pipeline.system.errors import InputError
+
+KEPT_FRAMES = 4
+"""So many frames stay ready for the next question."""
+Source = str | Path | Dataset | Frame | Sequence[Frame]
+"""What can be opened: a folder, "demo", a dataset of one's own, frames that are at hand."""
+
+
+@dataclass(frozen=True)
+class Opened:
+    """A pipeline opened for questions from Python, with what says what is true of its frames.
+
+    Attributes
+    ----------
+    pipeline : Pipeline
+    labels : Labels or None
+        What is true; without them the frames' annotations say it, where there are any.
+    viewer : callable or None
+        Shows this, or an answer of it. The core has no screen: `spatialviz.open` sets it.
+    """
+
+    pipeline: Pipeline
+    labels: Labels | None = None
+    viewer: Callable[..., Any] | None = None
+
+    def __repr__(self) -> str:
+        truth = "" if self.labels is None else f", true by {self.labels.root.name}"
+        return f"{repr(self.pipeline).removesuffix('>')}{truth}>"
+
+    @property
+    def frames(self) -> Frames:
+        """The frames of the dataset, decoded one by one: `for frame in opened.frames`, `opened.frames[0]`."""
+        return self.pipeline.frames
+
+    @cached_property
+    def _prepared(self) -> Callable[[str], tuple[PreparedFrame, FrameCases | str | None]]:
+        return lru_cache(maxsize=KEPT_FRAMES)(lambda frame_id: self._with_truth(self.pipeline.prepare(frame_id)))
+
+    def _with_truth(self, context: PreparedFrame) -> tuple[PreparedFrame, FrameCases | str | None]:
+        return context, truth_or_reason(self.pipeline, context, self.labels)
+
+    def _frame(self, frame: int | str | Frame) -> tuple[PreparedFrame, FrameCases | str | None]:
+        if isinstance(frame, Frame):
+            return self._with_truth(self.pipeline.prepare(frame))
+        return self._prepared(resolve_frame(self.pipeline.dataset, frame))
+
+    def ask(self, frame: int | str | Frame, text: str) -> Answer:
+        """Answer an expression such as "mug left of the laptop".
+
+        Parameters
+        ----------
+        frame : int, str or Frame
+            Its number in the dataset, its id, or one that is at hand.
+        text : str
+
+        Raises
+        ------
+        InputError
+            No such frame, a broken one, an expression that cannot be read, a name that the detector cannot know.
+        """
+        self.pipeline.needed_detector()
+        context, truth = self._frame(frame)
+        return replace(judged(self.pipeline.ask(context, text), self.pipeline, context, truth), origin=self)
+
+    def what_if(self, answer: Answer, edits: Mapping[str, Any]) -> Answer:
+        """An answer of this pipeline under edits; see `Answer.what_if`."""
+        context, truth = self._with_truth(self.pipeline.prepare(answer.trace.frame))
+        trace, rank = edited_trace(self.pipeline, context, answer.text, edits)
+        return replace(judged(trace, self.pipeline, context, truth, rank), origin=self, edits=edits)
+
+    def show(self, **options: Any) -> Any:
+        """Open the page; `options` as for `spatialviz.show`."""
+        return self.view(self, **options)
+
+    def view(self, what: Opened | Answer, **options: Any) -> Any:
+        """Show this, or an answer of it.
+
+        Raises
+        ------
+        InputError
+            Nothing here has a screen.
+        """
+        if self.viewer is None:
+            raise InputError("the core has no screen", expected="import spatialviz, and spatialviz.open")
+        return self.viewer(what, **options)
+
+
+def open(
+    dataset: Source,
+    *,
+    labels: str | Path | Labels | None = None,
+    detector: str | Detector | None = None,
+    model: str | Path | None = None,
+    **options: Any,
+) -> Opened:
+    """Open a dataset and the models for it, for questions.
+
+    Parameters
+    ----------
+    dataset : str, Path, Dataset, Frame or sequence of Frame
+        A folder, "demo" for the built-in one, a dataset of one's own, or frames that are at hand.
+    labels : str, Path or Labels, optional
+        A labels folder that says what is true; answers are then judged in its axes. Default: the frames' annotations.
+    detector : str or Detector, optional
+        A name as on the command line, or an object of one's own. Default: the dataset's annotations, where it has any.
+    model : str or Path, optional
+        Its file, or its id on the model hub.
+    options
+        All others of `pipeline.answering.opening.open_pipeline`: min_score, segmenter, srm, up, intrinsics, ...
+
+    Raises
+    ------
+    InputError
+        As `open_pipeline` and `open_labels`.
+    """
+    found = open_labels(labels) if isinstance(labels, str | Path) else labels
+    options |= {"detector": detector, "model": None if model is None else Path(model)}
+    options = options if found is None else labelled_up(found.manifest, options)
+    if isinstance(dataset, Frame):
+        dataset = [dataset]
+    if isinstance(dataset, Sequence) and not isinstance(dataset, str):
+        dataset = InMemoryDataset(dataset)
+    return Opened(open_pipeline(dataset, **options), found)
+
+
+def ask(dataset: Opened | Source, frame: int | str | Frame, text: str, **options: Any) -> Answer:
+    """Answer one expression; for several open the dataset once. `options` as for `open`."""
+    opened = dataset if isinstance(dataset, Opened) else open(dataset, **options)
+    return opened.ask(frame, text)

@@ -1,0 +1,130 @@
+"""What the public face adds to the core's: opened pipelines and answers that can be shown, the page on arrays."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from pipeline.answering.opening import Pipeline
+from pipeline.datasets.frames import InMemoryDataset
+from pipeline.diagnosis import opened as core
+from pipeline.diagnosis.asking import Answer
+from pipeline.diagnosis.opened import Opened, Source
+from pipeline.diagnosis.whatif.edits import Edits
+from pipeline.diagnosis.whatif.edits_json import read_edits
+from pipeline.diagnosis.whatif.state import ViewState
+from pipeline.evaluation.run_folder import Run
+from pipeline.geometry.frame import Frame
+from pipeline.system.errors import InputError
+
+if TYPE_CHECKING:
+    import viser
+
+
+def open(dataset: Source, **options: Any) -> Opened:
+    """As `pipeline.open`; what it gives, and its answers, have a page to be shown in."""
+    return replace(core.open(dataset, **options), viewer=show)
+
+
+def ask(dataset: Opened | Source, frame: int | str | Frame, text: str, **options: Any) -> Answer:
+    """As `pipeline.ask`; the answer can be shown."""
+    opened = dataset if isinstance(dataset, Opened) else open(dataset, **options)
+    return opened.ask(frame, text)
+
+
+def show(
+    what: Opened | Answer | Run | Source | np.ndarray,
+    depth: np.ndarray | None = None,
+    K: np.ndarray | None = None,
+    *,
+    masks: Sequence[np.ndarray] | np.ndarray = (),
+    names: Sequence[str] | None = None,
+    up: Sequence[float] | np.ndarray | None = None,
+    host: str = "127.0.0.1",
+    port: int = 8080,
+    dark: bool = True,
+    open_browser: bool = True,
+    block: bool | None = None,
+) -> viser.ViserServer | None:
+    """Open the page on arrays, an answer, an opened pipeline, a run, or anything that `open` takes.
+
+    Parameters
+    ----------
+    what
+        What is shown; of arrays the picture, (H, W, 3) uint8.
+    depth : (H, W) float, optional
+        Metres along the camera's z axis; 0 or NaN where nothing was measured.
+    K : (3, 3) float, optional
+        Intrinsics, pixels.
+    masks, names, up
+        What is in the picture, and where up is; see `Frame.of_arrays`.
+    host, port, dark, open_browser
+        As the options of `spatialviz view`.
+    block : bool, optional
+        Wait until the page is stopped by Ctrl-C. By default scripts wait, and interactive sessions go on.
+
+    Returns
+    -------
+    ViserServer or None
+        The running server, to be ended by its `stop()`; None after waiting.
+
+    Raises
+    ------
+    InputError
+        Arrays that make no frame, a dataset that cannot be opened, an address that cannot be used.
+    """
+    if isinstance(what, np.ndarray):
+        if depth is None or K is None:
+            raise InputError("a picture alone is no frame", expected="show(rgb, depth, K)")
+        what = Frame.of_arrays(what, depth, K, masks=masks, names=names, up=up)
+    elif depth is not None or K is not None or len(masks) or names is not None or up is not None:
+        raise InputError("depth, K, masks, names and up belong to a picture", got=type(what).__name__)
+    view: dict[str, Any] = {}
+    if isinstance(what, Answer):
+        what, view = _of_answer(what)
+    if isinstance(what, Run):
+        name = _name(what.source)
+        sources, view = {name: what.source}, {"runs": {name: what}}
+    else:
+        opened = what if isinstance(what, Opened) else core.open(what)
+        name = _name(opened.pipeline)
+        sources = {name: opened.pipeline}
+        view["labels"] = {} if opened.labels is None else {name: opened.labels}
+
+    from spatialviz.app.server import announce, serve, start
+
+    if block is None:
+        block = not (hasattr(sys, "ps1") or sys.flags.interactive)
+    if block:
+        serve(sources, host=host, port=port, dark=dark, open_browser=open_browser, **view)
+        return None
+    server = start(sources, host=host, port=port, dark=dark, **view)
+    announce(server, sources, host, port, open_browser, "stop()")
+    return server
+
+
+def _name(pipeline: Pipeline) -> str:
+    return pipeline.dataset.root.resolve().name
+
+
+def _is_of(frame: Frame, opened: Opened) -> bool:
+    """Whether a frame is the dataset's own, and not one at hand that may have its id."""
+    if frame.id not in opened.frames.ids:
+        return False
+    own = opened.frames[frame.id]
+    return np.array_equal(own.rgb, frame.rgb) and np.array_equal(own.depth, frame.depth)
+
+
+def _of_answer(answer: Answer) -> tuple[Opened, dict[str, Any]]:
+    """What an answer was given by, and the view of it; InputError where it does not know."""
+    opened, frame = answer.origin, answer.trace.frame
+    if not isinstance(opened, Opened):
+        raise InputError("this answer does not know what answered it", expected="one that `ask` of `open` gave")
+    if not _is_of(frame, opened):
+        opened = Opened(replace(opened.pipeline, dataset=InMemoryDataset([frame])))
+    edits = Edits() if answer.edits is None else read_edits(dict(answer.edits))
+    return opened, {"first_view": ViewState(_name(opened.pipeline), frame.id, answer.text, edits=edits)}
