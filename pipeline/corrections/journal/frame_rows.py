@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -87,8 +88,11 @@ class Pairs:
 
     def place(self, number: int) -> int | None:
         """Where an object is among the pairs."""
-        at = int(np.searchsorted(self.numbers, number))
-        return at if at < len(self.numbers) and self.numbers[at] == number else None
+        return self._places.get(number)
+
+    @cached_property
+    def _places(self) -> dict[int, int]:
+        return {number: at for at, number in enumerate(self.numbers.tolist())}
 
     def state(self, a: int, b: int, relation: str) -> int | None:
         """The state of a relation by the objects' numbers; None where it has none."""

@@ -125,15 +125,22 @@ def overlaps(a: np.ndarray, b: np.ndarray, touch: float = TOUCH_M) -> np.ndarray
     """
     delta = b[None, :, :3] - a[:, None, :3]
     hit = np.abs(delta[..., 2]) < a[:, None, 5] + b[None, :, 5] - touch
-    ya, yb = a[:, None, 6], b[None, :, 6]
-    shape = (len(a), len(b))
-    for yaw in (ya, ya + np.pi / 2, yb, yb + np.pi / 2):
+    # Most boxes are far apart in plan, which the circles around them tell at a fraction of the cost.
+    hit &= np.hypot(delta[..., 0], delta[..., 1]) < np.hypot(a[:, 3], a[:, 4])[:, None] + np.hypot(b[:, 3], b[:, 4])
+    i, j = np.nonzero(hit)
+    if not len(i):
+        return hit
+    a, b, delta = a[i], b[j], delta[i, j]
+    shared = np.ones(len(i), np.bool_)
+    for yaw in (a[:, 6], a[:, 6] + np.pi / 2, b[:, 6], b[:, 6] + np.pi / 2):
         c, s = np.cos(yaw), np.sin(yaw)
-        reach = np.zeros(shape)
-        for boxes, own in ((a[:, None], ya), (b[None], yb)):
-            reach = reach + boxes[..., 3] * np.abs(c * np.cos(own) + s * np.sin(own))
-            reach = reach + boxes[..., 4] * np.abs(-c * np.sin(own) + s * np.cos(own))
-        hit &= np.abs(delta[..., 0] * c + delta[..., 1] * s) < reach - touch
+        reach = np.zeros(len(i))
+        for boxes in (a, b):
+            own = boxes[:, 6]
+            reach = reach + boxes[:, 3] * np.abs(c * np.cos(own) + s * np.sin(own))
+            reach = reach + boxes[:, 4] * np.abs(-c * np.sin(own) + s * np.cos(own))
+        shared &= np.abs(delta[:, 0] * c + delta[:, 1] * s) < reach - touch
+    hit[i, j] = shared
     return hit
 
 

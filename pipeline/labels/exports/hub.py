@@ -84,6 +84,7 @@ def _write_table(job: Job, name: str, rows_a_file: int) -> list[DataFile]:
         path = job.folder / "data" / name / f"train-{number:05d}-of-{count:05d}.parquet"
         left = min(rows_a_file, total - number * rows_a_file)
         group: list[pa.Table] = []
+        rows = size = 0
         with pq.ParquetWriter(path, extended_schema(name), compression="zstd") as writer:
             while left:
                 if not waiting.num_rows:
@@ -96,11 +97,12 @@ def _write_table(job: Job, name: str, rows_a_file: int) -> list[DataFile]:
                 waiting = waiting.slice(taken.num_rows)
                 left -= taken.num_rows
                 group.append(taken)
-                rows, size = sum(t.num_rows for t in group), sum(t.nbytes for t in group)
+                rows, size = rows + taken.num_rows, size + taken.nbytes
                 if not left or rows >= ROW_GROUP or size >= GROUP_BYTES:
                     whole = job.provenance.extend(name, pa.concat_tables(group).combine_chunks())
                     writer.write_table(whole, row_group_size=ROW_GROUP)
                     group.clear()
+                    rows = size = 0
         relative = path.relative_to(job.folder).as_posix()
         found.append(DataFile(relative, min(rows_a_file, total - number * rows_a_file), _sha256(path)))
     if waiting.num_rows or next(batches, None) is not None:
