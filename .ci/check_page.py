@@ -87,6 +87,22 @@ def up_is_what_is_clicked(page) -> None:
     page.locator(".sv .upchip", has_text="declared").wait_for(timeout=60_000)
 
 
+def ends_quietly(server: subprocess.Popen) -> None:
+    """Stopped while a client still searches, the server says nothing but its own lines."""
+    with sync_playwright() as play:
+        browser = play.chromium.launch(executable_path="/usr/bin/chromium", args=CHROMIUM)
+        page = browser.new_page(viewport={"width": 1440, "height": 900})
+        page.goto(ADDRESS)
+        search = page.locator("input.find").first
+        search.wait_for(timeout=60_000)
+        search.fill("said:left margin<1 sort:margin")
+        search.press("Enter")
+        server.terminate()
+        said = server.communicate(timeout=20)[0].decode()
+        browser.close()
+    assert all(line.startswith("spatialviz:") for line in said.splitlines()), said
+
+
 def drive() -> dict:
     with sync_playwright() as play:
         browser = play.chromium.launch(executable_path="/usr/bin/chromium", args=CHROMIUM)
@@ -139,6 +155,7 @@ def main() -> None:
         assert evil == 403, f"a foreign page may connect: {evil}"
         assert own == 101, f"the own page may not connect: {own}"
         report = drive() | {"served_s": round(served, 2), "memory_mb": round(memory_mb(server.pid))}
+        ends_quietly(server)
         print(json.dumps(report))
     finally:
         server.terminate()

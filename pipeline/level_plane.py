@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import cached_property
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import cv2
@@ -12,7 +11,9 @@ import numpy as np
 
 from pipeline.camera import Camera, lift_pixels
 from pipeline.errors import InputError
+from pipeline.floor_or_wall import is_floor, may_be_wall
 from pipeline.normals import depth_noise, surface_normals
+from pipeline.surface_blocks import PARALLEL_DEG, UPRIGHT, SurfaceBlocks, plane_tolerance, surface_blocks
 
 SAME_SURFACE_DEG = 15.0
 """Normals of one surface differ by no more than this."""
@@ -25,11 +26,9 @@ level one that it looks straight down."""
 EASY_ROLL_DEG, EASY_STEEP_DEG, EASY_HIGH_DEG = 14.0, 68.0, 16.0
 """Up to about so much is common; beyond it, every other explanation is more likely."""
 
-PARALLEL_DEG = 8.0
-UPRIGHT_DEG = 10.0
-_UPRIGHT = float(np.sin(np.deg2rad(UPRIGHT_DEG)))
 APART_DEG = 15.0
 """Hypotheses closer than this are one."""
+_PERPENDICULAR = float(np.sin(np.deg2rad(APART_DEG)))
 FULL_SHARE = 0.03
 """A plane of so much of the surface counts half, a larger one more."""
 WEIGHT = {"floor": 1.0, "ceiling": 0.5, "walls": 0.5}
@@ -40,13 +39,6 @@ WALLS_STEEP_DEG, WALLS_HIGH_DEG = 45.0, 10.0
 """Up is where two walls meet only while the camera looks down by no more than this, and up by no more."""
 WALLS_EXPLAIN = 0.9
 """And while no less of what is flat goes with it: else one of the two is rather a board that leans."""
-WALL_AHEAD_DEG = 55.0
-"""A plane that is seen from above as steeply as this may as well be a wall that the camera looks up at. The two are
-alike in everything but that a floor and a table-top have other level surfaces above or below them."""
-HIGHEST_CAMERA_M = 2.7
-"""And but that no one holds a camera higher above a floor."""
-OTHER_LEVEL_SHARE, TALLEST_M = 0.003, 1.5
-"""So much of the surface is other levels where there are any; a level so much higher is none that things make."""
 MIN_SCORE = 0.15
 MIN_LEAD = 2.0
 """The best hypothesis must be so many times as good as the best that contradicts it."""
@@ -54,9 +46,7 @@ MIN_LEAD = 2.0
 FAR_FROM_LEVEL_DEG = 45.0
 """A surface that was called level and is so far off the frame's level planes is worth a note: a wall was meant?"""
 
-NEAREST_M, FARTHEST_M = 0.15, 10.0
-GRID_BLOCKS = 12_000
-DIRECTIONS, VOTERS = 96, 4000
+DIRECTIONS = 96
 MAX_HYPOTHESES = 5
 MIN_POINTS = 50
 LEAST_SHARE = 0.01
@@ -78,8 +68,8 @@ class UpHypothesis:
     explained : float
         Share of the flat surface that is level or upright under it, in either way.
     told : bool
-        False for a plane seen so steeply that nothing tells it from a wall which the camera looks up at. It decides
-        nothing, but contradicts.
+        False for a plane that nothing tells from a wall which the camera looks up at, and for what is upright to it.
+        It decides nothing, but contradicts.
     """
 
     up: np.ndarray
@@ -93,21 +83,6 @@ class UpHypothesis:
         """0..1: how well it explains the frame, how large its plane is, how common it is to hold a camera so."""
         held = float(_ease(self.up[None])[0])
         return WEIGHT[self.kind] * held * self.explained**2 * self.share / (self.share + FULL_SHARE)
-
-
-@dataclass(frozen=True)
-class _Surface:
-    """The frame in blocks of pixels: `points` and `normals` (N, 3) float32 towards the camera, `flat` (N,) bool."""
-
-    points: np.ndarray
-    normals: np.ndarray
-    flat: np.ndarray
-
-    @cached_property
-    def voters(self) -> np.ndarray:
-        """Some of the flat normals, evenly: enough to weigh directions; planes are fitted to all points."""
-        normals = self.normals[self.flat]
-        return normals[:: max(1, len(normals) // VOTERS)]
 
 
 def level_plane(depth: np.ndarray, camera: Camera) -> np.ndarray | None:
@@ -143,17 +118,21 @@ def up_hypotheses(depth: np.ndarray, camera: Camera) -> tuple[UpHypothesis, ...]
     depth : (H, W) float32
         Metres.
     """
-    surface = _surface(depth, camera)
+    surface = surface_blocks(depth, camera)
     if len(surface.points) < MIN_POINTS or surface.flat.sum() < MIN_POINTS:
         return ()
     found = [*_of_one_side(surface, "floor"), *_of_one_side(surface, "ceiling")]
     same = np.cos(np.deg2rad(APART_DEG))
     # A level plane is fitted to more than the directions of walls are.
     found += [h for h in _of_walls(surface) if not any(h.up @ level.up > same for level in found)]
-    return tuple(sorted(found, key=lambda h: -h.score))
+    found.sort(key=lambda h: -h.score)
+    if found and not found[0].told:
+        # Where a wall may be meant, what is upright to a floor may as well be the ceiling, or the walls, beside it.
+        found = [replace(h, told=h.told and abs(h.up @ found[0].up) > _PERPENDICULAR) for h in found]
+    return tuple(found)
 
 
-def _of_one_side(surface: _Surface, kind: Literal["floor", "ceiling"]) -> list[UpHypothesis]:
+def _of_one_side(surface: SurfaceBlocks, kind: Literal["floor", "ceiling"]) -> list[UpHypothesis]:
     sign = np.float32(1.0 if kind == "floor" else -1.0)
     voters = surface.voters * sign
     candidates = voters[_ease(voters) > 0]
@@ -174,30 +153,19 @@ def _of_one_side(surface: _Surface, kind: Literal["floor", "ceiling"]) -> list[U
         if fitted is None or _ease(fitted[0][None])[0] == 0 or any(fitted[0] @ h.up > same for h in found):
             continue
         up, offset, share = fitted
-        if kind == "ceiling" and np.mean(np.abs(voters @ up.astype(np.float32)) < _UPRIGHT) < LEAST_WALL:
+        if kind == "ceiling" and np.mean(np.abs(voters @ up.astype(np.float32)) < UPRIGHT) < LEAST_WALL:
             continue
-        steep = bool(_pitch_deg(up) >= WALL_AHEAD_DEG)
-        told = kind == "ceiling" or not steep or _has_other_levels(surface, up, offset)
+        told = kind == "ceiling" or not may_be_wall(up) or is_floor(surface, up, offset)
         found.append(UpHypothesis(up, kind, share, _explained(voters, up), told))
     return found
 
 
-def _has_other_levels(surface: _Surface, up: np.ndarray, offset: float) -> bool:
-    """Whether anything else is level above or below a plane that a camera is held over."""
-    if -offset > HIGHEST_CAMERA_M:
-        return False
-    height = surface.points @ up - offset
-    level = surface.flat & (surface.normals @ up > np.cos(np.deg2rad(1.5 * PARALLEL_DEG)))
-    level &= (np.abs(height) > np.maximum(0.02, 3 * _tolerance(surface.points))) & (height < TALLEST_M)
-    return bool(level.mean() > OTHER_LEVEL_SHARE)
-
-
-def _of_walls(surface: _Surface) -> list[UpHypothesis]:
+def _of_walls(surface: SurfaceBlocks) -> list[UpHypothesis]:
     """The direction that all walls run along, where nothing level is seen and they face at least two ways."""
     normals = surface.voters.astype(np.float64)
     up, spread = _least_seen(normals)
     for _ in range(2):
-        upright = normals[np.abs(normals @ up) < _UPRIGHT]
+        upright = normals[np.abs(normals @ up) < UPRIGHT]
         if len(upright) < MIN_POINTS:
             return []
         up, spread = _least_seen(upright)
@@ -217,7 +185,7 @@ def _least_seen(normals: np.ndarray) -> tuple[np.ndarray, float]:
 def _explained(normals: np.ndarray, up: np.ndarray) -> float:
     """Share of the normals ((N, 3)) that are parallel or perpendicular to an up vector."""
     along = np.abs(normals @ up.astype(normals.dtype))
-    return float(((along > np.cos(np.deg2rad(PARALLEL_DEG))) | (along < _UPRIGHT)).mean())
+    return float(((along > np.cos(np.deg2rad(PARALLEL_DEG))) | (along < UPRIGHT)).mean())
 
 
 def _ease(up: np.ndarray) -> np.ndarray:
@@ -237,35 +205,10 @@ def _roll_deg(up: np.ndarray) -> np.ndarray:
     return np.rad2deg(np.arctan2(up[..., 0], -up[..., 1]))
 
 
-def _tolerance(points: np.ndarray) -> np.ndarray:
-    """(N,) metres within which points ((N, 3)) lie in a plane."""
-    return 0.008 + 0.006 * points[:, 2] ** 2
-
-
-def _surface(depth: np.ndarray, camera: Camera) -> _Surface:
-    """Means over blocks of pixels, of inverse depth: in it a plane stays a plane."""
-    height, width = depth.shape
-    side = max(1, round(float(np.sqrt(height * width / GRID_BLOCKS))))
-    rows, columns = height // side, width // side
-    cut = depth[: rows * side, : columns * side]
-    has = (cut > NEAREST_M) & (cut < FARTHEST_M)
-    inverse = np.divide(1.0, cut, out=np.zeros(cut.shape, np.float32), where=has)
-    filled = cv2.resize(has.astype(np.float32), (columns, rows), interpolation=cv2.INTER_AREA)
-    mean = cv2.resize(inverse, (columns, rows), interpolation=cv2.INTER_AREA)
-    z = np.divide(filled, mean, out=np.zeros_like(mean), where=filled > 0.5)
-    K = camera.K.copy()
-    K[:2] /= side
-    K[:2, 2] -= (side - 1) / (2 * side)
-    blocks = Camera(K, columns, rows)
-    normals, known = surface_normals(z, blocks, radius=2)
-    v, u = np.nonzero(z > 0)
-    return _Surface(lift_pixels(z[v, u], blocks, v, u), normals[v, u], known[v, u])
-
-
-def _fitted(surface: _Surface, direction: np.ndarray, sign: np.float32) -> tuple[np.ndarray, float, float] | None:
+def _fitted(surface: SurfaceBlocks, direction: np.ndarray, sign: np.float32) -> tuple[np.ndarray, float, float] | None:
     """The largest plane of about this normal: unit normal, offset along it, share of the points; None if too small."""
     points = surface.points
-    tolerance = _tolerance(points)
+    tolerance = plane_tolerance(points)
     cosine = surface.normals @ direction * sign
     near = surface.flat & (cosine > np.cos(np.deg2rad(PARALLEL_DEG)))
     heights = np.sort(points[near] @ direction)

@@ -51,7 +51,8 @@ class LiftConfig:
         Valid depths lie strictly between, metres.
     edge, edge_relative : float
         A pixel is at a depth edge where its 3x3 neighbourhood spans more than
-        max(edge, edge_relative * z), metres.
+        max(edge, edge_relative * z), metres. Wider than `surface_step`: a
+        narrower one takes more of the object's own rim than of what leaks.
     erode : float
         Pixels to erode from the mask at an image width of 640.
     erode_keep : float
@@ -68,8 +69,8 @@ class LiftConfig:
 
     near: float = 0.3
     far: float = 10.0
-    edge: float = 0.03
-    edge_relative: float = 0.03
+    edge: float = 0.06
+    edge_relative: float = 0.06
     erode: float = 2.0
     erode_keep: float = 0.4
     part: float = 0.1
@@ -233,13 +234,18 @@ def depth_edges(depth: np.ndarray, config: LiftConfig | None = None) -> np.ndarr
     return highest - lowest > np.maximum(np.float32(config.edge), np.float32(config.edge_relative) * depth)
 
 
+def surface_step(depth: np.ndarray) -> np.ndarray:
+    """By how much neighbouring pixels of one surface differ at most, at these depths: max(3 cm, 3 %), metres."""
+    return np.maximum(np.float32(0.03), np.float32(0.03) * depth)
+
+
 def flying_pixels(depth: np.ndarray, neighbours: int = 3) -> np.ndarray:
     """(H, W) bool: pixels that hang between two surfaces, for display.
 
     A pixel flies where fewer than `neighbours` of the eight around it have its
-    depth to within max(3 cm, 3 %). The border of a surface does not fly.
+    depth to within `surface_step`. The border of a surface does not fly.
     """
-    tolerance = np.maximum(np.float32(0.03), np.float32(0.03) * depth)
+    tolerance = surface_step(depth)
     padded = np.pad(depth, 1, constant_values=-1)
     height, width = depth.shape
     support = np.zeros(depth.shape, np.uint8)

@@ -155,8 +155,10 @@ class Report:
 
     def run(self) -> int:
         from pipeline.datasets.saved_case import MANIFEST
+        from pipeline.diagnosis.asking import known_truth
         from pipeline.failure_case import answer, open_case
         from pipeline.failure_report import Subject, failure_page, write_page
+        from pipeline.labels.reading import open_labels
         from spatialviz.report_scene import scene_html
 
         if self.out.is_dir() or (self.out.exists() and not self.overwrite):
@@ -173,8 +175,11 @@ class Report:
                 raise InputError("EXPRESSION is missing", expected='for example "mug left of the laptop"')
             source = self.source.open(self.dataset, self.frame)
             context = _one_context(source, self.frame)
-            answered = answer(source, context, self.expression, truth=truth_of(source, context, self.labels))
-            subject = Subject.of_dataset(self.dataset, source, context, self.expression, self.source.words())
+            labels = None if self.labels is None else open_labels(self.labels)
+            answered = answer(source, context, self.expression, truth=known_truth(source, context, labels))
+            subject = Subject.of_dataset(
+                self.dataset, source, context, self.expression, self.source.words(), labels
+            )
         page = failure_page(
             answered, source, context, subject, scene_html(answered, context) if self.scene else None
         )

@@ -18,6 +18,7 @@ from spatialviz.source_options import CameraOptions
 
 if TYPE_CHECKING:
     from pipeline.datasets import Dataset
+    from pipeline.journal.effective import Corrector
     from pipeline.journal.events import Conflict, Saved
     from pipeline.journal.journal import Journal
     from pipeline.labels.reading import Labels
@@ -168,8 +169,9 @@ class Correct:
         actions = read_actions(self.edits)
         dataset = self.pictures.open(labels) if needs_pictures(actions) else None
         with self.journal.open(labels) as journal, _told_how_to_try_again():
-            done = apply_actions(Corrector(labels, dataset), journal, actions, self.author, again=self.again)
-        return _told(done, "saved", self.json)
+            corrector = Corrector(labels, dataset)
+            done = apply_actions(corrector, journal, actions, self.author, again=self.again)
+            return _told(done, "saved", self.json, corrector, journal)
 
 
 @dataclass(frozen=True)
@@ -189,10 +191,13 @@ class _OfPerson:
     """Print one JSON object."""
 
     def _take(self, way: Callable[..., Saved | Conflict | None], verb: str) -> int:
+        from pipeline.journal.effective import Corrector
         from pipeline.labels.reading import open_labels
 
-        with self.journal.open(open_labels(self.labels), must_exist=True) as journal, _told_how_to_try_again():
-            return _told(way(journal, self.author, group=self.group, again=self.again), verb, self.json)
+        labels = open_labels(self.labels)
+        with self.journal.open(labels, must_exist=True) as journal, _told_how_to_try_again():
+            done = way(journal, self.author, group=self.group, again=self.again)
+            return _told(done, verb, self.json, Corrector(labels), journal)
 
 
 @dataclass(frozen=True)
@@ -257,12 +262,12 @@ def _told_how_to_try_again() -> Iterator[None]:
         raise
 
 
-def _told(done: Saved | Conflict | None, verb: str, json: bool) -> int:
+def _told(done: Saved | Conflict | None, verb: str, json: bool, corrector: Corrector, journal: Journal) -> int:
     from pipeline.journal.records import outcome_record
-    from spatialviz.printing_journal import print_outcome
+    from spatialviz.printing_journal import frames_of, print_outcome
 
     if json:
         print_json(outcome_record(done))
     else:
-        print_outcome(done, verb)
+        print_outcome(done, verb, frames_of(corrector, journal))
     return FINE if done is not None and outcome_record(done)["saved"] else NO

@@ -70,7 +70,7 @@ class Failures:
         from pipeline.diagnosis.slices import dimension_named, slice_by
         from pipeline.diagnosis.summary import need_verdicts, summarise_run
         from pipeline.evaluation.compare import read_records
-        from spatialviz.printing_runs import failures_record, print_failures
+        from spatialviz.printing_runs import FoundFailures, print_failures
 
         if self.limit < 0:
             raise InputError("--limit is a count", got=self.limit, expected="0 or more")
@@ -82,10 +82,11 @@ class Failures:
         name = _name_of(self.run_folder)
         shares = _shares_of(self.run_folder)
         slices = [slice_by({name: records}, d, most=None if self.json else MOST_ROWS) for d in dimensions]
+        told = FoundFailures(name, shares, summary, slices, found, self.limit, self.search)
         if self.json:
-            print_json(failures_record(name, shares, summary, slices, found, self.limit, self.search))
+            print_json(told.record())
         else:
-            print_failures(name, shares, summary, slices, found, self.limit, self.search)
+            print_failures(told)
         return FINE if found.num_rows else NO
 
 

@@ -14,6 +14,7 @@ from rich.table import Table
 from rich.text import Text
 
 from pipeline.ask import Trace
+from pipeline.counted import counted
 from pipeline.datasets import Dataset, FrameReport
 from pipeline.diagnosis.asking import JudgedAnswer
 from pipeline.jobs import FrameRelations
@@ -143,7 +144,8 @@ def print_relations(found: FrameRelations, relations: Sequence[str]) -> None:
     """The relations of a frame that hold (T) or are in doubt (U), a line for each pair."""
     console = make_console()
     up = "" if found.viewer is None else f"  up {found.viewer.up_source}"
-    console.print(Text.assemble(("frame ", "dim"), found.frame_id, (f"  {len(found.objects)} objects{up}", "dim")))
+    objects = counted(len(found.objects), "object")
+    console.print(Text.assemble(("frame ", "dim"), found.frame_id, (f"  {objects}{up}", "dim")))
     if found.viewer is not None:
         _warn_assumed(console, found.viewer)
     for i, a in enumerate(found.objects):
@@ -165,7 +167,8 @@ def print_relations(found: FrameRelations, relations: Sequence[str]) -> None:
 def print_frames(dataset: Dataset, reports: Iterable[FrameReport]) -> int:
     """A line or two for each frame, then their notes, each once; returns how many can be used."""
     console = make_console()
-    console.print(Text.assemble((str(dataset.root), "bold"), f"  {dataset.format}, {len(dataset.frame_ids)} frames"))
+    frames = counted(len(dataset.frame_ids), "frame")
+    console.print(Text.assemble((str(dataset.root), "bold"), f"  {dataset.format}, {frames}"))
     usable = 0
     notes: dict[str, list[str]] = {}
     for report in reports:
@@ -175,7 +178,8 @@ def print_frames(dataset: Dataset, reports: Iterable[FrameReport]) -> int:
             pose = "pose" if report.has_pose else "no pose"
             line = (
                 f"{report.index:>5}  {report.id}  {report.width}x{report.height}  {depth}  {pose}"
-                f"  up {report.up_source}, {_off_image_up(report.up)} off the picture's  {report.annotations} objects"
+                f"  up {report.up_source}, {_off_image_up(report.up)} off image-up  "
+                f"{counted(report.annotations, 'object')}"
             )
             console.print(Text(line))
             if report.labels:
@@ -185,7 +189,7 @@ def print_frames(dataset: Dataset, reports: Iterable[FrameReport]) -> int:
         for note in report.notes:
             notes.setdefault(note, []).append(report.id)
     for note, frames in notes.items():
-        where = frames[0] if len(frames) == 1 else f"{len(frames)} frames"
+        where = frames[0] if len(frames) == 1 else counted(len(frames), "frame")
         console.print(Text(f"note on {where}: {note}", "yellow"))
     return usable
 
@@ -197,7 +201,8 @@ def _off_image_up(up: Sequence[float] | None) -> str:
 def print_bench(record: dict[str, Any]) -> None:
     """Milliseconds by stage and the ratios between them."""
     console = make_console()
-    console.print(f"{record['frames']} frames, {record['objects']} objects, {record['width']}x{record['height']}")
+    sizes = ", ".join(counted(record[f"{what}s"], what) for what in ("frame", "object"))
+    console.print(f"{sizes}, {record['width']}x{record['height']}")
     for stage, ms in record["ms_per_frame"].items():
         console.print(f"  {stage:<22} {ms:8.2f} ms")
     for name, ratio in record["ratios"].items():

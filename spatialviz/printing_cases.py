@@ -7,6 +7,7 @@ from typing import Any
 
 from rich.text import Text
 
+from pipeline.counted import counted
 from pipeline.failure_case.answered import Answered
 from pipeline.failure_case.manifest import Expected
 from pipeline.failure_case.suite import Result
@@ -59,7 +60,7 @@ def print_totals(totals: dict[str, int]) -> None:
     """The last line of a run."""
     shown = ", ".join(f"{n} {status}" for status, n in totals.items() if n or status in ("same", "changed"))
     count = sum(totals.values())
-    make_console().print(f"{count} case{'' if count == 1 else 's'}: {shown}", markup=False)
+    make_console().print(f"{counted(count, 'case')}: {shown}", markup=False)
 
 
 def replay_record(result: Result) -> dict[str, Any]:

@@ -9,6 +9,7 @@ from typing import Any
 from rich.table import Table as RichTable
 from rich.text import Text
 
+from pipeline.counted import counted
 from pipeline.diagnosis.verdict import VERDICTS
 from pipeline.evaluation.compare import Comparison
 from pipeline.evaluation.intervals import Estimate
@@ -77,7 +78,7 @@ def rich_table(table: Table) -> RichTable:
 def print_comparison(found: Comparison, show: int) -> None:
     """Differences with intervals and tests, and the first expressions of each kind."""
     console = make_console()
-    console.print(Text(f"compared on {found.shared} expressions", "bold"))
+    console.print(Text(f"compared on {counted(found.shared, 'expression')}", "bold"))
     table = RichTable(box=None, pad_edge=False, header_style="dim")
     for name in ("measure", "difference", "only now right", "only before right", "McNemar p"):
         table.add_column(name, justify="left" if name == "measure" else "right")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 from rich.table import Table
 from rich.text import Text
 
+from pipeline.counted import counted
 from spatialviz.printing import make_console
 
 if TYPE_CHECKING:
@@ -52,7 +53,7 @@ def print_findings(findings: Iterable[Finding], show: int) -> int:
     if rules:
         console.print()
     color = "red" if errors else "yellow" if warnings else "green"
-    console.print(Text(f"{_counted(errors, 'error')}, {_counted(warnings, 'warning')}", color))
+    console.print(Text(f"{counted(errors, 'error')}, {counted(warnings, 'warning')}", color))
     return errors
 
 
@@ -73,6 +74,3 @@ def _line(finding: Finding) -> Text:
 def _number(count: int, color: str) -> Text:
     return Text(f"{count:,}", color) if count else Text("0", "dim")
 
-
-def _counted(count: int, what: str) -> str:
-    return f"{count:,} {what}" + ("" if count == 1 else "s")

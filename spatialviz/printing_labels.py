@@ -7,6 +7,7 @@ from typing import Any
 from rich.table import Table
 from rich.text import Text
 
+from pipeline.counted import counted
 from pipeline.labels.job import LabelReport
 from pipeline.labels.schema import Manifest
 from spatialviz.printing import make_console
@@ -36,11 +37,12 @@ def print_labelled(report: LabelReport, out: str) -> None:
     rate = f", {new / report.seconds:.1f} frames/s" if new and report.seconds else ""
     reused = f" ({report.reused} were there already)" if report.reused else ""
     console.print(
-        f"{report.frames} frames{reused}: {report.objects} objects, {report.pairs} pairs, "
+        f"{counted(report.frames, 'frame')}{reused}: {counted(report.objects, 'object')}, "
+        f"{counted(report.pairs, 'pair')}, "
         f"{report.candidates} candidate expressions in {report.seconds:.1f} s{rate}"
     )
     if report.broken:
-        console.print(Text(f"{report.broken} frames could not be used; the manifest says why", "yellow"))
+        console.print(Text(f"{counted(report.broken, 'frame')} could not be used; the manifest says why", "yellow"))
     if report.manifest is None:
         console.print(Text(f"-> {out}; when all shards are there: spatialviz merge {out}"))
     else:
@@ -72,7 +74,8 @@ def print_label_bench(record: dict[str, Any]) -> None:
     console = make_console()
     lifting = record["lifting"]
     console.print(
-        f"{record['views']} rendered views, {record['objects']} objects, {record['width']}x{record['height']}; "
+        f"{counted(record['views'], 'rendered view')}, {counted(record['objects'], 'object')}, "
+        f"{record['width']}x{record['height']}; "
         "processor time of one thread"
     )
     table = Table(box=None, pad_edge=False, header_style="dim")

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from rich.table import Table
 from rich.text import Text
 
+from pipeline.counted import counted
 from pipeline.evaluation.tables import shown
 from pipeline.relations import PHRASE
 from spatialviz.printing import make_console
@@ -36,13 +37,13 @@ def print_queue(queue: pa.Table, limit: int, out: Path | None, settled: int = 0)
     if queue.num_rows:
         console.print(table)
     metadata = {k.decode(): v.decode() for k, v in (queue.schema.metadata or {}).items()}
-    told = f"{queue.num_rows} labels to look at"
+    told = f"{counted(queue.num_rows, 'label')} to look at"
     if settled:
         told += f" ({settled} more are settled, or others': --all)"
     if "estimated_wrong" in metadata:
         told += f"; networks take {metadata['estimated_wrong']} relation labels to be wrong"
     if metadata.get("elsewhere", "0") != "0":
-        told += f"; {metadata['elsewhere']} findings of no single label: see `spatialviz check`"
+        told += f"; {counted(int(metadata['elsewhere']), 'finding')} of no single label: see `spatialviz check`"
     console.print(told)
     if out is not None:
         console.print(Text(f"-> {out}", "dim"))
@@ -64,7 +65,7 @@ def print_agreement(pairs: Sequence[PairAgreement], limit: int) -> None:
     if not pairs:
         console.print("no two reviewers have judged the same item")
     for pair in pairs:
-        console.print(Text(f"{pair.first} and {pair.second}: {pair.all.items} items judged by both", "bold"))
+        console.print(Text(f"{pair.first} and {pair.second}: {counted(pair.all.items, 'item')} judged by both", "bold"))
         for kind, found in (("all", pair.all), *pair.kinds.items()):
             kappa = "-" if found.kappa != found.kappa else f"{found.kappa:.2f}"
             console.print(f"  {kind}: kappa {kappa}, {_share(found.observed)} of {found.items} judged alike")
@@ -98,11 +99,11 @@ def print_progress(record: dict[str, Any]) -> None:
     console.print(table)
     console.print(f"{record['settled']} of {record['items']} settled ({_share(record['share'])})")
     for day, count in record["days"].items():
-        console.print(f"{day}: {count} items")
+        console.print(f"{day}: {counted(count, 'item')}")
     if record["disagreements"]:
         console.print(f"reviewers disagree on {record['disagreements']}: see --agreement")
     if record["elsewhere"]:
-        console.print(f"{record['elsewhere']} items that people judged are not in the queue")
+        console.print(f"not in the queue: {counted(record['elsewhere'], 'item')} that people judged")
     if record["estimated_wrong"] is not None:
         console.print(f"networks take {record['estimated_wrong']:.0f} of the open relation labels to be wrong")
 
@@ -128,7 +129,7 @@ def print_circle(circle: Circle) -> None:
     """What the corrections did: to the labels, to the network, to the answers."""
     console = make_console()
     made = circle.corrections
-    console.print(f"{made['events']} events of the journal")
+    console.print(f"{counted(made['events'], 'event')} of the journal")
     print_retraining(circle.retraining, circle.network)
     if circle.in_use is not None:
         before, after = (shown(f.micro_f1) for f in (circle.in_use.before, circle.in_use.after))
@@ -167,6 +168,7 @@ def print_review_bench(record: dict[str, Any]) -> None:
         f"back{_between(mean['recovered_interval'])}, in all {_share(mean['recovered_again'])}"
         f"{_between(mean['recovered_again_interval'])}"
     )
+    console.print(Text(record["caveat"], "yellow"))
 
 
 def _between(interval: list[float] | None) -> str:

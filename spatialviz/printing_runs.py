@@ -6,12 +6,14 @@ import csv
 import math
 import sys
 from collections.abc import Sequence
+from dataclasses import dataclass
 from itertools import islice
 from typing import TYPE_CHECKING, Any
 
 from rich.table import Table as RichTable
 from rich.text import Text
 
+from pipeline.counted import counted
 from pipeline.diagnosis.run_database import Answer
 from pipeline.diagnosis.slices import Slices, slice_table
 from pipeline.diagnosis.summary import RunSummary, oracle_table, verdict_table
@@ -84,54 +86,67 @@ def _shown(value: Any) -> str:
     return f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def failures_record(
-    name: str,
-    shares: Sequence[Share],
-    summary: RunSummary,
-    slices: Sequence[Slices],
-    found: pa.Table,
-    limit: int,
-    search: str,
-) -> dict[str, Any]:
-    """`failures --json`."""
-    rows = found.slice(0, limit).select([c for c in SHOWN if c in found.column_names]).to_pylist()
-    return {
-        "system": name,
-        "shares": [share.record() for share in shares],
-        "search": search,
-        "found": found.num_rows,
-        "failures": [{key: plain(value) for key, value in row.items()} for row in rows],
-        "summary": summary.record(),
-        "slices": {s.dimension.name: s.record() for s in slices},
-    }
+@dataclass(frozen=True)
+class FoundFailures:
+    """What `failures` tells of a run.
+
+    Attributes
+    ----------
+    name : str
+        The run's system.
+    shares : sequence of Share
+        What it has in common with what made its labels.
+    summary : RunSummary
+    slices : sequence of Slices
+    found : pyarrow.Table
+        Records of the expressions that were found by `search`.
+    limit : int
+        Expressions told at most.
+    search : str
+    """
+
+    name: str
+    shares: Sequence[Share]
+    summary: RunSummary
+    slices: Sequence[Slices]
+    found: pa.Table
+    limit: int
+    search: str
+
+    def record(self) -> dict[str, Any]:
+        """`failures --json`."""
+        rows = self.found.slice(0, self.limit).select([c for c in SHOWN if c in self.found.column_names]).to_pylist()
+        return {
+            "system": self.name,
+            "shares": [share.record() for share in self.shares],
+            "search": self.search,
+            "found": self.found.num_rows,
+            "failures": [{key: plain(value) for key, value in row.items()} for row in rows],
+            "summary": self.summary.record(),
+            "slices": {s.dimension.name: s.record() for s in self.slices},
+        }
 
 
-def print_failures(
-    name: str,
-    shares: Sequence[Share],
-    summary: RunSummary,
-    slices: Sequence[Slices],
-    found: pa.Table,
-    limit: int,
-    search: str,
-) -> None:
+def print_failures(told: FoundFailures) -> None:
     """Verdicts, deltas and slices of the run, then the expressions that were found."""
     console = make_console()
-    cuts = [slice_table(s, intervals=False) for s in slices]
-    for table in (verdict_table({name: summary}), oracle_table({name: summary}), *cuts):
-        table = with_caveats(table, {name: shares})
+    summary, found, summaries = told.summary, told.found, {told.name: told.summary}
+    cuts = [slice_table(s, intervals=False) for s in told.slices]
+    for table in (verdict_table(summaries), oracle_table(summaries), *cuts):
+        table = with_caveats(table, {told.name: told.shares})
         console.print(Text(table.title, "bold"))
         console.print(rich_table(table))
         if table.note:
             console.print(Text(table.note, "dim"))
         console.print()
-    for share in shares:
+    for share in told.shares:
         console.print(Text(share.sentence, "yellow"))
-    said = f"{found.num_rows} of {summary.expressions} expressions" + (f": {search}" if search else " failed")
+    said = f"{found.num_rows} of {counted(summary.expressions, 'expression')}"
+    said += f": {told.search}" if told.search else " failed"
     console.print(Text(said, "bold"))
-    for row in found.slice(0, limit).to_pylist():
+    for row in found.slice(0, told.limit).to_pylist():
         verdict = "CORRECT LUCKY" if row["lucky"] else " ".join(filter(None, (row["verdict"], row["detail"])))
         console.print(Text.assemble((row["frame"], "dim"), "  ", row["text"], (f"  {verdict}", "bold yellow")))
         console.print(Text(f"    {row['said'] or ''}  ({row['id']})", "dim"))
-    if found.num_rows > limit:
-        console.print(Text(f"and {found.num_rows - limit} more (--limit)", "dim"))
+    if found.num_rows > told.limit:
+        console.print(Text(f"and {found.num_rows - told.limit} more (--limit)", "dim"))

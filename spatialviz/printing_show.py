@@ -11,6 +11,7 @@ from pipeline.correcting.box_edits import support_name
 from pipeline.correcting.cards import PairCard
 from pipeline.correcting.object_card import ObjectCard
 from pipeline.correcting.support import Support
+from pipeline.counted import counted
 from pipeline.journal.effective_frame import EffectiveFrame
 from pipeline.relations import PHRASE, letter
 from spatialviz.printing import make_console
@@ -42,8 +43,8 @@ def print_objects(cards: Sequence[ObjectCard], *, whole: bool) -> None:
         added = f"; added by {card.added_by}" if card.added_by else ""
         for name, status in card.said.items():
             console.print(Text(f"{name} says: {status}"))
-        console.print(Text(f"{card.points} points of {card.mask_pixels} pixels; {card.expressions} expressions"
-                           f"{more}{added}", "dim"))  # fmt: skip
+        points, asked = counted(card.points, "point"), counted(card.expressions, "expression")
+        console.print(Text(f"{points} of {card.mask_pixels} pixels; {asked}{more}{added}", "dim"))  # fmt: skip
 
 
 def print_pair(card: PairCard) -> None:
@@ -68,5 +69,6 @@ def print_pair(card: PairCard) -> None:
 def print_support(frame: EffectiveFrame, support: Support, gap: float) -> None:
     """What an object stands on."""
     said = f"{abs(gap) * 100:.1f} cm {'above' if gap > 0 else 'below the top of'} {support_name(frame, support)}"
-    fitted = f"{support.points} points, {support.spread * 1000:.1f} mm" if support.points else "its upper extent"
+    points = f"{counted(support.points, 'point')}, {support.spread * 1000:.1f} mm"
+    fitted = points if support.points else "its upper extent"
     make_console().print(Text(f"its box ends {said} ({fitted})"))

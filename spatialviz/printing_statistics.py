@@ -8,6 +8,7 @@ from typing import Any
 from rich.table import Table
 from rich.text import Text
 
+from pipeline.counted import counted
 from pipeline.labels.makers import makers_of
 from pipeline.labels.reading import Labels
 from spatialviz.printing import make_console
@@ -23,18 +24,18 @@ def print_statistics(statistics: dict[str, Any], labels: Labels) -> None:
     counts, cells, text = statistics["counts"], statistics["cells"], statistics["text"]
     ambiguity, occlusion = statistics["ambiguity"], statistics["occlusion"]
     candidates = counts["candidates"]
-    of = "" if candidates is None else f" of {candidates:,} candidates"
+    of = "" if candidates is None else f" of {counted(candidates, 'candidate')}"
     per_pair = cells["positives_per_pair"]
     console.print(Text.assemble((str(labels.root), "bold"), (f"  rules {labels.manifest.profile.get('name')}", "dim")))
     console.print(
         Text(
-            f"{counts['frames_usable']:,} of {counts['frames']:,} frames usable, {counts['scenes']:,} scenes, "
-            f"up {_listed(statistics['up_source']) or 'unknown'}"
+            f"{counts['frames_usable']:,} of {counted(counts['frames'], 'frame')} usable, "
+            f"{counted(counts['scenes'], 'scene')}, up {_listed(statistics['up_source']) or 'unknown'}"
         )
     )
     reasons = _listed(counts["unusable"])
     console.print(
-        Text(f"{counts['objects_usable']:,} of {counts['objects']:,} objects can be asked for")
+        Text(f"{counts['objects_usable']:,} of {counted(counts['objects'], 'object')} can be asked for")
         + Text(f"; the others: {reasons}" if reasons else "")
     )
     console.print(
@@ -44,14 +45,14 @@ def print_statistics(statistics: dict[str, Any], labels: Labels) -> None:
     if per_pair is not None:
         console.print(
             Text(
-                f"{counts['pairs']:,} pairs, {per_pair:.2f} relations hold of each on average, "
+                f"{counted(counts['pairs'], 'pair')}, {per_pair:.2f} relations hold of each on average, "
                 f"{_share(cells['pairs_without_T_share'])} have none; {_share(cells['u_share'])} of labels in doubt"
             )
         )
     console.print(
         Text(
-            f"{counts['expressions']:,} expressions{of}, {text['sentences']:,} sentences for {text['questions']:,} "
-            f"questions; {_share(ambiguity['share'])} have several right answers"
+            f"{counted(counts['expressions'], 'expression')}{of}, {counted(text['sentences'], 'sentence')} "
+            f"for {counted(text['questions'], 'question')}; {_share(ambiguity['share'])} have several right answers"
         )
     )
     for what, who in makers_of(labels.manifest).lines().items():
@@ -121,7 +122,7 @@ def print_summary(summary: dict[str, Any]) -> None:
     """Counts over the frames of a dataset."""
     console = make_console()
     frames, usable = summary["frames"], summary["frames_usable"]
-    console.print(Text(f"{usable:,} of {frames:,} frames can be used"))
+    console.print(Text(f"{usable:,} of {counted(frames, 'frame')} can be used"))
     for note in summary["notes"]:
         console.print(Text(f"  note: {note}", "yellow"))
     for reason, count in list(summary["problems"].items())[:5]:
@@ -146,7 +147,7 @@ def print_summary(summary: dict[str, Any]) -> None:
         return
     per_frame = summary["objects_per_frame"]
     console.print(
-        Text(f"{summary['objects']:,} objects of {len(classes):,} classes, {per_frame:.1f} a frame: ")
+        Text(f"{counted(summary['objects'], 'object')} of {counted(len(classes), 'class')}, {per_frame:.1f} a frame: ")
         + Text(_listed(classes, SUMMARY_CLASSES), "dim")
     )
 

@@ -97,8 +97,10 @@ class CameraOptions:
 
     def camera(self, frame: str | None = None) -> dict[str, Any]:
         """The same as arguments of `open_dataset`; `frame` is the one that a bare --level-at is of."""
+        from pipeline.datasets.up_text import parse_level_at
+
         level_at = self.level_at
-        if level_at is not None and ":" not in level_at and frame not in (None, "all"):
+        if level_at is not None and frame not in (None, "all") and parse_level_at(level_at)[0] is None:
             level_at = f"{frame}:{level_at}"
         return {
             "intrinsics": four_numbers(self.intrinsics),
@@ -195,7 +197,7 @@ class SourceOptions(CameraOptions):
 
         options = self.options(frame)
         source = open_source(dataset, **(options if labels is None else labelled_up(labels.manifest, options)))
-        if self.level_at is not None:
-            for frame_id, doubt in told_doubts(source.dataset).items():
-                print(f"spatialviz: frame {frame_id}: {doubt}", file=sys.stderr)
+        if self.level_at is not None or self.up is not None:
+            for frame_id, doubts in told_doubts(source.dataset).items():
+                print(f"spatialviz: frame {frame_id}: {'; '.join(doubts)}", file=sys.stderr)
         return source

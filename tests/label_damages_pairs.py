@@ -220,6 +220,13 @@ def its_text_says_more(t: Tables) -> set[Where]:
     return {("room/2", (1, 0))}
 
 
+@damages("expression/article", "warning")
+def its_text_speaks_as_of_the_only_one(t: Tables) -> set[Where]:
+    row = said(t, "room/1", "book on box")
+    put(row, text="book on the box")
+    return {("room/1", (row["target_object"], row["reference_object"]))}
+
+
 @damages("expression/duplicate-id")
 def an_id_is_copied(t: Tables) -> set[Where]:
     one, other = said(t, "room/2", "lamp behind sofa"), said(t, "room/2", "lamp behind pillow")

@@ -14,6 +14,7 @@ from whatif_scenes import ScoringDetector, context_of, row
 
 from pipeline.diagnosis.live import annotated_truth
 from pipeline.errors import InputError
+from pipeline.evaluation.shared_makers import PERFECT
 from pipeline.failure_case import answer, open_case
 from pipeline.failure_report import Subject, failure_page, write_page
 from pipeline.failure_report.cast import cast_of
@@ -97,6 +98,18 @@ def test_hostile_strings_are_escaped_everywhere(tmp_path: Path) -> None:
     assert framed["srcdoc"] == scene
     assert framed["sandbox"] == "allow-scripts"
     assert "<script>alert(1)</script>" in "".join(found.text)
+
+
+def test_a_verdict_by_the_detectors_own_annotations_says_so() -> None:
+    used = replace(made(AnnotationDetector(("mug", "laptop", "book", "table"))), dataset=NamedDataset())  # pyright: ignore
+    context = context_of()
+    now = answer(used, context, TEXT, truth=annotated_truth(context, used))
+    subject = Subject.of_dataset("row", used, context, TEXT)
+    said = PERFECT[:1].upper() + PERFECT[1:]
+    assert said in failure_page(now, used, context, subject)
+    # Another's masks, and a page without a verdict, have nothing of it.
+    assert said not in failure_page(now, used, context, replace(subject, shares=()))
+    assert said not in failure_page(answer(used, context, TEXT), used, context, subject)
 
 
 def test_a_page_without_truth_or_without_an_answer() -> None:

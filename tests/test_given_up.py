@@ -26,51 +26,29 @@ from pipeline.labels.job import label_dataset
 from pipeline.labels.pictures import labelled_dataset, labelled_up
 from pipeline.labels.plan import SourceSpec, make_plan
 from pipeline.records import relation_records
-from tests.avd_writer import write_scan
+from pipeline.up_words import SOURCES
+from tests import every_format
 from tests.dataset_writers import (
     HEIGHT,
     WIDTH,
     K,
     random_rotation,
-    write_bop,
     write_folder,
     write_png,
-    write_redwood,
-    write_scannet,
     write_seven_scenes,
-    write_sunrgbd,
-    write_tum,
-    write_votenet,
 )
-from tests.semantic_abstraction_writer import write_view
 
 CAMERA: dict[str, Any] = {"intrinsics": (60.0, 61.0, 31.5, 23.5), "depth_scale": 1000.0}
 
 
-def write_semantic_abstraction(root: Path) -> None:
-    write_view(root / "1|FloorPlan1_physics.hdf5", points=4000)
-
-
-WRITERS: dict[str, tuple[Callable[[Path], object], bool]] = {
-    "bop": (lambda root: write_bop(root, {"000001": [1, 2]}), True),
-    "7-scenes": (lambda root: write_seven_scenes(root, 2), True),
-    "folder": (lambda root: write_folder(root, [1, 2]), True),
-    "folder without poses": (lambda root: write_folder(root, [1, 2], poses=False), False),
-    "tum": (lambda root: write_tum(root, 2), True),
-    "scannet": (lambda root: write_scannet(root, [1, 2]), True),
-    "redwood": (lambda root: write_redwood(root, ["a", "b"]), True),
-    "sunrgbd": (lambda root: write_sunrgbd(root, ["one", "two"]), False),
-    "sunrgbd-votenet": (lambda root: write_votenet(root, ["000001", "000002"]), False),
-    "avd": (lambda root: write_scan(root, steps=1), True),
-    "semantic-abstraction": (write_semantic_abstraction, True),
-}
-"""What writes a dataset of each format, and whether its frames have poses."""
+WRITERS = {**every_format.WRITERS, "folder without poses": lambda root: write_folder(root, [1, 2], poses=False)}
+UNPOSED = ("folder without poses", "sunrgbd", "sunrgbd-votenet")
 
 
 @pytest.fixture(scope="module")
 def roots(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     found = {}
-    for name, (write, _) in WRITERS.items():
+    for name, write in WRITERS.items():
         found[name] = tmp_path_factory.mktemp("data")
         write(found[name])
     return found
@@ -93,7 +71,7 @@ def opened(root: Path, **told: Any) -> Dataset:
 
 @pytest.mark.parametrize("name", WRITERS)
 def test_what_is_told_wins_in_every_format(roots: dict[str, Path], name: str) -> None:
-    root, posed = roots[name], WRITERS[name][1]
+    root, posed = roots[name], name not in UNPOSED
     vector = np.array([0.2, -0.9, -0.3])
     vector /= np.linalg.norm(vector)
     text = ",".join(map(str, vector))
@@ -116,9 +94,9 @@ def test_what_is_told_wins_in_every_format(roots: dict[str, Path], name: str) ->
             assert np.array_equal(frame.depth, own.depth)
 
 
-@pytest.mark.parametrize("name", [name for name, (_, posed) in WRITERS.items() if posed])
+@pytest.mark.parametrize("name", [name for name in WRITERS if name not in UNPOSED])
 def test_the_settings_declare_for_every_format(tmp_path: Path, name: str) -> None:
-    WRITERS[name][0](tmp_path)
+    WRITERS[name](tmp_path)
     (tmp_path / "spatialviz.toml").write_text("world_up = [0, 3, 4]\n")
     dataset = opened(tmp_path)
     camera = dataset.load(dataset.frame_ids[0]).camera
@@ -197,15 +175,31 @@ def test_a_level_surface_is_carried_by_the_poses(tmp_path: Path, poses: bool) ->
 
 
 def test_an_up_that_contradicts_the_planes_of_its_frame_is_doubted_and_stands(tmp_path: Path) -> None:
-    up = np.array([0.1, -0.6, -0.79])
+    up = np.array([0.1, -0.75, -0.65])
     level_views(tmp_path, up / np.linalg.norm(up))
     known = opened(tmp_path, level_at="1:30,30")
     assert told_doubts(known) == {}
     wrong = with_frame_up(known, "1", (0.0, -0.79, 0.6))
-    (doubt,) = told_doubts(wrong).values()
+    ((doubt,),) = told_doubts(wrong).values()
     assert "degrees off the level planes" in doubt
     assert wrong.load("1").notes == (*known.load("1").notes, doubt)
     np.testing.assert_allclose(up_of(wrong, "1"), np.array([0, -0.79, 0.6]) / np.hypot(0.79, 0.6))
+
+
+@pytest.mark.parametrize(("degrees_off", "doubted"), [(0, False), (4, False), (7, True), (90, True)])
+def test_an_up_that_contradicts_the_declared_one_is_noted(tmp_path: Path, degrees_off: float, doubted: bool) -> None:
+    write_seven_scenes(tmp_path, 2)
+    (tmp_path / "spatialviz.toml").write_text("world_up = [0, 0, 1]\n")
+    assert not any("off the dataset's own" in note for note in open_dataset(tmp_path).load("frame-000000").notes)
+    a = np.deg2rad(degrees_off)
+    told = open_dataset(tmp_path, up=f"world:{np.sin(a)},0,{np.cos(a)}")
+    notes = [note for note in told.load("frame-000000").notes if "off the dataset's own" in note]
+    if doubted:
+        assert notes == [f"the up that was told is {degrees_off} degrees off the dataset's own: {SOURCES['declared']}"]
+        assert list(told_doubts(told).values()) == [tuple(notes)]
+    else:
+        assert notes == []
+        assert told_doubts(told) == {}
 
 
 @pytest.mark.parametrize(

@@ -10,7 +10,9 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 from scenes import camera_of, frame_of, upright
 
+from pipeline.counted import counted
 from pipeline.labels.check.constraints import violations
+from pipeline.labels.check.expressions import says_the
 from pipeline.labels.check.objects import corners_of, iou_each, moved_towards, projected
 from pipeline.labels.check.relations import shortest_cycle
 from pipeline.labels.check.runs import MaskRuns, read_runs, runs_object
@@ -19,6 +21,7 @@ from pipeline.labels.check.stream import Rows
 from pipeline.labels.profiles import PROFILES
 from pipeline.labels.schema import TABLES
 from pipeline.labels.tables import arrow_schema
+from pipeline.labels.wording import expression_text
 from pipeline.relations import DIRECTIONAL, PAIRWISE, T
 from pipeline.run_length import encode_run_length
 
@@ -196,3 +199,33 @@ def test_sizes_are_found_by_any_name_and_make_sense() -> None:
     assert size_range("the_Mugs") == size_range("mug")
     assert size_range("couch") == size_range("sofa")
     assert size_range("zeppelin") is None
+
+
+@pytest.mark.parametrize(
+    ("text", "target", "reference", "expected"),
+    [
+        ("the mug left of a laptop", "mug", "laptop", [True, False]),
+        ("find the mug holder left of a mug", "mug holder", "mug", [True, False]),
+        ("find the mug holder left of the mug", "mug holder", "mug", [True, True]),
+        ("is a mug behind the hot dog?", "mug", "hot_dog", [False, True]),
+        ("Mug on the left of the \"left shoe\"", "mug", "left shoe", [False, True]),
+    ],
+)
+def test_the_is_of_the_name_that_follows(text: str, target: str, reference: str, expected: list[bool]) -> None:
+    assert says_the(text, [target, reference]) == expected
+
+
+@pytest.mark.parametrize("several", [(False, False), (True, False), (False, True), (True, True)])
+def test_what_is_worded_for_several_never_says_the(several: tuple[bool, bool]) -> None:
+    for key in range(0, 4000, 7):
+        text = expression_text("coffee table", "left", "table", key, several=several)
+        said = says_the(text, ["coffee table", "table"])
+        assert not any(x and y for x, y in zip(said, several, strict=True)), text
+
+
+@settings(max_examples=60)
+@given(st.integers(0, 10**7), st.sampled_from(["scene", "class", "label"]))
+def test_only_one_thing_is_singular(count: int, what: str) -> None:
+    number, noun = counted(count, what).split()
+    assert int(number.replace(",", "")) == count
+    assert (noun == what) == (count == 1)

@@ -184,13 +184,13 @@ def test_the_counts_sum_to_the_mask_and_what_is_kept_has_depth(seed: int) -> Non
 
 def test_depth_edges_follow_the_relative_step() -> None:
     depth = np.full((20, 40), 4.0, np.float32)
-    depth[:, 20:] += 0.11
+    depth[:, 20:] += 0.23
     assert not depth_edges(depth).any()
-    depth[:, 20:] += 0.02
+    depth[:, 20:] += 0.04
     assert depth_edges(depth)[:, 19:21].all()
     assert not depth_edges(depth)[:, :19].any()
     near = np.full((20, 40), 0.5, np.float32)
-    near[:, 20:] += 0.028
+    near[:, 20:] += 0.058
     assert not depth_edges(near).any()
     near[:, 20:] += 0.004
     assert depth_edges(near)[:, 19:21].all()

@@ -6,6 +6,7 @@ import json
 import shutil
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -140,11 +141,11 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def evaluated(folder: Path, out: Path, model: str) -> RunReport:
+def evaluated(folder: Path, out: Path, model: str, plots: bool = False) -> RunReport:
     options = {"detector": "recorded", "model": folder / model}
     how = RelationSpec(others=("rule",), frames=1)
     spec = EvalSpec("demo", str(folder / "labels"), options, relations=how, limit=20)
-    return evaluate_dataset(spec, out, plots=False, bootstrap=QUICK)
+    return evaluate_dataset(spec, out, plots=plots, bootstrap=QUICK)
 
 
 def test_a_run_says_that_it_graded_itself(folder: Path, tmp_path: Path) -> None:
@@ -171,6 +172,30 @@ def test_a_run_says_that_it_graded_itself(folder: Path, tmp_path: Path) -> None:
     assert {row.shares for row in report.tables[0].rows} == {""}
     assert report.tables[0].title == "Grounding"
     assert AGREEMENT in next(t.title for t in report.tables if t.key == "srm")
+
+
+def test_every_picture_of_a_run_that_graded_itself_says_so(
+    folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    figures = pytest.importorskip("matplotlib.figure", reason="the extra report is not installed")
+    pytest.importorskip("plotly", reason="the extra report is not installed")
+    said: dict[str, str] = {}
+    save = figures.Figure.savefig
+
+    def keep(figure: Any, path: Path, **options: Any) -> None:
+        texts = [*figure.texts, *(t for a in figure.axes for t in (a.title, a._left_title))]
+        said[Path(path).name] = " ".join(" ".join(t.get_text().split()) for t in texts)
+        save(figure, path, **options)
+
+    monkeypatch.setattr(figures.Figure, "savefig", keep)
+    evaluated(folder, tmp_path / "own", "own.json", plots=True)
+    assert {"relations.png", "overlap.png", "verdicts.png", "confusion.png", "srm_relations.png"} <= set(said)
+    wanted = {name: AGREEMENT if name.startswith("srm_") else REPEATED for name in said}
+    assert not {name: text for name, text in said.items() if wanted[name][1:] not in text}
+    said.clear()
+    evaluated(folder, tmp_path / "other", "other.json", plots=True)
+    assert said
+    assert not [name for name, text in said.items() if REPEATED[1:] in text]
 
 
 def test_old_runs_and_labels_say_what_can_be_known(folder: Path, tmp_path: Path) -> None:

@@ -14,13 +14,11 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
-from avd_writer import write_scan
 from dataset_writers import (
     HEIGHT,
     START,
     WIDTH,
     K,
-    write_bop,
     write_folder,
     write_png,
     write_redwood,
@@ -30,9 +28,9 @@ from dataset_writers import (
     write_tum,
     write_votenet,
 )
+from every_format import WRITERS
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
-from semantic_abstraction_writer import write_view
 
 from pipeline.camera import backproject
 from pipeline.datasets import open_dataset, summarise, survey
@@ -65,20 +63,6 @@ def degrees(a: np.ndarray, b: np.ndarray) -> float:
 
 
 # Which format a folder has
-
-WRITERS: dict[str, Callable[[Path], object]] = {
-    "bop": lambda root: write_bop(root, {"000001": [1]}),
-    "7-scenes": lambda root: write_seven_scenes(root, 2),
-    "tum": lambda root: write_tum(root, 2),
-    "scannet": lambda root: write_scannet(root, [0, 1]),
-    "redwood": lambda root: write_redwood(root, ["00000", "00001"]),
-    "sunrgbd": lambda root: write_sunrgbd(root, ["a", "b"]),
-    "sunrgbd-votenet": lambda root: write_votenet(root, ["000001"]),
-    "avd": lambda root: write_scan(root, steps=1),
-    "semantic-abstraction": lambda root: write_view(root / "00001|FloorPlan1_physics.hdf5"),
-    "folder": lambda root: write_folder(root, [1, 2]),
-}
-
 
 @pytest.mark.parametrize("name", WRITERS)
 def test_every_format_is_told_from_the_others(tmp_path: Path, name: str) -> None:

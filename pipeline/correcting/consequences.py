@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.correcting.scene import labelled_box
+from pipeline.counted import counted
 from pipeline.journal.cells import object_cell
 from pipeline.journal.effective_frame import EffectiveFrame
 from pipeline.journal.frame_rows import NO_STATE
@@ -103,15 +104,15 @@ class Consequences:
         parts = [f"{name} added" for name in self.appeared] + [f"{name} left out" for name in self.gone]
         parts += [str(b) for b in self.boxes] + list(self.unusable)
         if self.recomputed or self.changed:
-            count = f"{_counted(self.recomputed, 'relation')} recomputed, " if self.recomputed else "relations: "
+            count = f"{counted(self.recomputed, 'relation')} recomputed, " if self.recomputed else "relations: "
             told = "; ".join(map(str, self.changed[:SAID])) + (" ..." if len(self.changed) > SAID else "")
             parts.append(f"{count}{len(self.changed) or 'none'} changed" + (f": {told}" if told else ""))
         if self.answers:
-            parts.append(f"{_counted(len(self.answers), 'expression')} answered otherwise")
+            parts.append(f"{counted(len(self.answers), 'expression')} answered otherwise")
         if self.withdrawn:
-            parts.append(f"{_counted(len(self.withdrawn), 'expression')} withdrawn")
+            parts.append(f"{counted(len(self.withdrawn), 'expression')} withdrawn")
         if self.returned:
-            parts.append(f"{_counted(len(self.returned), 'expression')} back")
+            parts.append(f"{counted(len(self.returned), 'expression')} back")
         if self.stale:
             parts.append("what follows is stale: the dataset is not at hand")
         return " · ".join(parts)
@@ -206,6 +207,3 @@ def _name(frame: EffectiveFrame, number: int) -> str:
 def _texts(texts: dict[str, str], ids: Iterable[str]) -> tuple[str, ...]:
     return tuple(texts[i] for i in sorted(ids))
 
-
-def _counted(count: int, what: str) -> str:
-    return f"{count} {what}{'' if count == 1 else 's'}"

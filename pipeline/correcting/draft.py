@@ -125,7 +125,7 @@ def come_apart(draft: Draft, canvas: Canvas) -> Draft:
     """A draft split where the object's depth comes apart; raises as `split_by_depth`."""
     if draft.number is None:
         raise InputError("a new object cannot be cut yet", cause="apply it first")
-    return draft.after(*split_by_depth(draft.mask, canvas.context.frame.depth, canvas.context.config))
+    return draft.after(*split_by_depth(draft.mask, canvas.context.frame.depth))
 
 
 def edits_of_draft(draft: Draft, frame: EffectiveFrame, label: str = "") -> Edits:

@@ -10,12 +10,16 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.camera import Camera
 from pipeline.datasets.base import Dataset, resolve_frame, scene_of, unknown_frame
 from pipeline.datasets.settings import Settings
 from pipeline.datasets.up_text import GivenUp, Vector, parse_level_at
 from pipeline.errors import InputError
 from pipeline.frame import Frame
+from pipeline.up_words import SOURCES
 
+FAR_FROM_DECLARED_DEG = 5.0
+"""An up that was told is worth a note where it is so far off the one that the dataset declares."""
 LOOKED_AT = 5
 """So many frames are asked for a pose where an up vector does not say its frame."""
 
@@ -97,36 +101,52 @@ class UpGiven:
         return found
 
     def _told(self, frame: Frame) -> Frame:
-        camera, settings = frame.camera, self.settings
-        pose, up = camera.T_world_camera, self.up
-        scene_up = self._scene_up.get(scene_of(self.inner, frame.id)) if self.frame_up else None
-        notes = frame.notes
-        if frame.id in self.frame_up:
-            camera = camera.with_up(np.asarray(self.frame_up[frame.id]), "given")
-            doubt = self.doubt(frame)
-            notes = notes if doubt is None else (*notes, doubt)
-        elif pose is not None and scene_up is not None:
-            camera = camera.with_up(pose[:3, :3].T @ scene_up, "given")
-        elif up is not None and up.frame == "camera":
-            camera = camera.with_up(np.asarray(up.vector), "given")
-        elif up is not None and pose is not None:
-            camera = camera.with_up(pose[:3, :3].T @ np.asarray(up.vector), "given")
-        elif settings.world_up is not None and pose is not None:
-            camera = camera.with_up(pose[:3, :3].T @ np.asarray(settings.world_up), "declared")
+        camera, settings, notes = self._camera(frame), self.settings, frame.notes
         if camera is frame.camera:
-            if camera.up is None and (up is not None or settings.world_up is not None):
-                said = f"up {up}" if up is not None else "world_up"
+            if camera.up is None and (self.up is not None or settings.world_up is not None):
+                said = f"up {self.up}" if self.up is not None else "world_up"
                 notes = (*notes, f"{said} is of the world, and this frame has no pose: it is not used")
         elif settings.up is not None and settings.up.frame is None:
-            notes = (*notes, f"up {settings.up} is taken as {up}")
-        return replace(frame, camera=camera, notes=notes)
+            notes = (*notes, f"up {settings.up} is taken as {self.up}")
+        return replace(frame, camera=camera, notes=(*notes, *self.doubts(frame)))
 
-    def doubt(self, frame: Frame) -> str | None:
-        """What speaks against the up that was told of a frame."""
+    def _camera(self, frame: Frame) -> Camera:
+        """The camera of a frame of the reader with the up that was told, else with the dataset's own."""
+        camera, pose, up = frame.camera, frame.camera.T_world_camera, self.up
+        scene_up = self._scene_up.get(scene_of(self.inner, frame.id)) if self.frame_up else None
+        if frame.id in self.frame_up:
+            return camera.with_up(np.asarray(self.frame_up[frame.id]), "given")
+        if pose is not None and scene_up is not None:
+            return camera.with_up(pose[:3, :3].T @ scene_up, "given")
+        if up is not None and up.frame == "camera":
+            return camera.with_up(np.asarray(up.vector), "given")
+        if up is not None and pose is not None:
+            return camera.with_up(pose[:3, :3].T @ np.asarray(up.vector), "given")
+        return self._own(camera)
+
+    def _own(self, camera: Camera) -> Camera:
+        """A camera of the reader with the up that the dataset declares, if it does."""
+        pose, world_up = camera.T_world_camera, self.settings.world_up
+        if world_up is None or pose is None:
+            return camera
+        return camera.with_up(pose[:3, :3].T @ np.asarray(world_up), "declared")
+
+    def doubts(self, frame: Frame) -> tuple[str, ...]:
+        """What speaks against the up that was told, in a frame of the reader."""
         from pipeline.level_plane import far_from_level
 
-        off = far_from_level(frame.depth, frame.camera, np.asarray(self.frame_up[frame.id]))
-        return None if off is None else f"the up that was told is {off:.0f} degrees off the level planes of the frame"
+        told, own = self._camera(frame), self._own(frame.camera)
+        if told.up is None or told.up_source != "given":
+            return ()
+        found = []
+        off = far_from_level(frame.depth, frame.camera, told.up) if frame.id in self.frame_up else None
+        if off is not None:
+            found.append(f"the up that was told is {off:.0f} degrees off the level planes of the frame")
+        off = 0.0 if own.up is None else float(np.rad2deg(np.arccos(np.clip(told.up @ own.up, -1, 1))))
+        if off > FAR_FROM_DECLARED_DEG:
+            how = SOURCES[own.up_source or "declared"]
+            found.append(f"the up that was told is {off:.0f} degrees off the dataset's own: {how}")
+        return tuple(found)
 
 
 def with_given_up(dataset: Dataset, settings: Settings, level_at: str | None = None) -> Dataset:
@@ -172,9 +192,14 @@ def told_up(dataset: Dataset) -> tuple[GivenUp | None, dict[str, Vector]]:
     return (dataset.up, dataset.frame_up) if isinstance(dataset, UpGiven) else (None, {})
 
 
-def told_doubts(dataset: Dataset) -> dict[str, str]:
-    """{frame: what speaks against the up that was told of it}; see `level_plane.far_from_level`."""
+def told_doubts(dataset: Dataset) -> dict[str, tuple[str, ...]]:
+    """{frame: what speaks against the up that was told of it}; of one told of all frames, in the first."""
     if not isinstance(dataset, UpGiven):
         return {}
-    found = ((frame_id, dataset.doubt(dataset.inner.load(frame_id))) for frame_id in dataset.frame_up)
-    return {frame_id: doubt for frame_id, doubt in found if doubt is not None}
+    found = {}
+    for frame_id in tuple(dataset.frame_up) or dataset.frame_ids[:1]:
+        try:
+            found[frame_id] = dataset.doubts(dataset.inner.load(frame_id))
+        except InputError:
+            continue
+    return {frame_id: doubts for frame_id, doubts in found.items() if doubts}

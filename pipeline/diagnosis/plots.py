@@ -40,6 +40,7 @@ def draw_diagnosis(
     confusions: Sequence[Confusion],
     out: Path,
     caveats: str = "",
+    caveat: str = "",
 ) -> list[Path]:
     """Write `verdicts.png`, `oracles.png`, `slices.png`, `confusion….png` and `diagnosis.html`.
 
@@ -54,21 +55,24 @@ def draw_diagnosis(
         A folder, made where it is missing.
     caveats : str
         HTML that stands above all.
+    caveat : str
+        What the figures are where truth and systems have a maker in common: before what stands below each title.
     """
     from pipeline.diagnosis.plots_page import write_page
     from pipeline.labels.report.style import house_style
 
     out.mkdir(parents=True, exist_ok=True)
     written = []
+    above = f"{caveat[0].upper()}{caveat[1:]}. " if caveat else ""
     with house_style():
         if summaries:
             first = next(iter(summaries))
             written += [
-                _verdicts(summaries, out / "verdicts.png"),
-                _oracles(first, summaries[first], out / "oracles.png"),
-                _slices(first, slices, out / "slices.png"),
+                _verdicts(summaries, above, out / "verdicts.png"),
+                _oracles(first, summaries[first], above, out / "oracles.png"),
+                _slices(first, slices, above, out / "slices.png"),
             ]
-        written += [_confusion(c, out / f"{c.key}.png") for c in confusions]
+        written += [_confusion(c, above, out / f"{c.key}.png") for c in confusions]
     written.append(write_page(summaries, slices, confusions, out / "diagnosis.html", caveats))
     return written
 
@@ -89,11 +93,11 @@ def interval(e: Estimate) -> tuple[float, float]:
     return max(0.0, 100 * (e.value - e.low)), max(0.0, 100 * (e.high - e.value))
 
 
-def _verdicts(summaries: Mapping[str, RunSummary], path: Path) -> Path:
+def _verdicts(summaries: Mapping[str, RunSummary], above: str, path: Path) -> Path:
     figure = new_figure(
         FULL, 90 + 34 * len(VERDICTS) * len(summaries),
         "Verdicts on every expression",
-        "Share of expressions, which sums to 100 %, with 95 % intervals. CORRECT is the labelled target; "
+        f"{above}Share of expressions, which sums to 100 %, with 95 % intervals. CORRECT is the labelled target; "
         "LABEL is mostly another right answer.",
     )  # fmt: skip
     axes = figure.add_subplot()
@@ -120,8 +124,8 @@ def _verdicts(summaries: Mapping[str, RunSummary], path: Path) -> Path:
     return path
 
 
-def _oracles(name: str, summary: RunSummary, path: Path) -> Path:
-    figure = new_figure(FULL, 380, f"What each module costs: {name}", ADDS_UP)
+def _oracles(name: str, summary: RunSummary, caveat: str, path: Path) -> Path:
+    figure = new_figure(FULL, 380, f"What each module costs: {name}", caveat + ADDS_UP)
     axes = figure.add_subplot()
     bars = waterfall(summary)
     for x, (key, start, estimate) in enumerate(bars):
@@ -156,13 +160,13 @@ def _oracles(name: str, summary: RunSummary, path: Path) -> Path:
     return path
 
 
-def _slices(system: str, slices: Sequence[Slices], path: Path) -> Path:
+def _slices(system: str, slices: Sequence[Slices], above: str, path: Path) -> Path:
     chosen = [s for s in slices if s.dimension.name in SHOWN]
     figure = new_figure(
         FULL, 300 * ((len(chosen) + 1) // 2),
         f"Verdicts by part of the run: {system}",
-        "Shares of each part sum to 100 %. The number of expressions stands beside its bar; LABEL is mostly another "
-        "right answer.",
+        f"{above}Shares of each part sum to 100 %. The number of expressions stands beside its bar; LABEL is mostly "
+        "another right answer.",
     )  # fmt: skip
     seen: dict[str, Any] = {}
     for place, cut in enumerate(chosen):
@@ -193,8 +197,8 @@ def shares_of_rows(found: Confusion) -> np.ndarray:
     return np.divide(found.counts, total, out=np.zeros(found.counts.shape), where=total > 0)
 
 
-def _confusion(found: Confusion, path: Path) -> Path:
-    figure = new_figure(FULL, 90 + 36 * len(found.rows), found.title, found.note)
+def _confusion(found: Confusion, above: str, path: Path) -> Path:
+    figure = new_figure(FULL, 90 + 36 * len(found.rows), found.title, above + found.note)
     axes = figure.add_subplot()
     shares = shares_of_rows(found)
     axes.imshow(shares, cmap="Blues", vmin=0, vmax=1, aspect="auto")

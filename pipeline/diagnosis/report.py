@@ -11,7 +11,7 @@ from pipeline.diagnosis.confusion import RELATION_RECORDS, Confusion, answer_con
 from pipeline.diagnosis.slices import DIMENSIONS, Slices, slice_by, slice_table
 from pipeline.diagnosis.summary import RunSummary, has_verdicts, oracle_table, summarise_run, verdict_table
 from pipeline.evaluation.intervals import BootstrapConfig
-from pipeline.evaluation.shared_makers import Share, with_caveats
+from pipeline.evaluation.shared_makers import Share, titles_of, with_caveats
 from pipeline.evaluation.tables import NOTHING_SHARED, Table, as_csv, caveats_html, markdown
 from pipeline.labels.reading import Labels
 from pipeline.staging import write_json
@@ -72,7 +72,11 @@ class RunDiagnosis:
         if plots:
             from pipeline.diagnosis.plots import draw_diagnosis
 
-            draw_diagnosis(self.summaries, self.slices, self.confusions, folder / "plots", caveats_html(self.tables))
+            shares = {name: self.shares.get(name, ()) for name in self.summaries}
+            draw_diagnosis(
+                self.summaries, self.slices, self.confusions, folder / "plots", caveats_html(self.tables),
+                titles_of(shares),
+            )  # fmt: skip
 
 
 def diagnose_run(

@@ -11,6 +11,7 @@ quotes, must stand in the expression. `sort:margin`, `sort:-margin`: rows withou
 
 from __future__ import annotations
 
+import atexit
 import difflib
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -219,6 +220,8 @@ def _database() -> duckdb.DuckDBPyConnection:
     """One empty database, kept: opening one takes longer than a search."""
     import duckdb
 
+    # One that outlives the interpreter makes DuckDB print what it leaks.
+    atexit.register(_database.cache_clear)
     return duckdb.connect(":memory:", config={"threads": 1})
 
 

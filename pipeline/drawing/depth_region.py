@@ -1,4 +1,4 @@
-"""The surface around a click: pixels that are connected in depth and in direction, never across a depth edge."""
+"""The surface around a click: pixels that are connected in depth and in direction, never across a step in depth."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from pipeline.camera import lift_pixels
 from pipeline.errors import InputError
 from pipeline.frame import Frame
-from pipeline.lifting import LiftConfig
+from pipeline.lifting import surface_step
 from pipeline.normals import surface_normals
 
 TOLERANCE = 0.015
@@ -19,7 +19,7 @@ LEAST, MOST = 0.001, 0.05
 BEND = float(np.deg2rad(3.75)) / TOLERANCE
 """By how much a surface may turn towards the viewer from one pixel to the next, radians for each unit of tolerance."""
 LOOSE = 0.03
-"""From this tolerance on, creases and pixels without a normal do not end a region: only depth edges do."""
+"""From this tolerance on, creases and pixels without a normal do not end a region: only steps in depth do."""
 NEAR = 3
 """A click on a pixel without depth, or without a normal, means one so close to it, pixels."""
 RADIUS = 3
@@ -37,7 +37,7 @@ class Links:
     Attributes
     ----------
     joined : bool
-        Both have a depth, and there is no depth edge between them.
+        Both have a depth, and no step in depth between them.
     concave : float32
         How far one rises out of the other's tangent plane, as a share of the depth; infinite where a normal is missing.
     turn : float32
@@ -85,8 +85,8 @@ class Surface:
         return self.points[..., 2] > 0
 
 
-def surface_of(frame: Frame, config: LiftConfig | None = None) -> Surface:
-    """Points, normals and depth edges of a frame; an edge is what `lifting.depth_edges` calls one."""
+def surface_of(frame: Frame) -> Surface:
+    """Points, normals and links of a frame; neighbours are linked up to `lifting.surface_step`."""
     has = frame.depth > 0
     inverse = np.divide(1, frame.depth, out=np.zeros_like(frame.depth), where=has)
     # The noise of 1/z is the same at every depth, so that one width suits all.
@@ -95,7 +95,7 @@ def surface_of(frame: Frame, config: LiftConfig | None = None) -> Surface:
     v, u = np.indices(depth.shape)
     points = lift_pixels(depth.ravel(), frame.camera, v.ravel(), u.ravel()).reshape(*depth.shape, 3)
     normals, known = surface_normals(depth, frame.camera, RADIUS)
-    right, down = joined(frame.depth, config)
+    right, down = joined(frame.depth)
     every = slice(None)
     return Surface(
         points,
@@ -124,13 +124,11 @@ def _links(
     return Links(joined, concave, np.where(rises > falls, angle, np.float32(0)), np.abs(step[..., 2]) / z)
 
 
-def joined(depth: np.ndarray, config: LiftConfig | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """Neighbours to the right and below between which there is no depth edge: (H, W - 1) and (H - 1, W) bool."""
-    config = config or LiftConfig()
+def joined(depth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Neighbours to the right and below with no step in depth between them: (H, W - 1) and (H - 1, W) bool."""
 
     def same(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-        allowed = np.maximum(np.float32(config.edge), np.float32(config.edge_relative) * np.minimum(a, b))
-        return (a > 0) & (b > 0) & (np.abs(a - b) <= allowed)
+        return (a > 0) & (b > 0) & (np.abs(a - b) <= surface_step(np.minimum(a, b)))
 
     return same(depth[:, :-1], depth[:, 1:]), same(depth[:-1], depth[1:])
 
@@ -138,7 +136,7 @@ def joined(depth: np.ndarray, config: LiftConfig | None = None) -> tuple[np.ndar
 def grown_region(surface: Surface, seeds: np.ndarray, tolerance: float = TOLERANCE) -> np.ndarray:
     """The surfaces that some pixels lie on.
 
-    A surface ends at depth edges and at concave creases, as where a cup stands
+    A surface ends at steps in depth and at concave creases, as where a cup stands
     on its table (after the local convexity of Stein et al. 2014); it goes on
     over the edges of a box. From pixel to pixel it may rise out of its tangent
     plane by `tolerance` times the depth.

@@ -150,7 +150,7 @@ class Canvas:
     @property
     def surface(self) -> Surface:
         if self._surface is None:
-            self._surface = surface_of(self.context.frame, self.context.config)
+            self._surface = surface_of(self.context.frame)
         return self._surface
 
     def inside(self, points: np.ndarray) -> np.ndarray:

@@ -8,7 +8,6 @@ import numpy as np
 from pipeline.drawing.depth_region import joined, link_grid
 from pipeline.drawing.strokes import polygon_mask
 from pipeline.errors import InputError
-from pipeline.lifting import LiftConfig
 
 LEAST_PIXELS, LEAST_SHARE = 30, 0.03
 """A part of a mask in depth has at least so many pixels, and this share of the mask; less goes to its neighbour."""
@@ -64,7 +63,7 @@ def split_by_line(mask: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.
     return _parts(mask, polygon_mask(np.concatenate([[start], line, [end], arc]), height, width))
 
 
-def split_by_depth(mask: np.ndarray, depth: np.ndarray, config: LiftConfig | None = None) -> tuple[np.ndarray, ...]:
+def split_by_depth(mask: np.ndarray, depth: np.ndarray) -> tuple[np.ndarray, ...]:
     """The parts of a mask that no surface joins, the largest first.
 
     Pixels without depth, and parts too small to be an object, go to the part next to them.
@@ -80,7 +79,7 @@ def split_by_depth(mask: np.ndarray, depth: np.ndarray, config: LiftConfig | Non
     InputError
         There is only one part, or too many.
     """
-    _, grid = cv2.connectedComponents(link_grid(mask & (depth > 0), *joined(depth, config)), connectivity=4)
+    _, grid = cv2.connectedComponents(link_grid(mask & (depth > 0), *joined(depth)), connectivity=4)
     labels = np.asarray(grid[::2, ::2], np.int64)
     counts = np.bincount(labels[mask], minlength=int(labels.max()) + 1)
     counts[0] = 0

@@ -10,7 +10,7 @@ import numpy as np
 
 from pipeline.evaluation.calibration_metrics import ECE_BINS, ReliabilityDiagram, reliability_diagram
 from pipeline.evaluation.raw_scores import detector_scores, is_calibrated
-from pipeline.labels.report.style import INK, QUIET, house_style
+from pipeline.labels.report.style import INK, QUIET, house_style, with_caveat
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -33,7 +33,7 @@ def score_diagrams(systems: Mapping[str, pa.Table]) -> Diagrams:
     return found
 
 
-def draw_reliability(diagrams: Diagrams, path: Path) -> Path:
+def draw_reliability(diagrams: Diagrams, caveat: str, path: Path) -> Path:
     """One panel a system: the share of hits by score, and below how many detections have it."""
     import matplotlib.pyplot as plt
 
@@ -60,6 +60,8 @@ def draw_reliability(diagrams: Diagrams, path: Path) -> Path:
             upper.legend(loc="lower right")
             lower.set_xlabel("score")
             lower.set_ylabel("detections")
+        if caveat:
+            figure.suptitle(with_caveat("Reliability of the detector's scores", caveat), fontsize=9, color=INK)
         figure.savefig(path)
         plt.close(figure)
     return path

@@ -34,10 +34,11 @@ from pipeline.evaluation.paper_run import tables_of_folder
 from pipeline.evaluation.raw_scores import is_calibrated, raw_records
 from pipeline.evaluation.relation_cases import labelled_detector
 from pipeline.evaluation.relation_job import measure_relations, relation_sink
+from pipeline.evaluation.relation_report import shares_by_title
 from pipeline.evaluation.reported import reported_rows
 from pipeline.evaluation.run import EvalSpec, Progress, evaluate_labels, write_records
 from pipeline.evaluation.run_folder import RUN_FILE, spec_record
-from pipeline.evaluation.shared_makers import Share, measured_of, rank, shared_makers, title_of, with_caveats
+from pipeline.evaluation.shared_makers import Share, measured_of, rank, shared_makers, title_of, titles_of, with_caveats
 from pipeline.evaluation.tables import NOTHING_SHARED, Table, as_csv, latex, markdown
 from pipeline.labels.makers import makers_of
 from pipeline.labels.merge import environment
@@ -148,7 +149,7 @@ def evaluate_dataset(
         }[spec.system]
     asked = labels.manifest.tables["expressions"].content_hash
     makers = makers_of(labels.manifest)
-    measured = measured_of(source, labels, spec.system) if spec.grounding else None
+    measured = measured_of(source, labels.relation_names, spec.system) if spec.grounding else None
     own = () if measured is None else shared_makers(makers, measured)
     of_others = other_systems(others, name, asked, makers)
     shares = {name: own, **{n: other.shares for n, other in of_others.items()}}
@@ -188,9 +189,10 @@ def evaluate_dataset(
             from pipeline.evaluation.relation_plots import draw_relations
 
             if spec.grounding:
-                draw(systems, tables, folder / "plots")
+                draw(systems, tables, folder / "plots", titles_of(shares))
             if relations is not None:
-                draw_relations(relations.figures, relations.tables, folder / "plots")
+                alike = titles_of(shares_by_title(relations.figures, relations.shares))
+                draw_relations(relations.figures, relations.tables, folder / "plots", alike)
         if diagnosis is not None:
             diagnosis.write(folder, plots)
         warnings = calibration_warnings(source, labels, records) if spec.grounding else ()

@@ -13,7 +13,7 @@ from pipeline.evaluation.calibration_plots import draw_reliability, reliability_
 from pipeline.evaluation.grounding_tables import OPM_ONLY, column, has_opm
 from pipeline.evaluation.intervals import Estimate
 from pipeline.evaluation.tables import Table, caveats_html
-from pipeline.labels.report.style import house_style, need_matplotlib
+from pipeline.labels.report.style import house_style, need_matplotlib, with_caveat
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -33,7 +33,7 @@ def need_plots() -> None:
         raise MissingExtra("interactive plots", "report") from error
 
 
-def draw(systems: Mapping[str, pa.Table], tables: Sequence[Table], out: Path) -> list[Path]:
+def draw(systems: Mapping[str, pa.Table], tables: Sequence[Table], out: Path, caveat: str = "") -> list[Path]:
     """Write `relations.png`, `overlap.png`, `classes.png`, `plots.html`, and `calibration.png` where scores are.
 
     Parameters
@@ -44,25 +44,27 @@ def draw(systems: Mapping[str, pa.Table], tables: Sequence[Table], out: Path) ->
         Those of the run: the relation table gives the bars their intervals.
     out : Path
         A folder to make.
+    caveat : str
+        What the figures are where truth and systems have a maker in common: below each title.
     """
     out.mkdir(parents=True)
     bars = relation_bars(next(t for t in tables if t.key == "relations"))
     sweeps = {name: overlap_sweep(records) for name, records in systems.items()}
     rivals = {name: by_rivals(records) for name, records in systems.items()}
     written = [
-        _draw_bars(bars, out / "relations.png"),
+        _draw_bars(bars, caveat, out / "relations.png"),
         _draw_lines(
-            sweeps, "Accuracy by the overlap that is asked for", "overlap (IoU)", "set-valued accuracy (%)",
-            out / "overlap.png",
+            sweeps, with_caveat("Accuracy by the overlap that is asked for", caveat),
+            "overlap (IoU)", "set-valued accuracy (%)", out / "overlap.png",
         ),
         _draw_lines(
-            rivals, "Accuracy by how many objects share the target's class", "objects of the class",
-            "set-valued accuracy (%)", out / "classes.png",
+            rivals, with_caveat("Accuracy by how many objects share the target's class", caveat),
+            "objects of the class", "set-valued accuracy (%)", out / "classes.png",
         ),
     ]  # fmt: skip
     diagrams = score_diagrams(systems)
     if diagrams:
-        written.append(draw_reliability(diagrams, out / "calibration.png"))
+        written.append(draw_reliability(diagrams, caveat, out / "calibration.png"))
     written.append(_page(bars, sweeps, rivals, reliability_figures(diagrams), caveats_html(tables), out / "plots.html"))
     return written
 
@@ -108,7 +110,7 @@ def _tones(rows: Mapping[str, Any]) -> dict[str, str]:
     return {name: own.get(name, PALE_TONE) for name in rows}
 
 
-def _draw_bars(bars: Bars, path: Path) -> Path:
+def _draw_bars(bars: Bars, caveat: str, path: Path) -> Path:
     import matplotlib.pyplot as plt
 
     relations, systems = bars
@@ -128,7 +130,7 @@ def _draw_bars(bars: Bars, path: Path) -> Path:
         axes.set_xticks(np.arange(len(relations)), relations)
         axes.set_ylim(0, 105)
         axes.set_ylabel("set-valued accuracy (%)")
-        axes.set_title("Accuracy by relation, with 95 % intervals")
+        axes.set_title(with_caveat("Accuracy by relation, with 95 % intervals", caveat))
         axes.grid(axis="y")
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=2)
         figure.savefig(path)

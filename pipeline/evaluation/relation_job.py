@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.counted import counted
 from pipeline.errors import InputError
 from pipeline.evaluation.intervals import BootstrapConfig
 from pipeline.evaluation.relation_records import (
@@ -148,14 +149,14 @@ def measure_relations(
     return RelationRun(tuple(figures), tuple(tables), tuple(warnings), record, int(counted.sum()), shares)
 
 
-def _said(records: RelationRecords, counted: np.ndarray, geometry: str, held_out: bool) -> str:
-    frames, scenes = len(np.unique(records.frame_index[counted])), len(np.unique(records.scene[counted]))
+def _said(records: RelationRecords, measured: np.ndarray, geometry: str, held_out: bool) -> str:
+    frames, scenes = (len(np.unique(column[measured])) for column in (records.frame_index, records.scene))
     where = "lifted from the dataset's annotations" if geometry == "lifted" else "with boxes as the labels store them"
-    left = f", without {int((~counted).sum())} of frames that a network learnt from" if held_out else ""
+    left = f", without {int((~measured).sum())} of frames that a network learnt from" if held_out else ""
+    pairs = f"{counted(int(measured.sum()), 'ordered pair')} of labelled objects"
     return (
-        f"{int(counted.sum())} ordered pairs of labelled objects, {where}, in {frames} frames of "
-        f"{scenes} scene{'s' if scenes > 1 else ''}{left}. Auto-labels are the rule's own verdicts: the rule and "
-        "networks that imitate it are flattered by them."
+        f"{pairs}, {where}, in {counted(frames, 'frame')} of {counted(scenes, 'scene')}{left}. "
+        "Auto-labels are the rule's own verdicts: the rule and networks that imitate it are flattered by them."
     )
 
 

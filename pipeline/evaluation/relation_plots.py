@@ -11,21 +11,24 @@ import numpy as np
 from pipeline.evaluation.plots import TONES
 from pipeline.evaluation.relation_report import SystemFigures
 from pipeline.evaluation.tables import Table, caveats_html
-from pipeline.labels.report.style import house_style
+from pipeline.labels.report.style import house_style, with_caveat
 from pipeline.relations import PAIRWISE, PHRASE
 
 DIAGONAL = "#b4bdca"
 
 
-def draw_relations(figures: Sequence[SystemFigures], tables: Sequence[Table], out: Path) -> list[Path]:
+def draw_relations(
+    figures: Sequence[SystemFigures], tables: Sequence[Table], out: Path, caveat: str = ""
+) -> list[Path]:
     """Write `srm_reliability.png`, `srm_relations.png` and `srm.html` into a folder, which is made if it is missing.
 
-    What the tables of the same figures warn of stands on the page too.
+    What the tables of the same figures warn of stands on the page too; `caveat`, what the figures are where truth and
+    scorers have a maker in common, below the titles.
     """
     out.mkdir(parents=True, exist_ok=True)
     return [
-        _draw_reliability(figures, out / "srm_reliability.png"),
-        _draw_bars(figures, out / "srm_relations.png"),
+        _draw_reliability(figures, caveat, out / "srm_reliability.png"),
+        _draw_bars(figures, caveat, out / "srm_relations.png"),
         _page(figures, caveats_html(tables), out / "srm.html"),
     ]
 
@@ -52,7 +55,7 @@ def _f1(system: SystemFigures, relations: Sequence[str]) -> tuple[np.ndarray, np
     return value, low, high
 
 
-def _draw_reliability(figures: Sequence[SystemFigures], path: Path) -> Path:
+def _draw_reliability(figures: Sequence[SystemFigures], caveat: str, path: Path) -> Path:
     import matplotlib.pyplot as plt
 
     with house_style():
@@ -69,7 +72,7 @@ def _draw_reliability(figures: Sequence[SystemFigures], path: Path) -> Path:
         axes.set_aspect("equal")
         axes.set_xlabel("probability that is given (%)")
         axes.set_ylabel("share that holds (%)")
-        axes.set_title("Do probabilities of relations mean what they say?")
+        axes.set_title(with_caveat("Do probabilities of relations mean what they say?", caveat))
         axes.grid()
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=1)
         figure.savefig(path)
@@ -77,7 +80,7 @@ def _draw_reliability(figures: Sequence[SystemFigures], path: Path) -> Path:
     return path
 
 
-def _draw_bars(figures: Sequence[SystemFigures], path: Path) -> Path:
+def _draw_bars(figures: Sequence[SystemFigures], caveat: str, path: Path) -> Path:
     import matplotlib.pyplot as plt
 
     relations = _relations(figures)
@@ -95,7 +98,7 @@ def _draw_bars(figures: Sequence[SystemFigures], path: Path) -> Path:
         axes.set_xticks(np.arange(len(relations)), [PHRASE[r] for r in relations])
         axes.set_ylim(0, 105)
         axes.set_ylabel("F1 (%)")
-        axes.set_title("F1 of each relation, with 95 % intervals")
+        axes.set_title(with_caveat("F1 of each relation, with 95 % intervals", caveat))
         axes.grid(axis="y")
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=2)
         figure.savefig(path)

@@ -241,8 +241,13 @@ def relation_tables(
             "that it has never seen. Pairs and warnings as above.",
         ),
     ]
-    found = {f.title: (shares[f.title],) if f.title in shares else () for f in figures}
+    found = shares_by_title(figures, shares)
     return [with_caveats(table, found) for table in tables]
+
+
+def shares_by_title(figures: Sequence[SystemFigures], shares: Mapping[str, Share]) -> dict[str, tuple[Share, ...]]:
+    """What each system, by its title, has in common with what made the labels."""
+    return {f.title: (shares[f.title],) if f.title in shares else () for f in figures}
 
 
 def leak_warnings(

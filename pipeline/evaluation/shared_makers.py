@@ -8,8 +8,18 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
+from pipeline import __version__
 from pipeline.errors import InputError
-from pipeline.labels.makers import OF_ANNOTATIONS, RECORDED, Makers, MaskMakers, makers_of, mask_makers
+from pipeline.labels.makers import (
+    ANNOTATIONS,
+    OF_ANNOTATIONS,
+    RECORDED,
+    Makers,
+    MaskMakers,
+    Model,
+    makers_of,
+    mask_makers,
+)
 from pipeline.labels.profiles import profile_of
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.labels.second_opinion import NONE
@@ -29,6 +39,8 @@ CHECKED = "people checked the detector's own proposals: what it missed does not 
 HAD_A_PART = "a detector measured had a part in the truth: agreement, not accuracy"
 PERFECT = "OPM is the truth itself here"
 REPEATED = "the detector made its own truth: repetition, not accuracy"
+OF_FRAME = Makers(MaskMakers((Model(ANNOTATIONS),)), __version__, PROFILE, profile_of(PROFILE).hash, NONE, NONE)
+"""What makes the truth of a frame without labels."""
 _RANK = ("", SIMULATED, CHECKED, HAD_A_PART, PERFECT, REPEATED)
 Kind = Literal[
     "same detector", "shared detector", "annotations", "simulated", "same segmenter", "unknown maker", "same rule",
@@ -94,14 +106,14 @@ class Measured:
         return {"masks": masks, "scorer": self.scorer, "network": self.network, "rule_too": list(self.rule_too)}
 
 
-def measured_of(source: Source, labels: Labels, system: str = "pipeline") -> Measured:
+def measured_of(source: Source, relations: Sequence[str], system: str = "pipeline") -> Measured:
     """What of a source a run measures.
 
     Parameters
     ----------
     source : Source
-    labels : Labels
-        Whose relations are asked.
+    relations : sequence of str
+        Those that are asked.
     system : str
         "pipeline", "referring" or "vlm".
     """
@@ -114,7 +126,7 @@ def measured_of(source: Source, labels: Labels, system: str = "pipeline") -> Mea
     scorer = source.scorer
     if not isinstance(scorer, OnnxScorer):
         return Measured(masks, scorer.name)
-    rest = tuple(r for r in labels.relation_names if r not in scorer.contract.vocabulary)
+    rest = tuple(r for r in relations if r not in scorer.contract.vocabulary)
     return Measured(masks, scorer.path.stem, file_hash(scorer.path), rest)
 
 
@@ -170,6 +182,12 @@ def shares_of_run(manifest: Mapping[str, Any], labels: str | Path | None) -> tup
         said = "the run was made by an earlier release and its labels are not at hand: who made its truth is not known"
         return (Share("masks", "unknown maker", "", said),)
     return shared_makers(makers, measured_of_run(manifest))
+
+
+def shares_of_answer(source: Source, labels: Labels | None) -> tuple[Share, ...]:
+    """What one answer of a source shares with what judges it: labels, or by default the frame's annotations."""
+    relations = profile_of(PROFILE).relations if labels is None else labels.relation_names
+    return shared_makers(OF_FRAME if labels is None else makers_of(labels.manifest), measured_of(source, relations))
 
 
 def _masks(makers: Makers, measured: MaskMakers | None) -> list[Share]:
@@ -283,6 +301,16 @@ def rank(title: str) -> int:
     return _RANK.index(title)
 
 
+def titles_of(shares: Mapping[str, Sequence[Share]]) -> str:
+    """As `title_of`, of several systems by name: where they differ, each title with its systems."""
+    by_title: dict[str, list[str]] = {}
+    for name, found in shares.items():
+        by_title.setdefault(title_of(found), []).append(name)
+    return "; ".join(
+        title if len(by_title) == 1 else f"{', '.join(names)}: {title}" for title, names in by_title.items() if title
+    )
+
+
 def with_caveats(table: Table, shares: Mapping[str, Sequence[Share]]) -> Table:
     """A table that says in its title what its figures are, and below it what they can show and cannot.
 
@@ -292,12 +320,6 @@ def with_caveats(table: Table, shares: Mapping[str, Sequence[Share]]) -> Table:
     shares : mapping of str to sequence of Share
         By the systems that it is of.
     """
-    by_title: dict[str, list[str]] = {}
-    for name, found in shares.items():
-        by_title.setdefault(title_of(found), []).append(name)
-    titles = [
-        title if len(by_title) == 1 else f"{', '.join(names)}: {title}" for title, names in by_title.items() if title
-    ]
     said: dict[str, list[str]] = {}
     for name, found in shares.items():
         for share in found:
@@ -305,7 +327,8 @@ def with_caveats(table: Table, shares: Mapping[str, Sequence[Share]]) -> Table:
     caveats = tuple(
         text if len(names) == len(shares) else f"{', '.join(names)}: {text}" for text, names in said.items()
     )
-    title = f"{table.title} ({'; '.join(titles)})" if titles else table.title
+    titles = titles_of(shares)
+    title = f"{table.title} ({titles})" if titles else table.title
     return replace(table, title=title, caveats=(*table.caveats, *caveats))
 
 

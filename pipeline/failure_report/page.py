@@ -11,6 +11,7 @@ from pathlib import Path
 from pipeline import __version__
 from pipeline.diagnosis.live import Judgement
 from pipeline.errors import InputError
+from pipeline.evaluation.shared_makers import title_of
 from pipeline.failure_case.answered import Answered
 from pipeline.failure_report.cast import Cast, cast_of
 from pipeline.failure_report.picture_svg import picture_svg
@@ -116,8 +117,14 @@ def _header(answered: Answered, subject: Subject, cast: Cast) -> str:
     return (
         f'<header><div class="eyebrow">{chip}<span class="asked-for">{_expression(answered)}</span>'
         f"<span>{escape(subject.dataset)} · frame {escape(subject.frame)}</span></div>"
-        f"<h1>{escape(first)}</h1>{lead}{_answer(answered, cast)}</header>"
+        f"<h1>{escape(first)}</h1>{lead}{_answer(answered, cast)}{_caveat(answered, subject)}</header>"
     )
+
+
+def _caveat(answered: Answered, subject: Subject) -> str:
+    """What the verdict is where answer and truth have a maker in common."""
+    title = title_of(subject.shares) if answered.judgement is not None else ""
+    return f'<p class="lead caveat">{escape(title[:1].upper() + title[1:])}.</p>' if title else ""
 
 
 def _answer(answered: Answered, cast: Cast) -> str:
@@ -195,6 +202,7 @@ def _facts(
         case = judged.case
         facts.append(("meant", f"{case.target} {wording(case.relation)} {case.reference}"))
         facts.append(("right answers", f"{len(case.strict)} beyond doubt, {len(case.acceptable)} with the doubtful"))
+        facts += [("judged by", share.sentence) for share in subject.shares]
     return '<dl class="facts">' + "".join(
         f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in (*facts, *subject.facts)
     ) + "</dl>"  # fmt: skip

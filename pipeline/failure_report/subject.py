@@ -8,9 +8,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from pipeline.errors import InputError
+from pipeline.evaluation.shared_makers import Share, shares_of_answer
 from pipeline.failure_case.manifest import PROPOSALS
 from pipeline.failure_case.opening import OpenedCase
 from pipeline.jobs import Source
+from pipeline.labels.reading import Labels
 from pipeline.objects import FrameContext
 
 
@@ -29,6 +31,8 @@ class Subject:
         The view as one string.
     facts : tuple of (str, str)
         More about where it is from.
+    shares : tuple of Share
+        What the answer has in common with what made the truth that its verdict is by.
     """
 
     dataset: str
@@ -36,6 +40,7 @@ class Subject:
     commands: tuple[str, ...]
     state: str | None = None
     facts: tuple[tuple[str, str], ...] = ()
+    shares: tuple[Share, ...] = ()
 
     @staticmethod
     def of_case(opened: OpenedCase) -> Subject:
@@ -57,16 +62,18 @@ class Subject:
 
     @staticmethod
     def of_dataset(
-        path: str, source: Source, context: FrameContext, text: str, options: Sequence[str] = ()
+        path: str, source: Source, context: FrameContext, text: str, options: Sequence[str] = (),
+        labels: Labels | None = None,
     ) -> Subject:
-        """An expression on a frame of a dataset; `options` are those of the command line."""
+        """An expression on a frame of a dataset, judged by labels or its annotations; `options` of the command line."""
         frame = context.frame.id
         name = source.dataset.root.resolve().name
         commands = (
             shlex.join(["spatialviz", "ask", path, frame, text, *options]),
             shlex.join(["spatialviz", "save-case", path, frame, text, "--out", "CASE", *options]),
         )
-        return Subject(name, frame, commands, view_state(name, frame, text, None))
+        shares = shares_of_answer(source, labels)
+        return Subject(name, frame, commands, view_state(name, frame, text, None), shares=shares)
 
 
 def view_state(dataset: str, frame: str, text: str, edits: Mapping[str, Any] | None) -> str | None:

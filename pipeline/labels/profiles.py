@@ -200,13 +200,7 @@ GIVEN = "given"
 """The profile whose relations are the dataset's own."""
 
 
-def judge_nothing(
-    lo: np.ndarray,
-    hi: np.ndarray,
-    centroids: np.ndarray,
-    clouds: Sequence[np.ndarray] | None,
-    relations: Collection[str] = PAIRWISE,
-) -> Judged:
+def judge_nothing(lo: np.ndarray, hi: np.ndarray, centroids: np.ndarray, *_: Any, **__: Any) -> Judged:
     """`given`: geometry decides nothing, every pair is in doubt until `labels.given` says what the dataset gives."""
     measured = judge_viewer_cone(lo, hi, centroids, None, ())
     states = np.full(measured.states.shape, U, np.int8)

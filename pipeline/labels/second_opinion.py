@@ -4,9 +4,9 @@ The rules see the extents that one view shows; the network has learned from
 exact geometry what objects are like behind that, and that one the image border
 cuts goes on. It never decides a label: it can only turn T or F into U.
 On rooms of another maker (tests/box_worlds.py) sign flips against exact geometry
-fall from 2.6 to 0.1 (cameras held high) or from 10.6 to 0.7 (held low) in a
-thousand, for two to three per cent more doubtful cells; on the crowded rooms of
-tests/mesh_worlds.py from 7 to 19 to about 3.
+fall from 1.6 to 0.3 (cameras held high) or from 8.9 to 0.3 (held low) in a
+thousand, for two per cent more doubtful cells; on the crowded rooms of
+tests/mesh_worlds.py from 9 to 15 to between 2 and 4.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ NONE, TRAINED = "none", "trained"
 
 LEAST_OF_T, MOST_OF_F = 0.9, 0.1
 """The network agrees with T from this probability on, and with F up to that one. Chosen on rooms of solids
-(`synthetic.solids`), where its probabilities are calibrated: fewer than two in 1,000 decided cells are then flipped
-(by 0.8 and 0.2 it would be 2.3, with one cell in a hundred more decided)."""
+(`synthetic.solids`), where its probabilities are calibrated: 1.4 in 1,000 decided cells are then flipped (by 0.8 and
+0.2 it would be 1.9, with one cell in a hundred more decided)."""
 
 
 def open_second_opinion(name: str) -> OnnxScorer | None:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from pipeline.counted import counted
 from pipeline.diagnosis.live import Judgement
 from pipeline.palette import hex_color, palette
 from pipeline.records import why_no_answer
-from pipeline.told_answer import probability
+from pipeline.told_answer import probability, told
 from pipeline.whatif.edit_list import each_edit
 from spatialviz.app.failures import verdict_chip
 from spatialviz.app.state import State
@@ -30,13 +31,14 @@ def before_html(state: State) -> str:
         names = [safe(state.named(edited.before.keys[i])) for i in (best.target, *ends)]
         references = " ".join(f"{dot(colors['reference'])}{name}" for name in names[1:])
         said = f"{dot(colors['target'])}{names[0]} {references}"
-        said = said if best.holds else f'<span class="dim">no such pair; nearest</span> {said}'
+        lead = told(trace, lambda i: state.named(edited.before.keys[i])).lead
+        said = f'<span class="dim">{lead.strip()}</span> {said}' if lead else said
         p = f'<b title="P(relation)">{probability(best.relation_probability)}</b>'
     verdict = ""
     if isinstance(edited.judged, Judgement):
         verdict = verdict_chip(edited.judged.diagnosis.verdict)
     count = len(each_edit(state.edits))
-    hint = f"{count} edit{'s' if count > 1 else ''}; 0 takes them back"
+    hint = f"{counted(count, 'edit')}; 0 takes {'it' if count == 1 else 'them'} back"
     return (
         f'<div class="before" style="--c:{hex_color(colors["edited"])}" title="{hint}"><span class="dim">before</span>'
         f"<span class=\"said1\">{said}</span>{verdict}{p}</div>"

@@ -13,8 +13,10 @@ import html
 import json
 import queue
 import threading
+import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
+from weakref import WeakSet
 
 import viser
 
@@ -82,6 +84,8 @@ class Bridge:
         self._memory: viser.GuiHtmlHandle | None = None
         self._errands: dict[str, viser.GuiHtmlHandle] = {}
         self._run = 0
+        self._ended = False
+        self._thread = threading.Thread(target=self._work, daemon=True, name=f"session-{client.client_id}")
 
     def install(self) -> None:
         """Put the bus, the style and the script into the page. Call inside the main panel."""
@@ -109,7 +113,8 @@ class Bridge:
 
     def start(self) -> None:
         """Begin to handle messages. The page may say hello while it is still being built; until now that waits."""
-        threading.Thread(target=self._work, daemon=True, name=f"session-{self._client.client_id}").start()
+        self._thread.start()
+        _STARTED.add(self)
 
     def post(self, job: Callable[[], None]) -> None:
         """Run something after everything that waits already."""
@@ -117,6 +122,12 @@ class Bridge:
 
     def close(self) -> None:
         self._queue.put(None)
+
+    def end(self, until: float) -> None:
+        """Finish what is being handled, at the latest at this time of the monotonic clock, and nothing that waits."""
+        self._ended = True
+        self.close()
+        self._thread.join(max(0.0, until - time.monotonic()))
 
     def show_tags(self, tags: Sequence[Tag]) -> None:
         """Show these names in the scene, and no others."""
@@ -141,10 +152,20 @@ class Bridge:
             self._memory.content = script_html(f"sessionStorage.setItem('sv',{json.dumps(place)})")
 
     def _work(self) -> None:
-        while (job := self._queue.get()) is not None:
+        while (job := self._queue.get()) is not None and not self._ended:
             try:
                 job()
             except Exception as error:  # One failed click must not end the session.
                 self._client.add_notification(
                     "Something went wrong", html.escape(f"{type(error).__name__}: {error}"), color="red"
                 )
+
+
+_STARTED: WeakSet[Bridge] = WeakSet()
+
+
+def end_all(seconds: float) -> None:
+    """End the threads of all clients within so long: DuckDB prints its leaks where one is cut off in a query."""
+    until = time.monotonic() + seconds
+    for bridge in list(_STARTED):
+        bridge.end(until)

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from pipeline.counted import counted
 from pipeline.diagnosis.live import Judgement
 from pipeline.jobs import Source
 from pipeline.palette import hex_color, palette
@@ -46,7 +47,7 @@ def cost_html(state: State, undos: int) -> str:
     else:
         assert state.edited is not None or state.trace is None
         cost = "" if state.edited is None else f" · recomputed in {state.edited.seconds * 1000:.1f} ms"
-        said = f"<b>{len(edits)} edit{'s' if len(edits) > 1 else ''}</b>{cost}"
+        said = f"<b>{counted(len(edits), 'edit')}</b>{cost}"
     undo = button("undo", "sv('edit-undo')", "take the last edit back (Ctrl+Z)", bool(undos))
     reset = button("reset all", "sv('edit-reset')", "take all edits back (0)", bool(edits))
     return panel(

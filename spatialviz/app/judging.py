@@ -44,6 +44,11 @@ class Judge:
         self._runs, self._others, self._labels, self._corrected = runs, others, labels or {}, corrected
         self._kept: tuple[tuple[str, str, bytes], EffectiveFrame | None, FrameCases | None] | None = None
 
+    def labels(self, name: str) -> Labels | None:
+        """Those that say what is true in a source: the run's, or those that were named."""
+        run = self._runs.get(name)
+        return self._labels.get(name) if run is None else run.labels
+
     def truth(self, name: str, source: Source, context: FrameContext) -> FrameCases | None:
         """What is true in a frame: by the run's labels or those that were named, else by the frame's annotations.
 
@@ -60,8 +65,7 @@ class Judge:
         key = (name, context.frame.id, context.viewer.up.tobytes())
         corrected = self._corrected(name, context.frame.id)
         if self._kept is None or self._kept[0] != key or self._kept[1] is not corrected:
-            run = self._runs.get(name)
-            labels = self._labels.get(name) if run is None else run.labels
+            labels = self.labels(name)
             if corrected is not None:
                 found = effective_truth(corrected)
             else:

@@ -12,6 +12,7 @@ import viser
 
 from pipeline.errors import InputError
 from pipeline.evaluation.run_folder import Run
+from pipeline.evaluation.shared_makers import shares_of_answer
 from pipeline.failure_case import Answered, answer, save_case
 from pipeline.failure_report import Subject, failure_page
 from pipeline.jobs import Source
@@ -160,7 +161,10 @@ class Keeping:
             string = None
         commands = () if string is None else (shlex.join(["spatialviz", *self._opened_by, "--state", string]),)
         facts = () if view.run is None else (("run", view.run), ("expression", view.expression_id or answered.text))
-        return Subject(view.dataset, view.frame, commands, string, facts)
+        name = self._state().source
+        run = self._runs.get(name)
+        shares = shares_of_answer(self._sources[name], self._judge.labels(name)) if run is None else run.shares
+        return Subject(view.dataset, view.frame, commands, string, facts, shares)
 
     def _fail(self, error: InputError) -> None:
         self._note(str(error))

@@ -7,6 +7,7 @@ from typing import Any
 
 from pipeline.correcting.moving import Moved
 from pipeline.correcting.object_card import FieldLine, ObjectCard
+from pipeline.counted import counted
 from pipeline.palette import RGB
 from pipeline.relations import PHRASE, letter
 from pipeline.whatif.box_numbers import BoxNumbers
@@ -53,8 +54,8 @@ def _moved(moved: Moved) -> str:
 
 def object_html(card: ObjectCard, name: str, color: RGB, mode: str, author: str) -> str:
     """The selected object."""
-    facts = [f"{card.points:,} points", *([] if card.distance is None else [f"{card.distance:.2f} m"])]
-    asked = f"{card.expressions} expression{'' if card.expressions == 1 else 's'}"
+    facts = [counted(card.points, "point"), *([] if card.distance is None else [f"{card.distance:.2f} m"])]
+    asked = counted(card.expressions, "expression")
     counts = " ".join(f"{n} {state}" for state, n in card.states.items())
     concern = note(f"Not asked for: {card.concern}", DOUBT) if card.concern else ""
     added = f" · added by {safe(card.added_by)}" if card.added_by else ""

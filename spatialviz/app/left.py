@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 
 from pipeline.ask import Trace
+from pipeline.counted import counted
 from pipeline.diagnosis.live import Judgement
 from pipeline.diagnosis.verdict import MODULE_OF
 from pipeline.pair_table import HOLDS
@@ -137,7 +138,7 @@ def _modules(state: State) -> list[tuple[str, str, str, str]]:
     trace = state.trace
     annotated = 0 if state.loaded is None else len(state.loaded.context.frame.annotations)
     label = (
-        ("LABEL", GOOD, f"{annotated} known", f"the dataset annotates {annotated} objects in this frame")
+        ("LABEL", GOOD, f"{annotated} known", f"the dataset annotates {counted(annotated, 'object')} in this frame")
         if annotated
         else ("LABEL", IDLE, "none", "the dataset annotates nothing in this frame")
     )
@@ -160,7 +161,8 @@ def _modules(state: State) -> list[tuple[str, str, str, str]]:
     doubts = concerns + assumed
     # An object that was lifted for an earlier question costs nothing now.
     cost = ms("lift") if trace.timings.get("lift", 0.0) > 1e-4 else "kept"
-    lift = ("LIFT", DOUBT if doubts else GOOD, cost, "; ".join(doubts) or f"{len(trace.objects)} objects lifted")
+    lifted = "; ".join(doubts) or f"{counted(len(trace.objects), 'object')} lifted"
+    lift = ("LIFT", DOUBT if doubts else GOOD, cost, lifted)
     chosen = state.chosen
     weak = chosen is not None and not chosen.holds
     doubtful = chosen is not None and abs(chosen.relation_probability - HOLDS) < 0.1
@@ -172,7 +174,7 @@ def _modules(state: State) -> list[tuple[str, str, str, str]]:
         prm = ("PRM", IDLE if trace.missing else BAD, ms("prm"), why_no_answer(trace) or "")
     else:
         close = len(trace.ranking.pairs) > 1 and trace.ranking.margin < 0.1
-        hint = f"{len(trace.ranking.pairs)} pairs, margin {trace.ranking.margin:.2f} to the runner-up"
+        hint = f"{counted(len(trace.ranking.pairs), 'pair')}, margin {trace.ranking.margin:.2f} to the runner-up"
         prm = ("PRM", DOUBT if close else GOOD, ms("prm"), hint)
     return [_blamed(cell, state) for cell in (opm, lift, srm, prm, label)]
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from pipeline.correcting.label_jobs import CANCELLED, Making
+from pipeline.counted import counted
 from pipeline.relations import PHRASE
 from pipeline.review.items import ItemKey
 from pipeline.review.worklist import Worklist
@@ -126,12 +127,12 @@ def _known(made: Mapping[str, Any] | None) -> str:
     if (said := made["detector"]) is not None:
         skipped = said["skipped"]
         left_out = f", {len(skipped)} skipped" if skipped else ""
-        parts.append(f"{safe(said['name'])}: {said['frames']} frames{left_out}")
+        parts.append(f"{safe(said['name'])}: {counted(said['frames'], 'frame')}{left_out}")
         hint += "".join(f"\n{frame}: {why}" for frame, why in list(skipped.items())[:SKIPPED])
         hint += f"\nand {len(skipped) - SKIPPED} more" if len(skipped) > SKIPPED else ""
     for pair in made["agreement"]:
         kappa = "–" if pair["kappa"] is None else f"{pair['kappa']:.2f}"
-        parts.append(f"{' and '.join(map(safe, pair['reviewers']))}: κ {kappa} on {pair['items']} items")
+        parts.append(f"{' and '.join(map(safe, pair['reviewers']))}: κ {kappa} on {counted(pair['items'], 'item')}")
     return f'<div class="dim" title="{safe(hint)}">made of {" · ".join(parts)}</div>'
 
 

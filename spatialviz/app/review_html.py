@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pipeline.correcting.cards import PairCard, RelationLine
 from pipeline.correcting.desk import Desk
+from pipeline.counted import counted
 from pipeline.palette import palette
 from pipeline.relations import PHRASE, F, T, U, letter
 from spatialviz.app.keys import KEYS_OF_ONE
@@ -30,7 +31,7 @@ def review_head_html(state: State, opened: bool, desk: Desk | None) -> str:
     if state.labels is not None and state.labels.said and not (waiting and state.labels.bad):
         parts.append(note(state.labels.said, BAD if state.labels.bad else GOOD))
     if waiting:
-        count = f"{len(waiting)} action{'s' if len(waiting) > 1 else ''} not saved yet"
+        count = f"{counted(len(waiting), 'action')} not saved yet"
         parts.append(note(f"{count}, kept here and tried again every few seconds: {waiting[-1].problem}", BAD))
         parts.append('<span class="try go" role="button" onclick="sv(\'save-again\')">try again</span>')
     if desk is not None and desk.disputed:

@@ -11,6 +11,7 @@ from pipeline.correcting.cards import PairCard, RelationLine
 from pipeline.correcting.journal_place import JournalPlace
 from pipeline.correcting.label_jobs import CANCELLED, Making
 from pipeline.correcting.scene import labelled_objects
+from pipeline.counted import counted
 from pipeline.errors import InputError
 from pipeline.journal.cells import Cell, object_cell
 from pipeline.journal.edits import Edits, judge_both_ways, judge_missing, set_status
@@ -171,7 +172,7 @@ class ReviewQueue:
         if now.work is not None and now.work is not was.work:
             self._works[name], self._newest[name] = now.work, (now.made or {}).get("last", NOTHING)
             self._behind.add(name)
-            self._note(f"review queue: {len(now.work)} items")
+            self._note(f"review queue: {counted(len(now.work), 'item')}")
             self._note_skipped(now)
         if now.problem and now.problem != was.problem:
             stopped = now.problem == CANCELLED
@@ -182,7 +183,8 @@ class ReviewQueue:
         asked = (making.made or {}).get("detector")
         if asked is not None and (skipped := asked["skipped"]):
             frame, why = next(iter(skipped.items()))
-            self._note(f"the detector {asked['name']} could not look at {len(skipped)} frames, as {frame}: {why}")
+            number = counted(len(skipped), "frame")
+            self._note(f"the detector {asked['name']} could not look at {number}, as {frame}: {why}")
 
     def _caught_up(self) -> Worklist | None:
         """The list of the source that is looked at, with what anybody has saved by now."""

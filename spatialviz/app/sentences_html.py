@@ -12,6 +12,7 @@ from pipeline.relations import PHRASE
 from spatialviz.app.label_view import LabelView
 from spatialviz.app.state import State
 from spatialviz.app.text import BAD, DOUBT, GOOD, dot, heading, note, panel, safe
+from spatialviz.app.up_html import up_chip
 
 ORIGINS = {"auto": "auto", "human": "by hand", "recomputed": "recomputed", "stale": "stale"}
 MARKED = {"BAD_LABEL": "label wrong", "BAD_BOX": "box wrong"}
@@ -24,12 +25,13 @@ def sentence_html(state: State) -> str:
     if view is None:
         return ""
     said = "" if not view.said else note(view.said, BAD if view.bad else GOOD)
+    chip = f'<div class="under"><span></span>{up_chip(state)}</div>'
     card = view.sentence
     if card is None:
         what = "Choose an expression below, or step through them with Alt+J." if view.expressions else (
             "The labels have no expressions of this frame."
         )
-        return panel(f'<div class="dim" style="padding:.6em 0 .3em">{what}</div>', said)
+        return panel(f'<div class="dim" style="padding:.6em 0 .3em">{what}</div>', said, chip)
     colors = palette(state.dark)
     means = (
         f"{dot(colors['target'])}{safe(card.target)}·{card.target_object} "
@@ -53,6 +55,7 @@ def sentence_html(state: State) -> str:
         _verdicts(card, view.author),
         "</div>",
         said,
+        chip,
     ]
     return panel(*parts)
 

@@ -16,17 +16,22 @@ import viser
 
 from pipeline.correcting.journal_place import JournalPlace
 from pipeline.correcting.rescue import rescue
+from pipeline.counted import counted
 from pipeline.demo import DEMO_EXPRESSION, DEMO_NAME
 from pipeline.errors import InputError
 from pipeline.evaluation.run_folder import Run
 from pipeline.jobs import Source
 from pipeline.labels.reading import Labels
 from pipeline.whatif.state import ViewState
+from spatialviz.app.bridge import end_all
 from spatialviz.app.frames import FrameStore
 from spatialviz.app.memory import return_freed_memory
 from spatialviz.app.origin import LOCAL_NAMES, checked_origins
 from spatialviz.app.session import Session
 from spatialviz.app.theme import apply_theme
+
+ENDS_WITHIN = 10.0
+"""Seconds that clients' threads have to finish what they are at."""
 
 
 def start(
@@ -166,6 +171,7 @@ def serve(
     finally:
         for place in (journals or {}).values():
             place.jobs.end()
+        end_all(ENDS_WITHIN)
         with redirect_stdout(io.StringIO()):
             server.stop()
         for place in (journals or {}).values():
@@ -190,7 +196,7 @@ def _say_unsaved(place: JournalPlace) -> None:
     for found in rescue(place):
         count = len(found.edits)
         print(
-            f"spatialviz: {count} edit{'s' if count > 1 else ''} of {found.author} could not be saved: {found.problem}",
+            f"spatialviz: {counted(count, 'edit')} of {found.author} could not be saved: {found.problem}",
             file=sys.stderr,
         )
         for edit in found.edits:

@@ -11,6 +11,7 @@ import viser
 
 from pipeline.ask import Trace
 from pipeline.correcting.journal_place import JournalPlace
+from pipeline.counted import counted
 from pipeline.datasets import has_moves
 from pipeline.datasets.capabilities import dataset_notes
 from pipeline.demo import DEMO_EXPRESSION
@@ -266,7 +267,7 @@ class Session:
         self._cloud.place_anew = first
         viewer = loaded.context.viewer
         self._suggestions = () if scores is None else suggest_expressions(loaded.objects, scores, viewer)
-        self._note(f"frame {frame_id}: {len(loaded.objects)} objects, up {viewer.up_source}")
+        self._note(f"frame {frame_id}: {counted(len(loaded.objects), 'object')}, up {viewer.up_source}")
         for remark in dataset_notes(self._source().dataset) if first else ():
             self._note(remark)
         if loaded.problem:

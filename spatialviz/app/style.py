@@ -56,9 +56,10 @@ CSS = """<style>
 .sv tr.r:hover td{background:var(--mantine-color-default-hover)}
 .sv tr.sel td{background:color-mix(in srgb,var(--mantine-primary-color-filled) 20%,transparent)}
 .sv tr.sel td:first-child{box-shadow:inset 3px 0 0 var(--mantine-primary-color-filled)}
-.sv .upchip{flex:none;border-radius:4px;padding:0 6px;font-size:11px;border:1px solid color-mix(in srgb,var(--c) 55%,transparent);color:var(--mantine-color-dimmed);cursor:pointer;white-space:nowrap}
+.sv .upchip{flex:none;border-radius:4px;padding:0 6px;font-size:11px;border:1px solid color-mix(in srgb,var(--c) 55%,transparent);color:var(--mantine-color-dimmed);white-space:nowrap}
+.sv .upchip[role=button]{cursor:pointer}
 .sv .upchip.loud{border-color:var(--c);background:color-mix(in srgb,var(--c) 18%,transparent);color:var(--warn,#e8a33d);font-weight:650}
-.sv .upchip:hover,.sv .upchip[aria-pressed=true]{border-color:var(--mantine-primary-color-filled)}
+.sv .upchip[role=button]:hover,.sv .upchip[aria-pressed=true]{border-color:var(--mantine-primary-color-filled)}
 .sv .uptold{padding:.35em 0 .1em}
 .sv .uptold code{white-space:nowrap}
 [data-mantine-color-scheme=light] .sv{--warn:#a85b00}

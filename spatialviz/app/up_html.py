@@ -2,25 +2,36 @@
 
 from __future__ import annotations
 
+from pipeline.camera import UpSource
 from pipeline.up_words import ASSUMED, SOURCES
 from spatialviz.app.state import State
 from spatialviz.app.text import DOUBT, IDLE, note, safe
 
 PICK = "Click a level surface, a floor or a table-top, in the picture or in the scene. Shift+U leaves it as it is."
+ASK = "event.stopPropagation();sv('level')"
+MADE_WITH = "The labels were made with it."
 HOW = "Click here (Shift+U), then a surface that is level: up is then known."
 
 
 def up_chip(state: State) -> str:
-    """How up is known, small; loud where it is only assumed. A click asks for a level surface."""
+    """How up is known, small; loud where it is only assumed. A click asks for a level surface.
+
+    Of labels that are shown it is the up that they were made with, which no click changes.
+    """
     if state.loaded is None:
         return ""
-    source = state.loaded.context.viewer.up_source
+    labels = state.labels
+    source: UpSource | None = state.loaded.context.viewer.up_source if labels is None else labels.frame.row["up_source"]
+    if source is None:
+        return ""
     loud = source == "assumed"
     said = f"{ASSUMED[0].upper()}{ASSUMED[1:]}." if loud else f"Up: {SOURCES[source]}."
+    click, how = "", MADE_WITH
+    if labels is None:
+        click, how = f' role="button" aria-pressed="{"true" if state.picking else "false"}" onclick="{ASK}"', HOW
     return (
-        f'<span class="upchip{" loud" if loud else ""}" style="--c:{DOUBT if loud else IDLE}" role="button" '
-        f'aria-pressed="{"true" if state.picking else "false"}" onclick="event.stopPropagation();sv(\'level\')" '
-        f'title="{safe(said)} {HOW}">up {source}</span>'
+        f'<span class="upchip{" loud" if loud else ""}" style="--c:{DOUBT if loud else IDLE}"{click} '
+        f'title="{safe(said)} {how}">up {source}</span>'
     )
 
 

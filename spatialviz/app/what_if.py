@@ -12,6 +12,7 @@ import viser
 
 from pipeline.ask import Trace
 from pipeline.boxes import Box3D
+from pipeline.counted import counted
 from pipeline.diagnosis.live import Judgement
 from pipeline.errors import InputError
 from pipeline.jobs import Source
@@ -106,7 +107,7 @@ class WhatIf:
         state = self._state()
         if state.edits:
             count = len(each_edit(state.edits))
-            self._note(f"{count} edit{'s' if count > 1 else ''} dropped: of “{self._of[2]}” in frame {self._of[1]}")
+            self._note(f"{counted(count, 'edit')} dropped: of “{self._of[2]}” in frame {self._of[1]}")
         self._take(replace(state, edits=Edits(), edited=None))
         self._undo, self._of, self._baseline, self._map, self._live_since = [], None, None, None, None
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -13,8 +13,10 @@ from pipeline.labels.check.findings import Finding
 from pipeline.labels.check.stream import UNKNOWN
 from pipeline.labels.check.view import FrameView, state_letter
 from pipeline.labels.expressions import row_hash
+from pipeline.labels.noun_phrase import readable
 from pipeline.naming import normal_form
 from pipeline.relations import T, U
+from pipeline.tokens import words_of
 
 MANY_ALIKE = 3
 MARGIN_TOLERANCE = 1e-5
@@ -93,6 +95,21 @@ def check_expressions(view: FrameView, rules: ExpressionRules) -> Iterator[Findi
             yield view.finding(rule, pair, f"{text!r}: {message}", {"id": str(rows["id"][row]), **figures})
 
 
+def says_the(text: str, names: Sequence[str]) -> list[bool]:
+    """Of each name whether the text says `the` right before it, and not before a longer one of the others."""
+    words = f" {' '.join(words_of(text))} "
+    said = [{f" the {' '.join(words_of(way))} " for way in (name, readable(name), readable(name, brief=False))}
+            for name in names]  # fmt: skip
+    longer = [
+        {other for j, ways in enumerate(said) if j != k for other in ways if other not in own}
+        for k, own in enumerate(said)
+    ]
+    return [
+        any(words.count(way) > sum(words.count(o) for o in more if o.startswith(way)) for way in own)
+        for own, more in zip(said, longer, strict=True)
+    ]
+
+
 Found = tuple[str, str, dict[str, float | int | str]]
 
 
@@ -142,6 +159,12 @@ def _against_objects(view: FrameView, row: int) -> Iterator[Found]:
             yield "expression/unusable", f"its {role}, {view.labels[k]} {number}, may not be asked for: {reason}", {
                 "object": number
             }
+    said = says_the(str(rows["text"][row]), [str(rows[role][row]) for role in ("target", "reference")])
+    for role, definite in zip(("target", "reference"), said, strict=True):
+        k = view.place[int(rows[f"{role}_object"][row])]
+        if definite and not view.alone[k]:
+            message = f"it says `the` of its {role}, and the frame has others that {view.labels[k]!r} may mean"
+            yield "expression/article", f"{message}: labels made anew say `a`", {"object": int(view.ids[k])}
 
 
 def _against_relations(view: FrameView, row: int) -> Iterator[Found]:

@@ -102,6 +102,7 @@ RULES: dict[str, Rule] = {
     "expression/sets": _error("targets or acceptable objects are not those that the relations give"),
     "expression/class": _error("target or reference is not called what the object is called"),
     "expression/unreadable": _error("the text does not read back as target, relation and reference"),
+    "expression/article": _warning("the text says `the` of a name that several objects of the frame have"),
     "expression/duplicate-id": _error("two expressions of a frame have one id"),
     "expression/id": _warning("the id is not the hash of what the row says: edited, or copied from another row"),
     "expression/ambiguous": _error("the flag `ambiguous` does not fit the acceptable objects"),

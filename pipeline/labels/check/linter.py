@@ -22,7 +22,7 @@ from pipeline.naming import normal_form
 from pipeline.relations import PAIRWISE
 
 OF_ANSWERS = ("expression/empty", "expression/sets", "expression/ambiguous", "expression/unreadable",
-              "expression/state")  # fmt: skip
+              "expression/state", "expression/article")  # fmt: skip
 """Rules on what an expression says and is true of, which a person may settle."""
 
 

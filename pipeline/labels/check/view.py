@@ -11,6 +11,7 @@ import numpy as np
 from pipeline.labels.check.findings import RULES, Figure, Finding, Severity
 from pipeline.labels.check.runs import MaskRuns, read_runs
 from pipeline.labels.check.stream import UNKNOWN, Rows
+from pipeline.labels.expressions import alone
 from pipeline.naming import normal_form, same_class
 from pipeline.relations import PAIRWISE, PHRASE, F, T, U, letter
 from pipeline.viewer import ViewerAxes, viewer_axes
@@ -177,6 +178,11 @@ class FrameView:
     def alike(self) -> np.ndarray:
         """(N, N) bool: objects whose names mean the same."""
         return self.names.alike(self.labels)
+
+    @cached_property
+    def alone(self) -> np.ndarray:
+        """(N,) bool: objects whose name means no other one of the frame."""
+        return alone(self.labels)
 
     @cached_property
     def related(self) -> np.ndarray:

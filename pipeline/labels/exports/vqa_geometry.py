@@ -23,7 +23,7 @@ from pipeline.datasets.capabilities import load_picture
 from pipeline.errors import InputError
 from pipeline.labels.exports.frame_rows import FrameRows
 from pipeline.labels.exports.vqa_records import VqaConfig
-from pipeline.lifting import LiftConfig, Pixel, clean, depth_edges, flying_pixels
+from pipeline.lifting import LiftConfig, Pixel, clean, depth_edges, flying_pixels, surface_step
 from pipeline.run_length import decode_run_length
 from pipeline.viewer import ViewerAxes, viewer_axes
 
@@ -173,7 +173,7 @@ class _Raw:
             return NOTHING
         points = lift_pixels(z[v, u], self.camera, v + evidence.y0, u + evidence.x0) @ self.matrix
         core = kept[v, u]
-        step = max(self.config.edge, self.config.edge_relative * float(np.median(z[kept])))
+        step = surface_step(np.median(z[kept]))
         lo, hi = np.percentile(points[core, 2], (1, 99))
         lenient = (points[:, 2] >= lo - step) & (points[:, 2] <= hi + step)
         extents = np.ptp(points[lenient], axis=0).astype(np.float64)
@@ -197,5 +197,4 @@ class _Raw:
 
         away, (row, column) = distance_transform_edt(~kept, return_indices=True)  # pyright: ignore[reportGeneralTypeIssues]
         of = z[row, column]
-        step = np.maximum(self.config.edge, self.config.edge_relative * of)
-        return np.abs(z - of) <= step + away * of / self.camera.fx
+        return np.abs(z - of) <= surface_step(of) + away * of / self.camera.fx

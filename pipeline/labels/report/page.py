@@ -100,7 +100,7 @@ def key_figures(statistics: dict[str, Any]) -> list[tuple[str, str]]:
     per_pair = cells["positives_per_pair"]
     return [
         (f"of {thousands(counts['frames'])} frames usable", thousands(counts["frames_usable"])),
-        ("scenes", thousands(counts["scenes"])),
+        ("scene" if counts["scenes"] == 1 else "scenes", thousands(counts["scenes"])),
         (f"of {thousands(counts['objects'])} objects can be asked for", thousands(counts["objects_usable"])),
         ("ordered pairs", thousands(counts["pairs"])),
         (

@@ -83,6 +83,11 @@ def house_style() -> Iterator[None]:
         yield
 
 
+def with_caveat(title: str, caveat: str) -> str:
+    """A title of axes, and on lines of its own what the figures cannot show; empty is nothing."""
+    return f"{title}\n{textwrap.fill(caveat[0].upper() + caveat[1:], 72)}" if caveat else title
+
+
 def new_figure(width: int, height: int, title: str, subtitle: str) -> Figure:
     """A figure of pixels with a sentence on top, and a quieter one that says how to read it."""
     from matplotlib.figure import Figure

@@ -1,0 +1,149 @@
+"""Whether a plane is a floor, looked down at steeply, or a wall that the camera looks up at.
+
+The two look alike, and so do most things on them: a box on a floor is a cabinet on a wall, a hole in a table a window.
+But what hangs on a wall hangs straight, and what stands on a floor stands as it likes: a thing that is turned about the
+plane's normal away from where up would be on a wall, stands on a floor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import cv2
+import numpy as np
+
+from pipeline.surface_blocks import PARALLEL_DEG, UPRIGHT, SurfaceBlocks, plane_tolerance
+
+LOOKED_UP_DEG = 38.0
+"""No one looks up at a wall by more than this."""
+HIGHEST_CAMERA_M = 2.7
+"""And no one holds a camera higher above a floor."""
+
+LEAST_THING_M, TALLEST_M = 0.02, 1.5
+"""What is nearer to the plane belongs to it; what is farther from it is none that things make."""
+ROLLS_DEG = np.arange(-16.0, 17.0, 4.0)
+"""By how much a camera that looks up at a wall may be rolled."""
+STRAIGHT_DEG = 8.0
+"""A thing on a wall hangs as straight as this."""
+MIN_PATCH_BLOCKS = 8
+AT_BORDER = 2
+"""A patch within so many blocks of the picture's border may be cut by it."""
+CORNER, LEAST_EDGE, TURNED_EDGES = 0.12, 0.4, 0.8
+"""The outline of a level patch is drawn to a share of its size, its edges are at least as long as another, and it is
+turned where so much of their length is."""
+MOST_HIDDEN = 0.3
+"""A patch shows its edges while no more of what is around it is in front of it."""
+BY_CHANCE = 0.25
+"""Of surfaces that face anywhere, a wall explains so many."""
+FACE_DEG = 30.0
+"""Normals of a patch that lie so close together are taken for one face."""
+LEAST_BEHIND = 0.25
+"""So much of what is around the side of a thing is behind it."""
+LEAST_TURNED, TURNED_LEAD = 0.003, 0.5
+"""A floor has so much of the surface in turned things, and so many times what only a wall explains."""
+
+_LEVEL = float(np.cos(np.deg2rad(1.5 * PARALLEL_DEG)))
+_RING = np.ones((9, 9), np.uint8)
+_STRAIGHT = float(np.cos(np.deg2rad(1.5 * STRAIGHT_DEG)))
+
+
+def may_be_wall(up: np.ndarray) -> bool:
+    """Whether a plane with this normal ((3,), towards the camera) may be a wall that the camera looks up at."""
+    return bool(_on_wall(up)[0][2] <= np.sin(np.deg2rad(LOOKED_UP_DEG)))
+
+
+def is_floor(surface: SurfaceBlocks, up: np.ndarray, offset: float) -> bool:
+    """Whether things are turned on a plane as they are on a floor, and on no wall.
+
+    Parameters
+    ----------
+    up : (3,) float64
+        Unit normal of the plane, towards the camera.
+    offset : float
+        `points @ up` in the plane, metres; negative.
+    """
+    if -offset > HIGHEST_CAMERA_M:
+        return False
+    height = surface.points @ up - offset
+    off = surface.flat & (np.abs(height) > np.maximum(LEAST_THING_M, 3 * plane_tolerance(surface.points)))
+    off &= height < TALLEST_M
+    along = surface.normals @ up
+    level, upright = off & (along > _LEVEL), off & (np.abs(along) < UPRIGHT)
+    above, beside = _on_wall(up)
+    rolls = np.deg2rad(ROLLS_DEG)
+    wall_up = (above[:, None] * np.cos(rolls) + beside[:, None] * np.sin(rolls)).astype(np.float32)
+
+    def straight(blocks: np.ndarray) -> np.ndarray:
+        cosine = np.abs(surface.normals[blocks] @ wall_up)
+        return (cosine > _STRAIGHT) | (cosine < UPRIGHT)
+
+    turned = np.zeros(len(rolls))
+    for patch, around in _patches(surface, upright):
+        if _stands_out(surface, patch, around, above, beside):
+            turned += np.count_nonzero(~straight(patch), axis=0)
+    for patch, around in _patches(surface, level):
+        hidden = height[around] > height[patch].max() + LEAST_THING_M
+        if np.count_nonzero(hidden) < MOST_HIDDEN * len(around):
+            turned += len(patch) * _is_turned(surface, patch, above, beside)
+    others = np.flatnonzero(off & ~level & ~upright)
+    only_wall = np.count_nonzero(straight(others), axis=0) - BY_CHANCE * len(others)
+    roll = int((turned - only_wall).argmin())
+    return bool(turned[roll] > max(LEAST_TURNED * len(height), TURNED_LEAD * only_wall[roll]))
+
+
+def _on_wall(normal: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Up on a wall of this normal for a camera that is not rolled, and the direction beside it; unit vectors."""
+    above = np.array([0.0, normal[2], -normal[1]])
+    above /= np.linalg.norm(above)
+    return above, np.cross(normal, above)
+
+
+def _patches(surface: SurfaceBlocks, chosen: np.ndarray) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Each connected patch of chosen blocks, and the blocks around it."""
+    mask = np.zeros(surface.shape, np.uint8)
+    mask[surface.v[chosen], surface.u[chosen]] = 1
+    count, patches, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=4)
+    for k in range(1, count):
+        if stats[k, cv2.CC_STAT_AREA] < MIN_PATCH_BLOCKS:
+            continue
+        own = (patches == k).view(np.uint8)
+        ring = cv2.dilate(own, _RING) - own
+        yield np.flatnonzero(own[surface.v, surface.u]), np.flatnonzero(ring[surface.v, surface.u])
+
+
+def _stands_out(
+    surface: SurfaceBlocks, patch: np.ndarray, around: np.ndarray, above: np.ndarray, beside: np.ndarray
+) -> bool:
+    """Whether a side is one of a thing, no wall or slope of a roof: what is seen beyond its edges lies behind it."""
+    points, normals = surface.points[patch], surface.normals[patch]
+    ring, tolerance = surface.points[around], plane_tolerance(surface.points[around])
+    behind = np.zeros(len(around), np.bool_)
+    facing = np.rint(np.rad2deg(np.arctan2(normals @ above, normals @ beside)) / FACE_DEG)
+    for face in (facing == k for k in np.unique(facing)):
+        if np.count_nonzero(face) >= MIN_PATCH_BLOCKS:
+            behind |= (ring - points[face].mean(axis=0)) @ normals[face].mean(axis=0) < -tolerance
+    return bool(np.count_nonzero(behind) > LEAST_BEHIND * len(around))
+
+
+def _is_turned(surface: SurfaceBlocks, patch: np.ndarray, above: np.ndarray, beside: np.ndarray) -> np.ndarray:
+    """Of each roll whether the edges of a level patch run mostly neither along nor across up on a wall."""
+    points = surface.points[patch]
+    plan = np.stack([points @ beside, points @ above], axis=1).astype(np.float32)
+    hull = np.asarray(cv2.convexHull(plan, returnPoints=False)[:, 0], np.int64)
+    size = np.sqrt(cv2.contourArea(plan[hull]))
+    corners = _corners(plan[hull], hull, CORNER * size)
+    edges = plan[np.roll(corners, -1)] - plan[corners]
+    v, u = surface.v[patch[corners]], surface.u[patch[corners]]
+    rows, columns = surface.shape
+    sides = np.stack([v <= AT_BORDER, u <= AT_BORDER, v >= rows - 1 - AT_BORDER, u >= columns - 1 - AT_BORDER])
+    length = np.hypot(*edges.T)
+    length[(sides & np.roll(sides, -1, axis=1)).any(axis=0) | (length < LEAST_EDGE * size)] = 0
+    angle = np.rad2deg(np.arctan2(edges[:, 1], edges[:, 0]))
+    off = np.abs((angle[:, None] + ROLLS_DEG + 45) % 90 - 45) > STRAIGHT_DEG
+    return (length @ off > TURNED_EDGES * length.sum()) & (length.sum() > size)
+
+
+def _corners(outline: np.ndarray, numbers: np.ndarray, slack: float) -> np.ndarray:
+    """The numbers of those points of an outline ((N, 2)) that draw it within `slack` metres."""
+    drawn = cv2.approxPolyDP(outline, slack, True)[:, 0]
+    return numbers[[int(np.abs(outline - corner).sum(axis=1).argmin()) for corner in drawn]]
