@@ -120,7 +120,7 @@ def test_the_command_prints_the_figures(
     from spatialviz.cli import main
 
     monkeypatch.setattr("pipeline.corrections.review.bench.review_rooms", lambda config, **_: rooms)
-    told = ["--seeds", "1", "--networks", "1", "--folds", "2", "--batch", "32", "--workers", "1"]
+    told = ["--seeds", "1", "--networks", "1", "--folds", "2", "--batch", "64", "--workers", "1"]
     assert main(["bench", "review", *told, "--json"]) == 0
     found = json.loads(capsys.readouterr().out)
     assert found["mean"]["found"] > 0.8
