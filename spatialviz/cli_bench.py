@@ -8,17 +8,7 @@ from typing import Literal
 
 from tyro.conf import OmitArgPrefixes, Positional
 
-from spatialviz.options import (
-    CPUS,
-    Batch,
-    DatasetArg,
-    Epochs,
-    Features,
-    FramesOptions,
-    Output,
-    SourceOptions,
-    Workers,
-)
+from spatialviz.options import CPUS, Batch, DatasetArg, Epochs, Features, FramesOptions, Output, SourceOptions, Workers
 
 
 @dataclass(frozen=True)
@@ -98,7 +88,7 @@ class BenchReview(Output):
     top: float = 0.1
     """Share of the labels that is looked at first."""
     again: float = 0.01
-    """Share that is looked at once those are mended and the queue is made again."""
+    """Share that is looked at once those are mended and the queue is built again."""
     labels: Literal["exact", "seen"] = "seen"
     """exact: the rule on whole objects as they are | seen: on the noisy parts that are seen, as auto-labels are."""
     folds: int = 5

@@ -124,7 +124,7 @@ class Review(OnLabels):
     out: Path | None = None
     """Write the whole queue as Parquet: with what is settled."""
     queue: Path | None = None
-    """Read a queue that --out wrote, and do not make it anew."""
+    """Read a queue that --out wrote, and do not build it anew."""
     all: Flag = False
     """Show what is settled too."""
     author: str | None = None

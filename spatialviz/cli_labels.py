@@ -41,7 +41,6 @@ class Selection:
     """Keep sentences that every object of the target's class answers."""
 
 
-
 @dataclass(frozen=True)
 class Label(Output):
     """Label a dataset: objects, every relation between them, and sentences that are true of them."""
@@ -56,7 +55,7 @@ class Label(Output):
     profile: Literal["viewer-cone-v1", "semantic-abstraction-published", "given"] = "viewer-cone-v1"
     """The rules that decide them; given: no rule of ours, what the dataset's own expressions say."""
     second_opinion: str = "trained"
-    """trained | none | an ONNX file: a network that makes labels doubtful where it does not agree."""
+    """trained | none | an ONNX file: a network that makes labels undecided where it does not agree."""
     style: Literal["varied", "plain", "semantic-abstraction"] = "varied"
     """How sentences are worded."""
     box: Box = "gravity"

@@ -65,9 +65,7 @@ class Output:
     json: Flag = False
     """Print JSON in place of text: one object, or one a line for each of several."""
 
-    def write(
-        self, record: dict[str, Any] | Iterator[dict[str, Any]], show: Callable[..., object], *of: Any
-    ) -> None:
+    def write(self, record: dict[str, Any] | Iterator[dict[str, Any]], show: Callable[..., object], *of: Any) -> None:
         """Print one JSON object or several; or `show` the same to a person, called with `of` or else the record."""
         if not self.json:
             show(*(of or (record,)))

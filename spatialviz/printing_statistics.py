@@ -50,13 +50,13 @@ def print_statistics(statistics: dict[str, Any], labels: Labels) -> None:
     console().print(_relations(statistics))
     say()
     if statistics["classes"]:
-        beside = Table.grid(padding=(0, 4, 0, 0))
+        side_by_side = Table.grid(padding=(0, 4, 0, 0))
         right = Table.grid()
         right.add_row(_distances(statistics))
         right.add_row("")
         right.add_row(_set_sizes(ambiguity))
-        beside.add_row(_classes(statistics["classes"]), right)
-        console().print(beside)
+        side_by_side.add_row(_classes(statistics["classes"]), right)
+        console().print(side_by_side)
         say()
 
 

@@ -131,6 +131,7 @@ def print_answer(answer: JudgedAnswer) -> None:
 
 def print_ranking(trace: Trace) -> None:
     """The best pair, why it does not hold where it does not, and the first pairs with their factors."""
+
     def name(index: int | None) -> str:
         assert index is not None
         return _name(trace.objects[index], index, trace.exact)

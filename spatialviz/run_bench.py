@@ -184,7 +184,7 @@ def print_review_bench(record: dict[str, Any]) -> None:
     """One line a seed, and the means."""
     say(
         f"{record['pairs']} pairs, labels {record['labels']}, {record['share']:.0%} of the cells turned; by confident "
-        f"learning alone, the first {record['top']:.0%} looked at, then {record['again']:.0%} of the queue made anew"
+        f"learning alone, the first {record['top']:.0%} looked at, then {record['again']:.0%} of the queue built anew"
     )
     columns = ("", "planted", "estimated", "found", "found in all", "F1 true", "planted", "mended", "in all", "F1 back")
     print_rows(

@@ -29,14 +29,7 @@ from pipeline.language.relation_names import PHRASE
 from pipeline.relations.relations import letter
 from pipeline.system.errors import InputError
 from spatialviz.cli_corrections import Correct, Effective, OfPerson, Redo, Show, ShowJournal, Undo
-from spatialviz.options import (
-    FINE,
-    NO,
-    Output,
-    numbers,
-    one_frame,
-    warn,
-)
+from spatialviz.options import FINE, NO, Output, numbers, one_frame, warn
 from spatialviz.printing import figure, print_rows, say
 
 

@@ -28,12 +28,7 @@ from pipeline.evaluation.whole_expression import VlmOptions
 from pipeline.metrics.tables import latex, markdown
 from pipeline.system.errors import InputError
 from spatialviz.cli_eval import Eval, Failures, Query, Tables
-from spatialviz.options import (
-    FINE,
-    NO,
-    print_json,
-    warn,
-)
+from spatialviz.options import FINE, NO, print_json, warn
 from spatialviz.printing import print_rows, print_table, rate_bar, rows_record, say, table_record
 
 if TYPE_CHECKING:

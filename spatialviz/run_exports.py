@@ -27,14 +27,7 @@ from pipeline.labels.store import Store
 from pipeline.system.errors import InputError
 from pipeline.system.staging import check_target
 from spatialviz.cli_labels import Export, Import
-from spatialviz.options import (
-    BAD,
-    FINE,
-    NO,
-    DatasetOptions,
-    JournalOptions,
-    warn,
-)
+from spatialviz.options import BAD, FINE, NO, DatasetOptions, JournalOptions, warn
 from spatialviz.printing import rate_bar, say
 
 

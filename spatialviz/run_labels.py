@@ -22,13 +22,7 @@ from pipeline.labels.schema import Manifest
 from pipeline.labels.statistics import label_statistics
 from pipeline.system.errors import InputError, MissingExtra
 from spatialviz.cli_labels import Check, Label, Merge, Selection
-from spatialviz.options import (
-    FINE,
-    NO,
-    print_json,
-    task_of,
-    warn,
-)
+from spatialviz.options import FINE, NO, print_json, task_of, warn
 from spatialviz.printing import print_rows, rate_bar, say
 from spatialviz.printing_statistics import print_statistics
 

@@ -32,12 +32,7 @@ from pipeline.system.errors import InputError
 from pipeline.system.execution import ACCELERATORS
 from pipeline.system.known_models import KnownModel
 from spatialviz.cli_models import Agree, Calibrate, Detect, Models
-from spatialviz.options import (
-    ALL_FRAMES,
-    FINE,
-    NO,
-    warn_skipped,
-)
+from spatialviz.options import ALL_FRAMES, FINE, NO, warn_skipped
 from spatialviz.printing import figure, print_rows, rate_bar, say
 
 

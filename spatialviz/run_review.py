@@ -34,12 +34,7 @@ from pipeline.relations.features import CLI_FEATURES
 from pipeline.system.errors import InputError, MissingExtra
 from pipeline.training.train import TrainConfig, need_torch
 from spatialviz.cli_corrections import Review
-from spatialviz.options import (
-    FINE,
-    NO,
-    warn,
-    warn_skipped,
-)
+from spatialviz.options import FINE, NO, warn, warn_skipped
 from spatialviz.printing import figure, print_rows, progress_bars, say
 
 if TYPE_CHECKING:
@@ -79,7 +74,7 @@ def _check(command: Review) -> None:
     if command.author is not None and command.all:
         raise InputError("--all and --author exclude each other")
     if command.queue is not None and (command.other is not None or command.second.detector is not None):
-        raise InputError("--queue is a queue that was made before", cause="leave out --queue, or the other options")
+        raise InputError("--queue is a queue that was built before", cause="leave out --queue, or the other options")
 
 
 def _reviewed(command: Review, labels: Labels, folder: Path) -> Reviewed:

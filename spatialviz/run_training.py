@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pipeline.corrections.review.retraining import RetrainConfig, Retraining, retrain
 from pipeline.corrections.review.retraining_run import RetrainingJob, RetrainingRun, run_retraining
@@ -19,14 +19,8 @@ from pipeline.training.card import RoomConfig, train_on_rooms
 from pipeline.training.label_training import LabelTraining, train_on_labels
 from pipeline.training.train import Epoch, TrainConfig
 from spatialviz.cli_models import Install, Retrain, Train
-from spatialviz.options import (
-    warn,
-)
+from spatialviz.options import warn
 from spatialviz.printing import figure, print_rows, print_table, progress_bars, say
-
-if TYPE_CHECKING:
-    pass
-
 
 ROOMS = "rooms"
 OF_ROOMS = ("rooms", "views", "width", "height")
@@ -71,11 +65,11 @@ def _on_rooms(command: Train) -> dict:
         )
 
 
-def _refuse(command: Train, place: str, names: tuple[str, ...]) -> None:
+def _refuse(command: Train, needed: str, names: tuple[str, ...]) -> None:
     """Options that say nothing about what is trained on are a mistake, not to be passed over."""
     for name in names:
         if getattr(command, name) not in (None, False):
-            raise InputError(f"--{name} belongs to training on {place}", got=f"training on {command.labels!r}")
+            raise InputError(f"--{name} belongs to training on {needed}", got=f"training on {command.labels!r}")
 
 
 def run_retrain(command: Retrain) -> None:

@@ -18,10 +18,7 @@ from pipeline.labels.reading import Labels, open_labels
 from pipeline.system.errors import InputError
 from spatialviz.app.server import serve
 from spatialviz.cli_ask import View
-from spatialviz.options import (
-    SourceOptions,
-    warn,
-)
+from spatialviz.options import SourceOptions, warn
 
 
 def run_view(command: View) -> None:
