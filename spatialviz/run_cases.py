@@ -30,7 +30,9 @@ from spatialviz.options import BAD, FINE, NO, one_frame
 from spatialviz.printing import figure, print_rows, say
 from spatialviz.report import Subject, failure_page, write_page
 from spatialviz.report.picture import write_picture
-from spatialviz.report.scene import scene_html
+
+
+_STYLE = {"same": "green", "updated": "yellow", "changed": "red", "damaged": "red"}
 
 
 def run_whatif(command: WhatIf) -> int:
@@ -102,6 +104,8 @@ def run_replay(command: Replay) -> int:
 
 
 def run_report(command: Report) -> None:
+    from spatialviz.report.scene import scene_html  # Brings viser in.
+
     if command.out.is_dir() or (command.out.exists() and not command.overwrite):
         raise InputError("the report would replace a file", expected="--overwrite", path=command.out)
     if command.frame is None and not (Path(command.dataset) / MANIFEST).is_file():
@@ -215,9 +219,6 @@ def print_change(record: dict[str, Any]) -> None:
 
 def _object(entry: dict[str, str] | None) -> str:
     return "" if entry is None else f"{entry['label']} {entry['key']}"
-
-
-_STYLE = {"same": "green", "updated": "yellow", "changed": "red", "damaged": "red"}
 
 
 def print_saved(now: Answered, folder: Path) -> None:

@@ -20,7 +20,6 @@ from pipeline.corrections.journal.journal import JOURNAL_FILE
 from pipeline.corrections.journal.materialise import materialise
 from pipeline.corrections.journal.records import event_record, examined_record, outcome_record, written_record
 from pipeline.corrections.journal.undo import redo, undo
-from pipeline.corrections.journal_place import JournalPlace
 from pipeline.corrections.object_card import ObjectCard, object_card
 from pipeline.corrections.support import Support
 from pipeline.corrections.wording import said_event
@@ -34,6 +33,8 @@ from spatialviz.printing import figure, print_rows, say
 
 
 def run_show(command: Show) -> int:
+    from pipeline.corrections.journal_place import JournalPlace  # Brings the review of labels in.
+
     if command.object is not None and command.pair is not None:
         raise InputError("--object and --pair exclude each other")
     if command.support and command.object is None:
@@ -217,8 +218,10 @@ def print_written(found: Examined, made: Examined) -> None:
     if found.damage and left:
         say(f"{left:,} intact ones are left out: they take back what is not intact", style="yellow")
     if found.damage:
-        say(f"to go on: --journal {made.place}, or put it in the place of the damaged one, without the "
-                           "-wal and -shm files of that")  # fmt: skip
+        say(
+            f"to go on: --journal {made.place}, or put it in the place of the damaged one, without the -wal and -shm "
+            "files of that"
+        )
     say(f"-> {made.place}", style="dim")
 
 

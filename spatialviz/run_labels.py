@@ -27,6 +27,9 @@ from spatialviz.printing import print_rows, rate_bar, say
 from spatialviz.printing_statistics import print_statistics
 
 
+COLORS = {"error": "red", "warning": "yellow"}
+
+
 def run_label(command: Label) -> int:
     config = LabelConfig(
         profile=command.profile,
@@ -153,9 +156,6 @@ def print_manifest(manifest: Manifest, out: str) -> None:
     if len(manifest.warnings) > 5:
         say(f"and {len(manifest.warnings) - 5} more, in the manifest", style="yellow")
     say(f"-> {out}", style="dim")
-
-
-COLORS = {"error": "red", "warning": "yellow"}
 
 
 def print_findings(findings: Iterable[Finding], show: int) -> int:

@@ -36,6 +36,9 @@ from spatialviz.options import ALL_FRAMES, FINE, NO, warn_skipped
 from spatialviz.printing import figure, print_rows, rate_bar, say
 
 
+SHOWN_NAMES = 8
+
+
 def run_detect(command: Detect) -> None:
     source, frame_ids = command.source.open(command.dataset)
     names = command.classes or source.dataset.class_names or None
@@ -120,9 +123,6 @@ def run_models(command: Models) -> int:
     reports = [describe_file(path) for path in command.files]
     command.write({"files": [file_record(r) for r in reports]}, print_files, reports)
     return FINE if all(r.kind is not None and r.kind.options for r in reports) else NO
-
-
-SHOWN_NAMES = 8
 
 
 def print_frame_agreement(frame_id: str, found: FrameAgreement) -> None:
