@@ -31,7 +31,6 @@ from spatialviz.printing import figure, print_rows, say
 from spatialviz.report import Subject, failure_page, write_page
 from spatialviz.report.picture import write_picture
 
-
 _STYLE = {"same": "green", "updated": "yellow", "changed": "red", "damaged": "red"}
 
 

@@ -26,7 +26,6 @@ from spatialviz.options import FINE, NO, print_json, task_of, warn
 from spatialviz.printing import print_rows, rate_bar, say
 from spatialviz.printing_statistics import print_statistics
 
-
 COLORS = {"error": "red", "warning": "yellow"}
 
 

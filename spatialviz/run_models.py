@@ -35,7 +35,6 @@ from spatialviz.cli_models import Agree, Calibrate, Detect, Models
 from spatialviz.options import ALL_FRAMES, FINE, NO, warn_skipped
 from spatialviz.printing import figure, print_rows, rate_bar, say
 
-
 SHOWN_NAMES = 8
 
 
