@@ -1,30 +1,34 @@
-"""The commands that evaluate, and that time it."""
+"""The commands that evaluate, look into runs, and debug one answer."""
 
 from __future__ import annotations
 
-import os
-import sys
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Literal
 
 from tyro.conf import OmitArgPrefixes, Positional
 
-from pipeline.system.errors import InputError
-from spatialviz.exits import FINE, NO
-from spatialviz.options import print_json
-from spatialviz.source_options import SourceOptions
-
-if TYPE_CHECKING:
-    from pipeline.evaluation.relation_systems import RelationSpec
+from spatialviz.options import (
+    CPUS,
+    DatasetArg,
+    ExpressionArg,
+    Flag,
+    NewFolder,
+    OneFrameArg,
+    Output,
+    Overwrite,
+    RunArg,
+    SourceOptions,
+    Truth,
+    Workers,
+)
 
 
 @dataclass(frozen=True)
-class Eval:
+class Eval(Output):
     """Answer every expression of labels, and write tables with intervals, plots and records."""
 
-    dataset: Positional[str]
-    """Dataset folder, or "demo"."""
+    dataset: DatasetArg
     labels: Path
     """Labels folder."""
     out: Path
@@ -66,134 +70,125 @@ class Eval:
     """Runs on the same labels whose systems become rows too."""
     compare: Path | None = None
     """A run to compare with: what was fixed, what was broken, what is right for another reason."""
-    workers: int = os.cpu_count() or 1
-    """Processes at once. The figures do not depend on it."""
+    workers: Workers = CPUS
     plots: bool = True
     """Draw plots (extra: report)."""
-    overwrite: bool = False
-    """Replace an earlier run."""
+    overwrite: Overwrite = False
     show: int = 5
     """Expressions shown of each kind with --compare."""
-    json: bool = False
-    """Print one JSON object."""
 
-    def run(self) -> int:
-        from pipeline.diagnosis.marks import read_marks
-        from pipeline.evaluation.job import evaluate_dataset
-        from pipeline.evaluation.run import EvalSpec
-        from pipeline.evaluation.whole_expression import VlmOptions
-        from spatialviz.printing import rate_bar
-        from spatialviz.printing_eval import print_run, run_record
-
-        vlm = None
-        if self.vlm_url is not None and self.vlm_model is not None:
-            vlm = VlmOptions(self.vlm_url, self.vlm_model, self.vlm_rate)
-        elif self.system == "vlm":
-            raise InputError("--system vlm needs a server and a model", expected="--vlm-url URL --vlm-model NAME")
-        elif self.vlm_url is not None or self.vlm_model is not None:
-            raise InputError("a server and its model go together", expected="--vlm-url URL --vlm-model NAME")
-        tables = self._tables()
-        grounding = tables != "relations"
-        options = self.source.options()
-        relations = None if tables == "grounding" else self._relations(options)
-        spec = EvalSpec(
-            self.dataset,
-            str(self.labels),
-            options,
-            self.system,
-            vlm,
-            self.limit,
-            grounding=grounding,
-            relations=relations,
-            verdicts=self.verdicts,
-            marks={} if self.marks is None else read_marks(self.marks),
-        )
-        with rate_bar("evaluating", "expressions" if grounding else "frames") as advance:
-            report = evaluate_dataset(
-                spec,
-                self.out,
-                name=self.name,
-                workers=self.workers,
-                others=self.others,
-                against=self.compare,
-                paper=self.tables == "paper",
-                plots=self.plots,
-                overwrite=self.overwrite,
-                progress=advance,
-            )
-        if self.json:
-            print_json(run_record(report))
-        else:
-            print_run(report, self.show)
-        for warning in report.warnings:
-            print(f"spatialviz: {warning}", file=sys.stderr)
-        return FINE
-
-    def _tables(self) -> Literal["grounding", "relations", "both"]:
-        """What is measured."""
-        asked = "both" if self.tables == "paper" and self.system == "pipeline" else self.tables
-        chosen = ("grounding" if asked == "paper" else asked) or ("both" if self.system == "pipeline" else "grounding")
-        if chosen == "grounding" and self.tables != "grounding" and self.relations_of:
-            chosen = "both"
-        given = {"--relations-of": self.relations_of, "--relation-frames": self.relation_frames,
-                 "--relation-boxes": self.relation_boxes}  # fmt: skip
-        unused = [name for name, value in given.items() if value not in ((), None)]
-        if chosen == "grounding" and unused:
-            raise InputError(f"{unused[0]} belongs to relations alone", expected="--tables relations or both")
-        if chosen == "relations" and (self.compare is not None or self.others or self.limit is not None):
-            raise InputError("--compare, --others and --limit are about expressions", got="--tables relations")
-        return chosen
-
-    def _relations(self, options: dict[str, Any]) -> RelationSpec:
-        """How relations are measured; `options` lose the vectors that the run's own scorer has no use for."""
-        from pipeline.evaluation.relation_systems import RelationSpec, uses_language
-
-        vectors = options["vectors"]
-        if vectors is not None and self.relations_of and not uses_language(str(options["srm"])):
-            options["vectors"] = None
-        return RelationSpec(
-            others=self.relations_of,
-            vectors=None if vectors is None else str(vectors),
-            geometry=self.relation_boxes,
-            frames=self.relation_frames,
-            pairs=self.relation_pairs,
-            vlm_pairs=self.vlm_pairs,
-            seed=self.seed,
-        )
 
 @dataclass(frozen=True)
-class BenchEval:
-    """Time evaluation with recorded proposals, stage by stage and beside asking one by one, and training."""
+class Failures(Output):
+    """What a run got wrong: verdicts, what each module costs, slices, and the failing expressions with the reason."""
 
-    dataset: Positional[str] = "demo"
-    """Dataset folder, or "demo"."""
-    labels: Path | None = None
-    """Its labels folder. Default: the dataset is labelled for the occasion."""
-    recording: Path | None = None
-    """Recorded proposals. Default: those of the simulated detector."""
-    workers: int = os.cpu_count() or 1
-    """Processes of the whole job."""
-    singly: int = 48
-    """Expressions that are also asked one by one."""
-    pairs: int = 75_000
-    """Training pairs; the labels' own are repeated until there are so many."""
-    json: bool = False
-    """Print one JSON object."""
+    run_folder: RunArg
+    search: Positional[str] = ""
+    """Words, such as "verdict:SRM relation:behind class:chair margin<0.1 -lucky sort:margin". One that begins with "-"
+    goes after all options and a "--"."""
+    limit: int = 20
+    """Expressions shown at most."""
+    slices: str = "relation"
+    """By what the run is cut, with commas: relation, class, reference, distance, size, occlusion, same_class,
+    label_margin, scene, frame."""
 
-    def run(self) -> int:
-        from pipeline.evaluation.bench import bench_evaluation
-        from spatialviz.printing_bench import print_evaluation_bench
 
-        record = bench_evaluation(
-            self.dataset,
-            self.labels,
-            recording=self.recording,
-            workers=self.workers,
-            singly=self.singly,
-            pairs=self.pairs,
-        )
-        if self.json:
-            print_json(record)
-        else:
-            print_evaluation_bench(record)
-        return FINE if not record["asked_singly"]["differ"] else NO
+@dataclass(frozen=True)
+class Query(Output):
+    """Ask a run in SQL: the view records, and labels_frames, labels_objects, labels_relations, labels_expressions."""
+
+    run_folder: RunArg
+    sql: Positional[str]
+    """One SELECT, such as "SELECT verdict, count(*) FROM records GROUP BY ALL". It can read nothing else."""
+    csv: Flag = False
+    """Print CSV."""
+
+
+@dataclass(frozen=True)
+class Tables(Output):
+    """The paper's tables of a run, with its published rows; those of the vocabulary of the run's labels."""
+
+    run_folder: RunArg
+    format: Literal["text", "markdown", "latex"] = "text"
+    """text | markdown | latex."""
+
+
+@dataclass(frozen=True)
+class WhatIf(Output):
+    """Answer an expression with and without edits: moved boxes, other masks, confidences, thresholds.
+
+    Exit status: 0 where a pair stands in the relation after the edits, 1 where none does, 2 for bad usage or input.
+    """
+
+    dataset: DatasetArg
+    frame: OneFrameArg
+    expression: ExpressionArg
+    source: OmitArgPrefixes[SourceOptions] = SourceOptions()
+    edits: Path | None = None
+    """JSON file of edits. Without it the objects are listed with the keys that edits name them by."""
+    decision_map: Path | None = None
+    """Write a picture (.png or .jpg): the floor, coloured by which answer wins if one object stands there."""
+    move: str | None = None
+    """Key of the object that the decision map moves. Default: the target of the answer."""
+    cells: int = 48
+    """Cells of the decision map on each side."""
+    labels: Truth = None
+
+
+@dataclass(frozen=True)
+class SaveCase(Output):
+    """Keep one answer as a small folder that `replay` runs again: a failure becomes a regression test."""
+
+    dataset: DatasetArg
+    frame: OneFrameArg
+    expression: ExpressionArg
+    out: NewFolder
+    source: OmitArgPrefixes[SourceOptions] = SourceOptions()
+    labels: Truth = None
+    edits: Path | None = None
+    """Edits as a JSON file."""
+    name: str | None = None
+    """Title of the case."""
+    copy_srm: Flag = False
+    """Put the file of the relation network into the case."""
+
+
+@dataclass(frozen=True)
+class Replay(Output):
+    """Run kept cases again; status 1 when an answer changed, 2 when a case is damaged."""
+
+    cases: Positional[tuple[Path, ...]]
+    """Case folders, or folders that hold cases."""
+    srm: str | None = None
+    """Another relation scorer: trained | rule | an ONNX file. Default: the case's own."""
+    vectors: Path | None = None
+    """Text vectors of a language network."""
+    detector: str = "kept"
+    """kept: the detections in the case | live: its detector looks at the picture again | another detector's name."""
+    model: Path | None = None
+    """Model file or options for a detector that looks again."""
+    min_score: float | None = None
+    """Its minimum score."""
+    tolerance: float = 1e-4
+    """A probability that moves by more is shown as a warning."""
+    update: Flag = False
+    """Take the answers of now as the expected ones."""
+
+
+@dataclass(frozen=True)
+class Report(Output):
+    """One self-contained page of an answer: why it failed, the picture, the scene in 3D, all tables."""
+
+    dataset: Positional[str]
+    """Case folder; or a dataset folder or "demo", with FRAME and EXPRESSION."""
+    frame: Positional[str | None] = None
+    """Frame id, or its index."""
+    expression: Positional[str | None] = None
+    """TARGET RELATION REFERENCE, in quotes."""
+    out: Path = Path("report.html")
+    """File to write."""
+    source: OmitArgPrefixes[SourceOptions] = SourceOptions()
+    labels: Truth = None
+    scene: bool = True
+    """Show the scene in 3D, about 1.5 MB."""
+    overwrite: Overwrite = False

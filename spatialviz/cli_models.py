@@ -1,71 +1,153 @@
-"""The commands about networks: which can be used, what a file is, how fast a detector runs."""
+"""The commands on networks: detectors run and compared, relation networks trained."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated, Literal
 
-from tyro.conf import OmitArgPrefixes, Positional
+from tyro.conf import OmitArgPrefixes, Positional, arg
 
-from pipeline.system.errors import InputError
-from spatialviz.cli_detect import DetectorOptions
-from spatialviz.exits import FINE, NO
-from spatialviz.options import print_json
+from spatialviz.options import (
+    ALL_FRAMES,
+    CPUS,
+    Batch,
+    DatasetArg,
+    DatasetOptions,
+    Epochs,
+    Flag,
+    FrameArg,
+    FramesOptions,
+    JournalOptions,
+    OnLabels,
+    Output,
+    Overwrite,
+    PairFeatures,
+    Split,
+    Workers,
+)
 
 
 @dataclass(frozen=True)
-class Models:
+class Detect(Output):
+    """Run a detector over a dataset and record what it finds, for --detector recorded."""
+
+    dataset: DatasetArg
+    out: Path
+    """A JSON file (NAME.json), or a folder, new or empty, for one NPZ file a frame: better for many frames."""
+    source: OmitArgPrefixes[FramesOptions] = FramesOptions()
+    classes: tuple[str, ...] = ()
+    """Names to ask for, each by itself. Default: the dataset's classes; without any, all that the detector knows."""
+
+
+@dataclass(frozen=True)
+class Agree(Output):
+    """How far two detectors agree: on frames, class by class, and on their scores.
+
+    A is the detector, with what --fuse adds to it; B the one of --also. Exit status 1 where neither finds anything that
+    the other knows."""
+
+    dataset: DatasetArg
+    frame: FrameArg = ALL_FRAMES
+    also: str | None = None
+    """The other detector: NAME or NAME=MODEL."""
+    source: OmitArgPrefixes[FramesOptions] = FramesOptions()
+    classes: tuple[str, ...] = ()
+    """Names that both are asked for. Default: everything that each knows; what the other does not know counts apart."""
+    iou: float = 0.5
+    """Detections that overlap less, by masks where both have them, else by boxes, are not of one thing."""
+
+
+@dataclass(frozen=True)
+class Calibrate(Output):
+    """Fit what a detector's scores mean on annotated frames that it was not trained on, and show the effect."""
+
+    dataset: Positional[str]
+    """Dataset folder with annotations, or "demo"."""
+    out: Path
+    """JSON file to write, for --score-calibration."""
+    source: OmitArgPrefixes[FramesOptions] = FramesOptions()
+    names: Literal["frame", "dataset"] = "frame"
+    """Ask each frame for the classes that are in it, as expressions about it do, or for all of the dataset's."""
+
+
+@dataclass(frozen=True)
+class Models(Output):
     """Which model files can be used and what is here; for a file, which option reads it, or why none does."""
 
     files: Positional[tuple[Path, ...]] = ()
     """ONNX files. Default: list all that is known."""
-    json: bool = False
-    """Print one JSON object."""
-
-    def run(self) -> int:
-        from pipeline.answering.model_catalogue import adapters, describe_file, look_around
-        from spatialviz.printing_models import catalogue_record, file_record, print_catalogue, print_file
-
-        if not self.files:
-            known, here = adapters(), look_around()
-            if self.json:
-                print_json(catalogue_record(known, here))
-            else:
-                print_catalogue(known, here)
-            return FINE
-        reports = [describe_file(path) for path in self.files]
-        if self.json:
-            print_json({"files": [file_record(r) for r in reports]})
-        else:
-            for report in reports:
-                print_file(report)
-        return FINE if all(r.kind is not None and r.kind.options for r in reports) else NO
 
 
 @dataclass(frozen=True)
-class BenchDetect:
-    """Run a detector over a dataset's frames again and again: frames a second, and how much memory it holds."""
+class Train(Output):
+    """Train a relation network on labels or on rendered rooms, calibrate it, and measure it on what it has not seen."""
 
-    dataset: Positional[str]
-    """Dataset folder, or "demo"."""
-    source: OmitArgPrefixes[DetectorOptions] = DetectorOptions()
-    count: int = 1000
-    """Pictures, each different to the detector and its cache."""
-    json: bool = False
-    """Print one JSON object."""
+    labels: Positional[str]
+    """Labels folder of `spatialviz label`; or the word "rooms", for rooms rendered on the spot."""
+    out: Path
+    """ONNX file to write; its card goes beside it as JSON, and the class vectors of +lang as .vectors.npz."""
+    features: Literal["2d", "2d+lang", "3d", "3d+lang", "canon", "rel14", "rel14+lang", "rel26"] | None = None
+    """What the network is given of a pair: 2D boxes | the paper's PCA boxes | these, canonical | relative extents |
+    these, with sizes, places and cuts by the border; +lang adds the vectors of both class names. Default: rel14 on
+    labels, rel26 on rooms."""
+    vocabulary: Literal["avd", "semantic-abstraction"] = "avd"
+    """avd: six relations that may hold together (binary cross entropy, U masked); semantic-abstraction: six of which
+    one fits (cross entropy; the class prior is divided out in ranking)."""
+    epochs: Epochs = 10
+    batch: Batch = None
+    seed: int = 0
+    """The same seed gives the same network."""
+    vectors: Path | None = None
+    """Text vectors for +lang: .vec, .vec.gz, .bin, .npz or .json."""
+    normalised: Flag = False
+    """Divide word vectors by their lengths before a name's mean is taken."""
+    split: Split = None
+    pairs: int | None = None
+    """Learn from at most so many pairs, drawn at random. Default: all."""
+    rooms: int | None = None
+    """Rooms, 150: 7 in 10 to learn from, 1 to calibrate, 2 to measure; and as many scattered ones to learn from."""
+    views: int | None = None
+    """Views of each room, 4."""
+    width: int | None = None
+    """Of the rooms' views, 480 pixels."""
+    height: int | None = None
+    """Of the rooms' views, 360 pixels."""
+    workers: Workers = CPUS
 
-    def run(self) -> int:
-        from pipeline.answering.endurance import run_endurance
-        from spatialviz.printing import rate_bar
-        from spatialviz.printing_models import print_endurance
 
-        if self.count < 1:
-            raise InputError("--count must be at least 1", got=self.count)
-        source, frame_ids = self.source.open(self.dataset)
-        with rate_bar("detecting", "frames") as advance:
-            report = run_endurance(source, frame_ids, self.count, advance)
-        if self.json:
-            print_json(report.record())
-        else:
-            print_endurance(report)
-        return FINE
+@dataclass(frozen=True)
+class Retrain(OnLabels):
+    """Train relation networks on labels before and after they were mended, and compare them on held-out frames.
+
+    The labels after are those of the folder AFTER, or LABELS with the corrections of their journal; with --run, the run
+    is made again with the mended labels and the new network."""
+
+    after: Positional[Path | None] = None
+    """Labels folder as it is. Default: the labels with the journal's corrections."""
+    out: Path = Path("retrained")
+    """With AFTER an ONNX file, beside which its card and the comparison are written; else a new folder, which gets the
+    mended labels and the runs, too."""
+    run_folder: Annotated[Path | None, arg(name="run")] = None
+    """A run that `eval` wrote on these labels, made again."""
+    source: OmitArgPrefixes[DatasetOptions] = DatasetOptions()
+    journal: OmitArgPrefixes[JournalOptions] = JournalOptions()
+    features: PairFeatures = "rel14"
+    epochs: Epochs = 10
+    batch: Batch = None
+    split: Split = None
+    seed: int = 0
+    """Of the split and of both networks."""
+    workers: int = CPUS
+    """Processes at once, with --run."""
+
+
+@dataclass(frozen=True)
+class Install(Output):
+    """Install a relation network under a name that --srm takes."""
+
+    network: Positional[Path]
+    """ONNX file that `train` or `retrain` wrote."""
+    name: str
+    """Letters, digits, and . _ -"""
+    overwrite: Overwrite = False

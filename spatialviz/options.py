@@ -1,65 +1,379 @@
-"""What several commands share: numbers given as text, and printing for machines."""
+"""What several commands share: groups of options, arguments that mean the same everywhere, and output."""
 
 from __future__ import annotations
 
 import json
+import os
 import sys
 import warnings
-from typing import TextIO
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from tyro.conf import FlagCreatePairsOff, Positional, arg
 
 from pipeline.system.errors import InputError
-from pipeline.system.execution import ProviderWarning
+from pipeline.system.execution import Provider, ProviderWarning, use_execution
+
+if TYPE_CHECKING:
+    from pipeline.answering.opening import Pipeline
+    from pipeline.corrections.journal.journal import Journal
+    from pipeline.datasets import Dataset
+    from pipeline.labels.plan import SourceSpec
+    from pipeline.labels.reading import Labels
+    from pipeline.proposals.detector_setup import DetectorSetup
+
+FINE, NO, BAD, INTERRUPTED = 0, 1, 2, 130
+"""Exit statuses."""
+
+Flag = FlagCreatePairsOff[bool]
+"""Off by default, so that there is nothing for --no-x to say; what is on by default is a plain bool: --x and --no-x."""
+Features = Literal["2d", "3d", "canon", "rel14", "rel26"]
+DatasetArg = Positional[Annotated[str, arg(help='Dataset folder, or "demo".')]]
+FrameArg = Positional[Annotated[str, arg(help='Frame id, its index, or "all".')]]
+OneFrameArg = Positional[Annotated[str, arg(help="Frame id, or its index.")]]
+ExpressionArg = Positional[Annotated[str, arg(help="TARGET RELATION REFERENCE, in quotes.")]]
+LabelsArg = Positional[Annotated[Path, arg(help="Labels folder.")]]
+RunArg = Positional[Annotated[Path, arg(help="Run folder of `spatialviz eval`.")]]
+NewFolder = Annotated[Path, arg(help="Folder to write; it must not exist, or be empty.")]
+Truth = Annotated[Path | None, arg(help="Labels that say what is true. Default: the frame's annotations.")]
+Box = Annotated[Literal["gravity", "pca"], arg(help="How 3D boxes are fitted: upright, or the paper's PCA box.")]
+Batch = Annotated[
+    int | None,
+    arg(
+        help="Pairs in a step. Default: 256, less where there are few pairs, so that there are at least 290 steps an "
+        "epoch."
+    ),
+]
+Epochs = Annotated[int, arg(help="The learning rate, 1e-3, is halved every 3.")]
+Split = Annotated[
+    Literal["scene", "blocks", "random"] | None,
+    arg(help="Default: scene where there are at least three, else blocks of camera positions. random leaks."),
+]
+PairFeatures = Annotated[Features, arg(help="What the networks are given of a pair.")]
+Workers = Annotated[int, arg(help="Processes at once. What comes out does not depend on it.")]
+Overwrite = Annotated[Flag, arg(help="Replace what an earlier run of this command wrote there.")]
+CPUS = os.cpu_count() or 1
+ALL_FRAMES = "all"
 
 
-def print_json(record: dict) -> None:
+@dataclass(frozen=True, kw_only=True)
+class Output:
+    """A command that prints for people, or as JSON."""
+
+    json: Flag = False
+    """Print JSON in place of text: one object, or one a line for each of several."""
+
+    def write(self, record: dict[str, Any] | Iterator[dict[str, Any]], show: Callable[..., object], *of: Any) -> None:
+        """Print one JSON object or several; or `show` the same to a person, called with `of` or else the record."""
+        if not self.json:
+            show(*(of or (record,)))
+            return
+        for one in record if isinstance(record, Iterator) else (record,):
+            print_json(one)
+
+
+@dataclass(frozen=True, kw_only=True)
+class OnLabels(Output):
+    """A command on a labels folder."""
+
+    labels: LabelsArg
+
+
+def print_json(record: dict[str, Any]) -> None:
     """One JSON object on a line."""
     print(json.dumps(record, ensure_ascii=False, allow_nan=False))
+
+
+def warn(text: object) -> None:
+    """A line beside the output."""
+    print(f"spatialviz: {text}", file=sys.stderr)
+
+
+def warn_skipped(frame_id: str, reason: str) -> None:
+    """Tell of a frame that is left out."""
+    warn(f"skipped frame {frame_id}: {reason}")
 
 
 def one_line_warnings() -> None:
     """What computes in place of what was asked for is told in a line, without the place in the code."""
     shown = warnings.showwarning
 
-    def show(
-        message: Warning | str,
-        category: type[Warning],
-        filename: str,
-        lineno: int,
-        file: TextIO | None = None,
-        line: str | None = None,
-    ) -> None:
+    def show(message: Warning | str, category: type[Warning], *where: Any, **more: Any) -> None:
         if issubclass(category, ProviderWarning):
-            print(f"spatialviz: {message}", file=sys.stderr)
+            warn(message)
         else:
-            shown(message, category, filename, lineno, file, line)
+            shown(message, category, *where, **more)
 
     warnings.showwarning = show
 
 
-def warn_skipped(frame_id: str, reason: str) -> None:
-    """Tell of a frame that is left out."""
-    print(f"spatialviz: skipped frame {frame_id}: {reason}", file=sys.stderr)
-
-
-def four_numbers(text: str | None) -> tuple[float, float, float, float] | None:
-    """fx,fy,cx,cy."""
-    if text is None:
-        return None
+def numbers(text: str, form: str, kind: Callable[[str], Any], problem: str, example: str = "") -> tuple[Any, ...]:
+    """The numbers of a text in the form "A,B" or "k/N"; InputError of `problem` where it is otherwise."""
+    between = "/" if "/" in form else ","
     try:
-        fx, fy, cx, cy = (float(part) for part in text.split(","))
+        found = tuple(kind(part) for part in text.split(between))
     except ValueError:
-        raise InputError("--intrinsics must be four numbers", got=repr(text), expected="fx,fy,cx,cy") from None
-    return fx, fy, cx, cy
+        found = ()
+    if len(found) != len(form.split(between)):
+        raise InputError(problem, got=repr(text), expected=form + example)
+    return found
 
 
 def task_of(text: str | None) -> tuple[int, int] | None:
     """k/N, both from 1."""
     if text is None:
         return None
-    try:
-        k, n = (int(part) for part in text.split("/"))
-    except ValueError:
-        raise InputError("--shard must be two numbers", got=repr(text), expected="k/N, such as 1/8") from None
+    k, n = numbers(text, "k/N", int, "--shard must be two numbers", ", such as 1/8")
     if not 1 <= k <= n:
         raise InputError("no such shard", got=text, expected=f"1/{max(n, 1)} to {max(n, 1)}/{max(n, 1)}")
     return k, n
+
+
+def one_frame(ids: Sequence[str], text: str, root: Path) -> str:
+    """The id of the one frame that FRAME means, its id or its index, among all ids in order.
+
+    Raises
+    ------
+    InputError
+        No such frame, with the nearest ids; or "all" where one is needed.
+    """
+    from pipeline.datasets.base import named_frame
+
+    if text == ALL_FRAMES and text not in ids:
+        raise InputError("one frame is needed", got=text, expected="a frame's id, or its index", path=root)
+    return named_frame(ids, text, root)
+
+
+@dataclass(frozen=True)
+class CameraOptions:
+    """What a person knows of the camera of a recording, and of where up is."""
+
+    intrinsics: str | None = None
+    """fx,fy,cx,cy in pixels, for recordings without a camera file."""
+    depth_scale: float | None = None
+    """Depth units in one metre (1000 for millimetres), for recordings without a camera file."""
+    up: str | None = None
+    """Against gravity, X,Y,Z: in the world of the poses; in a dataset without poses in the camera frame (OpenCV: x
+    right, y down, z forward; a level camera has 0,-1,0). world:X,Y,Z and camera:X,Y,Z say which. It wins over what the
+    dataset declares."""
+    level_at: str | None = None
+    """U,V (column, row): the surface at this pixel of the frame that is asked, else of the first one, is level;
+    FRAME:U,V says which frame. The poses carry it to the whole scene."""
+
+    def camera(self, frame: str | None = None) -> dict[str, Any]:
+        """The same as arguments of `open_dataset`; `frame` is the one that a bare --level-at is of."""
+        from pipeline.datasets.up_text import parse_level_at
+
+        level_at, found = self.level_at, None
+        if level_at is not None and frame not in (None, ALL_FRAMES) and parse_level_at(level_at)[0] is None:
+            level_at = f"{frame}:{level_at}"
+        if self.intrinsics is not None:
+            found = numbers(self.intrinsics, "fx,fy,cx,cy", float, "--intrinsics must be four numbers")
+        return {"intrinsics": found, "depth_scale": self.depth_scale, "up": self.up, "level_at": level_at}
+
+
+@dataclass(frozen=True)
+class DatasetOptions(CameraOptions):
+    """Where the pictures are, for corrections of masks and boxes."""
+
+    dataset: str | None = None
+    """Dataset folder, or "demo". Default: where the labels say it was, if it is still there."""
+
+    def open(self, labels: Labels) -> Dataset | None:
+        """The dataset that was labelled; None, with a warning, where it is not there and none was named."""
+        from pipeline.labels.pictures import labelled_dataset
+
+        try:
+            return labelled_dataset(labels.manifest, self.dataset, **self.camera())
+        except InputError as error:
+            if self.dataset is not None:
+                raise
+            warn(f"without the dataset ({error}); --dataset says where it is")
+            return None
+
+
+@dataclass(frozen=True)
+class JournalOptions:
+    """Which journal."""
+
+    journal: str | None = None
+    """Path, or postgresql://user@host/database for a team. Default: journal.sqlite beside the labels."""
+    project: str | None = None
+    """Whose corrections, where several datasets share a database. Default: the name of the dataset's folder."""
+
+    def open(self, labels: Labels, *, must_exist: bool = False) -> Journal:
+        """The journal of these labels; what must be known of it is told."""
+        from pipeline.corrections.journal.journal import journal_of
+
+        opened = journal_of(labels, self.journal, project=self.project, must_exist=must_exist)
+        for warning in opened.warnings:
+            warn(warning)
+        return opened
+
+
+@dataclass(frozen=True)
+class DetectorOptions:
+    """A detector, and those that are fused with it."""
+
+    detector: str | None = None
+    """annotations | recorded | yolo-seg | grounding-dino | owlv2 | owlvit | detic | boxes | simulated. Default:
+    annotations, where the dataset has them."""
+    model: Path | None = None
+    """Model file, its id on the model hub (OWNER/REPO:FILE@REVISION), a recording, or options of the simulated one."""
+    model_config: Path | None = None
+    """What the file of --model does not say: the TOML file of boxes (default: beside the model), the class names of
+    detic and yolo-seg."""
+    fuse: tuple[str, ...] = ()
+    """Further detectors, NAME or NAME=MODEL, whose detections are fused with the detector's. What a MODEL does not say
+    stands beside it."""
+    fusion: Literal["wbf", "nms"] = "wbf"
+    """With --fuse: weighted boxes fusion, or all with non-maximum suppression."""
+    min_score: float | None = None
+    """Drop detections below this score, of each detector before they are fused. Default: the detector's own."""
+    synonyms: Path | None = None
+    """A JSON file with more synonyms: {"groups": [["mug", "cup"], …]}."""
+    provider: Provider | None = None
+    """What networks compute on. Default: cuda, directml or coreml where ONNX Runtime has it, else the CPU."""
+
+
+@dataclass(frozen=True)
+class SecondDetectorOptions(DetectorOptions):
+    """A detector that says what it sees in labelled frames."""
+
+    detector: str | None = None
+    """Let this detector look at the labelled frames too: annotations | recorded | yolo-seg | grounding-dino | owlv2 |
+    owlvit | detic | boxes | simulated."""
+
+    def check(self) -> None:
+        """Raise InputError where an option is of no detector."""
+        own = ("model", "model_config", "fuse", "min_score")
+        given = [name for name in own if getattr(self, name) not in (None, ())]
+        if self.detector is None and given:
+            raise InputError(f"--{given[0].replace('_', '-')} needs --detector", cause="of which detector?")
+
+    def setup(self) -> DetectorSetup | None:
+        """What it is made from; None where none is asked."""
+        from pipeline.proposals.detector_setup import DetectorSetup
+
+        if self.detector is None:
+            return None
+        use_execution(self.provider, False)
+        return DetectorSetup(
+            self.detector, self.model, self.model_config, self.min_score, self.synonyms, self.fuse, self.fusion
+        )
+
+
+@dataclass(frozen=True)
+class ProposalOptions(DetectorOptions, CameraOptions):
+    """What is opened, and what finds objects in it."""
+
+    segmenter: str | None = None
+    """Makes masks for boxes that have none: depth | recorded | yolo-seg | sam | sam2 | efficientsam.
+    Default: none, the whole box is lifted."""
+    segmenter_model: Path | tuple[Path, Path] | None = None
+    """Model file, hub id or recording for the segmenter, ENCODER DECODER for the SAM kinds; depth needs none."""
+    verbose: Flag = False
+    """Show ONNX Runtime's own messages."""
+
+    def arguments(self, frame: str | None = None) -> dict[str, Any]:
+        """The same as arguments of `open_pipeline`; `frame` is the one that is asked. Sets what networks compute on."""
+
+        use_execution(self.provider, self.verbose)
+        names = ("detector", "model", "model_config", "min_score", "segmenter", "segmenter_model", "synonyms")
+        fused = {"fuse": self.fuse, "fusion": self.fusion} if self.fuse else {}
+        return {**self.camera(frame), **{name: getattr(self, name) for name in names}, **fused}
+
+
+@dataclass(frozen=True)
+class FramesOptions(ProposalOptions):
+    """Which detector is run, how, and on which frames."""
+
+    k: int = 10
+    """Proposals of each name."""
+    frames: str = ALL_FRAMES
+    """all, FROM:TO by index (FROM is in, TO is not), or a frame's id or index."""
+
+    def open(self, dataset: str, also: str | None = None) -> tuple[Pipeline, tuple[str, ...]]:
+        """The dataset with the detector (and `also` a second one), and the frames that are meant."""
+        from pipeline.answering.ask import AskConfig
+        from pipeline.answering.opening import frame_range, open_pipeline
+
+        source = open_pipeline(dataset, also=also, srm="rule", config=AskConfig(k=self.k), **self.arguments())
+        return source, frame_range(source.dataset, self.frames)
+
+
+@dataclass(frozen=True)
+class LabelledOptions(ProposalOptions):
+    """What is labelled, and what finds the objects."""
+
+    segmenter: str | None = "depth"
+    """depth | recorded | yolo-seg | sam | sam2 | efficientsam: masks for the boxes that have none."""
+
+    def spec(self, dataset: str) -> SourceSpec:
+        """The same as the core takes it."""
+        from pipeline.labels.plan import SourceSpec
+
+        return SourceSpec(dataset, {name: _plain(value) for name, value in self.arguments().items()})
+
+
+def _plain(value: Any) -> Any:
+    """As JSON keeps it: a path as text, several values as a list; numbers of a camera stay together."""
+    if isinstance(value, tuple) and not isinstance(value[0], float):
+        return [str(one) for one in value]
+    return str(value) if isinstance(value, Path) else value
+
+
+@dataclass(frozen=True)
+class SourceOptions(ProposalOptions):
+    """What is opened, and with which models."""
+
+    srm: str = "trained"
+    """What scores relations: trained (the network that comes with the program) | rule | an ONNX file."""
+    vectors: Path | None = None
+    """The text vectors that the relation network was trained with, for class names it was not trained on."""
+    box: Box = "gravity"
+    k: int = 10
+    """Proposals that go on for each name."""
+    score_calibration: Path | None = None
+    """What `spatialviz calibrate` wrote for this detector: its scores become probabilities before pairs are ranked."""
+    force_calibration: Flag = False
+    """Use it although it was fitted for another detector or setting."""
+
+    def arguments(self, frame: str | None = None) -> dict[str, Any]:
+        """As of `ProposalOptions`, with the relation scorer and the settings of an answer."""
+        from pipeline.answering.ask import AskConfig
+        from pipeline.geometry.lifting import LiftConfig
+        from pipeline.proposals.score_calibration import load_calibration
+
+        calibration = None if self.score_calibration is None else load_calibration(self.score_calibration)
+        if self.force_calibration:
+            if calibration is None:
+                raise InputError("--force-calibration needs --score-calibration", expected="a file to be used")
+            calibration = calibration.for_any()
+        config = AskConfig(k=self.k, lift=LiftConfig(box=self.box), score_calibration=calibration)
+        return {**super().arguments(frame), "srm": self.srm, "vectors": self.vectors, "config": config}
+
+    def words(self) -> list[str]:
+        """Those that are not as they are by default, as words of a command line."""
+        words: list[str] = []
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if value != field.default:
+                parts = value if isinstance(value, tuple) else () if value is True else (value,)
+                words += [f"--{field.name.replace('_', '-')}", *map(str, parts)]
+        return words
+
+    def open(self, dataset: str, frame: str | None = None, labels: Labels | None = None) -> Pipeline:
+        """The dataset with its models; `frame` is the one that is asked, `labels` judge what is answered."""
+        from pipeline.answering.opening import open_pipeline
+        from pipeline.datasets.given_up import told_doubts
+        from pipeline.labels.pictures import labelled_up
+
+        options = self.arguments(frame)
+        source = open_pipeline(dataset, **(options if labels is None else labelled_up(labels.manifest, options)))
+        if self.level_at is not None or self.up is not None:
+            for frame_id, doubts in told_doubts(source.dataset).items():
+                warn(f"frame {frame_id}: {'; '.join(doubts)}")
+        return source

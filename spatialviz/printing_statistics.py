@@ -6,12 +6,11 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 from rich.table import Table
-from rich.text import Text
 
 from pipeline.labels.makers import makers_of
 from pipeline.labels.reading import Labels
 from pipeline.language.counted import counted
-from spatialviz.printing import make_console
+from spatialviz.printing import console, figure, say, table
 
 CLASSES = 15
 SUMMARY_CLASSES = 20
@@ -20,55 +19,46 @@ LONGEST_NAME = 28
 
 def print_statistics(statistics: dict[str, Any], labels: Labels) -> None:
     """What labels contain: counts, relations, classes, distance and ambiguity. 100 columns are enough."""
-    console = make_console()
     counts, cells, text = statistics["counts"], statistics["cells"], statistics["text"]
     ambiguity, occlusion = statistics["ambiguity"], statistics["occlusion"]
     candidates = counts["candidates"]
     of = "" if candidates is None else f" of {counted(candidates, 'candidate')}"
     per_pair = cells["positives_per_pair"]
-    console.print(Text.assemble((str(labels.root), "bold"), (f"  rules {labels.manifest.profile.get('name')}", "dim")))
-    console.print(
-        Text(
-            f"{counts['frames_usable']:,} of {counted(counts['frames'], 'frame')} usable, "
-            f"{counted(counts['scenes'], 'scene')}, up {_listed(statistics['up_source']) or 'unknown'}"
-        )
+    say((str(labels.root), "bold"), (f"  rules {labels.manifest.profile.get('name')}", "dim"))
+    say(
+        f"{counts['frames_usable']:,} of {counted(counts['frames'], 'frame')} usable, "
+        f"{counted(counts['scenes'], 'scene')}, up {_listed(statistics['up_source']) or 'unknown'}"
     )
     reasons = _listed(counts["unusable"])
-    console.print(
-        Text(f"{counts['objects_usable']:,} of {counted(counts['objects'], 'object')} can be asked for")
-        + Text(f"; the others: {reasons}" if reasons else "")
-    )
-    console.print(
-        Text(f"{_share(occlusion['occluded_share'])} of them all are partly hidden, ")
-        + Text(f"{_share(occlusion['touching_border_share'])} are cut by the border")
+    others = f"; the others: {reasons}" if reasons else ""
+    say(f"{counts['objects_usable']:,} of {counted(counts['objects'], 'object')} can be asked for{others}")
+    say(
+        f"{_share(occlusion['occluded_share'])} of them all are partly hidden, "
+        f"{_share(occlusion['touching_border_share'])} are cut by the border"
     )
     if per_pair is not None:
-        console.print(
-            Text(
-                f"{counted(counts['pairs'], 'pair')}, {per_pair:.2f} relations hold of each on average, "
-                f"{_share(cells['pairs_without_T_share'])} have none; {_share(cells['u_share'])} of labels in doubt"
-            )
+        say(
+            f"{counted(counts['pairs'], 'pair')}, {per_pair:.2f} relations hold of each on average, "
+            f"{_share(cells['pairs_without_T_share'])} have none; {_share(cells['u_share'])} of labels undecided"
         )
-    console.print(
-        Text(
-            f"{counted(counts['expressions'], 'expression')}{of}, {counted(text['sentences'], 'sentence')} "
-            f"for {counted(text['questions'], 'question')}; {_share(ambiguity['share'])} have several right answers"
-        )
+    say(
+        f"{counted(counts['expressions'], 'expression')}{of}, {counted(text['sentences'], 'sentence')} "
+        f"for {counted(text['questions'], 'question')}; {_share(ambiguity['share'])} have several right answers"
     )
     for what, who in makers_of(labels.manifest).lines().items():
-        console.print(Text.assemble((f"{what}: ", "dim"), who))
-    console.print()
-    console.print(_relations(statistics))
-    console.print()
+        say((f"{what}: ", "dim"), who)
+    say()
+    console().print(_relations(statistics))
+    say()
     if statistics["classes"]:
-        beside = Table.grid(padding=(0, 4, 0, 0))
+        side_by_side = Table.grid(padding=(0, 4, 0, 0))
         right = Table.grid()
         right.add_row(_distances(statistics))
         right.add_row("")
         right.add_row(_set_sizes(ambiguity))
-        beside.add_row(_classes(statistics["classes"]), right)
-        console.print(beside)
-        console.print()
+        side_by_side.add_row(_classes(statistics["classes"]), right)
+        console().print(side_by_side)
+        say()
 
 
 def _relations(statistics: dict[str, Any]) -> Table:
@@ -76,13 +66,12 @@ def _relations(statistics: dict[str, Any]) -> Table:
     rows = []
     for name, entry in statistics["relations"].items():
         margin = statistics["margins"][name]["T"]
-        per_pair = entry["T_per_pair"]
         rows.append(
             (
                 name,
                 *(f"{entry[state]:,}" for state in "TUF"),
                 _share(entry["u_share"]),
-                "–" if per_pair is None else f"{per_pair:.3f}",
+                figure(entry["T_per_pair"], ".3f", "–"),
                 f"{entry['expressions']:,}",
                 _share(entry["ambiguous_share"]),
                 *("–" if margin is None else f"{100 * margin[k]:.1f} cm" for k in ("p05", "p50")),
@@ -120,57 +109,48 @@ def _set_sizes(ambiguity: dict[str, Any]) -> Table:
 
 def print_summary(summary: dict[str, Any]) -> None:
     """Counts over the frames of a dataset."""
-    console = make_console()
     frames, usable = summary["frames"], summary["frames_usable"]
-    console.print(Text(f"{usable:,} of {counted(frames, 'frame')} can be used"))
+    say(f"{usable:,} of {counted(frames, 'frame')} can be used")
     for note in summary["notes"]:
-        console.print(Text(f"  note: {note}", "yellow"))
+        say(f"  note: {note}", style="yellow")
     for reason, count in list(summary["problems"].items())[:5]:
-        console.print(Text(f"  {count:,} broken: {reason}", "red"))
+        say(f"  {count:,} broken: {reason}", style="red")
     if len(summary["problems"]) > 5:
         rest = sum(list(summary["problems"].values())[5:])
-        console.print(Text(f"  {rest:,} broken for other reasons", "red"))
+        say(f"  {rest:,} broken for other reasons", style="red")
     if not usable:
         return
-    console.print(Text(f"  {_listed(summary['sizes'])}; up {_listed(summary['up_source'])}", "dim"))
+    say(f"  {_listed(summary['sizes'])}; up {_listed(summary['up_source'])}", style="dim")
     lacking = {
         "with little depth": summary["frames_with_little_depth"],
         "without pose": summary["frames_without_pose"],
         "without objects": summary["frames_without_objects"],
         "with notes": summary["frames_with_notes"],
     }
-    said = ", ".join(f"{count:,} {what}" for what, count in lacking.items() if count)
+    frames_lacking = ", ".join(f"{count:,} {what}" for what, count in lacking.items() if count)
     depth = f"{_share(summary['depth_valid'])} of the pixels have depth"
-    console.print(Text(f"  {depth}" + (f"; frames: {said}" if said else ""), "dim"))
+    say(f"  {depth}" + (f"; frames: {frames_lacking}" if frames_lacking else ""), style="dim")
     classes = summary["classes"]
     if not classes:
         return
     per_frame = summary["objects_per_frame"]
-    console.print(
-        Text(f"{counted(summary['objects'], 'object')} of {counted(len(classes), 'class')}, {per_frame:.1f} a frame: ")
-        + Text(_listed(classes, SUMMARY_CLASSES), "dim")
+    say(
+        f"{counted(summary['objects'], 'object')} of {counted(len(classes), 'class')}, {per_frame:.1f} a frame: ",
+        (_listed(classes, SUMMARY_CLASSES), "dim"),
     )
 
 
-def _table(first: str, titles: Sequence[str], rows: Iterable[Sequence[str]]) -> Table:
-    table = Table(box=None, pad_edge=False, header_style="dim")
-    table.add_column(first, no_wrap=True)
-    for title in titles:
-        table.add_column(title, justify="right", no_wrap=True)
-    for name, *cells in rows:
-        # Names of a dataset are text, not rich's markup.
-        table.add_row(Text(name), *cells)
-    return table
+def _table(first: str, titles: Iterable[str], rows: Iterable[Sequence[str]]) -> Table:
+    return table((first, *(f">{title}" for title in titles)), rows, no_wrap=True)
 
 
 def _listed(counts: Mapping[str, int], most: int | None = None) -> str:
     """Names with their counts, the rest as one."""
     names = list(counts)
-    said = [f"{_short(name)} {counts[name]:,}" for name in names[:most]]
-    rest = names[len(said) :]
-    if rest:
-        said.append(f"{len(rest):,} others {sum(counts[name] for name in rest):,}")
-    return ", ".join(said)
+    listed = [f"{_short(name)} {counts[name]:,}" for name in names[:most]]
+    if rest := names[len(listed) :]:
+        listed.append(f"{len(rest):,} others {sum(counts[name] for name in rest):,}")
+    return ", ".join(listed)
 
 
 def _short(name: str) -> str:

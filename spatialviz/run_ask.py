@@ -1,0 +1,240 @@
+"""Answers, relations and frames, as a person reads them."""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Iterable, Sequence
+
+from pipeline.answering.ask import Trace
+from pipeline.answering.json_records import frame_record, relation_records, why_no_answer
+from pipeline.answering.missed_names import MissedNames, missed_names
+from pipeline.answering.objects import SceneObject
+from pipeline.answering.opening import FrameRelations, open_pipeline, relate_frames
+from pipeline.answering.told_answer import holds, probability, told
+from pipeline.datasets import Dataset, FrameReport, SurveyCounts, survey, write_settings
+from pipeline.datasets.given_up import told_up
+from pipeline.datasets.scene_mesh import export_mesh, fuse_context
+from pipeline.datasets.synthetic import render_dataset
+from pipeline.datasets.up_text import ASSUMED, DECLARE
+from pipeline.diagnosis.asking import Answer, ask_and_judge
+from pipeline.geometry.viewer import ViewerAxes
+from pipeline.labels.reading import open_labels
+from pipeline.language.counted import counted
+from pipeline.language.lexicon import wording
+from pipeline.language.relation_names import PHRASE, VOCABULARIES
+from pipeline.relations.relations import letter
+from pipeline.system.errors import InputError
+from spatialviz.cli_ask import Ask, Context, Frames, Relations, Render
+from spatialviz.options import ALL_FRAMES, FINE, NO, one_frame, print_json, warn_skipped
+from spatialviz.printing import print_rows, rate_bar, say
+from spatialviz.printing_statistics import print_summary
+from spatialviz.report.picture import save_picture
+
+SHOWN_PAIRS = 5
+
+
+def run_ask(command: Ask) -> int:
+    if not command.expressions:
+        raise InputError("an expression is missing", expected='for example "mug left of the laptop"')
+    if command.save is not None and (command.frame == ALL_FRAMES or len(command.expressions) > 1):
+        raise InputError("--save takes one frame and one expression", path=command.save)
+    labels = None if command.labels is None else open_labels(command.labels)
+    answered = 0
+    source = command.source.open(command.dataset, command.frame, labels)
+    for answer in ask_and_judge(source, command.frame, command.expressions, labels, warn_skipped):
+        answered += holds(answer.trace)
+        command.write(answer.record(), print_answer, answer)
+        if answer.trace.missing and command.frame != ALL_FRAMES and not command.json:
+            print_overlooked(missed_names(source, answer.trace))
+        if command.save is not None:
+            save_picture(answer.trace, command.save)
+    return FINE if answered else NO
+
+
+def run_relations(command: Relations) -> int:
+    relations = VOCABULARIES[command.vocabulary]
+    pairs = 0
+    for found in relate_frames(command.source.open(command.dataset, command.frame), command.frame, warn_skipped):
+        pairs += len(found.objects) * max(len(found.objects) - 1, 0)
+        command.write(relation_records(found, relations), print_relations, found, relations)
+    return FINE if pairs else NO
+
+
+def run_frames(command: Frames) -> int:
+    camera = command.camera.camera()
+    dataset = open_pipeline(command.dataset, **camera).dataset
+    if command.remember:
+        write_settings(dataset.root, camera["intrinsics"], camera["depth_scale"], *told_up(dataset))
+    counts = SurveyCounts()
+    reports = counts.watch(survey(dataset))
+    if command.summary:
+        deque(reports, maxlen=0)
+    elif command.json:
+        for report in reports:
+            print_json(frame_record(report))
+    else:
+        print_frames(dataset, reports)
+    record = counts.record()
+    if command.summary or not command.json:
+        command.write(record, print_summary)
+    return FINE if record["frames_usable"] else NO
+
+
+def run_context(command: Context) -> None:
+    dataset = open_pipeline(command.dataset, **command.camera.camera(command.frame)).dataset
+    frame = dataset.load(one_frame(dataset.frame_ids, command.frame, dataset.root))
+    mesh = fuse_context(dataset, frame)
+    export_mesh(mesh, command.out)
+    record = {"frame": frame.id, "frames": mesh.frames, "vertices": len(mesh.vertices), "faces": len(mesh.faces)}
+    command.write(record, say, f"{mesh.frames} frames around {frame.id}: {len(mesh.faces)} faces -> {command.out}")
+
+
+def run_render(command: Render) -> None:
+    with rate_bar("rendering", "views") as advance:
+        report = render_dataset(
+            command.out,
+            rooms=command.rooms,
+            views=command.views,
+            seed=command.seed,
+            width=command.width,
+            height=command.height,
+            progress=advance,
+            workers=command.workers,
+        )
+    say(
+        f"{report.frames} frames of {report.rooms} rooms with {report.objects} objects "
+        f"of {len(report.classes)} classes in {report.seconds:.1f} s -> {command.out}"
+    )
+
+
+def print_answer(answer: Answer) -> None:
+    """The answer, the ranked pairs with their factors, the doubts, what each stage cost, and the verdict."""
+    trace = answer.trace
+    say(("frame ", "dim"), trace.frame.id, "  ", (trace.query.text, "bold"))
+    no_answer = why_no_answer(trace)
+    if no_answer is not None:
+        say(no_answer, style="yellow")
+    if trace.ranking is not None and no_answer is None:
+        print_ranking(trace)
+    _warn_assumed(trace.viewer)
+    stages = " · ".join(f"{k} {v * 1000:.1f} ms" for k, v in trace.timings.items())
+    made = f"detector {trace.detector} · relations by {trace.scorer} · up {trace.viewer.up_source}"
+    say(f"{stages} · {made}", style="dim")
+    if answer.judgement is not None:
+        found = answer.judgement.diagnosis
+        name = " ".join(word for word in (found.verdict, found.detail, "LUCKY" if found.lucky else None) if word)
+        style = "bold green" if found.correct else "bold yellow"
+        say(("verdict ", "dim"), (name, style), f"  {answer.judgement.said}")
+    elif answer.unjudged is not None:
+        say(f"no verdict: {answer.unjudged}", style="dim")
+
+
+def print_ranking(trace: Trace) -> None:
+    """The best pair, why it does not hold where it does not, and the first pairs with their factors."""
+
+    def name(index: int | None) -> str:
+        assert index is not None
+        return trace.name(index)
+
+    assert trace.ranking is not None
+    phrase = wording(trace.asked.relation, inverse=trace.asked.inverse)
+    pairs = trace.ranking.pairs
+    best = pairs[0]
+    second = "" if best.second_reference is None else f" and {name(best.second_reference)}"
+    answer = told(trace, name)
+    say(
+        (answer.lead, "yellow"),
+        (name(best.target), "bold dark_orange"),
+        f" {phrase} ",
+        (name(best.reference) + second, "bold dodger_blue2"),
+        (f"   {answer.numbers}", "bold" if answer.holds else "yellow"),
+    )
+    for failing in answer.fails:
+        say(f"does not hold: {failing}", style="yellow")
+    say(answer.below, style="dim")
+    if len(trace.query.readings) > 1:
+        say(f"read as: {trace.ranking.reading.description}", style="dim")
+    print_rows(
+        ("#", "target", "reference", ">P(target)", ">P(reference)", f">P({phrase})", ">product", ">posterior"),
+        (
+            (
+                str(rank),
+                name(pair.target),
+                name(pair.reference) + ("" if pair.second_reference is None else f", {name(pair.second_reference)}"),
+                f"{pair.p_target:.2f}",
+                f"{pair.p_reference:.2f}",
+                f"{pair.p_relation:.2f}",
+                probability(pair.product),
+                f"{pair.probability:.3f}",
+            )
+            for rank, pair in enumerate(pairs[:SHOWN_PAIRS], start=1)
+        ),
+    )
+    if len(pairs) > SHOWN_PAIRS:
+        say(f"and {len(pairs) - SHOWN_PAIRS} more pairs", style="dim")
+    for role, index in (("target", best.target), ("reference", best.reference)):
+        for concern in () if index is None else trace.objects[index].lifted.quality.concerns:
+            say(f"{role} {name(index)}: {concern}", style="yellow")
+
+
+def _warn_assumed(viewer: ViewerAxes) -> None:
+    if viewer.up_source == "assumed":
+        say(f"{ASSUMED}; {DECLARE}", style="yellow")
+
+
+def print_overlooked(found: MissedNames) -> None:
+    """What the detector sees of names that were not found, and what else: a line each."""
+    for name, score in found.below.items():
+        least = math.floor(score * 100) / 100
+        if least:
+            say(f"the best {name!r} has {score:.3f}: --min-score {least:.2f} keeps it", style="yellow")
+    if found.seen:
+        say("the detector finds " + ", ".join(f"{name} {n}" for name, n in found.seen.items()), style="dim")
+
+
+def print_relations(found: FrameRelations, relations: Sequence[str]) -> None:
+    """The relations of a frame that hold (T) or are undecided (U), a line for each pair."""
+    up = "" if found.viewer is None else f"  up {found.viewer.up_source}"
+    say(("frame ", "dim"), found.frame_id, (f"  {counted(len(found.objects), 'object')}{up}", "dim"))
+    if found.viewer is not None:
+        _warn_assumed(found.viewer)
+    columns = [(PHRASE[r], found.scores.relations.index(r)) for r in relations]
+    for i, a in enumerate(found.objects):
+        for j, b in enumerate(found.objects):
+            states = {phrase: letter(found.scores.states[i, j, n]) for phrase, n in columns} if i != j else {}
+            text = ", ".join(
+                f"{phrase} {found.scores.probabilities[i, j, n]:.2f}{'?' if states[phrase] == 'U' else ''}"
+                for phrase, n in columns
+                if states.get(phrase, "F") != "F"
+            )
+            if text:
+                say(a.name(i, found.exact), (" — ", "dim"), text, (" — ", "dim"), b.name(j, found.exact))
+
+
+def print_frames(dataset: Dataset, reports: Iterable[FrameReport]) -> None:
+    """A line or two for each frame, then their notes, each once."""
+    say((str(dataset.root), "bold"), f"  {dataset.format}, {counted(len(dataset.frame_ids), 'frame')}")
+    notes: dict[str, list[str]] = {}
+    for report in reports:
+        if report.ok:
+            depth = f"{report.depth_valid or 0:.0%} depth, median {report.median_depth or 0:.2f} m"
+            pose = "pose" if report.has_pose else "no pose"
+            say(
+                f"{report.index:>5}  {report.id}  {report.width}x{report.height}  {depth}  {pose}"
+                f"  up {report.up_source}, {_off_image_up(report.up)} off image-up  "
+                f"{counted(report.annotations, 'object')}"
+            )
+            if report.labels:
+                say("       " + ", ".join(report.labels), style="dim")
+        else:
+            say(f"{report.index:>5}  {report.id}  broken: {report.problem}", style="red")
+        for note in report.notes:
+            notes.setdefault(note, []).append(report.id)
+    for note, frames in notes.items():
+        where = frames[0] if len(frames) == 1 else counted(len(frames), "frame")
+        say(f"note on {where}: {note}", style="yellow")
+
+
+def _off_image_up(up: Sequence[float] | None) -> str:
+    return "?" if up is None else f"{math.degrees(math.acos(max(-1.0, min(1.0, -up[1])))):.0f}°"

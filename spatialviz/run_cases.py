@@ -1,0 +1,273 @@
+"""One answer under edits, kept as a case, run again, and as a page."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from pipeline.answering.objects import PreparedFrame, prepare_frame
+from pipeline.answering.opening import Pipeline
+from pipeline.answering.told_answer import NO_SUCH_PAIR, holds, probability
+from pipeline.datasets.saved_case import MANIFEST
+from pipeline.diagnosis.asking import edited_verdicts, known_truth
+from pipeline.diagnosis.cases import answer, answer_record, find_cases, open_case, save_case
+from pipeline.diagnosis.cases.answered import Answered
+from pipeline.diagnosis.cases.manifest import Expected
+from pipeline.diagnosis.cases.suite import Result, replay_all
+from pipeline.diagnosis.whatif import Baseline, Edits, Outcome, edits_record, load_edits, rerun, what_changed
+from pipeline.diagnosis.whatif.decision_map import decision_map, map_record
+from pipeline.diagnosis.whatif.map_picture import map_picture
+from pipeline.diagnosis.whatif.placement import place_in_region
+from pipeline.diagnosis.whatif.rerun import foreign_keys
+from pipeline.labels.reading import open_labels
+from pipeline.language.counted import counted
+from pipeline.language.relation_names import PAIRWISE
+from pipeline.relations.relations import Profile
+from pipeline.system.errors import InputError
+from spatialviz.cli_eval import Replay, Report, SaveCase, WhatIf
+from spatialviz.options import BAD, FINE, NO, one_frame
+from spatialviz.printing import figure, print_rows, say
+from spatialviz.report import Subject, failure_page, write_page
+from spatialviz.report.picture import write_picture
+
+_STYLE = {"same": "green", "updated": "yellow", "changed": "red", "damaged": "red"}
+
+
+def run_whatif(command: WhatIf) -> int:
+    edits = Edits() if command.edits is None else load_edits(command.edits)
+    source = command.source.open(command.dataset, command.frame)
+    context = _one_context(source, command.frame)
+    baseline = Baseline(source, context, command.expression)
+    if unknown := foreign_keys(baseline, edits):
+        known = ", ".join(sorted(baseline.all_keys)[:30])
+        raise InputError("edits of objects that are not there", got=", ".join(unknown), expected=known)
+    after = rerun(baseline, edits)
+    weights = replace(source.config.rank, **edits.rank)
+    labels = None if command.labels is None else open_labels(command.labels)
+    verdicts = edited_verdicts(source, context, baseline.outcome.trace, after.trace, weights, labels)
+    record = whatif_record(baseline, after, edits, verdicts)
+    if command.decision_map is not None:
+        record["decision_map"] = _map(command, baseline, after, edits)
+    command.write(record, print_change)
+    return FINE if holds(after.trace) else NO
+
+
+def _map(command: WhatIf, baseline: Baseline, after: Outcome, edits: Edits) -> dict[str, Any]:
+    assert command.decision_map is not None
+    ranking = after.trace.ranking
+    key = command.move or ("" if ranking is None else after.keys[ranking.pairs[0].target])
+    found = decision_map(baseline, edits, key, command.cells)
+    write_picture(map_picture(found, after), command.decision_map)
+    return map_record(found)
+
+
+def run_save_case(command: SaveCase) -> None:
+    source = command.source.open(command.dataset, command.frame)
+    context = _one_context(source, command.frame)
+    edits = None if command.edits is None else edits_record(load_edits(command.edits))
+    now = save_case(
+        command.out,
+        source,
+        context,
+        command.expression,
+        truth=known_truth(source, context, None if command.labels is None else open_labels(command.labels)),
+        edits=edits,
+        name=command.name,
+        copy_network=command.copy_srm,
+    )
+    command.write({"case": str(command.out), **answer_record(now)}, print_saved, now, command.out)
+
+
+def run_replay(command: Replay) -> int:
+    if not command.cases:
+        raise InputError("a case is missing", expected="the folder that save-case wrote")
+    if command.detector == "kept" and (command.model is not None or command.min_score is not None):
+        raise InputError("--model and --min-score need --detector", expected="live or a detector's name")
+    folders = [folder for path in command.cases for folder in find_cases(path)]
+    totals = {"same": 0, "changed": 0, "updated": 0, "damaged": 0}
+    for result in replay_all(
+        folders,
+        srm=command.srm,
+        vectors=command.vectors,
+        tolerance=command.tolerance,
+        update=command.update,
+        detector=None if command.detector == "kept" else command.detector,
+        model=command.model,
+        min_score=command.min_score,
+    ):
+        totals[result.status] += 1
+        command.write(replay_record(result), print_replay, result)
+    command.write({"cases": sum(totals.values()), **totals}, print_totals, totals)
+    return BAD if totals["damaged"] else NO if totals["changed"] else FINE
+
+
+def run_report(command: Report) -> None:
+    from spatialviz.report.scene import scene_html  # Brings viser in.
+
+    if command.out.is_dir() or (command.out.exists() and not command.overwrite):
+        raise InputError("the report would replace a file", expected="--overwrite", path=command.out)
+    if command.frame is None and not (Path(command.dataset) / MANIFEST).is_file():
+        raise InputError("FRAME and EXPRESSION are missing", cause=f"{command.dataset} is no saved case")
+    if command.frame is None:
+        srm = None if command.source.srm == "trained" else command.source.srm
+        opened = open_case(command.dataset, srm=srm, vectors=command.source.vectors)
+        source, context, answered = opened.source, opened.context, opened.answer()
+        subject = Subject.of_case(opened)
+    else:
+        if command.expression is None:
+            raise InputError("EXPRESSION is missing", expected='for example "mug left of the laptop"')
+        source = command.source.open(command.dataset, command.frame)
+        context = _one_context(source, command.frame)
+        labels = None if command.labels is None else open_labels(command.labels)
+        answered = answer(source, context, command.expression, truth=known_truth(source, context, labels))
+        subject = Subject.of_dataset(
+            command.dataset, source, context, command.expression, command.source.words(), labels
+        )
+    page = failure_page(answered, source, context, subject, scene_html(answered, context) if command.scene else None)
+    write_page(page, command.out)
+    verdict = None if answered.judgement is None else answered.judgement.diagnosis.verdict
+    command.write(
+        {"report": str(command.out), "bytes": len(page.encode()), "verdict": verdict},
+        say,
+        f"{verdict or 'no verdict'} -> {command.out} ({len(page.encode()) / 2**20:.1f} MB)",
+    )
+
+
+def whatif_record(
+    baseline: Baseline, after: Outcome, edits: Edits, verdicts: tuple[str | None, str | None] | None = None
+) -> dict[str, Any]:
+    """The whole of `whatif --json`."""
+    trace = after.trace
+    record: dict[str, Any] = {
+        "frame": trace.frame.id,
+        "expression": baseline.text,
+        "edits": edits_record(edits),
+        "objects": [
+            {"key": key, "label": o.label, "score": round(float(o.score), 6)}
+            for key, o in zip(after.keys, trace.objects, strict=True)
+        ],
+        **what_changed(baseline.outcome, after, verdicts=verdicts),
+        "timings_ms": {stage: round(seconds * 1000, 3) for stage, seconds in trace.timings.items()},
+        "pairs_scored": after.pairs_scored,
+    }
+    relation = trace.asked.relation
+    if trace.ranking is not None and trace.ranking.pairs[0].reference is not None and relation in PAIRWISE:
+        pair = trace.ranking.pairs[0]
+        ends = [trace.objects[k].lifted for k in (pair.target, pair.reference) if k is not None]
+        first, second = ends[::-1] if trace.asked.inverse else ends
+        placed = place_in_region(first, second, relation, trace.viewer, Profile(**edits.profile))
+        record["placement"] = {
+            "relation": relation,
+            "state": placed.letter,
+            "why": placed.why,
+            "measures": {name: round(value, 6) for name, value in placed.measures.items()},
+        }
+    return record
+
+
+def _one_context(source: Pipeline, text: str) -> PreparedFrame:
+    dataset = source.dataset
+    frame = dataset.load(one_frame(dataset.frame_ids, text, dataset.root))
+    return prepare_frame(dataset, frame, source.config.lift)
+
+
+_FACTORS = {
+    "P(target)": "p_target",
+    "P(reference)": "p_reference",
+    "P(relation)": "p_relation",
+    "product": "product",
+    "posterior": "probability",
+    "margin": "margin",
+}
+
+
+def print_change(record: dict[str, Any]) -> None:
+    """Before and after side by side, what moved, and where the winner falls in the relation's region."""
+    say(("frame ", "dim"), record["frame"], "  ", (record["expression"], "bold"))
+    sides = record["before"], record["after"]
+    roles = (role for role in ("target", "reference", "second_reference") if any(role in side for side in sides))
+    rows = [(role.replace("_", " "), *(_object(side.get(role)) for side in sides)) for role in roles]
+    rows += [(title, *(figure(side.get(key), ".3f", "") for side in sides)) for title, key in _FACTORS.items()]
+    if any(side["verdict"] for side in sides):
+        rows.append(("verdict", *(side["verdict"] or "" for side in sides)))
+    print_rows(("", "before", "after"), rows)
+    for when, side in zip(("before", "after"), sides, strict=True):
+        if "reason" in side:
+            say(f"{when}: {side['reason']}", style="yellow")
+        elif not side["holds"]:
+            nearest = " with ".join(_object(side[role]) for role in ("target", "reference") if role in side)
+            shown = probability(side["relation_probability"])
+            say(f"{when}: {NO_SUCH_PAIR}{nearest}, relation {shown}", style="yellow")
+    if record["changed"]:
+        say("the answer is another", style="bold")
+    for move in record["moved"][:5]:
+        was, now = (move[f"rank_{when}"] or "not there" for when in ("before", "after"))
+        say(f"pair {move['target']}, {move['reference']}: {was} -> {now}", style="dim")
+    if "placement" in record:
+        say(record["placement"]["why"])
+    if not any(name != "format" for name in record["edits"]):
+        for entry in record["objects"]:
+            say(f"{entry['key']}  {entry['label']}  {entry['score']:.2f}", style="dim")
+    if "decision_map" in record:
+        shares = ", ".join(f"{key} {share:.0%}" for key, share in record["decision_map"]["share"].items())
+        say(f"decision map of {record['decision_map']['key']}: {shares}")
+
+
+def _object(entry: dict[str, str] | None) -> str:
+    return "" if entry is None else f"{entry['label']} {entry['key']}"
+
+
+def print_saved(now: Answered, folder: Path) -> None:
+    """What was kept, and how it is run again."""
+    if now.judgement is not None:
+        say((now.judgement.diagnosis.verdict, "bold"), "  ", now.judgement.said)
+    elif now.problem or now.unjudged:
+        say(now.problem or now.unjudged or "", style="yellow")
+    say(f"kept -> {folder}   run it again: spatialviz replay {folder}")
+
+
+def print_replay(result: Result) -> None:
+    """Before and after of one case."""
+    say((f"{result.status:<8}", _STYLE[result.status]), " ", (str(result.path), "bold"))
+    if result.replay is None:
+        say(f"         {result.problem}", style="red")
+        return
+    replay = result.replay
+    if replay.changes:
+        say(f"  before {in_words(replay.before)}")
+        say(f"  after  {in_words(replay.after)}")
+        for change in replay.changes:
+            say(f"         {change}", style="yellow" if result.status == "updated" else "red")
+    for warning in replay.warnings:
+        say(f"         warning: {warning}", style="yellow")
+
+
+def in_words(state: Expected) -> str:
+    """An answer and its verdict on one line."""
+    verdict = "" if state.judgement is None else f"   {state.judgement.verdict}: {state.judgement.said}"
+    if state.answer is None:
+        return f"no answer ({state.reason}){verdict}"
+    target, reference = state.answer.target, state.answer.reference
+    other = "" if reference is None else f" with {reference.label} ({reference.score:.2f})"
+    lead = "" if state.answer.holds in (None, True) else NO_SUCH_PAIR
+    return f"{lead}{target.label} ({target.score:.2f}){other}, relation {state.answer.p_relation:.2f}{verdict}"
+
+
+def print_totals(totals: dict[str, int]) -> None:
+    """The last line of a run."""
+    shown = ", ".join(f"{n} {status}" for status, n in totals.items() if n or status in ("same", "changed"))
+    count = sum(totals.values())
+    say(f"{counted(count, 'case')}: {shown}")
+
+
+def replay_record(result: Result) -> dict[str, Any]:
+    """One line of `replay --json`."""
+    replay = result.replay
+    if replay is None:
+        return {"case": str(result.path), "status": result.status, "problem": result.problem}
+    return {
+        "case": str(result.path), "name": replay.name, "status": result.status, "changes": list(replay.changes),
+        "warnings": list(replay.warnings), "before": replay.before.model_dump(mode="json"),
+        "after": replay.after.model_dump(mode="json"),
+    }  # fmt: skip

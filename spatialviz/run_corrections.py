@@ -1,0 +1,317 @@
+"""Corrections of labels: shown, saved, taken back, and written as labels."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+
+from pipeline.corrections.box_edits import support_name, support_of
+from pipeline.corrections.cards import PairCard, pair_card
+from pipeline.corrections.journal import rescue
+from pipeline.corrections.journal.batch import apply_actions, read_actions
+from pipeline.corrections.journal.batch_shapes import needs_pictures
+from pipeline.corrections.journal.effective import Corrector, EffectiveLabels
+from pipeline.corrections.journal.effective_frame import EffectiveFrame
+from pipeline.corrections.journal.events import Conflict, Event, NotSaved, Saved
+from pipeline.corrections.journal.examining import Examined
+from pipeline.corrections.journal.field_refs import shown_value
+from pipeline.corrections.journal.journal import JOURNAL_FILE, Journal
+from pipeline.corrections.journal.materialise import materialise
+from pipeline.corrections.journal.records import event_record, examined_record, outcome_record, written_record
+from pipeline.corrections.journal.undo import redo, undo
+from pipeline.corrections.object_card import ObjectCard, object_card
+from pipeline.corrections.support import Support
+from pipeline.corrections.wording import said_event
+from pipeline.labels.reading import open_labels
+from pipeline.language.counted import counted
+from pipeline.language.relation_names import PHRASE
+from pipeline.relations.relations import letter
+from pipeline.system.errors import InputError
+from spatialviz.cli_corrections import Correct, Effective, OfPerson, Redo, Show, ShowJournal, Undo
+from spatialviz.options import FINE, NO, Output, numbers, one_frame, warn
+from spatialviz.printing import figure, print_rows, say
+
+FrameOf = Callable[[str], EffectiveFrame | None]
+
+
+def run_show(command: Show) -> int:
+    from pipeline.corrections.journal_place import JournalPlace  # Brings the review of labels in.
+
+    if command.object is not None and command.pair is not None:
+        raise InputError("--object and --pair exclude each other")
+    if command.support and command.object is None:
+        raise InputError("--support needs --object")
+    labels = open_labels(command.labels)
+    if command.journal.journal is not None:
+        journal = command.journal.open(labels, must_exist=True)
+    else:
+        journal = JournalPlace(labels, project=command.journal.project).to_read()
+    corrector = Corrector(labels, command.source.open(labels))
+    name = one_frame(tuple(corrector.index.of_frame), command.frame, labels.root)
+    frame = corrector.frame(name, () if journal is None else journal)
+    if command.pair is not None:
+        a, b = numbers(command.pair, "A,B", int, "a pair is two numbers of objects", ", such as --pair 3,5")
+        card = pair_card(frame, a, b)
+        command.write(card.record(), print_pair, card)
+        return FINE if card.lines else NO
+    shown = sorted({*frame.objects, *frame.left_out}) if command.object is None else [command.object]
+    cards = [object_card(frame, n) for n in shown]
+    support = support_of(frame, shown[0], corrector) if command.support else None
+    more = {} if support is None else {"support": {**support[0].record(), "gap": support[1]}}
+    command.write(({**card.record(), **more} for card in cards), print_objects, cards, command.object is not None)
+    if support is not None and not command.json:
+        print_support(frame, *support)
+    return FINE if cards else NO
+
+
+def run_journal(command: ShowJournal) -> int:
+    whole = [command.check, command.backup is not None, command.recover is not None]
+    if any(whole):
+        chosen = any(v is not None for v in (command.author, command.kind, command.frame, command.key, command.last))
+        if sum(whole) > 1 or chosen:
+            raise InputError("--check, --backup and --recover are of the whole journal, and one at a time")
+        return _as_a_whole(command)
+    if command.last is not None and command.last < 1:
+        raise InputError("--last must be at least 1", got=command.last)
+    labels = open_labels(command.labels)
+    frame = command.frame
+    if frame is not None:
+        frame = one_frame(labels.frames.column("frame").to_pylist(), frame, labels.root)
+    with command.journal.open(labels, must_exist=True) as journal:
+        events = journal.events(
+            author=command.author, kind=command.kind, frame=frame, key=command.key, last=command.last
+        )
+    command.write(map(event_record, events), print_events, events)
+    return FINE if events else NO
+
+
+def _as_a_whole(command: ShowJournal) -> int:
+    where = command.journal.journal or open_labels(command.labels).root / JOURNAL_FILE
+    if command.check:
+        found = rescue.check_journal(where).known()
+        command.write(examined_record(found), print_examined, found)
+        return NO if found.damage else FINE
+    if command.backup is not None:
+        made = found = rescue.back_up(where, command.backup)
+    else:
+        assert command.recover is not None
+        found, made = rescue.recover(where, command.recover)
+    command.write(written_record(found, made), print_written, found, made)
+    return FINE
+
+
+def run_correct(command: Correct) -> int:
+    labels = open_labels(command.labels)
+    actions = read_actions(command.edits)
+    dataset = command.pictures.open(labels) if needs_pictures(actions) else None
+    with command.journal.open(labels) as journal, _told_how_to_try_again():
+        corrector = Corrector(labels, dataset)
+        done = apply_actions(corrector, journal, actions, command.author, again=command.again)
+        return _told(command, done, "saved", frames_of(corrector, journal))
+
+
+def run_undo(command: Undo) -> int:
+    return _undo_or_redo(command, undo, "taken back")
+
+
+def run_redo(command: Redo) -> int:
+    return _undo_or_redo(command, redo, "brought back")
+
+
+def _undo_or_redo(command: OfPerson, way: Callable[..., Saved | Conflict | None], verb: str) -> int:
+    labels = open_labels(command.labels)
+    with command.journal.open(labels, must_exist=True) as journal, _told_how_to_try_again():
+        done = way(journal, command.author, group=command.group, again=command.again)
+        return _told(command, done, verb, frames_of(Corrector(labels), journal))
+
+
+def run_effective(command: Effective) -> None:
+    labels = open_labels(command.labels)
+    with command.journal.open(labels, must_exist=True) as journal:
+        manifest, found = materialise(labels, journal, command.out, dataset=command.source.open(labels))
+    command.write(manifest.corrections or {}, print_effective, found, command.out, command.show)
+
+
+@contextmanager
+def _told_how_to_try_again() -> Iterator[None]:
+    """A database that could not answer may have saved all the same: the next try says which one it repeats."""
+    try:
+        yield
+    except NotSaved as error:
+        warn(f"to try this once more, and not twice, add --again {error.group}")
+        raise
+
+
+def _told(command: Output, done: Saved | Conflict | None, verb: str, frame_of: FrameOf) -> int:
+    record = outcome_record(done)
+    command.write(record, print_outcome, done, verb, frame_of)
+    return FINE if record["saved"] else NO
+
+
+def print_events(events: Sequence[Event]) -> None:
+    """One line an event."""
+    if not events:
+        say("nothing was corrected")
+        return
+    print_rows(
+        ("time (UTC)", "who", "what", "of", "before", "after", "why"),
+        (
+            (
+                e.time.strftime("%Y-%m-%d %H:%M:%S"),
+                e.author,
+                e.cell.field if e.action == "edit" else f"{e.action}: {e.cell.field}",
+                f"{e.cell.entity} in {e.cell.frame}",
+                shown_value(e.cell, e.before),
+                shown_value(e.cell, e.after),
+                e.reason,
+            )
+            for e in events
+        ),
+        overflow="fold",
+    )
+    say(counted(len(events), "event"))
+
+
+def print_outcome(done: Saved | Conflict | None, verb: str, frame_of: FrameOf) -> None:
+    """What was saved, or who had been there."""
+    if done is None:
+        say("there is nothing of this person's left to take back or bring back")
+    elif isinstance(done, Saved):
+        for event in done.events:
+            say(_text(event, frame_of))
+        say(f"{verb}: {counted(len(done.events), 'change')}, group {done.group}")
+    else:
+        say("nothing was saved: somebody else has been there", style="yellow")
+        for rival in done.rivals:
+            say(str(rival))
+
+
+def print_effective(found: EffectiveLabels, out: Path, show: int) -> None:
+    """Whose the values are, and what no longer applies."""
+    counts = found.counts
+    say(
+        f"{counted(found.events, 'event')}: {counted(counts['human'], 'value')} by people, {counts['recomputed']} "
+        f"recomputed, {counts['stale']} stale; {counted(counts['withdrawn'], 'expression')} withdrawn, "
+        f"{counts['marks']} marked as wrong"
+    )
+    if counts["stale"]:
+        say("stale values follow from masks or boxes: they need the dataset (--dataset)", style="yellow")
+    frame_of = frames_of(Corrector(found.labels), ())
+    for entry in found.unapplied[:show]:
+        say(f"does not apply: {_text(entry.event, frame_of)} by {entry.event.author}: {entry.reason}", style="yellow")
+    if len(found.unapplied) > show:
+        say(f"and {len(found.unapplied) - show} more, in unapplied.json", style="yellow")
+    say(f"-> {out}", style="dim")
+
+
+def print_examined(found: Examined) -> None:
+    """Whether a journal is as it was saved, and what is intact of one that is not."""
+    for line in found.damage:
+        say(f"damaged: {line}", style="red")
+    if found.damage:
+        say(found.said)
+        say(found.help or "", style="yellow")
+    else:
+        chained = "" if found.chained else "; not chained yet: the next opening does it, and keeps this one beside"
+        say(f"{counted(len(found.intact), 'event')}, all as they were saved{chained}")
+    say(found.place, style="dim")
+
+
+def print_written(found: Examined, made: Examined) -> None:
+    """What is in a copy, or in a new journal."""
+    intact = len(made.intact)
+    events = counted(intact, "event") if found.events is None else f"{intact:,} of {counted(found.events, 'event')}"
+    say(f"{events} written and checked")
+    left = len(found.intact) - len(made.intact)
+    if found.damage and left:
+        say(f"{left:,} intact ones are left out: they take back what is not intact", style="yellow")
+    if found.damage:
+        say(
+            f"to go on: --journal {made.place}, or put it in the place of the damaged one, without the -wal and -shm "
+            "files of that"
+        )
+    say(f"-> {made.place}", style="dim")
+
+
+def frames_of(corrector: Corrector, journal: Journal | Sequence[Event]) -> FrameOf:
+    """Frames by name, for the classes of objects in what is told; None for one that the labels do not have."""
+
+    def frame_of(frame: str) -> EffectiveFrame | None:
+        try:
+            return corrector.frame(frame, journal)
+        except InputError:
+            return None
+
+    return frame_of
+
+
+def _text(event: Event, frame_of: FrameOf) -> str:
+    """An event in words, with its frame."""
+    return f"{event.cell.frame}: {said_event(event, frame_of(event.cell.frame))}"
+
+
+def print_objects(cards: Sequence[ObjectCard], whole: bool) -> None:
+    """One line an object; of a single one, where `whole`, every field with where it comes from."""
+    print_rows(
+        ("object", "class", "status", "size (m)", "away (m)", "T U F", "not the labeller's"),
+        (
+            (
+                str(card.number),
+                card.label,
+                card.status or ("" if card.stands else "rejected"),
+                "" if card.numbers is None else " ".join(f"{x:.2f}" for x in card.numbers.size),
+                figure(card.distance, ".2f", ""),
+                " ".join(str(n) for n in card.states.values()),
+                ", ".join(f"{x.field} {x.origin.source}" for x in card.fields if x.origin.source != "auto"),
+            )
+            for card in cards
+        ),
+        overflow="fold",
+    )
+    for card in cards if whole else ():
+        print_rows(
+            ("field", "value", "from", "the labeller's"),
+            (
+                (x.field, x.said, str(x.origin), "" if x.automatic in (None, x.said) else x.automatic)
+                for x in card.fields
+            ),
+            overflow="fold",
+        )
+        for name, status in card.said.items():
+            say(f"{name} says: {status}")
+        more = f"; {card.concern}" if card.concern else ""
+        added = f"; added by {card.added_by}" if card.added_by else ""
+        points, asked = counted(card.points, "point"), counted(card.expressions, "expression")
+        say(f"{points} of {card.mask_pixels} pixels; {asked}{more}{added}", style="dim")
+
+
+def print_pair(card: PairCard) -> None:
+    """One line a relation."""
+    away = "" if card.distance is None else f", {card.distance:.2f} m apart"
+    say(f"{card.names[0]}·{card.a} ... {card.names[1]}·{card.b}{away}")
+    if card.why_none:
+        say(f"takes part in no relation: {card.why_none}", style="yellow")
+        return
+    print_rows(
+        ("relation", "state", "margin (cm)", "status", "from"),
+        (
+            (
+                PHRASE[line.relation],
+                "" if line.state is None else letter(line.state),
+                "" if line.margin is None else f"{100 * line.margin:+.1f}",
+                line.status or "",
+                str(line.origin),
+            )
+            for line in card.lines
+        ),
+        overflow="fold",
+    )
+
+
+def print_support(frame: EffectiveFrame, support: Support, gap: float) -> None:
+    """What an object stands on."""
+    where = f"{abs(gap) * 100:.1f} cm {'above' if gap > 0 else 'below the top of'} {support_name(frame, support)}"
+    points = f"{counted(support.points, 'point')}, {support.spread * 1000:.1f} mm"
+    fitted = points if support.points else "its upper extent"
+    say(f"its box ends {where} ({fitted})")

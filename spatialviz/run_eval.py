@@ -1,0 +1,326 @@
+"""Evaluation, its tables, and what a run got wrong."""
+
+from __future__ import annotations
+
+import csv
+import math
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import islice
+from typing import TYPE_CHECKING, Any, Literal
+
+from rich.text import Text
+
+from pipeline.diagnosis.marks import read_marks
+from pipeline.diagnosis.verdict import VERDICTS
+from pipeline.evaluation.compare import Comparison, read_records
+from pipeline.evaluation.job import RunReport, evaluate_dataset
+from pipeline.evaluation.paper_run import tables_of_run
+from pipeline.evaluation.relation_systems import RelationSpec, uses_language
+from pipeline.evaluation.run import EvalSpec
+from pipeline.evaluation.run_database import Answer, labels_of, manifest_of, open_run
+from pipeline.evaluation.search import find_failures
+from pipeline.evaluation.shared_makers import Share, shares_of_run, with_caveats
+from pipeline.evaluation.slices import Slices, dimension_named, slice_by, slice_table
+from pipeline.evaluation.summary import RunSummary, need_verdicts, oracle_table, summarise_run, verdict_table
+from pipeline.evaluation.whole_expression import VlmOptions
+from pipeline.language.counted import counted
+from pipeline.metrics.tables import latex, markdown
+from pipeline.system.errors import InputError
+from spatialviz.cli_eval import Eval, Failures, Query, Tables
+from spatialviz.options import FINE, NO, print_json, warn
+from spatialviz.printing import print_rows, print_table, rate_bar, rows_record, say, table_record
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+
+MOST_SHOWN = 1000
+"""Rows of SQL on the terminal."""
+MOST_ROWS = 15
+"""Of a slice on the terminal."""
+SHOWN = ("id", "frame", "text", "target", "relation", "reference", "verdict", "detail", "lucky", "said", "repair",
+         "margin", "p_target", "p_reference", "p_relation")  # fmt: skip
+"""Columns of a failure in JSON."""
+
+
+@dataclass(frozen=True)
+class Failed:
+    """What `failures` shows: the run's name, what it shares with what made its labels, its summary and slices, the rows
+    that the search found, and how many of them are shown."""
+
+    name: str
+    shares: Sequence[Share]
+    summary: RunSummary
+    slices: Sequence[Slices]
+    found: pa.Table
+    limit: int
+    search: str
+
+
+def run_eval(command: Eval) -> None:
+    vlm = None
+    if command.vlm_url is not None and command.vlm_model is not None:
+        vlm = VlmOptions(command.vlm_url, command.vlm_model, command.vlm_rate)
+    elif command.system == "vlm":
+        raise InputError("--system vlm needs a server and a model", expected="--vlm-url URL --vlm-model NAME")
+    elif command.vlm_url is not None or command.vlm_model is not None:
+        raise InputError("a server and its model go together", expected="--vlm-url URL --vlm-model NAME")
+    tables = _tables(command)
+    grounding = tables != "relations"
+    options = command.source.arguments()
+    relations = None if tables == "grounding" else _relations(command, options)
+    spec = EvalSpec(
+        command.dataset,
+        str(command.labels),
+        options,
+        command.system,
+        vlm,
+        command.limit,
+        grounding=grounding,
+        relations=relations,
+        verdicts=command.verdicts,
+        marks={} if command.marks is None else read_marks(command.marks),
+    )
+    with rate_bar("evaluating", "expressions" if grounding else "frames") as advance:
+        report = evaluate_dataset(
+            spec,
+            command.out,
+            name=command.name,
+            workers=command.workers,
+            others=command.others,
+            against=command.compare,
+            paper=command.tables == "paper",
+            plots=command.plots,
+            overwrite=command.overwrite,
+            progress=advance,
+        )
+    command.write(run_record(report), print_run, report, command.show)
+    for warning in report.warnings:
+        warn(warning)
+
+
+def _tables(command: Eval) -> Literal["grounding", "relations", "both"]:
+    """What is measured."""
+    asked = "both" if command.tables == "paper" and command.system == "pipeline" else command.tables
+    chosen = ("grounding" if asked == "paper" else asked) or ("both" if command.system == "pipeline" else "grounding")
+    if chosen == "grounding" and command.tables != "grounding" and command.relations_of:
+        chosen = "both"
+    given = {"--relations-of": command.relations_of, "--relation-frames": command.relation_frames,
+             "--relation-boxes": command.relation_boxes}  # fmt: skip
+    unused = [name for name, value in given.items() if value not in ((), None)]
+    if chosen == "grounding" and unused:
+        raise InputError(f"{unused[0]} belongs to relations alone", expected="--tables relations or both")
+    if chosen == "relations" and (command.compare is not None or command.others or command.limit is not None):
+        raise InputError("--compare, --others and --limit are about expressions", got="--tables relations")
+    return chosen
+
+
+def _relations(command: Eval, options: dict[str, Any]) -> RelationSpec:
+    """How relations are measured; `options` lose the vectors that the run's own scorer has no use for."""
+    vectors = options["vectors"]
+    if vectors is not None and command.relations_of and not uses_language(str(options["srm"])):
+        options["vectors"] = None
+    return RelationSpec(
+        others=command.relations_of,
+        vectors=None if vectors is None else str(vectors),
+        geometry=command.relation_boxes,
+        frames=command.relation_frames,
+        pairs=command.relation_pairs,
+        vlm_pairs=command.vlm_pairs,
+        seed=command.seed,
+    )
+
+
+def run_failures(command: Failures) -> int:
+    if command.limit < 0:
+        raise InputError("--limit is a count", got=command.limit, expected="0 or more")
+    dimensions = [dimension_named(name) for name in command.slices.split(",") if name.strip()]
+    records = read_records(command.run_folder)
+    need_verdicts(records)
+    found = find_failures(records, command.search)
+    manifest = manifest_of(command.run_folder)
+    name = str(manifest.get("name") or command.run_folder.name)
+    looked_into = Failed(
+        name,
+        shares_of_run(manifest, labels_of(command.run_folder)),
+        summarise_run(records),
+        [slice_by({name: records}, d, most=None if command.json else MOST_ROWS) for d in dimensions],
+        found,
+        command.limit,
+        command.search,
+    )
+    command.write(failures_record(looked_into), print_failures, looked_into)
+    return FINE if found.num_rows else NO
+
+
+def run_query(command: Query) -> int:
+    if command.json and command.csv:
+        raise InputError("--json and --csv exclude each other")
+    with open_run(command.run_folder) as database:
+        answer = database.select(command.sql)
+        show = print_csv if command.csv else print_json_rows if command.json else print_answer
+        return FINE if show(answer) else NO
+
+
+def run_tables(command: Tables) -> None:
+    if command.json and command.format != "text":
+        raise InputError("--json and --format exclude each other")
+    tables = tables_of_run(command.run_folder)
+    if command.json:
+        print_json({"tables": {table.key: table_record(table) for table in tables}, "rows": rows_record(tables)})
+    elif command.format == "text":
+        for table in tables:
+            print_table(table)
+    else:
+        print(markdown(tables) if command.format == "markdown" else latex(tables), end="")
+
+
+def print_run(report: RunReport, show: int) -> None:
+    """The tables, the comparison, and where everything lies."""
+    for table in report.tables:
+        print_table(table, caveats=False)
+        say()
+    for caveat in dict.fromkeys(caveat for table in report.tables for caveat in table.caveats):
+        say(caveat, style="yellow")
+    if report.comparison is not None:
+        print_comparison(report.comparison, show)
+    done = [f"{n} {what}" for n, what in ((report.expressions, "expressions"), (report.pairs, "pairs")) if n]
+    rate = (report.expressions or report.pairs) / report.seconds if report.seconds else 0.0
+    say(f"{' and '.join(done)} in {report.seconds:.1f} s, {rate:.0f} a second")
+    say(f"-> {report.folder}", style="dim")
+
+
+def print_comparison(found: Comparison, show: int) -> None:
+    """Differences with intervals and tests, and the first expressions of each kind."""
+    say(f"compared on {counted(found.shared, 'expression')}", style="bold")
+    tests = ((name, estimate, found.tests[name]) for name, estimate in found.differences.items())
+    print_rows(
+        ("measure", ">difference", ">only now right", ">only before right", ">McNemar p"),
+        ((name, e.formatted(signed=True), str(test.b), str(test.c), f"{test.p_value:.2g}") for name, e, test in tests),
+    )
+    if found.verdicts is not None:
+        say("verdicts: before in rows, after in columns", style="bold")
+        after = [v for v in VERDICTS if any(v in line for line in found.verdicts.values())]
+        print_rows(
+            ("", *(f">{v}" for v in after)),
+            (
+                (before, *(Text(str(line.get(v, "·")), "dim" if v == before else "") for v in after))
+                for before, line in found.verdicts.items()
+            ),
+        )
+    for title, entries in (
+        ("fixed", found.fixed),
+        ("broken", found.broken),
+        ("right for another reason", found.other_reason),
+    ):
+        say(f"{title}: {len(entries)}")
+        for entry in entries[:show]:
+            say(f"  {entry['frame']}  {entry['text']}  ({entry['id']})", style="dim")
+    say()
+
+
+def run_record(report: RunReport) -> dict[str, Any]:
+    """`eval --json`."""
+    return {
+        "run": str(report.folder),
+        "expressions": report.expressions,
+        "pairs": report.pairs,
+        "warnings": list(report.warnings),
+        "shares": [share.record() for share in report.shares],
+        "seconds": round(report.seconds, 2),
+        "caveats": {t.key: list(t.caveats) for t in report.tables},
+        "tables": {t.key: table_record(t) for t in report.tables},
+        "rows": rows_record(report.tables),
+        "comparison": None if report.comparison is None else report.comparison.record(),
+    }
+
+
+def print_answer(answer: Answer) -> int:
+    """Rows as a table, the first ones; how many there were to show."""
+    rows = list(islice(answer.rows, MOST_SHOWN + 1))
+
+    def is_figures(k: int) -> bool:
+        return bool(rows) and all(isinstance(r[k], (int, float)) and not isinstance(r[k], bool) for r in rows)
+
+    columns = (f">{name}" if is_figures(k) else name for k, name in enumerate(answer.columns))
+    print_rows(columns, (map(_shown, row) for row in rows[:MOST_SHOWN]))
+    if len(rows) > MOST_SHOWN:
+        say(f"only the first {MOST_SHOWN:,} rows are shown; --csv and --json print them all", style="dim")
+    return len(rows)
+
+
+def print_json_rows(answer: Answer) -> int:
+    """Rows as JSON objects, a line each; how many."""
+    count = 0
+    for row in answer.rows:
+        print_json(dict(zip(answer.columns, map(plain, row), strict=True)))
+        count += 1
+    return count
+
+
+def print_csv(answer: Answer) -> int:
+    """Rows as CSV under their names; how many."""
+    writer = csv.writer(sys.stdout, lineterminator="\n")
+    writer.writerow(answer.columns)
+    count = 0
+    for row in answer.rows:
+        writer.writerow(["" if value is None else value for value in row])
+        count += 1
+    return count
+
+
+def plain(value: Any) -> Any:
+    """A value of a database as JSON knows it; what is no number is null."""
+    if value is None or isinstance(value, (str, bool, int)):
+        return value
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, dict):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [plain(v) for v in value]
+    return str(value)
+
+
+def _shown(value: Any) -> str:
+    if value is None:
+        return "–"
+    return f"{value:.6g}" if isinstance(value, float) else str(value)
+
+
+def failures_record(looked_into: Failed) -> dict[str, Any]:
+    """`failures --json`."""
+    found = looked_into.found.slice(0, looked_into.limit)
+    rows = found.select([c for c in SHOWN if c in found.column_names]).to_pylist()
+    return {
+        "search": looked_into.search,
+        "system": looked_into.name,
+        "shares": [share.record() for share in looked_into.shares],
+        "found": looked_into.found.num_rows,
+        "failures": [{key: plain(value) for key, value in row.items()} for row in rows],
+        "summary": looked_into.summary.record(),
+        "slices": {s.dimension.name: s.record() for s in looked_into.slices},
+    }
+
+
+def print_failures(looked_into: Failed) -> None:
+    """What was searched for; verdicts, deltas and slices of the run; then the expressions that were found."""
+    name, summary, found = looked_into.name, looked_into.summary, looked_into.found
+    say(("search ", "dim"), (looked_into.search or "all that failed", "bold"), (f"  in {name}", "dim"))
+    say()
+    cuts = [slice_table(s, intervals=False) for s in looked_into.slices]
+    for table in (verdict_table({name: summary}), oracle_table({name: summary}), *cuts):
+        print_table(with_caveats(table, {name: looked_into.shares}), caveats=False)
+        say()
+    for share in looked_into.shares:
+        say(share.sentence, style="yellow")
+    of = f": {looked_into.search}" if looked_into.search else " failed"
+    say(f"{found.num_rows} of {counted(summary.expressions, 'expression')}{of}", style="bold")
+    for row in found.slice(0, looked_into.limit).to_pylist():
+        verdict = "CORRECT LUCKY" if row["lucky"] else " ".join(filter(None, (row["verdict"], row["detail"])))
+        say((row["frame"], "dim"), "  ", row["text"], (f"  {verdict}", "bold yellow"))
+        say(f"    {row['said'] or ''}  ({row['id']})", style="dim")
+    if found.num_rows > looked_into.limit:
+        say(f"and {found.num_rows - looked_into.limit} more (--limit)", style="dim")

@@ -1,0 +1,155 @@
+"""Labels carried out, and corrections made elsewhere in."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from pipeline.corrections.journal.connection import is_url
+from pipeline.corrections.journal.field_refs import shown_value
+from pipeline.corrections.journal.incoming.importing import (
+    ImportConfig,
+    ImportReport,
+    import_corrections,
+    import_record,
+)
+from pipeline.corrections.journal.journal import JOURNAL_FILE, Journal
+from pipeline.corrections.journal.materialise import materialise
+from pipeline.datasets import Dataset
+from pipeline.labels.exports import export_labels
+from pipeline.labels.exports.exporting import MARK
+from pipeline.labels.exports.hub import HubConfig
+from pipeline.labels.plan import load_plan
+from pipeline.labels.reading import Labels, open_labels
+from pipeline.labels.store import Store
+from pipeline.language.counted import counted
+from pipeline.system.errors import InputError
+from pipeline.system.staging import check_target
+from spatialviz.cli_labels import Export, Import
+from spatialviz.options import BAD, FINE, NO, DatasetOptions, JournalOptions, warn
+from spatialviz.printing import rate_bar, say
+
+
+def run_export(command: Export) -> None:
+    automatic = open_labels(command.labels)
+    options = None
+    if command.licence is not None:
+        if command.format != "parquet":
+            raise InputError("--licence is for the card of --format parquet")
+        options = HubConfig(licence=command.licence)
+    if not command.corrected and command.journal != JournalOptions():
+        raise InputError("--journal and --project go with --corrected")
+    _keep(automatic, command.out)
+    with _labels(command, automatic) as labels, rate_bar("exporting", "frames") as advance:
+        report = export_labels(
+            labels,
+            command.format,
+            command.out,
+            images=command.images,
+            dataset=_pictures(command, automatic),
+            overwrite=command.overwrite,
+            options=options,
+            progress=advance,
+        )
+    for note in report.notes:
+        warn(note)
+    if command.format in ("coco", "vqa") and command.images == "none":
+        warn("the files name images/ that are not there; --images copy writes them")
+    rows = ", ".join(f"{count} {name}" for name, count in report.rows.items())
+    say(f"{rows} -> {command.out}")
+
+
+@contextmanager
+def _labels(command: Export, automatic: Labels) -> Iterator[Labels]:
+    """What is exported: the labels as they are, or with the journal applied, in a folder that does not stay."""
+    if not command.corrected:
+        yield automatic
+        return
+
+    if automatic.manifest.corrections is not None:
+        raise InputError("these labels are corrected already", cause="leave --corrected out", path=command.labels)
+    check_target(command.out, overwrite=command.overwrite, mark=MARK)
+    with tempfile.TemporaryDirectory(prefix="spatialviz-") as folder:
+        where = Path(folder) / "corrected"
+        with command.journal.open(automatic, must_exist=True) as journal:
+            dataset = DatasetOptions(dataset=command.dataset).open(automatic)
+            _, found = materialise(automatic, journal, where, dataset=dataset)
+        if stale := found.counts["stale"]:
+            warn(f"{stale} values are stale: they need the dataset (--dataset)")
+        yield open_labels(where)
+
+
+def _pictures(command: Export, labels: Labels) -> Dataset | None:
+    if command.images != "copy" and not (command.format == "vqa" and command.dataset is not None):
+        return None
+
+    if labels.manifest.corrections is not None:
+        # A folder of corrected labels has no plan; its manifest names the dataset.
+        return None if command.dataset is None else DatasetOptions(dataset=command.dataset).open(labels)
+    plan = load_plan(Store(command.labels))
+    spec = plan.spec if command.dataset is None else type(plan.spec)(command.dataset, plan.spec.options)
+    return spec.open(plan.config).dataset
+
+
+def run_import(command: Import) -> int:
+    labels = open_labels(command.labels)
+    config = ImportConfig(
+        format=command.format,
+        base=command.base,
+        deleted=command.deleted,
+        crowds=command.crowds,
+        outline=command.outline,
+        skip_conflicts=command.skip_conflicts,
+        reason=command.reason,
+        dry_run=command.dry_run,
+    )
+    with _journal(command, labels) as journal:
+        report = import_corrections(
+            labels, journal, command.file, command.author, config, open_dataset=lambda: command.source.open(labels)
+        )
+    command.write(import_record(report), print_import, report, command.show)
+    if report.problems:
+        count, first = len(report.problems), report.problems[0]
+        more = f" (and {count - 1} more problems)" if count > 1 else ""
+        warn(f"error: {first}{more}; nothing was saved")
+        return BAD
+    return NO if report.conflicts else FINE
+
+
+@contextmanager
+def _journal(command: Import, labels: Labels) -> Iterator[Journal | None]:
+    """The journal; a dry run makes none where there is none."""
+    text = command.journal.journal
+    missing = not (text is not None and is_url(text)) and not Path(text or labels.root / JOURNAL_FILE).exists()
+    if command.dry_run and missing:
+        yield None
+        return
+    with command.journal.open(labels) as journal:
+        yield journal
+
+
+def _keep(labels: Labels, out: Path) -> None:
+    target, root = out.expanduser().resolve(), labels.root.resolve()
+    if target == root or target in root.parents:
+        raise InputError("an export cannot replace the labels", expected="another folder", path=out)
+
+
+def print_import(report: ImportReport, show: int) -> None:
+    """What a file changes, and what stands against it."""
+    for edit in report.edits[:show]:
+        values = (shown_value(edit.cell, value) for value in (edit.before, edit.after))
+        say(f"{edit.cell}: {' -> '.join(values)}")
+    for lines, style in ((report.conflicts, "yellow"), (report.problems, "red"), (report.notes, "dim")):
+        for line in lines[:show]:
+            say(line, style=style)
+        if len(lines) > show:
+            say(f"and {len(lines) - show} more", style=style)
+    if len(report.edits) > show:
+        say(f"and {counted(len(report.edits) - show, 'more change')}")
+    changes = f"{counted(len(report.edits), 'change')}, {report.agreed} made here already"
+    against = f"{counted(len(report.conflicts), 'conflict')}, {counted(len(report.problems), 'problem')}"
+    say(f"{counted(report.compared, 'row')} compared, {changes}, {against}")
+    saved = report.saved
+    say("nothing was saved" if saved is None else f"saved: {counted(len(saved.events), 'change')}, group {saved.group}")

@@ -1,0 +1,209 @@
+"""Labelling, merging and checking, and what a person reads of them."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Iterable
+from typing import Any
+
+from rich.text import Text
+
+from pipeline.geometry.lifting import LiftConfig
+from pipeline.labels.check import check_labels, finding_record
+from pipeline.labels.check.findings import Finding
+from pipeline.labels.config import LabelConfig, SelectConfig
+from pipeline.labels.job import LabelReport, label_dataset
+from pipeline.labels.makers import makers_of
+from pipeline.labels.merge import merge_labels
+from pipeline.labels.reading import open_labels
+from pipeline.labels.report import check_report_folder, need_matplotlib, write_report
+from pipeline.labels.schema import Manifest
+from pipeline.labels.statistics import label_statistics
+from pipeline.language.counted import counted
+from pipeline.system.errors import InputError, MissingExtra
+from spatialviz.cli_labels import Check, Label, Merge, Selection
+from spatialviz.options import FINE, NO, print_json, task_of, warn
+from spatialviz.printing import print_rows, rate_bar, say
+from spatialviz.printing_statistics import print_statistics
+
+COLORS = {"error": "red", "warning": "yellow"}
+
+
+def run_label(command: Label) -> int:
+    config = LabelConfig(
+        profile=command.profile,
+        vocabulary=command.vocabulary,
+        lift=LiftConfig(box=command.box),
+        style=command.style,
+        seed=command.seed,
+        second_opinion=command.second_opinion,
+    )
+    part, spec, selection = task_of(command.shard), command.source.spec(command.dataset), _selection(command.selection)
+    try:
+        with rate_bar("labelling", "frames") as advance:
+            report = label_dataset(
+                spec,
+                command.out,
+                config,
+                selection,
+                engine=command.engine,
+                workers=command.workers,
+                part=part,
+                resume=command.resume,
+                limit=command.limit,
+                frames_of=command.frames_of,
+                gpus_a_detector=command.gpus_a_detector,
+                progress=advance,
+            )
+    except KeyboardInterrupt:
+        more = "run the same command again" + ("" if part else " with --resume")
+        warn(f"finished shards are kept in {command.out}; to go on, {more}")
+        raise
+    command.write(label_record(report), print_labelled, report, command.out)
+    # A task of more than there are shards has nothing to do, and that is fine.
+    return FINE if report.frames > report.broken or not report.frames else NO
+
+
+def run_merge(command: Merge) -> None:
+    manifest = merge_labels(command.labels, _selection(command.selection), command.to)
+    command.write(json.loads(manifest.model_dump_json()), print_manifest, manifest, str(command.to or command.labels))
+
+
+def run_check(command: Check) -> int:
+    labels = open_labels(command.labels)
+    if command.report is not None:
+        check_report_folder(command.report)
+    statistics = problem = None
+    try:
+        statistics = label_statistics(labels)
+    except InputError as error:
+        # A damaged table is first of all a finding.
+        problem = error
+    found = check_labels(labels, rules=command.rules or None)
+    errors = 0
+    for finding in found if command.json else ():
+        errors += finding.severity == "error"
+        print_json(finding_record(finding))
+    if statistics is not None:
+        record = {"statistics": statistics, "makers": makers_of(labels.manifest).record()}
+        command.write(record, print_statistics, statistics, labels)
+    if not command.json:
+        errors = print_findings(found, command.show)
+    if problem is not None and not errors:
+        raise problem
+    if command.report is not None and statistics is not None:
+        page = write_report(labels, statistics, command.report)[0]
+        if why := MissingExtra.missing(need_matplotlib):
+            warn(f"the pictures are left out: {why}")
+        if not command.json:
+            say(f"-> {page}")
+    return NO if errors else FINE
+
+
+def _selection(options: Selection) -> SelectConfig:
+    """The same as the core takes it."""
+    telling = not options.keep_vague
+    return SelectConfig(
+        options.expressions, options.per_frame, options.balance or None, options.selection_seed, telling
+    )
+
+
+def label_record(report: LabelReport) -> dict[str, Any]:
+    """`label --json`."""
+    manifest = report.manifest
+    return {
+        "frames": report.frames,
+        "reused": report.reused,
+        "broken": report.broken,
+        "frames_up_assumed": None if manifest is None else manifest.counts["frames_up_assumed"],
+        "objects": report.objects,
+        "pairs": report.pairs,
+        "candidates": report.candidates,
+        "seconds": round(report.seconds, 3),
+        "expressions": None if manifest is None else manifest.counts["expressions"],
+        "hashes": None if manifest is None else {n: t.content_hash for n, t in manifest.tables.items()},
+    }
+
+
+def print_labelled(report: LabelReport, out: str) -> None:
+    """Counts, speed, and what to do next."""
+    new = report.frames - report.reused
+    rate = f", {new / report.seconds:.1f} frames/s" if new and report.seconds else ""
+    reused = f" ({report.reused} were there already)" if report.reused else ""
+    say(
+        f"{counted(report.frames, 'frame')}{reused}: {counted(report.objects, 'object')}, "
+        f"{counted(report.pairs, 'pair')}, "
+        f"{report.candidates} candidate expressions in {report.seconds:.1f} s{rate}"
+    )
+    if report.broken:
+        say(f"{counted(report.broken, 'frame')} could not be used; the manifest says why", style="yellow")
+    if report.manifest is None:
+        say(f"-> {out}; when all shards are there: spatialviz merge {out}")
+    else:
+        print_manifest(report.manifest, out)
+
+
+def print_manifest(manifest: Manifest, out: str) -> None:
+    """What was merged, and its hashes."""
+    say(
+        f"{manifest.counts['expressions']} of {manifest.counts['candidates']} candidate expressions kept, "
+        f"rules {manifest.profile['name']} {manifest.profile_hash[:12]}, settings {manifest.config_hash[:12]}"
+    )
+    rows = ((name, str(entry.rows), entry.content_hash[:16]) for name, entry in manifest.tables.items())
+    print_rows(("table", ">rows", "hash of its rows"), rows)
+    for warning in manifest.warnings[:5]:
+        say(warning, style="yellow")
+    if len(manifest.warnings) > 5:
+        say(f"and {len(manifest.warnings) - 5} more, in the manifest", style="yellow")
+    say(f"-> {out}", style="dim")
+
+
+def print_findings(findings: Iterable[Finding], show: int) -> int:
+    """How much was found by each rule, then up to `show` findings of each, errors first; returns how many are errors.
+
+    Findings may be many: those that are not shown are counted and let go.
+    """
+    counts: Counter[tuple[str, str]] = Counter()
+    kept: dict[str, dict[str, list[Finding]]] = {}
+    for finding in findings:
+        counts[finding.rule, finding.severity] += 1
+        of_rule = kept.setdefault(finding.rule, {"error": [], "warning": []})
+        if len(of_rule[finding.severity]) < show:
+            of_rule[finding.severity].append(finding)
+    rules = sorted(kept, key=lambda r: (not counts[r, "error"], r))
+    if rules:
+        counts_of_rules = ((r, *(_number(counts[r, severity], COLORS[severity]) for severity in COLORS)) for r in rules)
+        print_rows(("rule", ">errors", ">warnings"), counts_of_rules)
+    for rule in rules if show > 0 else ():
+        say()
+        shown = [*kept[rule]["error"], *kept[rule]["warning"]][:show]
+        for finding in shown:
+            say(_line(finding))
+        more = counts[rule, "error"] + counts[rule, "warning"] - len(shown)
+        if more:
+            say(f"and {more:,} more of {rule}", style="dim")
+    errors, warnings = (sum(n for (_, s), n in counts.items() if s == severity) for severity in ("error", "warning"))
+    if rules:
+        say()
+    color = "red" if errors else "yellow" if warnings else "green"
+    say(f"{counted(errors, 'error')}, {counted(warnings, 'warning')}", style=color)
+    return errors
+
+
+def _line(finding: Finding) -> Text:
+    where = [] if finding.frame is None else [finding.frame]
+    if finding.objects:
+        where.append(("object " if len(finding.objects) == 1 else "objects ") + ", ".join(map(str, finding.objects)))
+    figures = ", ".join(f"{k} {v:.4g}" if isinstance(v, float) else f"{k} {v}" for k, v in finding.figures.items())
+    return Text.assemble(
+        (finding.rule, COLORS[finding.severity]),
+        "  ",
+        (" ".join([*where, ""]), "dim"),
+        finding.message,
+        (f"  ({figures})" if figures else "", "dim"),
+    )
+
+
+def _number(count: int, color: str) -> Text:
+    return Text(f"{count:,}", color) if count else Text("0", "dim")

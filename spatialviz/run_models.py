@@ -1,0 +1,333 @@
+"""Detectors run, compared and calibrated; which networks can be used."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from rich.text import Text
+
+from pipeline.answering.agreement.agreement import FrameAgreement
+from pipeline.answering.agreement.agreement_figures import AgreementFigures, figures
+from pipeline.answering.agreement.frames import agree_frames, agreement_record
+from pipeline.answering.calibrating import annotated_names, calibrate_scores
+from pipeline.answering.model_catalogue import (
+    Adapter,
+    FileReport,
+    Here,
+    adapters,
+    describe_file,
+    is_fetched,
+    look_around,
+)
+from pipeline.answering.recording import RecordingReport, record_detections
+from pipeline.proposals.contracts import Contract
+from pipeline.proposals.mismatch import BOXES, shapes
+from pipeline.proposals.score_calibration import ScoreCalibration, save_calibration
+from pipeline.system.errors import InputError
+from pipeline.system.execution import ACCELERATORS
+from pipeline.system.model_files import KnownModel
+from spatialviz.cli_models import Agree, Calibrate, Detect, Models
+from spatialviz.options import ALL_FRAMES, FINE, NO, warn_skipped
+from spatialviz.printing import figure, print_rows, rate_bar, say
+
+SHOWN_NAMES = 8
+
+
+def run_detect(command: Detect) -> None:
+    source, frame_ids = command.source.open(command.dataset)
+    names = command.classes or source.dataset.class_names or None
+    with rate_bar("detecting", "frames") as advance:
+        report = record_detections(source, command.out, names, advance, frame_ids=frame_ids)
+    for frame_id, reason in report.skipped.items():
+        warn_skipped(frame_id, reason)
+    record = {
+        "frames": report.frames,
+        "detections": report.detections,
+        "skipped": report.skipped,
+        "unknown": list(report.unknown),
+        "seconds": round(report.seconds, 3),
+        "classes": report.classes,
+    }
+    command.write(record, print_recorded, report, command, names or ())
+
+
+def print_recorded(report: RecordingReport, command: Detect, names: Sequence[str]) -> None:
+    """What was found, by class, and what was asked for where nothing was."""
+    say(f"{report.detections} detections in {report.frames} frames, {report.seconds:.1f} s -> {command.out}")
+    if report.classes:
+        say(", ".join(f"{name} {count}" for name, count in report.classes.items()))
+    if report.unknown:
+        say("not known to the detector: " + ", ".join(report.unknown))
+    if not report.detections and not command.classes:
+        say(f"asked for the dataset's classes: {', '.join(names)}; others: --classes NAME ...")
+
+
+def run_agree(command: Agree) -> int:
+    if command.frame != ALL_FRAMES and command.source.frames != ALL_FRAMES:
+        raise InputError("frames are named twice", got=f"{command.frame} and --frames {command.source.frames}")
+    source, _ = command.source.open(command.dataset, command.also)
+    frames = command.source.frames if command.frame == ALL_FRAMES else command.frame
+    names = source.sides
+    found = []
+    with rate_bar("comparing", "frames") as advance:
+        for frame_id, one in agree_frames(
+            source,
+            frames,
+            names=command.classes or None,
+            min_iou=command.iou,
+            skipped=warn_skipped,
+            progress=advance,
+        ):
+            found.append(one)
+            if command.json or command.frame != ALL_FRAMES:
+                record = agreement_record(frame_id, one, source.synonyms)
+                command.write(record, print_frame_agreement, frame_id, one)
+    sums = figures(found, source.synonyms)
+    command.write({"detectors": names, **sums.record()}, print_agreement, sums, names)
+    return FINE if sums.a + sums.b else NO
+
+
+def run_calibrate(command: Calibrate) -> int:
+    source, frame_ids = command.source.open(command.dataset)
+    everything = source.dataset.class_names
+    with rate_bar("detecting", "frames") as advance:
+        calibration, report = calibrate_scores(
+            source,
+            frame_ids,
+            annotated_names if command.names == "frame" else lambda frame: everything,
+            progress=advance,
+            skipped=warn_skipped,
+        )
+    save_calibration(calibration, command.out, report)
+    command.write(
+        {"a": calibration.a, "b": calibration.b, "detector": calibration.detector, **report},
+        print_calibration,
+        calibration,
+        report,
+        command.out,
+    )
+    return FINE if report["fitted"] else NO
+
+
+def run_models(command: Models) -> int:
+    if not command.files:
+        known, here = adapters(), look_around()
+        command.write(catalogue_record(known, here), print_catalogue, known, here)
+        return FINE
+    reports = [describe_file(path) for path in command.files]
+    command.write({"files": [file_record(r) for r in reports]}, print_files, reports)
+    return FINE if all(r.kind is not None and r.kind.options for r in reports) else NO
+
+
+def print_frame_agreement(frame_id: str, found: FrameAgreement) -> None:
+    """What the two detectors disagree on in one frame, row by row."""
+    say(("frame ", "dim"), frame_id, (f"  {int(found.same.sum())} things alike", ""))
+    pairs = ((p, *found.pairs[p].tolist()) for p in found.named_otherwise.tolist())
+    a = [(Text(name), f"{score:.2f}") for name, score in zip(found.labels_a, found.scores_a, strict=True)]
+    b = [(Text(name), f"{score:.2f}") for name, score in zip(found.labels_b, found.scores_b, strict=True)]
+    rows = [
+        *(("named otherwise", *a[i], *b[j], f"{found.iou[p]:.2f}") for p, i, j in pairs),
+        *(("only A", *a[i], "", "", f"{found.nearest_a[i]:.2f}") for i in found.only_a.tolist()),
+        *(("only B", "", "", *b[j], f"{found.nearest_b[j]:.2f}") for j in found.only_b.tolist()),
+    ]
+    if rows:
+        print_rows(("", "A", ">score", "B", ">score", ">IoU"), rows)
+        say("IoU of what one found alone: with the nearest of the other's", style="dim")
+
+
+def print_agreement(sums: AgreementFigures, detectors: Sequence[str]) -> None:
+    """The figures of all frames, and the table of classes."""
+    a, b = detectors
+    say(("A ", "dim"), a, ("   B ", "dim"), b, (f"   {sums.frames} frames", "dim"))
+    say(f"{sums.both} things alike, {sums.otherwise} named otherwise, {sums.only_a} only A, {sums.only_b} only B")
+    if sums.beyond_a or sums.beyond_b:
+        beyond = f"of classes that the other does not know: {sums.beyond_a} of A, {sums.beyond_b} of B (not counted)"
+        say(beyond, style="dim")
+    say(
+        f"agreement {shown(sums.share)}, whatever the name {shown(sums.share_placed)}; kappa of names "
+        f"{shown(sums.name_kappa)}; mean IoU {shown(sums.mean_iou)}; score correlation {shown(sums.score_correlation)}"
+    )
+    if not sums.classes:
+        return
+    counts = ("A", "B", "alike", "otherwise", "only A", "only B", "agreement", "mean IoU")
+    print_rows(
+        ("class", *(f">{name}" for name in counts)),
+        (
+            (
+                row.name,
+                *map(str, (row.a, row.b, row.both, row.otherwise, row.only_a, row.only_b)),
+                shown(row.share),
+                shown(row.mean_iou),
+            )
+            for row in sums.classes
+        ),
+    )
+    if sums.renamed:
+        names = ", ".join(f"{a}/{b} {n}" for a, b, n in sums.renamed[:SHOWN_NAMES])
+        more = len(sums.renamed) - SHOWN_NAMES
+        say(f"named otherwise, A/B: {names}" + (f" and {more} more" if more > 0 else ""))
+        say("names that mean the same can be declared in a file: --synonyms", style="dim")
+
+
+def shown(value: float | None) -> str:
+    """Two decimals; a dash where there is no figure."""
+    return figure(value, ".2f", "–")
+
+
+def print_calibration(calibration: ScoreCalibration, report: dict[str, Any], out: Path) -> None:
+    """The sigmoid, and how well scores say how often they are right, before and after it."""
+    say(
+        f"{report['detections']} detections in {report['frames']} frames, {report['hits']} of them hits: "
+        f"a = {calibration.a:.3f}, b = {calibration.b:+.3f}"
+    )
+    if not report["fitted"]:
+        reason = f"scores stay as they are: a fit needs at least {report['fewest']} hits and as many misses"
+        say(reason + ", and must rise with the score", style="yellow")
+    times = ("before", "after")
+    print_rows(
+        ("", ">Brier", ">ECE", ">log loss"),
+        ((name, *(f"{report[name][k]:.4f}" for k in ("brier", "ece", "log_loss"))) for name in times),
+    )
+    bins = [{round(row["low"], 2): _reliability(row) for row in report[name]["reliability"]} for name in times]
+    print_rows(
+        (">score", ">before: n", ">mean score", ">hits", ">after: n", ">mean score", ">hits"),
+        (
+            (f"{low:.1f}-{low + 0.1:.1f}", *(cell for side in bins for cell in side.get(low, ("", "", ""))))
+            for low in sorted({low for side in bins for low in side})
+        ),
+    )
+    say("after: each half of the frames under the fit of the other half", style="dim")
+    say(f"-> {out}")
+
+
+def _reliability(row: dict[str, Any]) -> tuple[str, str, str]:
+    return str(row["count"]), f"{row['score']:.3f}", f"{row['hits']:.3f}"
+
+
+def catalogue_record(known: Sequence[Adapter], here: Here) -> dict[str, Any]:
+    """As JSON."""
+    return {
+        "adapters": [
+            {
+                "option": a.option,
+                "needs": a.needs,
+                "contracts": [asdict(c) for c in a.contracts],
+                "models": [{**asdict(m), "fetched": is_fetched(m)} for m in a.known],
+            }
+            for a in known
+        ],
+        "onnxruntime": here.version,
+        "providers": list(here.providers),
+        "fetched": [{"id": name, "path": str(path)} for name, path in here.fetched],
+        "relation_networks": [{"name": name, "path": str(path)} for name, path in here.networks],
+    }
+
+
+def print_catalogue(known: Sequence[Adapter], here: Here) -> None:
+    """Adapters with their contracts and public files, then what this machine has."""
+    for adapter in known:
+        say(adapter.option, style="bold")
+        if adapter.needs:
+            say(f"  not installed: pip install 'spatialviz[{adapter.needs}]'", style="yellow")
+        for contract in adapter.contracts:
+            say(f"  {contract.what}")
+            say(f"    {_tensors(contract)}", style="dim")
+        for model in adapter.known:
+            for line in _model_lines(model):
+                say(f"  {line}", style="cyan")
+    say("here", style="bold")
+    say(f"  ONNX Runtime {here.version}, --provider {' or '.join(_choices(here.providers))}")
+    for name, path in here.fetched:
+        say(f"  fetched {name} -> {path}")
+    for name, path in here.networks:
+        say(f"  relation network --srm {name} -> {path}")
+    if not here.fetched and not here.networks:
+        say("  no model was fetched, and no relation network installed", style="dim")
+
+
+def _tensors(contract: Contract) -> str:
+    return shapes(contract.inputs) + (f" -> {shapes(contract.outputs)}" if contract.outputs else "")
+
+
+def _model_lines(model: KnownModel) -> list[str]:
+    """A model and its files, a line each."""
+    state = " (fetched)" if is_fetched(model) else ""
+    lines = [f"{model.name}, {model.licence}{state}" + (f". {model.note}" if model.note else "")]
+    for file in model.files:
+        where = f"{model.repo}:{file.file}" if model.repo else file.file
+        size = "" if file.megabytes is None else f", {file.megabytes:g} MB"
+        lines.append(f"  {where}{size}" + ("" if file.sha256 is None else f", sha256 {file.sha256[:12]}…"))
+    return lines
+
+
+def file_record(report: FileReport) -> dict[str, Any]:
+    """As JSON."""
+    return {
+        "path": str(report.path),
+        "megabytes": report.megabytes,
+        "inputs": [asdict(s) for s in report.inputs],
+        "outputs": [asdict(s) for s in report.outputs],
+        "what": None if report.kind is None else report.kind.what,
+        "options": [] if report.kind is None else list(report.kind.options),
+        "advice": None if report.kind is None else report.kind.advice or None,
+        "missing": list(report.missing),
+        "class_names": len(report.class_names),
+        "names": list(report.class_names),
+        "problem": report.problem,
+    }
+
+
+def print_files(reports: Sequence[FileReport]) -> None:
+    """What each file is."""
+    for report in reports:
+        print_file(report)
+
+
+def print_file(report: FileReport) -> None:
+    """What a file is, in a few lines."""
+    size = "" if report.megabytes is None else f", {_size(report.megabytes)}"
+    say(f"{report.path}{size}", style="bold")
+    if report.problem is not None:
+        say(f"  {report.problem}", style="red")
+        return
+    say(f"  {shapes(report.inputs)} -> {shapes(report.outputs)}", style="dim")
+    if report.kind is None:
+        say("  no option reads it; a detector of boxes can be described in a TOML file", style="yellow")
+        return
+    say(f"  {report.kind.sentence}", style="" if report.kind.options else "yellow")
+    if report.class_names:
+        say(f"  {len(report.class_names)} class names inside: {', '.join(report.class_names)}")
+    for what in report.missing:
+        say(f"  missing: {what}", style="yellow")
+    for line in _commands(report):
+        say(f"    {line}", style="cyan")
+
+
+def _choices(providers: Sequence[str]) -> list[str]:
+    """Those of ONNX Runtime's providers that can be asked for."""
+    return [*(name for name, own in ACCELERATORS.items() if own in providers), "cpu"]
+
+
+def _commands(report: FileReport) -> list[str]:
+    """The options that use a file, to be copied."""
+    assert report.kind is not None
+    path, lines = shlex.quote(str(report.path)), []
+    for option in report.kind.options:
+        face, _, name = option.partition(" ")
+        if face == "--detector":
+            more = " --model-config FILE.toml" if option == BOXES and report.missing else ""
+            lines.append(f"{option} --model {path}{more}")
+        elif face == "--segmenter":
+            pair = f"{path} DECODER.onnx" if "encoder" in report.kind.what else f"ENCODER.onnx {path}"
+            lines.append(f"{option} --segmenter-model {path if name == 'yolo-seg' else pair}")
+        else:
+            lines.append(f"{face} {path}")
+    return lines
+
+
+def _size(megabytes: float) -> str:
+    return f"{megabytes:.1f} MB" if megabytes >= 0.1 else f"{megabytes * 1000:.1f} kB"

@@ -1,0 +1,247 @@
+"""Training of relation networks, and its figures."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from pipeline.corrections.review.retraining import RetrainConfig, Retraining, retrain
+from pipeline.corrections.review.retraining_run import RetrainingJob, RetrainingRun, run_retraining
+from pipeline.labels.reading import open_labels
+from pipeline.language.counted import counted
+from pipeline.language.relation_names import PHRASE
+from pipeline.metrics.tables import shown
+from pipeline.relations.features import CLI_FEATURES
+from pipeline.relations.installed import install_network
+from pipeline.system.errors import InputError
+from pipeline.training.card import RoomConfig, train_on_rooms
+from pipeline.training.label_training import LabelTraining, train_on_labels
+from pipeline.training.train import Epoch, TrainConfig
+from spatialviz.cli_models import Install, Retrain, Train
+from spatialviz.options import warn
+from spatialviz.printing import figure, print_rows, print_table, progress_bars, say
+
+ROOMS = "rooms"
+OF_ROOMS = ("rooms", "views", "width", "height")
+"""Options of training on rooms alone."""
+FIGURES = {"precision": "precision", "recall": "recall", "F1": "f1"}
+BARS = "▁▂▃▄▅▆▇█"
+SHOWN_CELLS = 5
+
+
+def run_train(command: Train) -> None:
+    on_rooms = command.labels == ROOMS
+    card = _on_rooms(command) if on_rooms else _on_labels(command)
+    command.write(card, print_training if on_rooms else print_label_training, card, command.out)
+
+
+def _config(command: Train) -> TrainConfig:
+    features = command.features or ("rel26" if command.labels == ROOMS else "rel14")
+    return TrainConfig(
+        CLI_FEATURES[features], command.vocabulary, batch=command.batch, epochs=command.epochs, seed=command.seed
+    )
+
+
+def _on_labels(command: Train) -> dict:
+    _refuse(command, "the word rooms", OF_ROOMS)
+    job = LabelTraining(
+        Path(command.labels), _config(command), command.split, command.vectors, command.normalised, command.pairs
+    )
+    with epoch_bar(command.epochs) as tell:
+        return train_on_labels(job, command.out, tell)
+
+
+def _on_rooms(command: Train) -> dict:
+    _refuse(command, "a labels folder", ("vectors", "split", "pairs", "normalised"))
+    given = {name: getattr(command, name) for name in OF_ROOMS if getattr(command, name) is not None}
+    with progress_bars() as advance:
+        return train_on_rooms(
+            command.out,
+            RoomConfig(**given, seed=command.seed),
+            _config(command),
+            workers=command.workers,
+            progress=advance,
+        )
+
+
+def _refuse(command: Train, needed: str, names: tuple[str, ...]) -> None:
+    """Options that say nothing about what is trained on are a mistake, not to be passed over."""
+    for name in names:
+        if getattr(command, name) not in (None, False):
+            raise InputError(f"--{name} belongs to training on {needed}", got=f"training on {command.labels!r}")
+
+
+def run_retrain(command: Retrain) -> None:
+    train = TrainConfig(CLI_FEATURES[command.features], epochs=command.epochs, batch=command.batch, seed=command.seed)
+    config = RetrainConfig(train, command.split)
+    if command.after is None:
+        options = command.source.camera()
+        job = RetrainingJob(
+            command.labels,
+            command.out,
+            command.journal.journal,
+            command.journal.project,
+            command.source.dataset,
+            options,
+            command.run_folder,
+            config,
+            command.workers,
+        )
+        with progress_bars() as advance:
+            done = run_retraining(job, advance)
+        command.write(done.record(), print_retraining_run, done)
+        return
+    if command.run_folder is not None:
+        raise InputError("--run goes with the labels' own journal, not with AFTER")
+    if command.out.suffix != ".onnx":
+        raise InputError("with AFTER, --out is the ONNX file to write", got=str(command.out))
+    with progress_bars() as advance:
+        found = retrain(
+            open_labels(command.labels),
+            open_labels(command.after),
+            command.out,
+            config,
+            progress=lambda name, epoch: advance(f"epochs {name}", epoch.number, command.epochs),
+        )
+    command.write(found.record(), print_retraining, found, command.out)
+
+
+def run_install(command: Install) -> None:
+    done = install_network(command.network, command.name, overwrite=command.overwrite)
+    command.write({"name": done.name, "path": str(done.path)}, say, f"--srm {done.name} is now {done.path}")
+
+
+@contextmanager
+def epoch_bar(total: int) -> Iterator[Callable[[Epoch], None]]:
+    """A bar of epochs with the loss and the metric so far, on a terminal; yields a function of an epoch."""
+    seen: list[Epoch] = []
+    with progress_bars() as advance:
+
+        def tell(epoch: Epoch) -> None:
+            seen.append(epoch)
+            curve = f"loss {sparkline([e.loss for e in seen])} {epoch.loss:.4f}"
+            metrics = [e.metric for e in seen if e.metric is not None]
+            if metrics:
+                curve += f"  held out {sparkline(metrics)} {metrics[-1]:.4f}"
+            advance("epochs", epoch.number, total, curve)
+
+        yield tell
+
+
+def sparkline(values: list[float]) -> str:
+    """A curve in one line of text."""
+    low, high = min(values), max(values)
+    span = high - low or 1.0
+    return "".join(BARS[round((v - low) / span * (len(BARS) - 1))] for v in values)
+
+
+def print_label_training(card: dict[str, Any], out: Path) -> None:
+    """The curve of a training on labels, and its figures on frames it has not seen."""
+    training, split, report = card["training"], card["split"], card["held_out"]
+    frames = split["frames"]
+    say(
+        f"{card['name']}, {' '.join(training['relations'])}: {training['pairs']} pairs of {frames['train']} frames, "
+        f"{training['epochs']} epochs; split by {split['kind']}, held out: {report['pairs']} pairs of "
+        f"{frames['test']} frames"
+    )
+    metric = next(key for key in training["curve"][0] if key.startswith("validation_"))
+    print_rows(
+        (">epoch", ">loss", ">" + metric.replace("validation_", "validation ").replace("_", "-")),
+        ((str(epoch["epoch"]), f"{epoch['loss']:.4f}", figure(epoch[metric])) for epoch in training["curve"]),
+    )
+    print_rows(
+        ("relation", *(f">{name}" for name in FIGURES), ">positives"),
+        (
+            (name, *(figure(r[key]) for key in FIGURES.values()), str(r["positives"]))
+            for name, r in report["relations"].items()
+        ),
+    )
+    if training["output"] == "softmax":
+        say(
+            f"top-1 {figure(report['top1'])}, top-2 {figure(report['top2'])}, top-1 with the prior divided out "
+            f"{figure(report['top1_prior_divided'])}, mean recall {figure(report['mean_recall'])}; "
+            f"always the most frequent: {figure(report['most_frequent'])}"
+        )
+    else:
+        say(
+            f"micro-F1 {figure(report['micro_f1'])}, macro-F1 {figure(report['macro_f1'])}, element accuracy "
+            f"{figure(report['element_accuracy'])} (always no: {figure(report['all_negative_accuracy'])}), "
+            f"Brier {figure(report['brier'])}, ECE {figure(report['ece'])}"
+        )
+    say(f"weights {card['weights_xxh3_128']}")
+    for warning in card["warnings"]:
+        warn(warning)
+    say(f"-> {out}, card {out.with_suffix('.json')}")
+
+
+def print_training(card: dict[str, Any], out: Path) -> None:
+    """The figures of a trained network on rooms it has not seen, beside those of the rule and of always saying no."""
+    network, rule = card["held_out"]["network"], card["held_out"]["rule"]
+    rooms, training = card["rooms"], card["training"]
+    say(
+        f"{card['name']}: {training['pairs']} pairs of {rooms['rooms']} rooms, {training['epochs']} epochs; "
+        f"held out: {network['pairs']} pairs in {card['held_out']['views']} views of other rooms"
+    )
+    print_rows(
+        ("relation", *(f">{name}" for name in FIGURES), ">rule's F1", ">positives"),
+        (
+            (name, *(figure(r[key]) for key in FIGURES.values()), figure(of_rule["f1"]), str(r["positives"]))
+            for (name, r), of_rule in zip(network["relations"].items(), rule["relations"].values(), strict=True)
+        ),
+    )
+    measured = [
+        (
+            name,
+            *(figure(r[k]) for k in ("micro_f1", "macro_f1", "element_accuracy", "brier", "ece")),
+            *(figure(r["clear_cut"][k], ".2%") for k in ("holds", "opposite")),
+        )
+        for name, r in (("network", network), ("rule", rule))
+    ]
+    bare = network["uncalibrated"]
+    measured += [
+        ("uncalibrated", figure(bare["micro_f1"]), "", "", figure(bare["brier"]), figure(bare["ece"])),
+        ("always no", "0", "0", figure(network["all_negative_accuracy"])),
+    ]
+    columns = ("micro-F1", "macro-F1", "element accuracy", "Brier", "ECE", "clear-cut", "opposite")
+    print_rows(("", *(f">{name}" for name in columns)), measured)
+    d = network["differing"]
+    say(
+        f"where the rule on the noisy view and exact geometry differ ({d['cells']} cells): "
+        f"network wrong {d['errors']}, rule wrong {d['rule_errors']}"
+    )
+    say(f"-> {out}, card {out.with_suffix('.json')}")
+
+
+def print_retraining(found: Retraining, out: Path) -> None:
+    """The table before and after, and the cells that changed most."""
+    print_table(found.table())
+    for title, count, cells in (
+        ("became right", found.counts[0], found.better),
+        ("became wrong", found.counts[1], found.worse),
+    ):
+        say(f"{title}: {count} held-out cells", style="bold")
+        for cell in cells[:SHOWN_CELLS]:
+            say(
+                f"  frame {cell['frame']}: {cell['a']} {PHRASE[cell['relation']]} {cell['b']} is {cell['label']}: "
+                f"{cell['before']:.2f} -> {cell['after']:.2f}"
+            )
+    say(f"-> {out}, {out.with_suffix('.comparison.md')}", style="dim")
+
+
+def print_retraining_run(done: RetrainingRun) -> None:
+    """What the corrections did: to the labels, to the network, to the answers."""
+    say(f"{counted(done.corrections['events'], 'event')} of the journal")
+    print_retraining(done.retraining, done.network)
+    if done.in_use is not None:
+        before, after = (shown(f.micro_f1) for f in (done.in_use.before, done.in_use.after))
+        say(f"the network in use: micro-F1 {before} on the same pairs; the new one {after}")
+    for title, found in (("the labels alone", done.mended), ("the new network", done.replay)):
+        if found is not None:
+            gain = found.differences[found.measure]
+            say(
+                f"{title}: {len(found.fixed)} answers became right, {len(found.broken)} wrong, of {found.shared} "
+                f"({gain.value * 100:+.1f} points [{gain.low * 100:.1f}, {gain.high * 100:.1f}])"
+            )
+    say(f"-> {done.folder}; spatialviz install {done.network} --name NAME takes it into use", style="dim")

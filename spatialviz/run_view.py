@@ -1,0 +1,142 @@
+"""Opens the page."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+from platformdirs import user_data_path
+
+from pipeline.answering.opening import Pipeline, open_pipeline, open_sources
+from pipeline.corrections.journal_place import JournalPlace, journal_words
+from pipeline.datasets.demo import DEMO_NAME, demo_run
+from pipeline.diagnosis.whatif.state import ViewState, decode
+from pipeline.evaluation.run_folder import RUN_FILE, Run, open_run
+from pipeline.labels.pictures import labelled_up
+from pipeline.labels.reading import Labels, open_labels
+from pipeline.system.errors import InputError
+from spatialviz.app.server import serve
+from spatialviz.cli_ask import View
+from spatialviz.options import SourceOptions, warn
+
+
+def run_view(command: View) -> None:
+    if command.author is not None and not command.author.strip():
+        raise InputError("--author must not be empty")
+    view = None if command.state is None else decode(command.state)
+    dataset, folder = (command.dataset, command.run_folder) if view is None else _named(command, view)
+    built_in = dataset == DEMO_NAME and not Path(DEMO_NAME).exists()
+    if folder is None and built_in and command.labels is None and command.source == SourceOptions():
+        folder = demo_run()
+    runs, others, labels = {}, {}, {}
+    if command.compare is not None and folder is None:
+        raise InputError("--compare needs --run", expected="--run RUN --compare OTHER_RUN", path=command.compare)
+    if folder is not None:
+        own = None if command.labels is None else str(command.labels)
+        run = open_run(folder, dataset=None if dataset == DEMO_NAME else dataset, labels=own)
+        name = Path(run.spec.dataset).name
+        sources, runs = {name: _with_second(command, run)}, {name: run}
+        if own is not None:
+            _check_labels(run.labels, run.source)
+        if command.compare is not None:
+            others = {name: open_run(command.compare, dataset=run.spec.dataset)}
+    else:
+        found = None if command.labels is None else open_labels(command.labels)
+        options = command.source.arguments()
+        options = options if found is None else labelled_up(found.manifest, options)
+        sources, left_out = open_sources(dataset, **options, also=command.also)
+        for name, reason in left_out.items():
+            warn(f"left out {name}: {reason}")
+        if found is not None:
+            if len(sources) > 1:
+                raise InputError("--labels are of one dataset", got=f"{len(sources)} datasets", path=command.labels)
+            _check_labels(found, next(iter(sources.values())))
+            labels = dict.fromkeys(sources, found)
+    corrected = dict(labels)
+    for name, run in runs.items():
+        try:
+            corrected[name] = run.labels
+        except InputError as error:
+            warn(f"nothing can be corrected, the run's labels are not here: {error}")
+    serve(
+        sources,
+        runs=runs,
+        others=others,
+        labels=labels,
+        journals={name: _journal(command, found) for name, found in corrected.items()},
+        author=command.author,
+        opened_by=_words(command, dataset, folder),
+        first_view=None if view is None else _in(view, sources),
+        host=command.host,
+        port=command.port,
+        dark=command.theme == "dark",
+        open_browser=command.open_browser,
+    )
+
+
+def _with_second(command: View, run: Run) -> Pipeline:
+    """The run's source, with the second detector beside its own."""
+    if command.also is None:
+        return run.source
+    opened = open_pipeline(run.spec.dataset, **{**run.spec.options, "also": command.also})
+    return replace(run.source, beside=opened.beside, beside_setup=opened.beside_setup)
+
+
+def _journal(command: View, labels: Labels) -> JournalPlace:
+    """Where corrections are kept; those of the built-in demo with the user's own data, not in the installation."""
+    where: str | Path | None = command.journal.journal
+    if where is None and labels.root.resolve().is_relative_to(demo_run().parent.resolve()):
+        where = user_data_path("spatialviz", ensure_exists=True) / "demo-journal.sqlite"
+    place = JournalPlace(labels, where, command.journal.project)
+    place.check()
+    return place
+
+
+def _named(command: View, view: ViewState) -> tuple[str, Path | None]:
+    """The dataset and the run to open: those of the command line, else those that the view names."""
+    if command.run_folder is not None or command.dataset != DEMO_NAME:
+        return command.dataset, command.run_folder
+    if view.run is not None:
+        if (Path(view.run) / RUN_FILE).is_file():
+            warn(f"opening the run that the view names: {view.run}")
+            return command.dataset, Path(view.run)
+        warn(f"the run of the view is not here: {view.run}")
+    if view.dataset != DEMO_NAME and not (Path(view.dataset).name == view.dataset and Path(view.dataset).is_dir()):
+        raise InputError(
+            "the view is of a dataset that is not in this folder", got=view.dataset,
+            expected="spatialviz view DATASET --state STRING",
+        )  # fmt: skip
+    return view.dataset, None
+
+
+def _words(command: View, dataset: str, folder: Path | None) -> list[str]:
+    """The command line that opens this page again; without a password."""
+    words = ["view"]
+    if folder is None or command.dataset != "demo":
+        words.append(dataset)
+    opened = (("--run", folder), ("--compare", command.compare), ("--labels", command.labels), ("--also", command.also))
+    for option, value in opened:
+        words += [] if value is None else [option, str(value)]
+    words += journal_words(command.journal.journal, command.journal.project)
+    words += [] if command.author is None else ["--author", command.author]
+    return words if folder is not None else [*words, *command.source.words()]
+
+
+def _check_labels(labels: Labels, source: Pipeline) -> None:
+    """Raise InputError where labels know none of the frames."""
+    if set(source.dataset.frame_ids).isdisjoint(labels.frames.column("frame").to_pylist()):
+        raise InputError("the labels are of other frames than the dataset has", path=labels.root)
+
+
+def _in(view: ViewState, sources: Mapping[str, Pipeline]) -> ViewState:
+    """The view as one of these sources; InputError where it is of none."""
+    name = view.dataset
+    if name not in sources and len(sources) == 1:
+        # A folder may have another name here.
+        name = next(iter(sources))
+    if name not in sources:
+        raise InputError("the view is of another dataset", got=view.dataset, expected=" or ".join(sources))
+    if view.frame not in sources[name].dataset.frame_ids:
+        raise InputError(f"the dataset {name} has no frame of the view", got=view.frame)
+    return replace(view, dataset=name)
