@@ -20,10 +20,10 @@ from pipeline.labels.config import LabelConfig
 from pipeline.labels.expressions import candidate_expressions
 from pipeline.labels.given import as_given
 from pipeline.labels.occlusion import occluded_share
-from pipeline.labels.profiles import CONTACT, GIVEN, Judged
+from pipeline.labels.profiles import GIVEN, Judged
 from pipeline.labels.second_opinion import doubted
 from pipeline.labels.tables import PART_TABLES, Columns
-from pipeline.language.relation_names import PAIRWISE
+from pipeline.language.relation_names import DIRECTIONAL, PAIRWISE
 from pipeline.relations.model import OnnxScorer
 from pipeline.relations.relations import U
 
@@ -150,7 +150,7 @@ def judge_objects(lifted: Sequence[LiftedObject], viewer: ViewerAxes, config: La
         if len(item.points):
             centres[k] = centroid(item, viewer)
     clouds = None
-    if set(config.relations) & set(CONTACT):
+    if not set(config.relations) <= set(DIRECTIONAL):
         matrix = viewer.matrix.T.astype(np.float32)
         clouds = [item.points @ matrix for item in lifted]
     return config.rules.judge(lo, hi, centres, clouds, config.relations)

@@ -12,6 +12,7 @@ from pydantic import ValidationError
 
 from pipeline.labels.schema import SCHEMA_VERSION, TABLES, Manifest
 from pipeline.labels.tables import read_table
+from pipeline.language.relation_names import PAIRWISE
 from pipeline.system.errors import InputError
 
 if TYPE_CHECKING:
@@ -88,6 +89,12 @@ def open_labels(path: str | Path) -> Labels:
             raise
         reason = error.errors()[0]["msg"] if isinstance(error, ValidationError) else str(error)
         raise InputError("the manifest is damaged", got=reason, path=file) from error
+    unknown = [r for r in manifest.config.get("relations", ()) if r not in PAIRWISE]
+    if unknown:
+        raise InputError(
+            "these labels hold a relation that is not declared here", got=repr(unknown[0]),
+            expected=", ".join(PAIRWISE), cause="made with a relation of somebody's own?", path=file,
+        )  # fmt: skip
     missing = [name for name in TABLES if not (root / f"{name}.parquet").is_file()]
     if missing:
         raise InputError(f"the table {missing[0]} is missing", path=root / f"{missing[0]}.parquet")

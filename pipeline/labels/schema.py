@@ -11,13 +11,23 @@ from __future__ import annotations
 
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, create_model
 
 from pipeline.geometry.camera import UpSource
 from pipeline.labels.profiles import canonical_hash
+from pipeline.language.relation_names import PAIRWISE, RELATIONS, version_numbers
 
-SCHEMA_VERSION = "1.2.0"
-"""Semantic version of the tables below: a new major number means that old readers must refuse."""
+SCHEMA_VERSION = max("1.2.0", *(r.since for r in RELATIONS.values()), key=version_numbers)
+"""Semantic version of the tables below: a new major number means that old readers must refuse, and a relation that is
+declared anew raises the minor one."""
+ADDED_COLUMNS = {
+    column: RELATIONS[name].since
+    for name in PAIRWISE
+    if RELATIONS[name].since != "1.0.0"
+    for column in (name, f"{name}_margin")
+}
+"""Columns of relations that came later, with the version that brought them: a file of an older one has none, and
+reads as null."""
 
 State = Annotated[Literal[-1, 0, 1] | None, Field(json_schema_extra={"arrow": "int8"})]
 """1 the relation holds (T), 0 too close to call (U), -1 it does not (F); null where the profile does not judge it."""
@@ -107,7 +117,7 @@ class ObjectRow(Row):
     reason: str | None
 
 
-class RelationRow(Row):
+class PairRow(Row):
     """All relations of one ordered pair: "object a RELATION object b".
 
     A margin is how far, in metres, the measures stand from where the state
@@ -118,24 +128,12 @@ class RelationRow(Row):
     b: Annotated[int, Field(json_schema_extra={"arrow": "int32"})]
     distance: Annotated[float | None, Field(json_schema_extra={"arrow": "float32"})]
     doubted: Count
-    left: State = None
-    right: State = None
-    above: State = None
-    below: State = None
-    front: State = None
-    behind: State = None
-    on: State = None
-    in_: State = Field(default=None, alias="in")
-    near: State = None
-    left_margin: Margin = None
-    right_margin: Margin = None
-    above_margin: Margin = None
-    below_margin: Margin = None
-    front_margin: Margin = None
-    behind_margin: Margin = None
-    on_margin: Margin = None
-    in_margin: Margin = None
-    near_margin: Margin = None
+
+
+_OF_RELATIONS: dict[str, Any] = dict.fromkeys(PAIRWISE, (State, None))
+_OF_RELATIONS |= {f"{name}_margin": (Margin, None) for name in PAIRWISE}
+RelationRow = create_model("RelationRow", __base__=PairRow, __doc__=PairRow.__doc__, **_OF_RELATIONS)
+"""PairRow with two columns for each declared relation."""
 
 
 class ExpressionRow(Row):
