@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.relations import RULE, TRAINED, RelationScorer, make_scorer, shipped_network
+from pipeline.relations.contract import TrainedOn
 from pipeline.relations.features import geometry_of
-from pipeline.relations.trained_on import TrainedOn
 from pipeline.system.errors import InputError
 
 if TYPE_CHECKING:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import cv2
 import numpy as np
 import xxhash
 
@@ -13,14 +14,12 @@ from pipeline.answering.objects import PreparedFrame, SceneObject, appearance_of
 from pipeline.datasets import GivenExpression
 from pipeline.geometry.fitting import pca_box
 from pipeline.geometry.frame import Annotation, Frame
-from pipeline.geometry.lifting import LiftedObject
+from pipeline.geometry.lifting import Evidence, LiftedObject, Pixel
 from pipeline.geometry.run_length import encode_run_length
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.labels.config import LabelConfig
 from pipeline.labels.expressions import candidate_expressions
-from pipeline.labels.given import as_given
-from pipeline.labels.occlusion import occluded_share
-from pipeline.labels.profiles import GIVEN, Judged
+from pipeline.labels.profiles import GIVEN, Judged, as_given
 from pipeline.labels.second_opinion import doubted
 from pipeline.labels.tables import PART_TABLES, Columns
 from pipeline.language.relation_names import DIRECTIONAL, PAIRWISE
@@ -282,3 +281,39 @@ def _relation_columns(
 
 def _rows(rows: list[dict[str, Any]]) -> Columns:
     return {name: [row[name] for row in rows] for name in rows[0]} if rows else {}
+
+
+NEARER_M = 0.05
+REACH = 2
+"""Pixels beyond the mask that are looked at: the first ones are often mixed."""
+
+
+def occluded_share(evidence: Evidence, depth: np.ndarray) -> float:
+    """Share of the mask's border beside which something is at least 5 cm nearer than the object there.
+
+    Parameters
+    ----------
+    evidence : Evidence
+        The pixels of the mask.
+    depth : (H, W) float32
+        Metres.
+
+    Returns
+    -------
+    float
+        0..1; 0 where no pixel beside the mask has depth.
+    """
+    height, width = depth.shape
+    h, w = evidence.codes.shape
+    top, left = min(REACH, evidence.y0), min(REACH, evidence.x0)
+    bottom, right = min(REACH, height - evidence.y0 - h), min(REACH, width - evidence.x0 - w)
+    inside = (evidence.codes != Pixel.OUTSIDE).view(np.uint8)
+    mask = cv2.copyMakeBorder(inside, top, bottom, left, right, cv2.BORDER_CONSTANT, value=0)
+    z = depth[evidence.y0 - top : evidence.y0 + h + bottom, evidence.x0 - left : evidence.x0 + w + right]
+    kernel = np.ones((2 * REACH + 1, 2 * REACH + 1), np.uint8)
+    ring = (cv2.dilate(mask, kernel) > 0) & (mask == 0) & (z > 0)
+    own = np.where(mask > 0, z, 0).astype(np.float32)
+    beside = cv2.dilate(own, kernel)
+    ring &= beside > 0
+    total = int(ring.sum())
+    return float((z[ring] < beside[ring] - NEARER_M).sum() / total) if total else 0.0

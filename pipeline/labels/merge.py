@@ -22,8 +22,7 @@ from pipeline.labels.config import SelectConfig, TextStyle
 from pipeline.labels.makers import makers_of
 from pipeline.labels.plan import PLAN_FILE, Plan, Shard, load_plan
 from pipeline.labels.reading import MANIFEST_FILE, Labels
-from pipeline.labels.schema import SCHEMA_VERSION, Manifest, TableFile
-from pipeline.labels.schema_files import write_schemas
+from pipeline.labels.schema import SCHEMA_VERSION, Manifest, TableFile, write_schemas
 from pipeline.labels.selection import select
 from pipeline.labels.store import Store
 from pipeline.labels.tables import CANDIDATES, ROW_GROUP, RowHash, arrow_schema

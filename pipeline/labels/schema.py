@@ -5,10 +5,14 @@ A labels folder holds four tables. Rows are keyed by (frame, object) and
 canonical order is that of these keys. Lengths are metres, angles do not occur.
 Vectors named `center`, `R`, `size` are in the camera frame (OpenCV); `lo`, `hi`
 and `centroid` along the viewer's (right, up, forward).
+
+The JSON Schemas of a version stand in `schemas/`; `python -m pipeline.labels.schema` writes those of this one.
 """
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, create_model
@@ -239,3 +243,26 @@ def labels_version(manifest: Manifest) -> str:
     """16 hexadecimal digits that change with how the automatic labels were made and with what is in them."""
     tables = {name: entry.content_hash for name, entry in manifest.tables.items()}
     return canonical_hash({"config": manifest.config_hash, "tables": tables})[:16]
+
+
+SCHEMA_FOLDER = Path(__file__).with_name("schemas") / SCHEMA_VERSION
+
+
+def schema_text(schema: dict[str, object]) -> str:
+    """A schema as it stands in its file."""
+    return json.dumps(schema, indent=1, ensure_ascii=False) + "\n"
+
+
+def write_schemas(folder: Path = SCHEMA_FOLDER) -> tuple[Path, ...]:
+    """Write one file a table, and one for the manifest."""
+    folder.mkdir(parents=True, exist_ok=True)
+    written = []
+    for name, schema in json_schemas().items():
+        written.append(folder / f"{name}.json")
+        written[-1].write_text(schema_text(schema), encoding="utf-8", newline="\n")
+    return tuple(written)
+
+
+if __name__ == "__main__":
+    for path in write_schemas():
+        print(path)

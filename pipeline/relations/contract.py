@@ -14,7 +14,6 @@ from pipeline.language.relation_names import INVERSE, PAIRWISE
 from pipeline.language.vectors.contract import LanguageContract
 from pipeline.metrics.platt import Platt
 from pipeline.relations.features import FEATURES, FeatureSet, feature_set, geometry_of
-from pipeline.relations.trained_on import TrainedOn
 from pipeline.system.errors import InputError
 
 CONTRACT = "spatialviz-srm-1"
@@ -241,3 +240,45 @@ def _differing(got: Sequence[str], expected: Sequence[str]) -> str:
         return f"{len(got)} features"
     k = next(k for k, (a, b) in enumerate(zip(got, expected, strict=True)) if a != b)
     return f"{got[k]!r} in place {k}"
+
+
+@dataclass(frozen=True)
+class TrainedOn:
+    """The part of a dataset that a network was trained and calibrated on.
+
+    Attributes
+    ----------
+    dataset : str
+        Name of its folder.
+    input_hash : str
+        Of the dataset's files, as the labels' manifest has it.
+    content_hash : str
+        Of the labels' table of frames.
+    split : str
+        "scene": `train` and `validation` name scenes. "blocks", "random": frames.
+    train, validation : tuple of str
+    scenes : tuple of str
+        Of all frames in either.
+    """
+
+    dataset: str
+    input_hash: str
+    content_hash: str
+    split: str
+    train: tuple[str, ...]
+    validation: tuple[str, ...]
+    scenes: tuple[str, ...]
+
+    def to_json(self) -> str:
+        """As one line of JSON."""
+        return json.dumps({k: list(v) if isinstance(v, tuple) else v for k, v in vars(self).items()})
+
+    @classmethod
+    def from_json(cls, text: str) -> TrainedOn:
+        """The reverse; KeyError, TypeError or ValueError where it is something else."""
+        said = json.loads(text)
+        texts: dict[str, Any] = {k: str(said[k]) for k in ("dataset", "input_hash", "content_hash", "split")}
+        if not all(isinstance(said[k], list) for k in ("train", "validation", "scenes")):
+            raise ValueError("what was learnt from must be lists of names")
+        lists: dict[str, Any] = {k: tuple(map(str, said[k])) for k in ("train", "validation", "scenes")}
+        return cls(**texts, **lists)

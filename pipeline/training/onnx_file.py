@@ -14,7 +14,7 @@ from pipeline.relations.class_vectors import vectors_beside
 from pipeline.system.onnx_session import require_onnx
 
 if TYPE_CHECKING:
-    from pipeline.relations.trained_on import TrainedOn
+    from pipeline.relations.contract import TrainedOn
     from pipeline.training.train import TrainedModel
 
 OPSET = 13

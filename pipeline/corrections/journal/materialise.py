@@ -20,8 +20,7 @@ from pipeline.labels.corrections import MARKS_FILE, PROVENANCE_FILE, STATUSES_FI
 from pipeline.labels.makers import makers_of
 from pipeline.labels.merge import CARD_FILE, CROISSANT_FILE, environment, write_merged
 from pipeline.labels.reading import MANIFEST_FILE, Labels
-from pipeline.labels.schema import SCHEMA_VERSION, TABLES, Manifest, labels_version
-from pipeline.labels.schema_files import write_schemas
+from pipeline.labels.schema import SCHEMA_VERSION, TABLES, Manifest, labels_version, write_schemas
 from pipeline.labels.tables import write_table
 from pipeline.system.errors import InputError
 from pipeline.system.whole_files import temporary_beside, write_synced
