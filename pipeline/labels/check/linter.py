@@ -20,8 +20,7 @@ from pipeline.labels.check.rows import check_rows
 from pipeline.labels.check.sizes import SizeSurvey, check_sizes
 from pipeline.labels.check.stream import TableStream, frames_of, open_streams
 from pipeline.labels.check.view import FrameView, Names
-from pipeline.labels.corrections import Corrections, read_corrections
-from pipeline.labels.reading import Labels
+from pipeline.labels.reading import Corrections, Labels, read_corrections
 from pipeline.language.naming import normal_form
 from pipeline.language.relation_names import PAIRWISE
 

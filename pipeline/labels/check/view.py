@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.geometry.run_length import run_lengths
+from pipeline.geometry.run_length import decode_crop, run_lengths
 from pipeline.geometry.viewer import ViewerAxes, viewer_axes
 from pipeline.labels.check.findings import RULES, Figure, Finding, Severity
 from pipeline.labels.check.stream import UNKNOWN, Rows
@@ -284,19 +284,9 @@ def read_runs(code: str, height: int, width: int) -> MaskRuns | str:
         return counts
     if counts.sum() != height * width:
         return f"it is of {int(counts.sum())} pixels, and the frame has {height * width}"
-    edges = np.cumsum(counts)
-    start, stop = edges[0::2][: len(counts) // 2], edges[1::2]
-    full = stop > start
-    start, stop = start[full], stop[full]
-    if not len(start):
-        return MaskRuns(0, np.zeros(4))
-    first, final = start // height, (stop - 1) // height
-    # A run over more than one column touches the bottom of one and the top of the next.
-    spans = final > first
-    top = np.where(spans, 0, start % height).min()
-    bottom = np.where(spans, height - 1, (stop - 1) % height).max()
-    bbox = np.array([first.min(), top, final.max() + 1, bottom + 1], np.float64)
-    return MaskRuns(int((stop - start).sum()), bbox)
+    crop = decode_crop((height, width), code)
+    h, w = crop.mask.shape
+    return MaskRuns(int(crop.mask.sum()), np.array([crop.x, crop.y, crop.x + w, crop.y + h], np.float64))
 
 
 def runs_object(code: str, height: int, width: int) -> Any:
