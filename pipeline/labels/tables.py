@@ -129,14 +129,23 @@ def read_table(
             if lost:
                 raise InputError(f"table {table} lacks the column {lost[0]!r}", path=path)
             read = file.read(columns=None if columns is None else [n for n in columns if n in schema.names])
-            for name in missing if columns is None or columns else ():
-                field = arrow_schema(table).field(name)
-                read = read.append_column(field, pa.nulls(read.num_rows, field.type))
-            return read.select(columns or arrow_schema(table).names) if missing and read.num_columns else read
+            return read if columns is not None and not columns else with_added(read, table, columns)
     except FileNotFoundError as error:
         raise InputError(f"the table {table} is missing", cause="are these labels merged?", path=path) from error
     except (pa.ArrowInvalid, pa.ArrowTypeError, OSError) as error:
         raise InputError("not a readable Parquet file", got=str(error).split("\n")[0], path=path) from error
+
+
+def with_added(rows: pa.Table, table: str, columns: Sequence[str] | None = None) -> pa.Table:
+    """Rows of a file that may be older than the columns in ADDED_COLUMNS: those are null, in their place."""
+    import pyarrow as pa
+
+    wanted = columns or arrow_schema(table).names
+    missing = [n for n in wanted if n in ADDED_COLUMNS and n not in rows.column_names]
+    for name in missing:
+        field = arrow_schema(table).field(name)
+        rows = rows.append_column(field, pa.nulls(rows.num_rows, field.type))
+    return rows.select(wanted) if missing else rows
 
 
 def check_version(metadata: dict[bytes, bytes], table: str, path: str | Path) -> None:
