@@ -73,6 +73,8 @@ region = region_of(reference, name, target.hi - target.lo, context.viewer)
 label_dataset(SourceSpec("demo"), out, LabelConfig(vocabulary="all"), limit=1)
 labels, earlier = open_labels(out), open_labels(old)
 validate_rows(labels.relations, "relations")
+for format in ("jsonl", "parquet"):
+    export_labels(earlier, format, out.parent / format)
 sentences = [row for row in labels.expressions.to_pylist() if row["relation"] == name]
 print(json.dumps({
     "read": parse(f"mug {PHRASE[name]} the laptop").expression.relation,

@@ -208,7 +208,8 @@ def test_superlatives_before_the_noun(word: str) -> None:
 
 def test_inverses_are_an_involution() -> None:
     assert all(MIRRORED[MIRRORED[r]] == r for r in MIRRORED)
-    assert set(MIRRORED) == {"left", "right", "above", "below", "front", "behind", "near"}
+    assert {"left", "right", "above", "below", "front", "behind", "near"} <= set(MIRRORED)
+    assert {"on", "in"}.isdisjoint(MIRRORED)
     assert set(SAYS) == set(RELATIONS)
     assert {wording(r) for r in RELATIONS} <= {p for phrases in SAYS.values() for p in phrases}
 
