@@ -9,7 +9,6 @@ from collections.abc import Iterable, Sequence
 from pipeline.answering.ask import Trace
 from pipeline.answering.json_records import frame_record, relation_records, why_no_answer
 from pipeline.answering.missed_names import MissedNames, missed_names
-from pipeline.answering.objects import SceneObject
 from pipeline.answering.opening import FrameRelations, open_pipeline, relate_frames
 from pipeline.answering.told_answer import holds, probability, told
 from pipeline.datasets import Dataset, FrameReport, SurveyCounts, survey, write_settings

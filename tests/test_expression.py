@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from pipeline.language import grammar, lexicon
 from pipeline.language.expression import Expression, Node, Query, parse
-from pipeline.language.lexicon import FAR, INVERSES, RELATIONS, SAYS, SAYS_SWAPPED, wording
+from pipeline.language.lexicon import FAR, SAYS, SAYS_SWAPPED, wording
+from pipeline.language.relation_names import MIRRORED, RELATIONS
 from pipeline.system.errors import InputError
 
 NAMES = [
@@ -206,8 +207,9 @@ def test_superlatives_before_the_noun(word: str) -> None:
 
 
 def test_inverses_are_an_involution() -> None:
-    assert all(INVERSES[INVERSES[r]] == r for r in INVERSES)
-    assert set(INVERSES) == {"left", "right", "above", "below", "front", "behind", "near"}
+    assert all(MIRRORED[MIRRORED[r]] == r for r in MIRRORED)
+    assert {"left", "right", "above", "below", "front", "behind", "near"} <= set(MIRRORED)
+    assert {"on", "in"}.isdisjoint(MIRRORED)
     assert set(SAYS) == set(RELATIONS)
     assert {wording(r) for r in RELATIONS} <= {p for phrases in SAYS.values() for p in phrases}
 

@@ -21,8 +21,7 @@ from pipeline.corrections.journal.undo import undo
 from pipeline.datasets import Dataset
 from pipeline.labels.cases import read_cases
 from pipeline.labels.check import check_labels
-from pipeline.labels.corrections import PROVENANCE_FILE
-from pipeline.labels.reading import Labels, open_labels
+from pipeline.labels.reading import PROVENANCE_FILE, Labels, open_labels
 from pipeline.labels.schema import TABLES
 from pipeline.labels.tables import validate_rows
 from pipeline.relations.relations import F, U

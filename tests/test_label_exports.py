@@ -35,8 +35,7 @@ from pipeline.labels.exports.hub import HubConfig
 from pipeline.labels.exports.json_text import json_lines
 from pipeline.labels.exports.vqa_records import VqaConfig
 from pipeline.labels.reading import Labels
-from pipeline.labels.schema import TABLES, json_schemas
-from pipeline.labels.schema_files import SCHEMA_FOLDER, schema_text
+from pipeline.labels.schema import SCHEMA_FOLDER, TABLES, json_schemas, schema_text
 from pipeline.labels.tables import build_table, content_hash
 from pipeline.system import plugins
 from pipeline.system.errors import InputError
@@ -207,7 +206,7 @@ def test_every_line_of_jsonl_fits_its_schema(label_sets: dict[str, Labels], tmp_
 
 
 def test_the_committed_json_schemas_are_those_of_the_models() -> None:
-    again = "the models changed: raise SCHEMA_VERSION if need be, and run python -m pipeline.labels.schema_files"
+    again = "the models changed: raise SCHEMA_VERSION if need be, and run python -m pipeline.labels.schema"
     assert {p.stem for p in SCHEMA_FOLDER.glob("*.json")} == set(json_schemas()), again
     for name, schema in json_schemas().items():
         assert (SCHEMA_FOLDER / f"{name}.json").read_text(encoding="utf-8") == schema_text(schema), again

@@ -16,10 +16,9 @@ from pipeline.labels.reading import Labels
 from pipeline.language.relation_names import DIRECTIONAL, INVERSE, VOCABULARIES
 from pipeline.metrics.platt import antisymmetric_log_softmax, fit_temperature, log_softmax, softmax
 from pipeline.relations import make_scorer
-from pipeline.relations.appearance import Appearance
 from pipeline.relations.class_vectors import ClassVectors, vectors_beside
 from pipeline.relations.contract import Contract
-from pipeline.relations.features import CLI_FEATURES, FEATURES
+from pipeline.relations.features import CLI_FEATURES, FEATURES, Appearance
 from pipeline.relations.model import OnnxScorer
 from pipeline.relations.relations import T
 from pipeline.system.errors import InputError

@@ -28,9 +28,8 @@ from pipeline.geometry.lifting import LiftedObject
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.labels.config import LabelConfig, SelectConfig
 from pipeline.labels.job import label_dataset
-from pipeline.labels.labelling import FrameLabels, in_doubt, judge_objects, label_objects
+from pipeline.labels.labelling import FrameLabels, in_doubt, judge_objects, label_objects, occluded_share
 from pipeline.labels.merge import merge_labels
-from pipeline.labels.occlusion import occluded_share
 from pipeline.labels.plan import SourceSpec, load_plan, make_plan, part_of, save_plan
 from pipeline.labels.profiles import PROFILES
 from pipeline.labels.reading import open_labels

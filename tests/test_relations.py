@@ -293,7 +293,7 @@ def test_pitching_the_camera_changes_nothing(seed: int) -> None:
 
 
 def test_no_objects_and_one_object() -> None:
-    assert pairwise_states(np.zeros((0, 3)), np.zeros((0, 3))).shape == (0, 0, 9)
+    assert pairwise_states(np.zeros((0, 3)), np.zeros((0, 3))).shape == (0, 0, len(PAIRWISE))
     assert (pairwise_states(np.zeros((1, 3)), np.ones((1, 3))) == F).all()
 
 
@@ -406,7 +406,7 @@ def test_the_rule_scorer_turns_states_into_probabilities() -> None:
     assert scores.of("left")[0, 1] == 0.95
     assert scores.of("right")[0, 1] == 0.05
     np.testing.assert_array_equal(scores.probabilities, np.array([0.05, 0.5, 0.95])[scores.states + 1])
-    assert scorer.score([], context.viewer).probabilities.shape == (0, 0, 9)
+    assert scorer.score([], context.viewer).probabilities.shape == (0, 0, len(PAIRWISE))
 
 
 def test_an_unknown_scorer_is_refused() -> None:

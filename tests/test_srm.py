@@ -319,7 +319,7 @@ def test_the_network_scores_six_relations_and_the_rule_the_others(scene: Frame, 
     apart = ~np.eye(3, dtype=bool)
     assert (scores.probabilities[apart][:, :6] != rule.probabilities[apart][:, :6]).any()
     np.testing.assert_array_equal(scores.probabilities[~apart], rule.probabilities[~apart])
-    assert shipped.score([], context.viewer).probabilities.shape == (0, 0, 9)
+    assert shipped.score([], context.viewer).probabilities.shape == (0, 0, len(PAIRWISE))
     assert shipped.score(objects[:1], context.viewer).probabilities.shape == (1, 1, 9)
 
 

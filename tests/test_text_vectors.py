@@ -15,9 +15,9 @@ from vector_writers import VOCABULARY, fasttext_bytes, vec_text, written
 
 from pipeline.language.vectors import LanguageContract, TextVectors, open_vectors
 from pipeline.language.vectors.fasttext_bin import FastTextBinary, Subwords
+from pipeline.language.vectors.phrases import phrase_words
 from pipeline.language.vectors.tables import VectorTable
 from pipeline.language.vectors.vec_text import VecFile
-from pipeline.language.vectors.words import phrase_words
 from pipeline.system.errors import InputError
 
 RNG = np.random.default_rng(11)

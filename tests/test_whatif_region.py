@@ -15,12 +15,12 @@ from whatif_scenes import ScoringDetector, context_of, row, source
 from pipeline.diagnosis.whatif import Baseline, Edits, rerun
 from pipeline.diagnosis.whatif.decision_map import decision_map, map_record
 from pipeline.diagnosis.whatif.map_picture import map_picture
-from pipeline.diagnosis.whatif.placement import HORIZONTAL, place_in_region
+from pipeline.diagnosis.whatif.placement import place_in_region
 from pipeline.diagnosis.whatif.region import region_of
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.lifting import LiftedObject, Quality, extents
 from pipeline.geometry.viewer import ViewerAxes, viewer_axes
-from pipeline.language.relation_names import PAIRWISE
+from pipeline.language.relation_names import HORIZONTAL, PAIRWISE
 from pipeline.relations.relations import Profile, T, U, pairwise_states
 from pipeline.system.errors import InputError
 from spatialviz.report.picture import write_picture

@@ -12,7 +12,7 @@ from pipeline.answering.objects import PreparedFrame, all_objects, appearance_of
 from pipeline.answering.opening import Pipeline, contexts
 from pipeline.geometry.level_plane import level_plane
 from pipeline.geometry.lifting import depth_edges, lift
-from pipeline.relations.appearance import Appearance
+from pipeline.relations.features import Appearance
 from pipeline.system.errors import InputError
 
 MAX_FRAMES = 8

@@ -19,7 +19,7 @@ from pipeline.geometry.lifting import LiftConfig, LiftedObject, MaskSource, dept
 from pipeline.geometry.viewer import ViewerAxes, resolve_up, viewer_axes
 from pipeline.proposals.annotations import box_mask
 from pipeline.proposals.base import Detector, Proposals
-from pipeline.relations.appearance import Appearance
+from pipeline.relations.features import Appearance
 
 if TYPE_CHECKING:
     from pipeline.answering.objects import SceneObject

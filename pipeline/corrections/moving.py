@@ -16,13 +16,11 @@ from pipeline.corrections.journal.field_refs import box_value, object_cell, rela
 from pipeline.corrections.journal.frame_rows import NO_STATE
 from pipeline.corrections.journal.origins import Origin
 from pipeline.geometry.boxes import Box3D
-from pipeline.labels.check.relations import OPPOSITES
 from pipeline.labels.labelling import judge_list
-from pipeline.language.relation_names import PAIRWISE
+from pipeline.language.relation_names import INVERSE, PAIRWISE
 from pipeline.relations.relations import F, T
 from pipeline.system.errors import InputError
 
-_OPPOSITE = {one: other for pair in OPPOSITES for one, other in (pair, pair[::-1])}
 MOVED = Origin("recomputed", reason="the box is being moved")
 
 
@@ -146,7 +144,7 @@ class MovingBox:
     def _ruled_out(self, relation: str) -> bool:
         """Whether a person said that the opposite holds, or the same the other way round."""
         assert self._card is not None
-        opposite, frame = _OPPOSITE.get(relation), self.frame
+        opposite, frame = INVERSE.get(relation), self.frame
         if opposite is None:
             return False
         a, b = self._card.a, self._card.b

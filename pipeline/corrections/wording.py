@@ -12,7 +12,7 @@ from pipeline.corrections.journal.events import Conflict, Event, Saved
 from pipeline.corrections.journal.field_refs import FieldRef, box_of, judged_item, shown_value
 from pipeline.corrections.unsaved import Waiting
 from pipeline.geometry.boxes import Box3D
-from pipeline.language.relation_names import INVERSE, PHRASE
+from pipeline.language.relation_names import MIRRORED, PHRASE
 from pipeline.relations.relations import letter
 
 FIELDS = {
@@ -142,7 +142,7 @@ def _mirrors(one: Event, other: Event) -> bool:
     if first is None or second is None:
         return False
     (a, b, relation), (c, d, mirrored) = first, second
-    return (a, b) == (d, c) and mirrored == ("near" if relation == "near" else INVERSE.get(relation))
+    return (a, b) == (d, c) and mirrored == MIRRORED.get(relation)
 
 
 def _pair(cell: FieldRef) -> tuple[int, int, str] | None:

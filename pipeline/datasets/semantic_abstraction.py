@@ -49,6 +49,7 @@ from pipeline.datasets.semantic_abstraction_splits import (
 from pipeline.datasets.settings import Settings
 from pipeline.geometry.camera import Camera, lift_pixels
 from pipeline.geometry.frame import Frame
+from pipeline.language.relation import SEMANTIC_ABSTRACTION
 from pipeline.system.errors import InputError
 
 SUFFIX = ".hdf5"
@@ -60,14 +61,7 @@ MOST_OBJECTS = 2000
 """Objects are numbered by their place in one list of names, and a view shows some dozens of them."""
 LARGEST_SCENE = 100.0
 
-RELATIONS: dict[str, str] = {
-    "in": "in",
-    "on": "on",
-    "on the left of": "left",
-    "behind": "behind",
-    "on the right of": "right",
-    "in front of": "front",
-}
+RELATIONS = {words: name for name, words in SEMANTIC_ABSTRACTION.items()}
 """The dataset's six relations and what we call them."""
 
 

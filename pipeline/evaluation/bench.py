@@ -27,8 +27,8 @@ from pipeline.evaluation.run import (
     evaluate_labels,
     frames_with_expressions,
 )
+from pipeline.labels.engines import one_thread
 from pipeline.labels.job import label_dataset
-from pipeline.labels.local import one_thread
 from pipeline.labels.plan import SourceSpec
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.system.errors import InputError, MissingExtra

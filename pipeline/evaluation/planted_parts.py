@@ -17,7 +17,7 @@ from pipeline.language.relation_names import PAIRWISE
 from pipeline.proposals.annotations import AnnotationDetector, box_mask
 from pipeline.proposals.base import Detector, Proposals, no_proposals
 from pipeline.proposals.mask_damage import leaked, surroundings
-from pipeline.relations.appearance import Appearance
+from pipeline.relations.features import Appearance
 from pipeline.relations.scorer import RelationScorer, RelationScores
 from pipeline.system.errors import InputError
 

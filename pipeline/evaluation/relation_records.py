@@ -19,7 +19,7 @@ from pipeline.labels.reading import Labels
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.metrics.splits import DROPPED, PARTS
 from pipeline.system.errors import InputError
-from pipeline.training.label_identity import parts_seen
+from pipeline.training.label_data import parts_seen
 
 if TYPE_CHECKING:
     import pyarrow as pa

@@ -21,7 +21,7 @@ from pipeline.metrics.single_label_metrics import true_ranks
 from pipeline.metrics.splits import DROPPED, TRAIN, VALIDATION
 from pipeline.metrics.tables import NOTHING_SHARED, Cell, Row, Table, in_blocks
 from pipeline.relations.relations import T
-from pipeline.training.label_identity import same_dataset
+from pipeline.training.label_data import same_dataset
 
 if TYPE_CHECKING:
     from pipeline.labels.reading import Labels

@@ -34,20 +34,6 @@ SECOND_ON_DARK: RGB = (236, 122, 214)
 SECOND_ON_LIGHT: RGB = (170, 28, 146)
 """A second detector's boxes, always dashed: the reddish purple of Okabe and Ito, made lighter and darker."""
 
-RELATIONS: dict[str, RGB] = {
-    "left": (51, 34, 136),
-    "right": (136, 204, 238),
-    "above": (17, 119, 51),
-    "below": (68, 170, 153),
-    "front": (136, 34, 85),
-    "behind": (204, 102, 119),
-    "on": (153, 153, 51),
-    "in": (221, 204, 119),
-    "near": (170, 68, 153),
-}
-"""A colour for each relation in pictures of statistics: opposites are of one hue, dark and light. These are the nine of
-Paul Tol's scheme "muted" (SRON/EPS/TN/09-002), which stay apart under all common colour-vision deficiencies."""
-
 DROPPED: dict[Pixel, RGB] = {
     Pixel.NO_DEPTH: (120, 124, 132),
     Pixel.OUT_OF_RANGE: (84, 88, 96),

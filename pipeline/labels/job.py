@@ -9,7 +9,7 @@ from time import perf_counter
 from typing import Any, Literal
 
 from pipeline.labels.config import LabelConfig, SelectConfig
-from pipeline.labels.local import run_local
+from pipeline.labels.engines import run_local
 from pipeline.labels.merge import merge_labels
 from pipeline.labels.plan import SourceSpec, input_changed, make_plan, part_of, save_plan
 from pipeline.labels.reading import Labels, open_labels
@@ -115,7 +115,7 @@ def label_dataset(
     plan = make_plan(spec.absolute(), config, frames_a_shard=frames_a_shard, limit=limit, frames_of=frames_of, out=out)
     open_second_opinion(config.second_opinion)
     if engine == "ray":
-        from pipeline.labels.ray_engine import needed_ray
+        from pipeline.labels.engines import needed_ray
 
         needed_ray()
     shards = plan.shards if part is None else part_of(plan.shards, *part)
@@ -135,7 +135,7 @@ def label_dataset(
 
     try:
         if engine == "ray":
-            from pipeline.labels.ray_engine import run_ray
+            from pipeline.labels.engines import run_ray
 
             run_ray(plan, shards, store, workers, done, gpus_a_detector=gpus_a_detector)
         else:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import cv2
 import numpy as np
 import xxhash
 
@@ -13,19 +14,18 @@ from pipeline.answering.objects import PreparedFrame, SceneObject, appearance_of
 from pipeline.datasets import GivenExpression
 from pipeline.geometry.fitting import pca_box
 from pipeline.geometry.frame import Annotation, Frame
-from pipeline.geometry.lifting import LiftedObject
+from pipeline.geometry.lifting import Evidence, LiftedObject, Pixel
 from pipeline.geometry.masks import encode_run_length
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.labels.config import LabelConfig
-from pipeline.labels.expressions import candidate_expressions
-from pipeline.labels.given import as_given
-from pipeline.labels.occlusion import occluded_share
-from pipeline.labels.profiles import CONTACT, GIVEN, Judged
+from pipeline.labels.profiles import GIVEN, Judged, as_given
 from pipeline.labels.second_opinion import doubted
 from pipeline.labels.tables import PART_TABLES, Columns
-from pipeline.language.relation_names import PAIRWISE
+from pipeline.labels.wording import can_be_said
+from pipeline.language.noun_phrase import same_names
+from pipeline.language.relation_names import DIRECTIONAL, PAIRWISE
 from pipeline.relations.model import OnnxScorer
-from pipeline.relations.relations import U
+from pipeline.relations.relations import T, U
 
 
 @dataclass(frozen=True)
@@ -150,7 +150,7 @@ def judge_objects(lifted: Sequence[LiftedObject], viewer: ViewerAxes, config: La
         if len(item.points):
             centres[k] = centroid(item, viewer)
     clouds = None
-    if set(config.relations) & set(CONTACT):
+    if not set(config.relations) <= set(DIRECTIONAL):
         matrix = viewer.matrix.T.astype(np.float32)
         clouds = [item.points @ matrix for item in lifted]
     return config.rules.judge(lo, hi, centres, clouds, config.relations)
@@ -282,3 +282,120 @@ def _relation_columns(
 
 def _rows(rows: list[dict[str, Any]]) -> Columns:
     return {name: [row[name] for row in rows] for name in rows[0]} if rows else {}
+
+
+NEARER_M = 0.05
+REACH = 2
+"""Pixels beyond the mask that are looked at: the first ones are often mixed."""
+
+
+def occluded_share(evidence: Evidence, depth: np.ndarray) -> float:
+    """Share of the mask's border beside which something is at least 5 cm nearer than the object there.
+
+    Parameters
+    ----------
+    evidence : Evidence
+        The pixels of the mask.
+    depth : (H, W) float32
+        Metres.
+
+    Returns
+    -------
+    float
+        0..1; 0 where no pixel beside the mask has depth.
+    """
+    height, width = depth.shape
+    h, w = evidence.codes.shape
+    top, left = min(REACH, evidence.y0), min(REACH, evidence.x0)
+    bottom, right = min(REACH, height - evidence.y0 - h), min(REACH, width - evidence.x0 - w)
+    inside = (evidence.codes != Pixel.OUTSIDE).view(np.uint8)
+    mask = cv2.copyMakeBorder(inside, top, bottom, left, right, cv2.BORDER_CONSTANT, value=0)
+    z = depth[evidence.y0 - top : evidence.y0 + h + bottom, evidence.x0 - left : evidence.x0 + w + right]
+    kernel = np.ones((2 * REACH + 1, 2 * REACH + 1), np.uint8)
+    ring = (cv2.dilate(mask, kernel) > 0) & (mask == 0) & (z > 0)
+    own = np.where(mask > 0, z, 0).astype(np.float32)
+    beside = cv2.dilate(own, kernel)
+    ring &= beside > 0
+    total = int(ring.sum())
+    return float((z[ring] < beside[ring] - NEARER_M).sum() / total) if total else 0.0
+
+
+def row_hash(seed: int, *parts: object) -> int:
+    """64 bits that depend on nothing but the seed and what the row says."""
+    return xxhash.xxh3_64_intdigest("\x1f".join(str(p) for p in parts).encode(), seed=seed & (2**64 - 1))
+
+
+def candidate_expressions(
+    frame: str,
+    frame_index: int,
+    ids: Sequence[int],
+    labels: Sequence[str],
+    usable: np.ndarray,
+    judged: Judged,
+    config: LabelConfig,
+    up_source: str,
+) -> dict[str, Any]:
+    """All expressions that are true of a pair of usable objects of a frame, not yet put into words.
+
+    Parameters
+    ----------
+    ids, labels : sequences of N
+        Numbers and class names of the objects that were judged.
+    usable : (N,) bool
+        Objects that may be asked for; the others still count as acceptable answers.
+    judged : Judged
+
+    Returns
+    -------
+    dict of str to list
+        Columns of the table `candidates`, in canonical order, one row for each
+        pair and relation that is T; empty where there is none.
+    """
+    if len(ids) < 2:
+        return {}
+    same = same_names(labels)
+    kinds = same.astype(np.int32)
+    kind, rivals = same.argmax(axis=1), same.sum(axis=1)
+    asked = usable & np.array([can_be_said(label) for label in labels], np.bool_)
+    number = np.asarray(ids)
+    names = [str(n) for n in ids]
+    found: dict[str, list[Any]] = {name: [] for name in _OWN_COLUMNS}
+    for relation in config.relations:
+        k = PAIRWISE.index(relation)
+        state = judged.states[..., k].copy()
+        np.fill_diagonal(state, -1)
+        # satisfied[a, b]: object a has the relation to some object of b's class.
+        sure = (state == T).astype(np.int32) @ kinds > 0
+        likely = (state >= U).astype(np.int32) @ kinds > 0
+        targets, references = np.nonzero((state == T) & asked[:, None] & asked[None, :])
+        answers: dict[tuple[int, int], tuple[list[int], list[int]]] = {}
+        for a, b in zip(targets.tolist(), references.tolist(), strict=True):
+            question = int(kind[a]), int(kind[b])
+            if question not in answers:
+                answers[question] = number[same[a] & sure[:, b]].tolist(), number[same[a] & likely[:, b]].tolist()
+            strict, acceptable = answers[question]
+            found["id"].append(f"{row_hash(config.seed, frame, names[a], relation, names[b]):016x}")
+            found["target"].append(labels[a])
+            found["reference"].append(labels[b])
+            found["targets"].append(strict)
+            found["acceptable"].append(acceptable)
+            found["ambiguous"].append(len(acceptable) > 1)
+            found["same_class"].append(int(rivals[a]))
+        found["relation"] += [relation] * len(targets)
+        found["target_object"] += number[targets].tolist()
+        found["reference_object"] += number[references].tolist()
+        found["margin"] += judged.margins[targets, references, k].tolist()
+    n = len(found["id"])
+    if not n:
+        return {}
+    shared = {
+        "frame": frame, "frame_index": frame_index, "judged_in": "viewer", "up_source": up_source,
+        "profile": config.profile,
+    }  # fmt: skip
+    return {**{name: [value] * n for name, value in shared.items()}, **found}
+
+
+_OWN_COLUMNS = (
+    "id", "target", "relation", "reference", "target_object", "reference_object", "targets", "acceptable",
+    "ambiguous", "margin", "same_class",
+)  # fmt: skip

@@ -5,13 +5,15 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Collection, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Protocol
 
 import numpy as np
 
-from pipeline.labels.margins import contact_margins, directional_margins
-from pipeline.language.relation_names import DIRECTIONAL, PAIRWISE
+from pipeline.datasets import GivenExpression
+from pipeline.language.relation_names import DIRECTIONAL, HORIZONTAL, PAIRWISE, RELATIONS, newer
+from pipeline.relations.contact import Measured
+from pipeline.relations.predicates import pair_margins, pair_states
 from pipeline.relations.relations import (
     PROFILE,
     F,
@@ -20,8 +22,6 @@ from pipeline.relations.relations import (
     U,
     known_extents,
     measure_pairs,
-    measured_directions,
-    pairwise_states,
 )
 from pipeline.system.errors import InputError
 
@@ -32,9 +32,9 @@ class Judged:
 
     Attributes
     ----------
-    states : (N, N, 9) int8
+    states : (N, N, R) int8
         1 T, 0 U, -1 F, in the order of PAIRWISE.
-    margins : (N, N, 9) float64
+    margins : (N, N, R) float64
         Metres: positive for T, negative for F, 0 for U.
     distance : (N, N) float64
         Metres between the extents of the two, NaN where either is unknown.
@@ -73,10 +73,6 @@ class Judge(Protocol):
         ...
 
 
-CONTACT = ("on", "in", "near")
-"""The relations that look at points, and so cost the most."""
-
-
 @dataclass(frozen=True)
 class RuleProfile:
     """A set of rules under a name.
@@ -100,7 +96,14 @@ class RuleProfile:
     @property
     def hash(self) -> str:
         """sha256 of name, relations and parameters as canonical JSON."""
-        return canonical_hash({"name": self.name, "relations": self.relations, "parameters": self.parameters})
+        return self.hash_of(self.relations)
+
+    def hash_at(self, version: str) -> str:
+        """The hash that the rules had when the schema of labels was of a version: without relations that came later."""
+        return self.hash_of([name for name in self.relations if not newer(RELATIONS[name].since, version)])
+
+    def hash_of(self, relations: Sequence[str]) -> str:
+        return canonical_hash({"name": self.name, "relations": relations, "parameters": self.parameters})
 
 
 def canonical_hash(content: Any) -> str:
@@ -120,17 +123,14 @@ def judge_viewer_cone(
     profile = Profile()
     known = known_extents(lo, hi)
     pairs = measure_pairs(np.where(known[:, None], lo, 0.0), np.where(known[:, None], hi, 0.0), profile)
-    margins = np.zeros((len(lo), len(lo), len(PAIRWISE)))
-    margins[..., : len(DIRECTIONAL)] = directional_margins(pairs, profile)
-    if set(relations) & set(CONTACT):
-        states = pairwise_states(lo, hi, clouds, profile)
-        margins[..., len(DIRECTIONAL) :] = contact_margins(pairs, clouds, profile)
-    else:
-        states = np.full(margins.shape, U, np.int8)
-        states[..., : len(DIRECTIONAL)] = measured_directions(pairs, known, profile)
+    # Those that are not of the extents' axes alone cost the most.
+    names = DIRECTIONAL if set(relations) <= set(DIRECTIONAL) else PAIRWISE
+    measured = Measured(pairs, profile, clouds)
+    shape, columns = (len(lo), len(lo), len(PAIRWISE)), [PAIRWISE.index(name) for name in names]
+    states, margins = np.full(shape, U, np.int8), np.zeros(shape)
+    states[..., columns] = pair_states(measured, known, names)
+    margins[..., columns] = pair_margins(measured, states[..., columns], names)
     both = known[:, None] & known[None, :] & ~np.eye(len(lo), dtype=np.bool_)
-    # A margin is never beyond its state: rounding at a threshold may part them by a hair.
-    margins = np.where(states == T, np.maximum(margins, 0), np.where(states == F, np.minimum(margins, 0), 0.0))
     margins[~both] = 0.0
     return Judged(states, margins, np.where(both, np.linalg.norm(pairs.gap, axis=2), np.nan))
 
@@ -177,7 +177,7 @@ def semantic_abstraction_directions(
     joined = (contact.states[..., on_in] == T).any(axis=2)
     joined |= joined.T
     cosine = np.divide(disp, length[..., None], out=np.zeros_like(disp), where=length[..., None] > 0)
-    for name, axis, sign in (("left", 0, -1), ("right", 0, 1), ("front", 2, -1), ("behind", 2, 1)):
+    for name, (axis, sign) in HORIZONTAL.items():
         along = sign * cosine[..., axis]
         in_cone = length * np.sin(np.arccos(SA_COSINE) - np.arccos(np.clip(along, -1, 1)))
         # Beyond a right angle to the cone the sine falls again; the distance itself is then the miss.
@@ -213,7 +213,7 @@ PROFILES: dict[str, RuleProfile] = {
         RuleProfile(PROFILE, PAIRWISE, asdict(Profile()), judge_viewer_cone),
         RuleProfile(
             "semantic-abstraction-published",
-            ("left", "right", "front", "behind", "on", "in"),
+            (*HORIZONTAL, "on", "in"),
             {
                 "scale": SA_SCALE,
                 "cosine": SA_COSINE,
@@ -224,7 +224,7 @@ PROFILES: dict[str, RuleProfile] = {
             },
             judge_semantic_abstraction,
         ),
-        RuleProfile(GIVEN, ("left", "right", "front", "behind", "on", "in"), {}, judge_nothing),
+        RuleProfile(GIVEN, (*HORIZONTAL, "on", "in"), {}, judge_nothing),
     )
 }
 """The profiles by name. A new one is a `Judge` and an entry here."""
@@ -243,3 +243,37 @@ def profile_of(name: str) -> RuleProfile:
     return PROFILES[name]
 
 
+def as_given(judged: Judged, numbers: Sequence[int], given: Sequence[GivenExpression]) -> Judged:
+    """The judgements with the states that a dataset's expressions say.
+
+    An expression that means one target and one reference makes its relation T,
+    and what no expression says of that pair F. Where several references (or
+    targets) may be meant, their pairs stay U in that relation. A pair of which
+    nothing is said stays U throughout: it may have been passed over.
+
+    Parameters
+    ----------
+    judged : Judged
+        Of N objects; its states are U where nothing is given.
+    numbers : sequence of N
+        The objects' places in the dataset's own list of annotations.
+    given : sequence of GivenExpression
+
+    Returns
+    -------
+    Judged
+        Margins are 0: no geometry was asked.
+    """
+    place = {number: k for k, number in enumerate(numbers)}
+    sure, told = np.zeros(judged.states.shape, np.bool_), np.zeros(judged.states.shape, np.bool_)
+    for expression in given:
+        column = PAIRWISE.index(expression.relation)
+        ends = [(a, b) for a in expression.target_indices for b in expression.reference_indices if a != b]
+        for a, b in ends:
+            if a in place and b in place:
+                (sure if len(ends) == 1 else told)[place[a], place[b], column] = True
+    states = judged.states.copy()
+    states[sure.any(axis=2) & ~np.eye(len(numbers), dtype=np.bool_)] = F
+    states[told & ~sure] = judged.states[told & ~sure]
+    states[sure] = T
+    return replace(judged, states=states, margins=np.zeros(judged.margins.shape))

@@ -5,19 +5,33 @@ A labels folder holds four tables. Rows are keyed by (frame, object) and
 canonical order is that of these keys. Lengths are metres, angles do not occur.
 Vectors named `center`, `R`, `size` are in the camera frame (OpenCV); `lo`, `hi`
 and `centroid` along the viewer's (right, up, forward).
+
+The JSON Schemas of a version stand in `schemas/`; `python -m pipeline.labels.schema` writes those of this one.
 """
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import BaseModel, ConfigDict, Field, create_model
 
 from pipeline.geometry.camera import UpSource
 from pipeline.labels.profiles import canonical_hash
+from pipeline.language.relation_names import PAIRWISE, RELATIONS, version_numbers
 
-SCHEMA_VERSION = "1.2.0"
-"""Semantic version of the tables below: a new major number means that old readers must refuse."""
+SCHEMA_VERSION = max("1.2.0", *(r.since for r in RELATIONS.values()), key=version_numbers)
+"""Semantic version of the tables below: a new major number means that old readers must refuse, and a relation that is
+declared anew raises the minor one."""
+ADDED_COLUMNS = {
+    column: RELATIONS[name].since
+    for name in PAIRWISE
+    if RELATIONS[name].since != "1.0.0"
+    for column in (name, f"{name}_margin")
+}
+"""Columns of relations that came later, with the version that brought them: a file of an older one has none, and
+reads as null."""
 
 State = Annotated[Literal[-1, 0, 1] | None, Field(json_schema_extra={"arrow": "int8"})]
 """1 the relation holds (T), 0 too close to call (U), -1 it does not (F); null where the profile does not judge it."""
@@ -107,7 +121,7 @@ class ObjectRow(Row):
     reason: str | None
 
 
-class RelationRow(Row):
+class PairRow(Row):
     """All relations of one ordered pair: "object a RELATION object b".
 
     A margin is how far, in metres, the measures stand from where the state
@@ -118,24 +132,12 @@ class RelationRow(Row):
     b: Annotated[int, Field(json_schema_extra={"arrow": "int32"})]
     distance: Annotated[float | None, Field(json_schema_extra={"arrow": "float32"})]
     doubted: Count
-    left: State = None
-    right: State = None
-    above: State = None
-    below: State = None
-    front: State = None
-    behind: State = None
-    on: State = None
-    in_: State = Field(default=None, alias="in")
-    near: State = None
-    left_margin: Margin = None
-    right_margin: Margin = None
-    above_margin: Margin = None
-    below_margin: Margin = None
-    front_margin: Margin = None
-    behind_margin: Margin = None
-    on_margin: Margin = None
-    in_margin: Margin = None
-    near_margin: Margin = None
+
+
+_OF_RELATIONS: dict[str, Any] = dict.fromkeys(PAIRWISE, (State, None))
+_OF_RELATIONS |= {f"{name}_margin": (Margin, None) for name in PAIRWISE}
+RelationRow = create_model("RelationRow", __base__=PairRow, __doc__=PairRow.__doc__, **_OF_RELATIONS)
+"""PairRow with two columns for each declared relation."""
 
 
 class ExpressionRow(Row):
@@ -241,3 +243,26 @@ def labels_version(manifest: Manifest) -> str:
     """16 hexadecimal digits that change with how the automatic labels were made and with what is in them."""
     tables = {name: entry.content_hash for name, entry in manifest.tables.items()}
     return canonical_hash({"config": manifest.config_hash, "tables": tables})[:16]
+
+
+SCHEMA_FOLDER = Path(__file__).with_name("schemas") / SCHEMA_VERSION
+
+
+def schema_text(schema: dict[str, object]) -> str:
+    """A schema as it stands in its file."""
+    return json.dumps(schema, indent=1, ensure_ascii=False) + "\n"
+
+
+def write_schemas(folder: Path = SCHEMA_FOLDER) -> tuple[Path, ...]:
+    """Write one file a table, and one for the manifest."""
+    folder.mkdir(parents=True, exist_ok=True)
+    written = []
+    for name, schema in json_schemas().items():
+        written.append(folder / f"{name}.json")
+        written[-1].write_text(schema_text(schema), encoding="utf-8", newline="\n")
+    return tuple(written)
+
+
+if __name__ == "__main__":
+    for path in write_schemas():
+        print(path)

@@ -20,7 +20,7 @@ from pipeline.geometry.lifting import LiftedObject
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.labels.profiles import Judged
 from pipeline.language.relation_names import PAIRWISE
-from pipeline.relations.appearance import Appearance
+from pipeline.relations.features import Appearance
 from pipeline.relations.model import OnnxScorer
 from pipeline.relations.relations import F, T, U
 from pipeline.system.errors import InputError

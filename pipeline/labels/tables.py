@@ -14,7 +14,7 @@ from typing import IO, TYPE_CHECKING, Any
 import numpy as np
 from pydantic import ValidationError
 
-from pipeline.labels.schema import SCHEMA_VERSION, TABLES
+from pipeline.labels.schema import ADDED_COLUMNS, SCHEMA_VERSION, TABLES
 from pipeline.system.errors import InputError
 from pipeline.system.whole_files import temporary_beside
 
@@ -125,13 +125,27 @@ def read_table(
             schema = file.schema_arrow
             check_version(schema.metadata or {}, table, path)
             missing = [n for n in columns or arrow_schema(table).names if n not in schema.names]
-            if missing:
-                raise InputError(f"table {table} lacks the column {missing[0]!r}", path=path)
-            return file.read(columns=None if columns is None else list(columns))
+            lost = [n for n in missing if n not in ADDED_COLUMNS]
+            if lost:
+                raise InputError(f"table {table} lacks the column {lost[0]!r}", path=path)
+            read = file.read(columns=None if columns is None else [n for n in columns if n in schema.names])
+            return read if columns is not None and not columns else with_added(read, table, columns)
     except FileNotFoundError as error:
         raise InputError(f"the table {table} is missing", cause="are these labels merged?", path=path) from error
     except (pa.ArrowInvalid, pa.ArrowTypeError, OSError) as error:
         raise InputError("not a readable Parquet file", got=str(error).split("\n")[0], path=path) from error
+
+
+def with_added(rows: pa.Table, table: str, columns: Sequence[str] | None = None) -> pa.Table:
+    """Rows of a file that may be older than the columns in ADDED_COLUMNS: those are null, in their place."""
+    import pyarrow as pa
+
+    wanted = columns or arrow_schema(table).names
+    missing = [n for n in wanted if n in ADDED_COLUMNS and n not in rows.column_names]
+    for name in missing:
+        field = arrow_schema(table).field(name)
+        rows = rows.append_column(field, pa.nulls(rows.num_rows, field.type))
+    return rows.select(wanted) if missing else rows
 
 
 def check_version(metadata: dict[bytes, bytes], table: str, path: str | Path) -> None:
@@ -151,18 +165,24 @@ class RowHash:
     """Hash of a table's rows in order, whatever the chunks they come in.
 
     Each column is hashed on its own, and of each column apart: which values are
-    null, the lengths of lists and strings, and the values.
+    null, the lengths of lists and strings, and the values. A column that came to
+    the schema later counts where it has a value: older rows keep their hash.
     """
 
     def __init__(self, table: str) -> None:
         self._names = arrow_schema(table).names
         self._digests: dict[tuple[str, int], Any] = {}
+        self._held = {name for name in self._names if name not in ADDED_COLUMNS}
         self.rows = 0
 
     def update(self, table: pa.Table) -> None:
         """Add rows."""
         self.rows += table.num_rows
         for name in self._names:
+            if name in ADDED_COLUMNS and name not in table.column_names:
+                continue
+            if table.column(name).null_count < table.num_rows:
+                self._held.add(name)
             for chunk in table.column(name).chunks:
                 for place, part in enumerate(_plain_bytes(chunk)):
                     self._digests.setdefault((name, place), hashlib.sha256()).update(part)
@@ -171,7 +191,8 @@ class RowHash:
         """64 hexadecimal digits."""
         whole = hashlib.sha256(str(self.rows).encode())
         for (name, place), digest in sorted(self._digests.items()):
-            whole.update(f"{name}.{place}".encode() + digest.digest())
+            if name in self._held:
+                whole.update(f"{name}.{place}".encode() + digest.digest())
         return whole.hexdigest()
 
 

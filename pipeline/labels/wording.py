@@ -12,7 +12,8 @@ from pipeline.language import lexicon
 from pipeline.language.expression import parse
 from pipeline.language.naming import DETERMINERS, is_named, match, normal_form, same_class
 from pipeline.language.noun_phrase import NounPhrase, noun_phrase, readable
-from pipeline.language.relation_names import PAIRWISE, PHRASE
+from pipeline.language.relation import SEMANTIC_ABSTRACTION
+from pipeline.language.relation_names import PAIRWISE, PHRASE, RELATIONS
 from pipeline.language.tokens import MAX_LENGTH, words_of
 from pipeline.system.errors import InputError
 
@@ -20,18 +21,7 @@ __all__ = ["STYLES", "can_be_said", "expression_text", "question_text"]
 
 STYLES = ("varied", "plain", "semantic-abstraction")
 
-VARIED_PHRASES: dict[str, tuple[str, ...]] = {
-    "left": ("left of", "to the left of", "on the left of", "on the left side of"),
-    "right": ("right of", "to the right of", "on the right of", "on the right side of"),
-    "above": ("above", "higher than"),
-    "below": ("below", "lower than"),
-    "front": ("in front of",),
-    "behind": ("behind",),
-    "on": ("on", "on top of", "resting on", "sitting on"),
-    "in": ("in", "inside", "inside of", "within"),
-    "near": ("near", "next to", "close to", "beside"),
-}
-"""Phrases that claim no more than the relation: `under` and `over` would; `at the back of` may mean a part of it."""
+VARIED_PHRASES = {name: RELATIONS[name].says or (PHRASE[name],) for name in PAIRWISE}
 
 VARIED_FRAMES = (
     "{t} {p} {bare_r}",
@@ -65,13 +55,10 @@ SEEN_QUESTION_FRAMES = (
     "{Is} {the_t} {p} {the_r}, as seen from the camera?",
     "From the camera, {is_} {the_t} {p} {the_r}?",
 )
-SEEN = frozenset({"left", "right", "front", "behind"})
-"""Relations that depend on where the camera stands."""
-
 PLAIN_FRAME = "{t} {p} {plain_r}"
 PLAIN_QUESTION = "{Is} {the_t} {p} {the_r}?"
 SEMANTIC_ABSTRACTION_FRAME = "{t} {p} a {r}"
-SEMANTIC_ABSTRACTION_PHRASES = {**PHRASE, "left": "on the left of", "right": "on the right of"}
+SEMANTIC_ABSTRACTION_PHRASES = {**PHRASE, **SEMANTIC_ABSTRACTION}
 """The relation words of Semantic Abstraction (Ha and Song, CoRL 2022); ours where it has none."""
 
 
@@ -166,7 +153,8 @@ def expression_text(
         raise InputError("unknown style of expressions", got=repr(style), expected="one of " + ", ".join(STYLES))
     number = _checked(relation, key)
     if style == "varied":
-        frames, phrases, plain = SEEN_FRAMES if relation in SEEN else VARIED_FRAMES, VARIED_PHRASES, PLAIN_FRAME
+        frames = SEEN_FRAMES if RELATIONS[relation].viewer_dependent else VARIED_FRAMES
+        phrases, plain = VARIED_PHRASES, PLAIN_FRAME
     elif style == "plain":
         frames, phrases, plain = (PLAIN_FRAME,), {relation: (PHRASE[relation],)}, PLAIN_FRAME
     else:
@@ -182,7 +170,7 @@ def question_text(relation: str, target: str, reference: str, key: int, *, class
     Parameters and errors are those of `expression_text`, and `parse` reads it as well.
     """
     number = _checked(relation, key)
-    frames = SEEN_QUESTION_FRAMES if relation in SEEN else QUESTION_FRAMES
+    frames = SEEN_QUESTION_FRAMES if RELATIONS[relation].viewer_dependent else QUESTION_FRAMES
     chosen = _chosen(frames, VARIED_PHRASES[relation], number)
     return _said(chosen, _Template(PLAIN_QUESTION, PHRASE[relation]), target, relation, reference, class_names)
 

@@ -7,8 +7,9 @@ from dataclasses import dataclass, replace
 
 from pipeline.language import lexicon
 from pipeline.language.grammar import Chain, Clause, Span, read_chain
-from pipeline.language.lexicon import INVERSES, RELATIONS, wording
+from pipeline.language.lexicon import wording
 from pipeline.language.naming import Synonyms, default_synonyms
+from pipeline.language.relation_names import MIRRORED, RELATIONS
 from pipeline.language.tokens import check_text, vocabulary
 from pipeline.system.errors import InputError
 
@@ -27,7 +28,7 @@ class Expression:
     target, reference : str
         Names, lower case without articles, or as the class list spells them.
     relation : str
-        Canonical name, one of `lexicon.RELATIONS`.
+        Canonical name, one of `relation_names.RELATIONS`.
     text : str
         The expression as it was typed.
     second_reference : str or None
@@ -233,14 +234,14 @@ def parse(
 
 def _attachment(clause: Clause, relations: Collection[str] | None) -> Attachment:
     """A clause in canonical terms and in those on offer, its references still to be filled in."""
-    relation, inverse, mapped_from = clause.relation, clause.swapped, None
-    if relations is not None and "on" not in relations:
-        if relation == "on" and "above" in relations:
-            relation, mapped_from = "above", "on"
-        elif clause.phrase in lexicon.UNDER:
-            mapped_from = "under"
-    if inverse and relation in INVERSES:
-        relation, inverse = INVERSES[relation], False
+    relation, inverse, mapped_from, lacking = clause.relation, clause.swapped, None, "on"
+    coarser = RELATIONS[relation].coarser
+    if relations is not None and relation not in relations and coarser is not None and coarser in relations:
+        relation, mapped_from, lacking = coarser, relation, relation
+    elif relations is not None and "on" not in relations and clause.phrase in lexicon.UNDER:
+        mapped_from = "under"
+    if inverse and relation in MIRRORED:
+        relation, inverse = MIRRORED[relation], False
     if relations is not None and relation not in relations:
         offered = [r for r in RELATIONS if r in relations]
         raise InputError(
@@ -248,7 +249,7 @@ def _attachment(clause: Clause, relations: Collection[str] | None) -> Attachment
             got=f"'{clause.phrase}'",
             expected="one of " + ", ".join(offered) if offered else None,
         )
-    note = f"this vocabulary has no 'on': '{clause.phrase}' is read as '{relation}'" if mapped_from else None
+    note = f"this vocabulary has no '{lacking}': '{clause.phrase}' is read as '{relation}'" if mapped_from else None
     return Attachment(relation, (), inverse, clause.phrase, mapped_from, note)
 
 

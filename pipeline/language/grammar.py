@@ -16,6 +16,7 @@ from typing import Literal
 
 from pipeline.language import lexicon
 from pipeline.language.naming import DETERMINERS
+from pipeline.language.relation_names import MIRRORED
 from pipeline.language.tokens import EXAMPLE, Token, Vocabulary, label_of, tokenize
 from pipeline.language.unreadable import FORM, check_judged, check_noun, no_relation, other_view, unreadable
 from pipeline.system.errors import InputError
@@ -301,7 +302,8 @@ def _with_clause(
     cut = next((i for i, t in enumerate(body) if i and t.plain in lexicon.WITH), None)
     if cut is None or cut + 1 == len(body):
         return None
-    if after.relation not in lexicon.INVERSES and after.relation not in lexicon.SWAPPED_WORDING:
+    # Only what can be said from the other side, by another name or by a phrase of its own.
+    if after.relation not in MIRRORED and after.relation not in lexicon.SAYS_SWAPPED:
         return None
     rest, _ = _without_linking(following)
     pronoun = len(rest) == 1 and rest[0].plain in lexicon.PLACE_PRONOUNS

@@ -8,69 +8,21 @@ from __future__ import annotations
 
 import re
 
-from pipeline.language.relation_names import INVERSE, PHRASE
-
-RELATIONS: tuple[str, ...] = tuple(PHRASE)
-"""The canonical names of the relations."""
-
-INVERSES: dict[str, str] = {**INVERSE, "near": "near"}
-"""`a R b` says the same as `b INVERSES[R] a`. `on` and `in` have no such name, only phrases that swap."""
-
-SWAPPED_WORDING = {"on": "supporting", "in": "containing"}
-"""How `a R b` is said from b's side where the relation has no inverse of its own."""
+from pipeline.language.relation import DECLARED
+from pipeline.language.relation_names import RELATIONS
 
 
 def _words(text: str) -> frozenset[str]:
     return frozenset(text.split())
 
 
-def _side(side: str) -> tuple[str, ...]:
-    places = (side, f"{side} side", f"{side} hand side")
-    led = [f"{p} {the}{s} of" for p in ("to", "on", "at", "in") for the in ("the ", "") for s in places]
-    return (*(f"{s} of" for s in places), *led, f"{side} to")
-
-
-SAYS: dict[str, tuple[str, ...]] = {
-    "left": _side("left"),
-    "right": _side("right"),
-    "above": ("above", "over", "higher than", "up above", "higher up than"),
-    "below": ("below", "under", "underneath", "beneath", "lower than", "down below", "underneath of"),
-    "front": (
-        "in front of", "in the front of", "at the front of", "on the front of", "to the front of", "front of",
-        "infront of", "in front", "ahead of",
-    ),
-    "behind": (
-        "behind", "in the back of", "at the back of", "on the back of", "to the back of", "in back of", "behind of",
-    ),
-    "on": (
-        "on", "on top of", "on the top of", "on top", "on the top", "atop", "atop of", "upon", "onto",
-        "on the surface of", "resting on", "lying on", "sitting on", "standing on", "placed on", "laying on",
-        "supported by",
-    ),
-    "in": (
-        "in", "inside", "inside of", "within", "contained in", "contained by", "contained within", "enclosed in",
-        "enclosed by", "in the inside of",
-    ),
-    "near": (
-        "near", "near to", "nearby", "next to", "beside", "by", "close to", "close by", "by the side of",
-        "adjacent to", "alongside", "alongside of", "in the vicinity of", "over by", "over near", "over next to",
-    ),
-    "between": ("between", "in between", "in the middle of", "in the center of", "in the centre of"),
-    "closest": ("closest to", "closest", "nearest to", "nearest", "closer to", "nearer to"),
-    "farthest": (
-        "farthest from", "furthest from", "farthest away from", "furthest away from", "farther from", "further from",
-        "farther away from", "further away from", "most distant from", "farthest", "furthest", "most distant",
-    ),
-}  # fmt: skip
+SAYS: dict[str, tuple[str, ...]] = {r.name: r.reads for r in DECLARED}
 """Phrases by the relation that they say of TARGET to REFERENCE."""
 
 FAR = ("far from", "far away from", "far off from", "a long way from", "distant from")
 """Not near, which nothing here judges: no superlative, so that `farthest from` would be a guess."""
 
-SAYS_SWAPPED: dict[str, tuple[str, ...]] = {
-    "on": ("supporting", "supports", "holding", "holds", "carrying", "carries"),
-    "in": ("containing", "contains", "enclosing", "encloses"),
-}
+SAYS_SWAPPED: dict[str, tuple[str, ...]] = {r.name: r.swapped_reads for r in DECLARED if r.swapped_reads}
 """Phrases of the same relations said from the other side: REFERENCE to TARGET."""
 
 POSSESSIVE_TAILS = {"on its top": "on", "on their top": "on"}
@@ -255,7 +207,8 @@ OBJECT_VIEW_WORDS = _words(
 
 def wording(relation: str, *, inverse: bool = False) -> str:
     """How a relation is said between two nouns: `left of`; for `on` from the other side, `supporting`."""
-    return SWAPPED_WORDING.get(relation, f"reached by {PHRASE[relation]}") if inverse else PHRASE[relation]
+    declared = RELATIONS[relation]
+    return declared.swapped_phrase or f"reached by {declared.phrase}" if inverse else declared.phrase
 
 
 def phrase_table() -> dict[str, tuple[str, bool]]:

@@ -6,6 +6,7 @@ import difflib
 from collections.abc import Sequence
 
 from pipeline.language import lexicon
+from pipeline.language.relation_names import PHRASE
 from pipeline.language.tokens import EXAMPLE, Token
 from pipeline.system.errors import InputError
 
@@ -92,7 +93,7 @@ def unreadable(word: str, text: str) -> InputError:
 def _unknown_relation(tokens: Sequence[Token], at: int, text: str) -> InputError:
     word = tokens[at].text
     near = _close_phrases(tokens, range(max(at - 1, 0), at + 1))
-    hint = _did_you_mean(near) if near else "known relations: " + ", ".join(lexicon.PHRASE.values())
+    hint = _did_you_mean(near) if near else "known relations: " + ", ".join(PHRASE.values())
     return InputError(f"'{word}' is not a known relation", got=f"'{text}'", cause=hint)
 
 

@@ -7,6 +7,8 @@ viewer's (right, up, forward), metres.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -16,9 +18,39 @@ _BEYOND_EXTENTS = 0.1
 """Of 20 points or more, never so large a share lies beyond the extents to one side: 1st and 99th percentiles."""
 
 
-def on_measures(
-    pairs: PairMeasures, clouds: Sequence[np.ndarray] | None, profile: Profile
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+@dataclass(frozen=True)
+class Measured:
+    """All that is measured of every ordered pair, of points only what is asked for.
+
+    Attributes
+    ----------
+    pairs : PairMeasures
+    profile : Profile
+    clouds : sequence of (M, 3) float, or None
+        Each object's points along (right, up, forward); without them extents stand in.
+    given : ((..., N, N), (..., N, N)) float64, or None
+        `surface` and `share` where they are known: of a batch of scenes always.
+    """
+
+    pairs: PairMeasures
+    profile: Profile
+    clouds: Sequence[np.ndarray] | None = None
+    given: tuple[np.ndarray, np.ndarray] | None = None
+
+    @cached_property
+    def surface(self) -> np.ndarray:
+        """(..., N, N) float64: the height of b's surface under a, metres."""
+        if self.given is not None:
+            return self.given[0]
+        return supporting_surfaces(self.pairs.lo, self.pairs.hi, self.clouds, self.profile)
+
+    @cached_property
+    def share(self) -> np.ndarray:
+        """(..., N, N) float64: the share of a that lies in b's inflated extents."""
+        return enclosed_shares(self.pairs, self.clouds, self.profile) if self.given is None else self.given[1]
+
+
+def on_measures(measured: Measured) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """What decides "a on b".
 
     Returns
@@ -30,7 +62,7 @@ def on_measures(
     gap : (N, N) float64
         Metres between a's bottom and the surface of b under it.
     """
-    return _on_surfaces(pairs, supporting_surfaces(pairs.lo, pairs.hi, clouds, profile))
+    return _on_surfaces(measured.pairs, measured.surface)
 
 
 def _on_surfaces(pairs: PairMeasures, surface: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -39,8 +71,10 @@ def _on_surfaces(pairs: PairMeasures, surface: np.ndarray) -> tuple[np.ndarray, 
     return covered, area[..., :, None] / area[..., None, :], np.abs(pairs.lo[..., :, None, 1] - surface)
 
 
-def on_states(pairs: PairMeasures, surface: np.ndarray, profile: Profile) -> np.ndarray:
-    covered, area_ratio, gap = _on_surfaces(pairs, surface)
+def on_states(measured: Measured) -> np.ndarray:
+    """(..., N, N) states of "a on b"."""
+    pairs, profile = measured.pairs, measured.profile
+    covered, area_ratio, gap = on_measures(measured)
     supported = (covered >= profile.on_overlap) & (area_ratio < profile.on_area_ratio)
     touching = np.maximum(profile.on_gap, profile.on_gap_relative * pairs.extent[..., 1])[..., :, None]
     state = np.where(
@@ -96,9 +130,7 @@ def surface_heights(
     return heights
 
 
-def in_measures(
-    pairs: PairMeasures, clouds: Sequence[np.ndarray] | None, profile: Profile
-) -> tuple[np.ndarray, np.ndarray]:
+def in_measures(measured: Measured) -> tuple[np.ndarray, np.ndarray]:
     """What decides "a in b".
 
     Returns
@@ -108,7 +140,7 @@ def in_measures(
     below_rim : (N, N) float64
         How far a's bottom lies below b's top, in heights of a.
     """
-    return enclosed_shares(pairs, clouds, profile), _below_rim(pairs)
+    return measured.share, _below_rim(measured.pairs)
 
 
 def _below_rim(pairs: PairMeasures) -> np.ndarray:
@@ -151,8 +183,10 @@ def enclosed_share(
     return (np.clip(shared, 0, None) / np.maximum(hi_a - lo_a, profile.min_extent)).clip(0, 1).prod(axis=1)
 
 
-def in_states(pairs: PairMeasures, share: np.ndarray, profile: Profile) -> np.ndarray:
-    sunk = _below_rim(pairs) >= profile.in_below_rim
+def in_states(measured: Measured) -> np.ndarray:
+    """(..., N, N) states of "a in b"."""
+    profile, (share, below_rim) = measured.profile, in_measures(measured)
+    sunk = below_rim >= profile.in_below_rim
     return np.where(
         sunk & (share >= profile.in_share), T, np.where(sunk & (share >= profile.in_share_doubtful), U, F)
     )
@@ -162,9 +196,3 @@ def near_measures(pairs: PairMeasures) -> tuple[np.ndarray, np.ndarray]:
     """What decides "a near b": metres between them, and the mean of their diagonals; both (N, N) float64."""
     diagonal = np.linalg.norm(pairs.extent, axis=-1)
     return np.linalg.norm(pairs.gap, axis=-1), (diagonal[..., :, None] + diagonal[..., None, :]) / 2
-
-
-def near_states(pairs: PairMeasures, profile: Profile) -> np.ndarray:
-    gap, mean = near_measures(pairs)
-    doubtful = np.where(gap <= profile.near_diagonals_doubtful * mean, U, F)
-    return np.where(gap <= profile.near_diagonals * mean, T, doubtful)

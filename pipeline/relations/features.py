@@ -17,7 +17,6 @@ from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.fitting import pca_box
 from pipeline.geometry.lifting import LiftedObject
 from pipeline.geometry.viewer import ViewerAxes
-from pipeline.relations.appearance import Appearance
 from pipeline.relations.pair_measures import Profile
 from pipeline.relations.relations import measure_pairs
 from pipeline.system.errors import InputError
@@ -260,3 +259,37 @@ FEATURES: dict[str, FeatureSet] = {
     "canon30": FeatureSet("canon30", _box_columns(), describe_level_boxes, pair_side_by_side, _BOX_LENGTHS),
     "geom2d8": FeatureSet("geom2d8", _FLAT_COLUMNS, describe_boxes_2d, pair_side_by_side, (), boxes=True),
 }
+
+
+@dataclass(frozen=True, eq=False)
+class Appearance:
+    """2D boxes and class names of a list of objects, in its order.
+
+    Attributes
+    ----------
+    bboxes : (N, 4) float64
+        x0, y0, x1, y1, pixels; right and bottom edges exclusive.
+    labels : tuple of str
+    width, height : int
+        Of the image, pixels.
+    """
+
+    bboxes: np.ndarray
+    labels: tuple[str, ...]
+    width: int
+    height: int
+
+    def __post_init__(self) -> None:
+        if self.bboxes.shape != (len(self.labels), 4):
+            raise InputError(
+                "boxes and class names differ in number",
+                got=f"{self.bboxes.shape} boxes, {len(self.labels)} names",
+                expected="(N, 4) boxes and N names",
+            )
+        if min(self.width, self.height) < 1:
+            raise InputError("the image has no size", got=f"{self.width}x{self.height}")
+
+    def take(self, index: Sequence[int]) -> Appearance:
+        """Those objects alone, in this order."""
+        labels = tuple(self.labels[k] for k in index)
+        return Appearance(self.bboxes[list(index)].reshape(-1, 4), labels, self.width, self.height)

@@ -18,9 +18,9 @@ from pipeline.geometry.lifting import LiftedObject
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.metrics.platt import antisymmetric, antisymmetric_log_softmax, sigmoid, softmax
-from pipeline.relations.appearance import Appearance
 from pipeline.relations.class_vectors import ClassLookup
 from pipeline.relations.contract import Contract
+from pipeline.relations.features import Appearance
 from pipeline.relations.scorer import RelationScores, RuleScorer
 from pipeline.system.errors import InputError
 from pipeline.system.onnx_session import metadata, open_session, signature

@@ -19,8 +19,10 @@ from collections.abc import Collection, Sequence
 import numpy as np
 
 from pipeline.language.relation_names import DIRECTIONAL, PAIRWISE
-from pipeline.relations.contact import enclosed_shares, in_states, near_states, on_states, supporting_surfaces
+from pipeline.relations.contact import Measured, in_states, near_measures, on_states
+from pipeline.relations.margins import horizontal_margins, in_margins, on_margins, vertical_margins
 from pipeline.relations.pair_measures import F, PairMeasures, Profile, T, U, known_extents, measure_pairs
+from pipeline.relations.predicates import Predicate, pair_states, predicate, register
 
 PROFILE = "viewer-cone-v1"
 
@@ -54,11 +56,12 @@ def directional_states(lo: np.ndarray, hi: np.ndarray, profile: Profile | None =
     lo, hi = np.asarray(lo, np.float64).reshape(-1, 3), np.asarray(hi, np.float64).reshape(-1, 3)
     known = known_extents(lo, hi)
     pairs = measure_pairs(np.where(known[:, None], lo, 0.0), np.where(known[:, None], hi, 0.0), profile)
-    return measured_directions(pairs, known, profile)
+    return pair_states(Measured(pairs, profile), known, DIRECTIONAL)
 
 
-def measured_directions(pairs: PairMeasures, known: np.ndarray, profile: Profile) -> np.ndarray:
-    """`directional_states` where the pairs, or a batch of scenes, are measured already; `known` is (..., N) bool."""
+def _horizontal_states(measured: Measured) -> tuple[np.ndarray, ...]:
+    """(..., N, N) states of left, right, front and behind."""
+    pairs, profile = measured.pairs, measured.profile
     widest_gap = np.abs(pairs.gap[..., [0, 2]]).max(axis=-1)
     by_gap = _horizontal(pairs, pairs.gap, profile)
     by_center = _horizontal(pairs, pairs.delta, profile)
@@ -66,19 +69,7 @@ def measured_directions(pairs: PairMeasures, known: np.ndarray, profile: Profile
     low, high = profile.gap_switch_band
     switching = (widest_gap >= low) & (widest_gap <= high)
     states[switching[..., None] & (by_gap != by_center)] = U
-
-    above = _above(pairs, profile)
-    left, right, front, behind = np.moveaxis(states, -1, 0)
-    below = above.swapaxes(-1, -2)
-    return _decided(np.stack([left, right, above, below, front, behind], axis=-1), known)
-
-
-def _decided(states: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """int8 states: U where either extents are not known, F of an object to itself."""
-    result = states.astype(np.int8)
-    result[~(known[..., :, None] & known[..., None, :])] = U
-    result[..., np.eye(known.shape[-1], dtype=bool), :] = F
-    return result
+    return tuple(np.moveaxis(states, -1, 0))
 
 
 def _horizontal(pairs: PairMeasures, displacement: np.ndarray, profile: Profile) -> np.ndarray:
@@ -116,7 +107,9 @@ def _sign_gate(state: np.ndarray, signed: np.ndarray, dead_zone: np.ndarray | fl
     return np.where(signed <= 0, F, np.where(signed < dead_zone, np.minimum(state, U), state))
 
 
-def _above(pairs: PairMeasures, profile: Profile) -> np.ndarray:
+def _vertical_states(measured: Measured) -> tuple[np.ndarray, np.ndarray]:
+    """(..., N, N) states of above and of below."""
+    pairs, profile = measured.pairs, measured.profile
     area = pairs.extent[..., 0] * pairs.extent[..., 2]
     shared = pairs.overlap[..., 0] * pairs.overlap[..., 2]
     plan = shared / np.minimum(area[..., :, None], area[..., None, :])
@@ -130,7 +123,21 @@ def _above(pairs: PairMeasures, profile: Profile) -> np.ndarray:
     holds = (plan >= profile.plan_overlap) & resting | raised & (elevation >= profile.elevation)
     doubtful = (plan >= profile.plan_overlap_doubtful) & resting | raised & (elevation >= profile.elevation_doubtful)
     state = np.where(holds, T, np.where(doubtful, U, F))
-    return _sign_gate(state, pairs.delta[..., 1], profile.dead_zone)
+    above = _sign_gate(state, pairs.delta[..., 1], profile.dead_zone)
+    return above, above.swapaxes(-1, -2)
+
+
+register(Predicate(("left", "right", "front", "behind"), _horizontal_states, horizontal_margins))
+register(Predicate(("above", "below"), _vertical_states, vertical_margins))
+register(Predicate(("on",), lambda m: (on_states(m),), lambda m: (on_margins(m),), reads_points=True))
+register(Predicate(("in",), lambda m: (in_states(m),), lambda m: (in_margins(m),), reads_points=True))
+
+
+@predicate("near")
+def near_slacks(pairs: PairMeasures, profile: Profile) -> tuple[np.ndarray, np.ndarray]:
+    """How much farther than allowed, in mean diagonals, the extents could be apart."""
+    gap, mean = near_measures(pairs)
+    return profile.near_diagonals * mean - gap, profile.near_diagonals_doubtful * mean - gap
 
 
 def pairwise_states(
@@ -161,36 +168,10 @@ def pairwise_states(
     profile = profile or Profile()
     lo, hi = np.asarray(lo, np.float64).reshape(-1, 3), np.asarray(hi, np.float64).reshape(-1, 3)
     known = known_extents(lo, hi)
-    clean_lo, clean_hi = np.where(known[:, None], lo, 0.0), np.where(known[:, None], hi, 0.0)
-    pairs = measure_pairs(clean_lo, clean_hi, profile)
-    wanted = judged_relations(relations)
-    nothing = np.zeros((len(lo), len(lo)))
-    surface = supporting_surfaces(clean_lo, clean_hi, clouds, profile) if "on" in wanted else nothing
-    share = enclosed_shares(pairs, clouds, profile) if "in" in wanted else nothing
-    states = measured_states(pairs, known, surface, share, profile)
-    return states if wanted == PAIRWISE else states[..., [PAIRWISE.index(name) for name in wanted]]
+    pairs = measure_pairs(np.where(known[:, None], lo, 0.0), np.where(known[:, None], hi, 0.0), profile)
+    return pair_states(Measured(pairs, profile, clouds), known, judged_relations(relations))
 
 
 def judged_relations(relations: Collection[str]) -> tuple[str, ...]:
     """What `pairwise_states` judges where it is asked for these."""
     return tuple(name for name in PAIRWISE if name in DIRECTIONAL or name in relations)
-
-
-def measured_states(
-    pairs: PairMeasures, known: np.ndarray, surface: np.ndarray, share: np.ndarray, profile: Profile
-) -> np.ndarray:
-    """`pairwise_states` where everything is measured already, of one scene or of a batch.
-
-    Parameters
-    ----------
-    known : (..., N) bool
-    surface, share : (..., N, N) float64
-        From `supporting_surfaces` and `enclosed_shares`.
-
-    Returns
-    -------
-    (..., N, N, 9) int8
-    """
-    found = [on_states(pairs, surface, profile), in_states(pairs, share, profile), near_states(pairs, profile)]
-    directions = measured_directions(pairs, known, profile)
-    return np.concatenate([directions, _decided(np.stack(found, axis=-1), known)], axis=-1)

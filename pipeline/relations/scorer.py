@@ -11,8 +11,8 @@ import numpy as np
 from pipeline.geometry.lifting import LiftedObject
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.language.relation_names import DIRECTIONAL, PAIRWISE
-from pipeline.relations.appearance import Appearance
 from pipeline.relations.arrangement import between_states, superlative_states
+from pipeline.relations.features import Appearance
 from pipeline.relations.relations import PROFILE, Indices, directional_states, judged_relations, pairwise_states
 
 RULE_PROBABILITY = {1: 0.95, 0: 0.50, -1: 0.05}

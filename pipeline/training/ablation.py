@@ -19,7 +19,7 @@ import numpy as np
 from pipeline.datasets.synthetic import choose_views, make_room
 from pipeline.datasets.synthetic.views import camera_at
 from pipeline.geometry.camera import Camera
-from pipeline.language.relation_names import DIRECTIONAL
+from pipeline.language.relation_names import DIRECTIONAL, HORIZONTAL
 from pipeline.metrics.counts import f1_of
 from pipeline.metrics.intervals import BootstrapConfig, Estimate, bootstrap
 from pipeline.metrics.relation_metrics import cell_outcomes
@@ -182,7 +182,7 @@ COLUMNS = ("micro-F1", "other cameras", "loss", "front/behind F1", "front/behind
 def _figures(sums: np.ndarray) -> np.ndarray:
     """(S, 5) of sums (S, 2, 6, 3)."""
     micro = f1_of(*np.moveaxis(sums.sum(axis=2), -1, 0))
-    depth = [DIRECTIONAL.index(name) for name in ("front", "behind")]
+    depth = [DIRECTIONAL.index(name) for name, (axis, _) in HORIZONTAL.items() if axis == 2]
     apart = f1_of(*np.moveaxis(sums[:, :, depth], -1, 0)).mean(axis=2)
     return np.stack([*micro.T, micro[:, 0] - micro[:, 1], *apart.T], axis=1)
 

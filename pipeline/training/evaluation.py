@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.language.relation_names import DIRECTIONAL
+from pipeline.language.relation_names import DIRECTIONAL, RELATIONS
 from pipeline.metrics.calibration_metrics import calibration_metrics, expected_calibration_error
 from pipeline.metrics.counts import mean_of_defined, ratio
 from pipeline.metrics.relation_metrics import multi_label_metrics
@@ -176,8 +176,8 @@ def clear_cut(lo: np.ndarray, hi: np.ndarray, by_centers: bool = False) -> np.nd
     measured = measure_pairs(lo, hi)
     axis = np.abs(measured.delta if by_centers else measured.gap).argmax(axis=2)
     gap = np.take_along_axis(measured.gap, axis[..., None], axis=2)[..., 0]
-    negative = np.array([DIRECTIONAL.index(name) for name in ("left", "below", "front")])[axis]
-    positive = np.array([DIRECTIONAL.index(name) for name in ("right", "above", "behind")])[axis]
+    of_axis = {RELATIONS[name].axis: k for k, name in enumerate(DIRECTIONAL)}
+    negative, positive = (np.array([of_axis[k, side] for k in range(3)])[axis] for side in (-1, 1))
     return np.where(np.abs(gap) <= CLEAR_GAP_M, -1, np.where(gap > 0, positive, negative))
 
 

@@ -30,7 +30,7 @@ from pipeline.system.onnx_session import require_onnx
 from pipeline.training.pairs import PairSet, class_shares
 from pipeline.training.training_data import FrameSamples, iterate_pairs
 
-OUTPUTS: dict[str, Output] = {"avd": "sigmoid", "semantic-abstraction": "softmax", "all": "sigmoid"}
+OUTPUTS: dict[str, Output] = {name: "softmax" if name == "semantic-abstraction" else "sigmoid" for name in VOCABULARIES}
 """What the paper trains on each vocabulary: several relations may hold, or exactly one fits. "all" is for review."""
 
 FEWEST_EXAMPLES = 10

@@ -25,8 +25,7 @@ from pipeline.datasets.synthetic.solids import solid_view
 from pipeline.geometry.camera import Camera
 from pipeline.geometry.lifting import LiftedObject, lift
 from pipeline.geometry.viewer import ViewerAxes, viewer_axes
-from pipeline.relations.appearance import Appearance
-from pipeline.relations.features import FEATURES
+from pipeline.relations.features import FEATURES, Appearance
 from pipeline.relations.relations import directional_states
 from pipeline.system.errors import InputError
 from pipeline.system.threads import threads_in_children

@@ -12,6 +12,7 @@ from pipeline.diagnosis.whatif.decision_map import DecisionMap
 from pipeline.diagnosis.whatif.region import Region
 from pipeline.geometry.boxes import EDGES, Box3D
 from pipeline.geometry.palette import RGB, instance_colors, palette
+from pipeline.language.relation_names import RELATIONS
 from spatialviz.app.glb import unlit_glb
 from spatialviz.app.relation_region import REACH, asked_pair
 from spatialviz.app.scene import SceneView
@@ -170,9 +171,8 @@ def _dead_zone(region: Region) -> np.ndarray:
     """(2, 2, 3) camera frame: both edges of the doubtful strip beside the reference, across the relation's axis."""
     middle = region.axes[0, 0]
     right, up, forward = (axis[1] - axis[0] for axis in region.axes)
-    along, across = {
-        "left": (right, forward), "right": (right, forward), "front": (forward, right), "behind": (forward, right),
-    }.get(region.relation, (up, right))  # fmt: skip
+    axis, _ = RELATIONS[region.relation].axis or (1, 1)
+    along, across = ((right, forward), (up, right), (forward, right))[axis]
     along, across = (v / np.linalg.norm(v) for v in (along, across))
     reach = across * REACH / 2
     edges = [middle + side * region.dead_zone * along for side in (-1, 1)]

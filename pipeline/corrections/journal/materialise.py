@@ -15,12 +15,10 @@ from pipeline.corrections.journal.records import who_and_what
 from pipeline.corrections.journal.replay import Unapplied
 from pipeline.datasets import Dataset
 from pipeline.labels.card import croissant, dataset_card
-from pipeline.labels.corrections import MARKS_FILE, PROVENANCE_FILE, STATUSES_FILE
 from pipeline.labels.makers import makers_of
 from pipeline.labels.merge import CARD_FILE, CROISSANT_FILE, environment, write_merged
-from pipeline.labels.reading import MANIFEST_FILE, Labels
-from pipeline.labels.schema import SCHEMA_VERSION, TABLES, Manifest, labels_version
-from pipeline.labels.schema_files import write_schemas
+from pipeline.labels.reading import MANIFEST_FILE, MARKS_FILE, PROVENANCE_FILE, STATUSES_FILE, Labels
+from pipeline.labels.schema import SCHEMA_VERSION, TABLES, Manifest, labels_version, write_schemas
 from pipeline.labels.tables import write_table
 from pipeline.system.errors import InputError
 from pipeline.system.version import __version__

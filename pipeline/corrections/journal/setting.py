@@ -9,7 +9,7 @@ from pipeline.geometry.lifting import LiftConfig
 from pipeline.labels.check.relations import MIRRORED_PROFILES
 from pipeline.labels.config import LabelConfig
 from pipeline.labels.reading import Labels
-from pipeline.language.relation_names import INVERSE
+from pipeline.language.relation_names import MIRRORED
 from pipeline.system.errors import InputError
 
 
@@ -40,7 +40,7 @@ class Setting:
         """What "b ... a" is called where "a RELATION b" is said; None where the profile has no such relation."""
         if self.config.profile not in MIRRORED_PROFILES:
             return None
-        found = "near" if relation == "near" else INVERSE.get(relation)
+        found = MIRRORED.get(relation)
         return found if found in self.relations else None
 
 

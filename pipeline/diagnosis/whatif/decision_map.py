@@ -20,10 +20,11 @@ from pipeline.diagnosis.whatif.edits import Edits
 from pipeline.diagnosis.whatif.pair_tables import combined, describe
 from pipeline.diagnosis.whatif.rerun import Baseline, Outcome, rerun, with_superlatives
 from pipeline.language.expression import Node
-from pipeline.language.relation_names import DIRECTIONAL, PAIRWISE
-from pipeline.relations.contact import enclosed_share, surface_heights
+from pipeline.language.relation_names import PAIRWISE
+from pipeline.relations.contact import Measured, enclosed_share, surface_heights
 from pipeline.relations.model import OnnxScorer
-from pipeline.relations.relations import Profile, measure_pairs, measured_states
+from pipeline.relations.predicates import pair_states, predicates_of
+from pipeline.relations.relations import Profile, measure_pairs
 from pipeline.relations.scorer import RuleScorer, stacked_extents
 from pipeline.system.errors import InputError
 
@@ -179,7 +180,7 @@ def _pair_probabilities(
         if other == moved:
             continue
         other_lo, other_hi = (np.nan_to_num(e[other]) for e in (lo, hi))
-        if not relations <= {*DIRECTIONAL, "near"}:
+        if any(p.reads_points for p in predicates_of(relations & set(PAIRWISE))):
             points = trace.objects[other].lifted.points @ axes
             own = lo[moved] + shift, hi[moved] + shift
             # That the one moves by a shift is that the other moves by its opposite.
@@ -193,7 +194,8 @@ def _pair_probabilities(
             for e, o in ((lo, other_lo), (hi, other_hi))
         )
         measures = measure_pairs(both_lo, both_hi, profile)
-        states = measured_states(measures, np.broadcast_to([True, known], (count, 2)), surface, share, profile)
+        measured = Measured(measures, profile, given=(surface, share))
+        states = pair_states(measured, np.broadcast_to([True, known], (count, 2)), PAIRWISE)
         network = None
         if isinstance(scorer, OnnxScorer):
             fixed = np.broadcast_to(rows[other], moved_rows.shape)

@@ -17,9 +17,10 @@ from pipeline.geometry.frame import Frame
 from pipeline.geometry.lifting import LiftedObject
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.language.relation_names import PAIRWISE
-from pipeline.relations.contact import enclosed_share, points_decide, surface_heights
+from pipeline.relations.contact import Measured, enclosed_share, points_decide, surface_heights
 from pipeline.relations.model import OnnxScorer
-from pipeline.relations.relations import Profile, known_extents, measure_pairs, measured_states, pairwise_states
+from pipeline.relations.predicates import pair_states
+from pipeline.relations.relations import Profile, known_extents, measure_pairs, pairwise_states
 from pipeline.relations.scorer import RelationScorer, RelationScores, RuleScorer, rule_probabilities, stacked_extents
 
 _WHOLE = 0.5
@@ -202,7 +203,7 @@ def of_pairs(
     Returns
     -------
     RelationScores
-        With arrays (P, 2, 2, 9): [p, 0, 1] is "first RELATION second".
+        With arrays (P, 2, 2, R): [p, 0, 1] is "first RELATION second".
     """
     known = known_extents(*extents)
     lo, hi = (np.where(known[:, None], e, 0.0) for e in extents)
@@ -218,7 +219,7 @@ def of_pairs(
             surface[at, side, 1 - side] = heights
         for one, at in _grouped(a, held[:, side, 1 - side]):
             share[at, side, 1 - side] = enclosed_share(lo[one], hi[one], clouds[one], lo[b[at]], hi[b[at]], profile)
-    states = measured_states(measures, known[pair], surface, share, profile)
+    states = pair_states(Measured(measures, profile, given=(surface, share)), known[pair], PAIRWISE)
     return combined(states, scorer.probabilities(rows[pair]) if isinstance(scorer, OnnxScorer) else None, scorer)
 
 

@@ -9,14 +9,12 @@ import numpy as np
 
 from pipeline.geometry.lifting import LiftedObject
 from pipeline.geometry.viewer import ViewerAxes
-from pipeline.language.relation_names import PAIRWISE
-from pipeline.relations.contact import in_measures, near_measures, on_measures
-from pipeline.relations.relations import PairMeasures, Profile, known_extents, letter, measure_pairs, pairwise_states
+from pipeline.language.relation_names import HORIZONTAL, PAIRWISE
+from pipeline.relations.contact import Measured, in_measures, near_measures, on_measures
+from pipeline.relations.predicates import pair_margins, pair_states
+from pipeline.relations.relations import PairMeasures, Profile, known_extents, letter, measure_pairs
 from pipeline.relations.scorer import stacked_extents
 from pipeline.system.errors import InputError
-
-HORIZONTAL = {"left": (0, -1), "right": (0, 1), "front": (2, -1), "behind": (2, 1)}
-"""Relation -> its axis among (right, up, forward), and on which side of it the target lies."""
 
 Measures = dict[str, float]
 
@@ -68,19 +66,17 @@ def place_in_region(
     if not known_extents(lo, hi).all():
         return Placement(relation, 0, "One of the two has no place in space: U", {})
     axes = viewer.matrix.T.astype(np.float32)
-    clouds = [o.points @ axes for o in (target, reference)]
-    state = int(pairwise_states(lo, hi, clouds, profile)[0, 1, PAIRWISE.index(relation)])
-    pairs = measure_pairs(lo, hi, profile)
+    measured = Measured(measure_pairs(lo, hi, profile), profile, [o.points @ axes for o in (target, reference)])
+    states = pair_states(measured, np.ones(2, np.bool_), (relation,))
+    state = int(states[0, 1, 0])
     if relation in HORIZONTAL:
-        measures, reason = _horizontal(pairs, relation, profile)
+        measures, reason = _horizontal(measured.pairs, relation, profile)
     elif relation in ("above", "below"):
-        measures, reason = _vertical(pairs, relation, profile)
-    elif relation == "on":
-        measures, reason = _on(pairs, clouds, profile)
-    elif relation == "in":
-        measures, reason = _in(pairs, clouds, profile)
+        measures, reason = _vertical(measured.pairs, relation, profile)
+    elif relation in _REASONS:
+        measures, reason = _REASONS[relation](measured)
     else:
-        measures, reason = _near(pairs, profile)
+        measures, reason = _by_margin(float(pair_margins(measured, states, (relation,))[0, 1, 0]))
     return Placement(relation, state, f"{reason(state)}: {letter(state)}", measures)
 
 
@@ -177,11 +173,10 @@ def _vertical(pairs: PairMeasures, relation: str, profile: Profile) -> tuple[Mea
     return measures, reason
 
 
-def _on(
-    pairs: PairMeasures, clouds: list[np.ndarray], profile: Profile
-) -> tuple[Measures, _Reason]:
-    covered, ratio, gap = (float(m[0, 1]) for m in on_measures(pairs, clouds, profile))
-    touching = max(profile.on_gap, profile.on_gap_relative * float(pairs.extent[0, 1]))
+def _on(measured: Measured) -> tuple[Measures, _Reason]:
+    profile = measured.profile
+    covered, ratio, gap = (float(m[0, 1]) for m in on_measures(measured))
+    touching = max(profile.on_gap, profile.on_gap_relative * float(measured.pairs.extent[0, 1]))
     measures = {"covered": covered, "area_ratio": ratio, "gap_m": gap, "touching_m": touching}
 
     def reason(state: int) -> str:
@@ -200,8 +195,9 @@ def _on(
     return measures, reason
 
 
-def _in(pairs: PairMeasures, clouds: list[np.ndarray], profile: Profile) -> tuple[Measures, _Reason]:
-    share, below_rim = (float(m[0, 1]) for m in in_measures(pairs, clouds, profile))
+def _in(measured: Measured) -> tuple[Measures, _Reason]:
+    profile = measured.profile
+    share, below_rim = (float(m[0, 1]) for m in in_measures(measured))
 
     def reason(state: int) -> str:
         if below_rim < profile.in_below_rim:
@@ -212,8 +208,9 @@ def _in(pairs: PairMeasures, clouds: list[np.ndarray], profile: Profile) -> tupl
     return {"share": share, "below_rim": below_rim}, reason
 
 
-def _near(pairs: PairMeasures, profile: Profile) -> tuple[Measures, _Reason]:
-    gap, mean = (float(m[0, 1]) for m in near_measures(pairs))
+def _near(measured: Measured) -> tuple[Measures, _Reason]:
+    profile = measured.profile
+    gap, mean = (float(m[0, 1]) for m in near_measures(measured.pairs))
     close, doubtful = profile.near_diagonals * mean, profile.near_diagonals_doubtful * mean
 
     def reason(state: int) -> str:
@@ -221,3 +218,16 @@ def _near(pairs: PairMeasures, profile: Profile) -> tuple[Measures, _Reason]:
         return f"{gap:.2f} m between the two, {bound.get(state, f'more than {doubtful:.2f} m')}"
 
     return {"gap_m": gap, "mean_diagonal_m": mean, "near_m": close, "doubtful_m": doubtful}, reason
+
+
+def _by_margin(margin: float) -> tuple[Measures, _Reason]:
+    """For a relation of which only its rule is known."""
+
+    def reason(state: int) -> str:
+        sure = {1: f"It holds by {margin:.2f} m", -1: f"It fails by {-margin:.2f} m"}
+        return sure.get(state, "It is too close to call")
+
+    return {"margin_m": margin}, reason
+
+
+_REASONS = {"on": _on, "in": _in, "near": _near}

@@ -4,8 +4,8 @@ left, right, front and behind are drawn in the level plane through the
 reference's middle, exactly: all lines on which the rule's verdict can change
 (edges of the dead zone, of the overlap, of the switch from gaps to centres, and
 of the cones by gaps and by centres) cut the plane into trapezoids, and the rule
-itself judges the middle of each. The other relations are solids through
-outlines at several heights.
+itself judges the middle of each. above, below, on, in and near are solids
+through outlines at several heights; any other relation is judged on a grid.
 """
 
 from __future__ import annotations
@@ -15,14 +15,17 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.diagnosis.whatif.placement import HORIZONTAL
-from pipeline.diagnosis.whatif.region_solids import solids
+from pipeline.diagnosis.whatif.region_solids import SOLIDS, solids
 from pipeline.geometry.lifting import LiftedObject
 from pipeline.geometry.viewer import ViewerAxes
-from pipeline.language.relation_names import DIRECTIONAL, PAIRWISE
-from pipeline.relations.relations import Profile, known_extents, letter, measure_pairs, measured_directions
+from pipeline.language.relation_names import HORIZONTAL, PAIRWISE, RELATIONS
+from pipeline.relations.contact import Measured
+from pipeline.relations.predicates import pair_states
+from pipeline.relations.relations import Profile, known_extents, letter, measure_pairs
 from pipeline.system.errors import InputError
 
+GRID_CELLS = 80
+"""Cells along each side of the region of a relation of which only its rule is known."""
 REACH = 1.5
 """Metres beyond the reference to which the region is drawn; it goes on without end."""
 
@@ -107,19 +110,18 @@ def region_of(
     if not known_extents(lo[None], hi[None]).all():
         raise InputError("the reference has no place in space, and so there is no region around it")
     middle = (lo + hi) / 2
-    if relation in HORIZONTAL:
-        found = _plane(lo, hi, size, relation, profile, reach)
-    else:
+    if relation in SOLIDS:
         found = solids(lo, hi, size, relation, profile, reach)
+    else:
+        found = _plane(lo, hi, size, relation, profile, reach)
     axes = middle[None, None] + np.stack([np.zeros((3, 3)), np.eye(3) * 0.5 * min(reach, 1.0)], axis=1)
-    dead = {"left": profile.dead_zone, "right": profile.dead_zone}
     depth = max(profile.dead_zone_depth, profile.dead_zone_depth_relative * abs(float(middle[2])))
-    dead |= {"front": depth, "behind": depth, "above": profile.dead_zone, "below": profile.dead_zone}
+    axis, _ = RELATIONS[relation].axis or (None, 1)
     return Region(
         relation,
         tuple(Patch(name, tri @ viewer.matrix, lines @ viewer.matrix) for name, tri, lines in found),
         axes @ viewer.matrix,
-        dead.get(relation, 0.0),
+        0.0 if axis is None else depth if axis == 2 else profile.dead_zone,
         relation in HORIZONTAL,
     )
 
@@ -134,8 +136,7 @@ def plane_states(
         for sign, own in ((-1, lo), (1, hi))
     ]
     pairs = measure_pairs(both[0], both[1], profile)
-    states = measured_directions(pairs, np.ones((count, 2), np.bool_), profile)
-    return states[:, 0, 1, DIRECTIONAL.index(relation)]
+    return pair_states(Measured(pairs, profile), np.ones((count, 2), np.bool_), (relation,))[:, 0, 1, 0]
 
 
 _Line = tuple[float, float]
@@ -147,30 +148,18 @@ def _plane(
 ) -> list[tuple[str, np.ndarray, np.ndarray]]:
     """Trapezoids in the plane through the reference's middle, merged along the second coordinate.
 
-    The coordinates are (s, t): s along the relation's axis towards its side, t across, both from the middle.
+    The coordinates are (s, t): s along the relation's axis towards its side, t across, both from the middle. Of a
+    relation without an axis s is along right, and the trapezoids are cells of a grid.
     """
-    axis, side = HORIZONTAL[relation]
+    axis, side = HORIZONTAL.get(relation, (0, 1))
     across = 2 - axis
-    extent = np.maximum(hi - lo, profile.min_extent)
     middle = (lo + hi) / 2
-    half = (size + (hi - lo)) / 2
-    shorter = np.minimum(np.maximum(size, profile.min_extent), extent)
-    far = half[[axis, across]] + reach
-    upright = _uprights(axis, side, float(half[axis]), float(shorter[axis]), float(middle[2]), profile)
-    band = [profile.gap_switch, *profile.gap_switch_band, 0.0]
-    # A line t = c + m s, and its mirror image.
-    sloped: list[_Line] = [(float(half[across]) + g, 0.0) for g in band]
-    for angle in (profile.cone, profile.doubtful_cone):
-        if angle < 90:
-            slope = float(np.tan(np.deg2rad(angle)))
-            sloped += [(0.0, slope), (float(half[across] - slope * half[axis]), slope)]
-    lines = np.array(sorted({*sloped, *((-c, -m) for c, m in sloped), (far[1], 0.0), (-far[1], 0.0)}))
-    cuts = [*upright, 0.0, far[0]]
-    c, m = lines[:, 0], lines[:, 1]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        meet = -(c[:, None] - c[None]) / (m[:, None] - m[None])
-    cuts += meet[np.isfinite(meet)].tolist()
-    s = np.unique(np.round([x for x in cuts if 0 <= x <= far[0]], 9))
+    far = ((size + (hi - lo)) / 2)[[axis, across]] + reach
+    if relation in HORIZONTAL:
+        s, c, m = _exact_cuts(lo, hi, size, axis, side, far, profile)
+    else:
+        s, c = (np.linspace(-end, end, GRID_CELLS + 1) for end in far)
+        m = np.zeros(len(c))
     s0, s1 = s[:-1], s[1:]
     t0, t1 = (np.clip(c[None] + m[None] * x[:, None], -far[1], far[1]) for x in (s0, s1))
     order = np.argsort(t0 + t1, axis=1, kind="stable")
@@ -185,6 +174,32 @@ def _plane(
     places[:, across] += corners.mean(axis=1)
     state = plane_states(lo, hi, size, places, relation, profile)
     return _merged(strip, corners, state, s0, s1, axis, side, middle)
+
+
+def _exact_cuts(
+    lo: np.ndarray, hi: np.ndarray, size: np.ndarray, axis: int, side: int, far: np.ndarray, profile: Profile
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """All lines on which the verdict can change: sorted s, and c and m of the lines t = c + m s."""
+    across = 2 - axis
+    extent = np.maximum(hi - lo, profile.min_extent)
+    half = (size + (hi - lo)) / 2
+    shorter = np.minimum(np.maximum(size, profile.min_extent), extent)
+    depth = float(((lo + hi) / 2)[2])
+    upright = _uprights(axis, side, float(half[axis]), float(shorter[axis]), depth, profile)
+    band = [profile.gap_switch, *profile.gap_switch_band, 0.0]
+    # A line t = c + m s, and its mirror image.
+    sloped: list[_Line] = [(float(half[across]) + g, 0.0) for g in band]
+    for angle in (profile.cone, profile.doubtful_cone):
+        if angle < 90:
+            slope = float(np.tan(np.deg2rad(angle)))
+            sloped += [(0.0, slope), (float(half[across] - slope * half[axis]), slope)]
+    lines = np.array(sorted({*sloped, *((-c, -m) for c, m in sloped), (far[1], 0.0), (-far[1], 0.0)}))
+    cuts = [*upright, 0.0, far[0]]
+    c, m = lines[:, 0], lines[:, 1]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        meet = -(c[:, None] - c[None]) / (m[:, None] - m[None])
+    cuts += meet[np.isfinite(meet)].tolist()
+    return np.unique(np.round([x for x in cuts if 0 <= x <= far[0]], 9)), c, m
 
 
 def _uprights(

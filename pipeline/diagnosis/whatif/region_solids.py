@@ -13,6 +13,8 @@ import numpy as np
 from pipeline.relations.relations import Profile
 
 _CORNER_STEPS = 8
+SOLIDS = ("above", "below", "on", "in", "near")
+"""The relations whose regions are solids."""
 Solid = tuple[str, np.ndarray, np.ndarray]
 """Label, triangles (M, 3, 3), segments (S, 2, 3)."""
 

@@ -10,7 +10,7 @@ import numpy as np
 from pipeline.labels.check.findings import Finding
 from pipeline.labels.check.stream import UNKNOWN
 from pipeline.labels.check.view import FrameView, state_letter
-from pipeline.labels.expressions import row_hash
+from pipeline.labels.labelling import row_hash
 from pipeline.language.expression import parse
 from pipeline.language.naming import normal_form
 from pipeline.language.noun_phrase import readable

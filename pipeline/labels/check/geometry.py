@@ -1,7 +1,7 @@
 """Relations against geometry: what the stored extents say under the rules that the manifest names.
 
-Directions, near and distances follow from the extents alone, and are compared
-exactly. "On" and "in" also read the objects' points, which labels do not keep:
+Distances and all relations but on and in follow from the extents alone, and are
+compared exactly. "On" and "in" also read the objects' points, which labels do not keep:
 of them only what extents can decide is checked, as a lowest and a highest state.
 
 - "a on b" asks that 30 % of a's footprint lie over b's, that a's footprint be
@@ -29,17 +29,16 @@ import numpy as np
 from pipeline.labels.check.findings import Finding
 from pipeline.labels.check.stream import UNKNOWN
 from pipeline.labels.check.view import FrameView, pairs_where, state_letter
-from pipeline.labels.margins import directional_margins, margin_of
 from pipeline.labels.profiles import GIVEN, Judged, semantic_abstraction_directions
-from pipeline.language.relation_names import DIRECTIONAL, PAIRWISE
-from pipeline.relations.contact import near_measures
+from pipeline.language.relation_names import HORIZONTAL, PAIRWISE
+from pipeline.relations.contact import Measured
+from pipeline.relations.predicates import PREDICATES, pair_margins, pair_states
 from pipeline.relations.relations import (
     F,
     PairMeasures,
     Profile,
     T,
     U,
-    directional_states,
     known_extents,
     letter,
     measure_pairs,
@@ -80,18 +79,14 @@ def expected_viewer_cone(view: FrameView) -> Expected:
     both = known[:, None] & known[None, :]
     pairs = measure_pairs(np.where(known[:, None], lo, 0.0), np.where(known[:, None], hi, 0.0), profile)
     low, high, margins = _contact(view, pairs, profile, both)
-    states = directional_states(lo, hi, profile)
-    slack = directional_margins(pairs, profile)
-    slack = np.where(states == T, np.maximum(slack, 0), np.where(states == F, np.minimum(slack, 0), 0.0))
+    exact = [relation for relation in PAIRWISE if not PREDICATES[relation].reads_points]
+    measured = Measured(pairs, profile)
+    states = pair_states(measured, known, exact)
+    slack = pair_margins(measured, states, exact)
     slack[~both] = 0.0
-    for k, relation in enumerate(DIRECTIONAL):
+    for k, relation in enumerate(exact):
         low[relation] = high[relation] = states[..., k]
         margins[relation] = slack[..., k]
-    apart, mean = near_measures(pairs)
-    holds, allows = profile.near_diagonals * mean - apart, profile.near_diagonals_doubtful * mean - apart
-    near = np.where(holds >= 0, T, np.where(allows >= 0, U, F)).astype(np.int8)
-    low["near"] = high["near"] = np.where(both, near, U)
-    margins["near"] = np.where(both, margin_of(holds, allows), 0.0)
     return Expected(low, high, margins, np.where(both, np.linalg.norm(pairs.gap, axis=2), np.nan))
 
 
@@ -117,7 +112,7 @@ def expected_semantic_abstraction(view: FrameView) -> Expected:
     judged = semantic_abstraction_directions(lo, hi, centroid, contact)
     touching = np.maximum(high["on"], high["in"]) == T
     touching |= touching.T
-    for relation in ("left", "right", "front", "behind"):
+    for relation in HORIZONTAL:
         k = PAIRWISE.index(relation)
         high[relation] = judged.states[..., k]
         low[relation] = high[relation] if stored else np.where(touching, F, high[relation]).astype(np.int8)

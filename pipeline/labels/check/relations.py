@@ -18,14 +18,14 @@ from pipeline.labels.check.findings import Finding, Severity
 from pipeline.labels.check.geometry import Expected
 from pipeline.labels.check.stream import UNKNOWN
 from pipeline.labels.check.view import FrameView, pairs_where, state_letter
-from pipeline.language.relation_names import DIRECTIONAL, PHRASE
+from pipeline.language.relation_names import INVERSE, MIRRORED, OPPOSITES, PAIRWISE, PHRASE
 from pipeline.relations.relations import F, T
 
 MIRRORED_PROFILES = ("viewer-cone-v1",)
 """Profiles in which "a left of b" and "b right of a" are one question."""
 
-OPPOSITES = (("left", "right"), ("above", "below"), ("front", "behind"))
-STRICT = (*DIRECTIONAL, "on", "in")
+STRICT = tuple(name for name in PAIRWISE if MIRRORED.get(name) != name)
+"""Relations that hold one way at most, and without cycles."""
 
 
 def check_relations(view: FrameView, expected: Expected | None, profile: str) -> Iterator[Finding]:
@@ -180,7 +180,7 @@ def shortest_cycle(holds: np.ndarray) -> np.ndarray:
 
 def _severity(relation: str, edges: np.ndarray, expected: Expected | None) -> Severity:
     """Warning for on and in, unless geometry rules out one of the edges."""
-    if relation in DIRECTIONAL:
+    if relation in INVERSE:
         return "error"
     if expected is not None and relation in expected.high:
         most = expected.high[relation][edges[:, 0], edges[:, 1]]

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.labels.check.constraints import Violation, constraints, violations
-from pipeline.labels.schema import TABLES
+from pipeline.labels.schema import ADDED_COLUMNS, TABLES
 from pipeline.labels.tables import arrow_schema, check_version
 from pipeline.system.errors import InputError
 
@@ -86,6 +86,8 @@ class TableStream:
         self.extra: tuple[str, ...] = ()
         self.ordered = True
         self.opened = False
+        # Columns that the schema got after the file was written: null throughout.
+        self._added: set[str] = set()
         self._blocks: Iterator[pa.Table] = iter(())
         self._block: dict[str, np.ndarray] = {}
         self._violations: list[Violation] = []
@@ -147,7 +149,7 @@ class TableStream:
         lacking, other = set(), []
         for field in arrow_schema(self.table):
             if field.name not in found.names:
-                lacking.add(field.name)
+                (self._added if field.name in ADDED_COLUMNS else lacking).add(field.name)
             elif not _alike(found.field(field.name).type, field.type):
                 other.append(f"{field.name} is {found.field(field.name).type} and not {field.type}")
                 if not _castable(found.field(field.name).type, field.type):
@@ -159,7 +161,7 @@ class TableStream:
         """Blocks of whole frames, in order, of the schema's types."""
         import pyarrow as pa
 
-        wanted = [n for n in arrow_schema(self.table).names if n not in self.lacking]
+        wanted = [n for n in arrow_schema(self.table).names if n not in self.lacking | self._added]
         if not self.ordered:
             whole = self._typed(file.read(columns=wanted))
             filled = whole.column("frame_index").fill_null(-1)
@@ -183,7 +185,7 @@ class TableStream:
 
         arrays = []
         for field in arrow_schema(self.table):
-            if field.name in self.lacking:
+            if field.name in self.lacking | self._added:
                 arrays.append(pa.chunked_array([pa.nulls(rows.num_rows, field.type)]))
                 continue
             column = rows.column(field.name)

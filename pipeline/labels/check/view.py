@@ -1,4 +1,8 @@
-"""One frame of labels, laid out for the rules: objects in a row, relations as matrices over them."""
+"""One frame of labels, laid out for the rules: objects in a row, relations as matrices over them.
+
+Masks are read without trust: `pycocotools` writes where a code says, whatever its size; so every code is read here
+first, and only a sound one is handed on.
+"""
 
 from __future__ import annotations
 
@@ -8,9 +12,9 @@ from typing import Any
 
 import numpy as np
 
+from pipeline.geometry.masks import decode_crop, run_lengths
 from pipeline.geometry.viewer import ViewerAxes, viewer_axes
 from pipeline.labels.check.findings import RULES, Figure, Finding, Severity
-from pipeline.labels.check.runs import MaskRuns, read_runs
 from pipeline.labels.check.stream import UNKNOWN, Rows
 from pipeline.language.naming import normal_form, same_class
 from pipeline.language.noun_phrase import alone
@@ -255,3 +259,36 @@ class FrameView:
         if not len(self.objects):
             return np.zeros((0, 3)), np.zeros((0, 3))
         return self.objects["lo"], self.objects["hi"]
+
+
+@dataclass(frozen=True)
+class MaskRuns:
+    """A mask as its code says.
+
+    Attributes
+    ----------
+    area : int
+        Pixels.
+    bbox : (4,) float64
+        x0, y0, x1, y1, edges exclusive; zeros for an empty mask.
+    """
+
+    area: int
+    bbox: np.ndarray
+
+
+def read_runs(code: str, height: int, width: int) -> MaskRuns | str:
+    """Area and extents of a mask, or in words why its code is none of that size."""
+    counts = run_lengths(code)
+    if isinstance(counts, str):
+        return counts
+    if counts.sum() != height * width:
+        return f"it is of {int(counts.sum())} pixels, and the frame has {height * width}"
+    crop = decode_crop((height, width), code)
+    h, w = crop.mask.shape
+    return MaskRuns(int(crop.mask.sum()), np.array([crop.x, crop.y, crop.x + w, crop.y + h], np.float64))
+
+
+def runs_object(code: str, height: int, width: int) -> Any:
+    """A code that `read_runs` accepts, as pycocotools takes it."""
+    return {"size": [height, width], "counts": code.encode("ascii")}

@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from pipeline.datasets import Dataset
 from pipeline.labels.exports import coco, hub, jsonl, kitti, vqa
-from pipeline.labels.exports.base import ExportFormat, ExportReport, Job, Progress
-from pipeline.labels.exports.images import ImageCopy
+from pipeline.labels.exports.base import ExportFormat, ExportReport, ImageCopy, Job, Progress
 from pipeline.labels.exports.json_text import load_json
 from pipeline.labels.exports.provenance import open_provenance
 from pipeline.labels.pictures import labelled_dataset

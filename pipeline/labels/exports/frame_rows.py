@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.labels.reading import Labels
-from pipeline.labels.tables import check_version
+from pipeline.labels.schema import ADDED_COLUMNS
+from pipeline.labels.tables import check_version, with_added
 from pipeline.system.errors import InputError
 
 if TYPE_CHECKING:
@@ -59,8 +60,10 @@ def table_batches(labels: Labels, name: str, columns: Sequence[str] | None = Non
         # Pre-buffering keeps what was read of every row group until the last is done.
         with pq.ParquetFile(path, pre_buffer=False) as file:
             check_version(file.schema_arrow.metadata or {}, name, path)
-            for batch in file.iter_batches(BATCH, columns=None if columns is None else list(columns)):
-                yield pa.Table.from_batches([batch])
+            held = file.schema_arrow.names
+            there = None if columns is None else [n for n in columns if n not in ADDED_COLUMNS or n in held]
+            for batch in file.iter_batches(BATCH, columns=there):
+                yield with_added(pa.Table.from_batches([batch]), name, columns)
     except (pa.ArrowInvalid, pa.ArrowTypeError, OSError) as error:
         raise InputError("not a readable Parquet file", got=str(error).split("\n")[0], path=path) from error
 

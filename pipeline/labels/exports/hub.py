@@ -18,8 +18,7 @@ from pipeline.labels.exports.base import ExportFormat, Job, Written
 from pipeline.labels.exports.frame_rows import table_batches
 from pipeline.labels.exports.jsonl import copy_images
 from pipeline.labels.exports.provenance import extended_json_schemas, extended_schema
-from pipeline.labels.schema import TABLES
-from pipeline.labels.schema_files import write_schemas
+from pipeline.labels.schema import TABLES, write_schemas
 from pipeline.labels.tables import ROW_GROUP, arrow_schema, read_table
 from pipeline.system.errors import InputError
 from pipeline.system.staging import text_file, write_json

@@ -12,13 +12,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from pipeline.labels.exports.base import ExportFormat, Job, Written
+from pipeline.labels.exports.base import ExportFormat, Job, Written, image_name
 from pipeline.labels.exports.frame_rows import iterate_frames, table_batches
-from pipeline.labels.exports.images import image_name
 from pipeline.labels.exports.json_text import json_lines
 from pipeline.labels.exports.provenance import extended_json_schemas, extended_schema
-from pipeline.labels.schema import TABLES
-from pipeline.labels.schema_files import write_schemas
+from pipeline.labels.schema import TABLES, write_schemas
 from pipeline.labels.tables import arrow_schema
 from pipeline.system.errors import InputError
 from pipeline.system.staging import text_file

@@ -19,9 +19,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pipeline.labels.corrections import MARKS_FILE, PROVENANCE_FILE, STATUSES_FILE
 from pipeline.labels.exports.json_text import json_line, load_json
-from pipeline.labels.reading import Labels
+from pipeline.labels.reading import MARKS_FILE, PROVENANCE_FILE, STATUSES_FILE, Labels
 from pipeline.labels.schema import Manifest
 from pipeline.labels.tables import arrow_schema
 from pipeline.system.errors import InputError

@@ -26,9 +26,8 @@ the keys of `pipeline.labels.exports.provenance`. Whatever it does not list is "
 
 from __future__ import annotations
 
-from pipeline.labels.exports.base import ExportFormat, Job, Written
+from pipeline.labels.exports.base import ExportFormat, Job, Written, image_name
 from pipeline.labels.exports.frame_rows import FrameRows, iterate_frames
-from pipeline.labels.exports.images import image_name
 from pipeline.labels.exports.json_text import JsonList
 from pipeline.labels.exports.provenance import Provenance
 from pipeline.labels.exports.vqa_geometry import Depths, figures_of

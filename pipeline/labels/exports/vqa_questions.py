@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from pipeline.labels.exports import vqa_wording as say
+from pipeline.labels.exports.base import image_name
 from pipeline.labels.exports.frame_rows import FrameRows
-from pipeline.labels.exports.images import image_name
 from pipeline.labels.exports.vqa_geometry import POINTS, Figures, gap_between
 from pipeline.labels.exports.vqa_records import Kind, Question, VqaConfig
-from pipeline.labels.expressions import row_hash
+from pipeline.labels.labelling import row_hash
 from pipeline.language.noun_phrase import alone
 from pipeline.relations.relations import F, T
 from pipeline.system.errors import InputError

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 from pipeline.labels.wording import can_be_said, question_text
 from pipeline.language.noun_phrase import noun_phrase, readable
-from pipeline.language.relation_names import PHRASE
+from pipeline.language.relation_names import RELATIONS
 from pipeline.system.errors import InputError
 
 BRIEF = "Answer the question using a single word or phrase."
@@ -19,7 +19,7 @@ WHICH = (
     "Name the object {phrase} {the}.",
     "In this image, which object is {phrase} {the}?",
 )
-WHICH_PHRASE = {**PHRASE, "left": "to the left of", "right": "to the right of"}
+WHICH_PHRASE = {name: r.which or r.phrase for name, r in RELATIONS.items()}
 """`What is left of the lamp?` would ask for its remains."""
 
 GROUNDING = (

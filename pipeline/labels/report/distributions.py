@@ -9,15 +9,13 @@ import numpy as np
 
 from pipeline.labels.database import Database, quantiles, quoted
 from pipeline.labels.statistics import margin_counts
-from pipeline.language.relation_names import DIRECTIONAL
+from pipeline.language.relation_names import DIRECTIONAL, RELATIONS
 
 SAMPLED_FRAMES = 5_000
 """Displacements are counted over about so many frames; of fewer, over all."""
 CELL_M = 0.02
 FARTHEST_M = 10.0
 DISTANCE_STEP_M = 0.25
-HIGHEST = ("above", "below", "on", "in")
-"""Relations that show along (right, up); the others along (right, forward)."""
 
 
 @dataclass(frozen=True)
@@ -27,7 +25,7 @@ class Displacements:
     Attributes
     ----------
     across, along : (N,) float64
-        Metres to the right, and up (for HIGHEST) or forward (the others): middles of cells of CELL_M.
+        Metres to the right, and up or forward (see `in_plan`): middles of cells of CELL_M.
     count : (N,) int64
         Pairs in the cell.
     """
@@ -123,7 +121,7 @@ def displacements(
     part = min(sampled / max(frames, 1), 1) * 2**32
     taken = f"(CAST(r.frame_index AS BIGINT) * 2654435761) % 4294967296 < {part:.0f}"
     counts = " UNION ALL ".join(
-        f"SELECT {place} AS relation, x, {'y' if name in HIGHEST else 'z'} AS along, count(*) AS n"
+        f"SELECT {place} AS relation, x, {'z' if in_plan(name) else 'y'} AS along, count(*) AS n"
         f" FROM pairs WHERE {quoted(name)} = 1 GROUP BY ALL"
         for place, name in enumerate(relations)
     )
@@ -182,7 +180,7 @@ def _sizes(database: Database, classes: Sequence[str]) -> list[SizeRange]:
 
 def in_plan(relation: str) -> bool:
     """Whether a relation shows from above rather than from the viewer's place."""
-    return relation not in HIGHEST
+    return RELATIONS[relation].seen_from == "plan"
 
 
 def has_cone(relation: str) -> bool:

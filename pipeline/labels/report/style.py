@@ -9,7 +9,8 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from pipeline.geometry.palette import RELATIONS, hex_color
+from pipeline.geometry.palette import hex_color
+from pipeline.language.relation_names import RELATIONS
 from pipeline.system.errors import MissingExtra
 
 if TYPE_CHECKING:
@@ -113,7 +114,7 @@ def save_figure(figure: Figure, path: Path) -> None:
 
 def relation_color(relation: str) -> str:
     """The colour of a relation, "#rrggbb"."""
-    return hex_color(RELATIONS[relation])
+    return hex_color(RELATIONS[relation].color)
 
 
 def short(label: str, length: int = 24) -> str:

@@ -15,7 +15,7 @@ from typing import IO, Any
 import numpy as np
 import xxhash
 
-from pipeline.language.vectors.words import utf8
+from pipeline.language.vectors.phrases import utf8
 from pipeline.system.errors import InputError
 from pipeline.system.file_memory import FileMemory, keep, memory_path, recall
 

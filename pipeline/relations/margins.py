@@ -9,16 +9,15 @@ even U is missed, U by 0.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 
-from pipeline.relations.contact import in_measures, near_measures, on_measures
-from pipeline.relations.relations import PairMeasures, Profile
+from pipeline.relations.contact import Measured, in_measures, on_measures
+from pipeline.relations.pair_measures import PairMeasures, Profile
 
 
-def directional_margins(pairs: PairMeasures, profile: Profile) -> np.ndarray:
-    """(N, N, 6) float64 margins in the order of DIRECTIONAL, metres; see the module."""
+def horizontal_margins(measured: Measured) -> tuple[np.ndarray, ...]:
+    """(N, N) float64 margins of left, right, front and behind, metres; see the module."""
+    pairs, profile = measured.pairs, measured.profile
     holds, allows = _horizontal(pairs, profile)
     widest = np.abs(pairs.gap[..., ::2]).max(axis=2)[..., None]
     low, high = profile.gap_switch_band
@@ -32,8 +31,13 @@ def directional_margins(pairs: PairMeasures, profile: Profile) -> np.ndarray:
     edge = np.where(below, low - widest, widest - high)
     differs = ~between & (np.sign(other) != np.sign(own))
     own = np.where(differs, np.sign(own) * np.minimum(np.abs(own), np.maximum(edge, 0)), own)
-    above = margin_of(*_above(pairs, profile))
-    return np.concatenate([own[..., :2], above[..., None], above.T[..., None], own[..., 2:]], axis=2)
+    return tuple(np.moveaxis(own, -1, 0))
+
+
+def vertical_margins(measured: Measured) -> tuple[np.ndarray, np.ndarray]:
+    """(N, N) float64 margins of above and of below, metres."""
+    above = margin_of(*_above(measured.pairs, measured.profile))
+    return above, above.T
 
 
 def margin_of(holds: np.ndarray, allows: np.ndarray) -> np.ndarray:
@@ -96,28 +100,30 @@ def _above(pairs: PairMeasures, profile: Profile) -> tuple[np.ndarray, np.ndarra
     return slacks[0], slacks[1]
 
 
-def contact_margins(pairs: PairMeasures, clouds: Sequence[np.ndarray] | None, profile: Profile) -> np.ndarray:
-    """(N, N, 3) float64 margins of on, in and near, metres."""
-    area = pairs.extent[:, 0] * pairs.extent[:, 2]
-    side = np.sqrt(area)
-    covered, ratio, gap = on_measures(pairs, clouds, profile)
+def on_margins(measured: Measured) -> np.ndarray:
+    """(N, N) float64 margins of on, metres."""
+    pairs, profile = measured.pairs, measured.profile
+    side = np.sqrt(pairs.extent[:, 0] * pairs.extent[:, 2])
+    covered, ratio, gap = on_measures(measured)
     sideways = np.hypot(pairs.gap[..., 0], pairs.gap[..., 2])
     supported = np.minimum(
         (covered - profile.on_overlap) * side[:, None] - sideways, (profile.on_area_ratio - ratio) * side[None, :]
     )
     touching = np.maximum(profile.on_gap, profile.on_gap_relative * pairs.extent[:, 1])[:, None]
-    on = margin_of(
+    return margin_of(
         np.minimum(supported, touching - gap),
         np.minimum(supported, np.maximum(touching, profile.on_gap_doubtful) - gap),
     )
-    share, below_rim = in_measures(pairs, clouds, profile)
+
+
+def in_margins(measured: Measured) -> np.ndarray:
+    """(N, N) float64 margins of in, metres."""
+    pairs, profile = measured.pairs, measured.profile
+    share, below_rim = in_measures(measured)
     length = np.cbrt(pairs.extent.prod(axis=1))[:, None]
     sunk = (below_rim - profile.in_below_rim) * pairs.extent[:, None, 1]
-    apart, mean = near_measures(pairs)
-    outside = np.maximum(apart - profile.in_inflation, 0)
-    inside = margin_of(
+    outside = np.maximum(np.linalg.norm(pairs.gap, axis=2) - profile.in_inflation, 0)
+    return margin_of(
         np.minimum((share - profile.in_share) * length - outside, sunk),
         np.minimum((share - profile.in_share_doubtful) * length - outside, sunk),
     )
-    near = margin_of(profile.near_diagonals * mean - apart, profile.near_diagonals_doubtful * mean - apart)
-    return np.stack([on, inside, near], axis=2)

@@ -1,0 +1,118 @@
+"""How a declared relation is judged: its predicate, found by the relation's name.
+
+A relation is declared in `pipeline.language.relation`; `@predicate` over a function of the measures, as in
+`pipeline.relations.relations`, says when it holds. States, margins, regions and checks follow.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pipeline.relations.contact import Measured
+from pipeline.relations.margins import margin_of
+from pipeline.relations.pair_measures import F, PairMeasures, Profile, T, U
+from pipeline.system.errors import InputError
+
+Judge = Callable[[Measured], Sequence[np.ndarray]]
+Slacks = Callable[[PairMeasures, Profile], tuple[np.ndarray, np.ndarray]]
+
+
+@dataclass(frozen=True)
+class Predicate:
+    """The rule of one relation, or of several that are judged together.
+
+    Attributes
+    ----------
+    relations : tuple of str
+    states : callable
+        (..., N, N) states, one array for each of the relations: T, U or F at [a, b] for "a RELATION b".
+    margins : callable
+        (N, N) float64 metres to the nearest threshold for each: positive for T, negative for F, 0 for U.
+    reads_points : bool
+        It looks at more than extents.
+    """
+
+    relations: tuple[str, ...]
+    states: Judge
+    margins: Judge
+    reads_points: bool = False
+
+
+PREDICATES: dict[str, Predicate] = {}
+"""By the name of a relation."""
+
+
+def register(predicate: Predicate) -> None:
+    """Judge the predicate's relations by it."""
+    PREDICATES.update(dict.fromkeys(predicate.relations, predicate))
+
+
+def predicate(relation: str) -> Callable[[Slacks], Slacks]:
+    """Judge a relation by a function of the measures of all ordered pairs.
+
+    The function returns two (..., N, N) arrays: how many metres the measures could change before "a RELATION b" were
+    no longer sure, and before it were surely false. Where the first is at least 0 the state is T, where only the
+    second is, U, elsewhere F; the margins follow from both.
+    """
+
+    def registered(slacks: Slacks) -> Slacks:
+        def states(measured: Measured) -> tuple[np.ndarray]:
+            holds, allows = slacks(measured.pairs, measured.profile)
+            return (np.where(holds >= 0, T, np.where(allows >= 0, U, F)),)
+
+        def margins(measured: Measured) -> tuple[np.ndarray]:
+            return (margin_of(*slacks(measured.pairs, measured.profile)),)
+
+        register(Predicate((relation,), states, margins))
+        return slacks
+
+    return registered
+
+
+def predicates_of(relations: Iterable[str]) -> list[Predicate]:
+    """The predicates that judge these relations, each once.
+
+    Raises
+    ------
+    InputError
+        A relation has none.
+    """
+    relations = tuple(relations)
+    missing = [name for name in relations if name not in PREDICATES]
+    if missing:
+        raise InputError(
+            f"the relation {missing[0]!r} has no predicate",
+            expected=f"a function under @predicate({missing[0]!r}), as in pipeline/relations/relations.py",
+            cause="it is declared in pipeline/language/relation.py alone",
+        )
+    return list({id(found): found for found in (PREDICATES[name] for name in relations)}.values())
+
+
+def _stacked(relations: Sequence[str], of: Callable[[Predicate], Sequence[np.ndarray]]) -> np.ndarray:
+    found: dict[str, np.ndarray] = {}
+    for one in predicates_of(relations):
+        found.update(zip(one.relations, of(one), strict=True))
+    return np.stack([found[name] for name in relations], axis=-1)
+
+
+def pair_states(measured: Measured, known: np.ndarray, relations: Sequence[str]) -> np.ndarray:
+    """(..., N, N, R) int8 states of the relations in their order.
+
+    U where the extents of either are not known (`known` is (..., N) bool), F of an object to itself.
+    """
+    result = _stacked(relations, lambda p: p.states(measured)).astype(np.int8)
+    result[~(known[..., :, None] & known[..., None, :])] = U
+    result[..., np.eye(known.shape[-1], dtype=bool), :] = F
+    return result
+
+
+def pair_margins(measured: Measured, states: np.ndarray, relations: Sequence[str]) -> np.ndarray:
+    """(N, N, R) float64 margins of the relations, metres, given their states; never beyond the state.
+
+    Rounding at a threshold may part the two by a hair.
+    """
+    margins = _stacked(relations, lambda p: p.margins(measured))
+    return np.where(states == T, np.maximum(margins, 0), np.where(states == F, np.minimum(margins, 0), 0.0))
