@@ -12,7 +12,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from pipeline.datasets.opening import open_dataset
-from pipeline.labels.wording import STYLES, can_be_said, expression_text, question_text
+from pipeline.labels.wording import STYLES, can_be_worded, expression_text, question_text
 from pipeline.language.expression import parse
 from pipeline.language.naming import is_named, match, normal_form
 from pipeline.language.noun_phrase import indefinite_article, noun_phrase, readable
@@ -146,7 +146,7 @@ def test_any_names_any_relation_any_key_is_read_back(
     data: st.DataObject, kind: str, relation: str, key: int, style: str, told: bool
 ) -> None:
     target, reference = data.draw(st.sampled_from(SETS[kind])), data.draw(st.sampled_from(SETS[kind]))
-    assert can_be_said(target)
+    assert can_be_worded(target)
     # Without the list of the dataset, the two names themselves are all that the sentence may count on.
     names = tuple(SETS[kind]) if told else (target, reference)
     try:
@@ -199,7 +199,7 @@ def test_any_text_as_a_name_is_read_back_or_refused(
 
 @pytest.mark.parametrize("name", UNSAYABLE)
 def test_what_no_sentence_can_carry_is_refused(name: str) -> None:
-    assert not can_be_said(name)
+    assert not can_be_worded(name)
     for style in STYLES:
         with pytest.raises(InputError, match="cannot be said"):
             expression_text(name, "left", "mug", 1, style=style)
@@ -210,7 +210,7 @@ def test_what_no_sentence_can_carry_is_refused(name: str) -> None:
 
 
 def test_two_long_names_that_do_not_fit_together_are_refused() -> None:
-    assert can_be_said("x" * 200)
+    assert can_be_worded("x" * 200)
     with pytest.raises(InputError, match="no sentence"):
         expression_text("x" * 200, "left", "y" * 200, 3)
     text = expression_text("x" * 140, "left", "y" * 145, 19)
@@ -444,4 +444,4 @@ def test_other_bad_arguments_are_refused() -> None:
     ):
         with pytest.raises(InputError):
             bad()
-    assert not can_be_said(None)  # type: ignore[arg-type]
+    assert not can_be_worded(None)  # type: ignore[arg-type]

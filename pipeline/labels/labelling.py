@@ -21,7 +21,7 @@ from pipeline.labels.config import LabelConfig
 from pipeline.labels.profiles import GIVEN, Judged, as_given
 from pipeline.labels.second_opinion import doubted
 from pipeline.labels.tables import PART_TABLES, Columns
-from pipeline.labels.wording import can_be_said
+from pipeline.labels.wording import can_be_worded
 from pipeline.language.noun_phrase import same_names
 from pipeline.language.relation_names import DIRECTIONAL, PAIRWISE
 from pipeline.relations.model import OnnxScorer
@@ -356,7 +356,7 @@ def candidate_expressions(
     same = same_names(labels)
     kinds = same.astype(np.int32)
     kind, rivals = same.argmax(axis=1), same.sum(axis=1)
-    asked = usable & np.array([can_be_said(label) for label in labels], np.bool_)
+    asked = usable & np.array([can_be_worded(label) for label in labels], np.bool_)
     number = np.asarray(ids)
     names = [str(n) for n in ids]
     found: dict[str, list[Any]] = {name: [] for name in _OWN_COLUMNS}

@@ -147,7 +147,7 @@ def expression_text(
     Raises
     ------
     InputError
-        Where an argument is out of range, or no sentence can carry the names: see `can_be_said`.
+        Where an argument is out of range, or no sentence can carry the names: see `can_be_worded`.
     """
     if style not in STYLES:
         raise InputError("unknown style of expressions", got=repr(style), expected="one of " + ", ".join(STYLES))
@@ -161,7 +161,7 @@ def expression_text(
         said = SEMANTIC_ABSTRACTION_PHRASES[relation]
         frames, phrases, plain = (SEMANTIC_ABSTRACTION_FRAME,), {relation: (said,)}, PLAIN_FRAME
     chosen = _chosen(frames, phrases[relation], number)
-    return _said(chosen, _Template(plain, PHRASE[relation]), target, relation, reference, class_names, several)
+    return _worded(chosen, _Template(plain, PHRASE[relation]), target, relation, reference, class_names, several)
 
 
 def question_text(relation: str, target: str, reference: str, key: int, *, class_names: Sequence[str] = ()) -> str:
@@ -172,11 +172,11 @@ def question_text(relation: str, target: str, reference: str, key: int, *, class
     number = _checked(relation, key)
     frames = SEEN_QUESTION_FRAMES if RELATIONS[relation].viewer_dependent else QUESTION_FRAMES
     chosen = _chosen(frames, VARIED_PHRASES[relation], number)
-    return _said(chosen, _Template(PLAIN_QUESTION, PHRASE[relation]), target, relation, reference, class_names)
+    return _worded(chosen, _Template(PLAIN_QUESTION, PHRASE[relation]), target, relation, reference, class_names)
 
 
 @lru_cache(maxsize=65536)
-def can_be_said(name: str) -> bool:
+def can_be_worded(name: str) -> bool:
     """Whether a class name can stand in an expression that is read back as this name."""
     return isinstance(name, str) and bool(_forms(name, _known(())))
 
@@ -198,7 +198,7 @@ def _chosen(frames: Sequence[str], phrases: Sequence[str], key: int) -> _Templat
     return _Template(frames[place], phrases[rest % len(phrases)])
 
 
-def _said(
+def _worded(
     chosen: _Template,
     plain: _Template,
     target: str,

@@ -88,7 +88,7 @@ def check_expressions(view: FrameView, rules: ExpressionRules) -> Iterator[Findi
         if rows["id"][row] in seen:
             found.append(("expression/duplicate-id", f"a second expression has the id {rows['id'][row]}", {}))
         seen.add(rows["id"][row])
-        if pair[0] in view.place and pair[1] in view.place:
+        if pair[0] in view.row_of and pair[1] in view.row_of:
             found += _against_objects(view, row)
             found += _against_relations(view, row)
         for rule, message, figures in found:
@@ -150,7 +150,7 @@ def _against_objects(view: FrameView, row: int) -> Iterator[Found]:
     rows = view.expressions
     for role in ("target", "reference"):
         number = int(rows[f"{role}_object"][row])
-        k = view.place[number]
+        k = view.row_of[number]
         if rows[role][row] != view.labels[k]:
             message = f"its {role} is called {rows[role][row]!r}, and object {number} is {view.labels[k]!r}"
             yield "expression/class", message, {"object": number}
@@ -161,7 +161,7 @@ def _against_objects(view: FrameView, row: int) -> Iterator[Found]:
             }
     said = says_the(str(rows["text"][row]), [str(rows[role][row]) for role in ("target", "reference")])
     for role, definite in zip(("target", "reference"), said, strict=True):
-        k = view.place[int(rows[f"{role}_object"][row])]
+        k = view.row_of[int(rows[f"{role}_object"][row])]
         if definite and not view.alone[k]:
             message = f"it says `the` of its {role}, and the frame has others that {view.labels[k]!r} may mean"
             yield "expression/article", f"{message}: labels made anew say `a`", {"object": int(view.ids[k])}
@@ -175,11 +175,11 @@ def _against_relations(view: FrameView, row: int) -> Iterator[Found]:
         yield "expression/state", f"the relation {relation!r} is not labelled", {}
         return
     states = view.states[relation]
-    a, b = view.place[int(rows["target_object"][row])], view.place[int(rows["reference_object"][row])]
+    a, b = view.row_of[int(rows["target_object"][row])], view.row_of[int(rows["reference_object"][row])]
     state = int(states[a, b])
     if state != T:
         what = "has no state" if state == UNKNOWN else f"is {state_letter(state)}"
-        yield "expression/state", f"{view.said(a, relation, b)} {what}", {"state": state}
+        yield "expression/state", f"{view.relation_text(a, relation, b)} {what}", {"state": state}
     margin, stated = float(view.margins[relation][a, b]), float(rows["margin"][row])
     if state == T and not abs(margin - stated) <= MARGIN_TOLERANCE:
         yield "expression/margin", f"its margin is {stated:.4f} m, the relation's {margin:.4f} m", {

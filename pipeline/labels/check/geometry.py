@@ -198,7 +198,7 @@ def check_geometry(view: FrameView, expected: Expected) -> Iterator[Finding]:
             yield view.finding(
                 "relation/geometry",
                 (view.ids[a], view.ids[b]),
-                f"{view.said(a, relation, b)}: stored {state_letter(states[a, b])}, the extents say {letter(nearest)}",
+                f"{view.relation_text(a, relation, b)}: stored {state_letter(states[a, b])}, the extents say {letter(nearest)}",
                 figures,
                 "error" if opposite else "warning",
             )
@@ -211,7 +211,7 @@ def check_geometry(view: FrameView, expected: Expected) -> Iterator[Finding]:
             yield view.finding(
                 "relation/geometry",
                 (view.ids[a], view.ids[b]),
-                f"{view.said(a, relation, b)}: margin {margins[a, b]:.4f} m, {say}",
+                f"{view.relation_text(a, relation, b)}: margin {margins[a, b]:.4f} m, {say}",
                 {"relation": relation, "stored_margin": float(margins[a, b]), "margin": float(wanted[a, b])},
                 "warning",
             )

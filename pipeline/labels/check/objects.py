@@ -10,7 +10,7 @@ from pipeline.geometry.boxes import CORNER_SIGNS, Box3D, iou_3d
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.labels.check.findings import Finding
 from pipeline.labels.check.rows import rotation_fault
-from pipeline.labels.check.view import FrameView, MaskRuns, pairs_where, places_where, runs_object
+from pipeline.labels.check.view import FrameView, MaskRuns, indices_where, pairs_where, runs_object
 from pipeline.system.errors import InputError
 
 NEAREST_M = 0.05
@@ -111,7 +111,7 @@ def _masks(view: FrameView) -> Iterator[Finding]:
 def _bbox(view: FrameView, sound: np.ndarray, mask_box: np.ndarray) -> Iterator[Finding]:
     bbox = view.objects["bbox"]
     finite = np.asarray(np.isfinite(bbox).all(axis=1))
-    for k in places_where(finite & ((bbox[:, 2] <= bbox[:, 0]) | (bbox[:, 3] <= bbox[:, 1]))):
+    for k in indices_where(finite & ((bbox[:, 2] <= bbox[:, 0]) | (bbox[:, 3] <= bbox[:, 1]))):
         yield view.finding("object/bbox-mask", (view.ids[k],), f"the 2D box of {view.named(k)} is empty")
         finite[k] = False
     slack = np.full((len(bbox), 1), SLACK_PIXELS / 2 * view.size[1] / 640)
@@ -120,7 +120,7 @@ def _bbox(view: FrameView, sound: np.ndarray, mask_box: np.ndarray) -> Iterator[
     # Of an object without a mask of its own, pixels inside its annotated 3D box were taken: a part of the 2D box.
     partial = view.objects["mask_source"] == "box3d"
     overlap = np.where(partial, shared_share(mask_box, within), overlap)
-    for k in places_where(finite & sound & (overlap < BBOX_MASK_DOUBTFUL)):
+    for k in indices_where(finite & sound & (overlap < BBOX_MASK_DOUBTFUL)):
         yield view.finding(
             "object/bbox-mask",
             (view.ids[k],),
@@ -143,7 +143,7 @@ def _projection(
 ) -> Iterator[Finding]:
     """3D boxes against masks, in the picture."""
     behind = boxed & ((corners[..., 2].mean(axis=1) <= 0) | (corners[..., 2] <= 0).all(axis=1))
-    for k in places_where(behind):
+    for k in indices_where(behind):
         yield view.finding(
             "object/box-mask",
             (view.ids[k],),
@@ -161,7 +161,7 @@ def _projection(
     raw = view.objects["fallback"]
     bad = np.where(raw, on_mask <= 0, (on_mask < BOX_ON_MASK) | (relative < MASK_IN_BOX))
     doubtful = (on_mask < np.where(raw, BOX_ON_MASK, BOX_ON_MASK_DOUBTFUL)) | (relative < MASK_IN_BOX_DOUBTFUL)
-    for k in places_where(boxed & ~behind & sound & (bad | doubtful)):
+    for k in indices_where(boxed & ~behind & sound & (bad | doubtful)):
         yield view.finding(
             "object/box-mask",
             (view.ids[k],),
@@ -190,7 +190,7 @@ def _extents(view: FrameView, boxed: np.ndarray, corners: np.ndarray, viewer: Vi
     bad = (reach > fail).any(axis=1) | (filled < FILLED).any(axis=1) | turned
     doubtful = (reach > warn).any(axis=1) | (filled < FILLED_DOUBTFUL).any(axis=1)
     off = known & boxed & (bad | doubtful)
-    for k in places_where(off):
+    for k in indices_where(off):
         axis = int(np.argmax(reach[k] - warn[k])) if (reach[k] > warn[k]).any() else int(np.argmin(filled[k]))
         yield view.finding(
             "object/extent-box",
@@ -202,7 +202,7 @@ def _extents(view: FrameView, boxed: np.ndarray, corners: np.ndarray, viewer: Vi
         )
     centroid = view.objects["centroid"]
     stray = np.maximum(np.maximum(lo - centroid, centroid - hi), 0)
-    for k in places_where(known & ~off & (stray > OUTSIDE_M[0] + OUTSIDE_SHARE[0] * np.abs(hi - lo)).any(axis=1)):
+    for k in indices_where(known & ~off & (stray > OUTSIDE_M[0] + OUTSIDE_SHARE[0] * np.abs(hi - lo)).any(axis=1)):
         yield view.finding(
             "object/extent-box",
             (view.ids[k],),
@@ -210,28 +210,28 @@ def _extents(view: FrameView, boxed: np.ndarray, corners: np.ndarray, viewer: Vi
             {"outside": float(stray[k].max())},
             "warning",
         )
-    for k in places_where(boxed & ~known):
+    for k in indices_where(boxed & ~known):
         yield view.finding("object/extent-box", (view.ids[k],), f"{view.named(k)} has a 3D box and no extents")
 
 
 def _quality(view: FrameView) -> Iterator[Finding]:
     objects = view.objects
     asked = objects["usable"]
-    for k in places_where(asked & (objects["points"] < FEW_POINTS)):
+    for k in indices_where(asked & (objects["points"] < FEW_POINTS)):
         yield view.finding(
             "object/few-points",
             (view.ids[k],),
             f"{view.named(k)} has {objects['points'][k]} points",
             {"points": int(objects["points"][k])},
         )
-    for k in places_where(asked & (objects["depth_missing"] > MOST_MISSING)):
+    for k in indices_where(asked & (objects["depth_missing"] > MOST_MISSING)):
         yield view.finding(
             "object/no-depth",
             (view.ids[k],),
             f"{objects['depth_missing'][k]:.0%} of the mask of {view.named(k)} has no depth",
             {"depth_missing": float(objects["depth_missing"][k])},
         )
-    for k in places_where(asked & objects["touches_border"]):
+    for k in indices_where(asked & objects["touches_border"]):
         yield view.finding("object/border", (view.ids[k],), f"{view.named(k)} is cut by the image border")
 
 

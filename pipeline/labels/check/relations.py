@@ -63,7 +63,7 @@ def _missing(view: FrameView) -> Iterator[Finding]:
             yield view.finding(
                 "relation/pair-missing",
                 (view.ids[a], view.ids[b]),
-                f"{view.said(a, relation, b)} has no state",
+                f"{view.relation_text(a, relation, b)} has no state",
                 {"relation": relation},
             )
 
@@ -91,8 +91,8 @@ def _inverse(view: FrameView) -> Iterator[Finding]:
             yield view.finding(
                 "relation/inverse",
                 (view.ids[a], view.ids[b]),
-                f"{view.said(a, one, b)} is {state_letter(state[a, b])}, "
-                f"{view.said(b, other, a)} is {state_letter(mirrored[a, b])}",
+                f"{view.relation_text(a, one, b)} is {state_letter(state[a, b])}, "
+                f"{view.relation_text(b, other, a)} is {state_letter(mirrored[a, b])}",
                 {"relation": one, one: int(state[a, b]), other: int(mirrored[a, b])},
             )
 
@@ -105,7 +105,7 @@ def _exclusive(view: FrameView) -> Iterator[Finding]:
             yield view.finding(
                 "relation/exclusive",
                 (view.ids[a], view.ids[b]),
-                f"{view.said(a, one, b)} and {PHRASE[other]} it",
+                f"{view.relation_text(a, one, b)} and {PHRASE[other]} it",
                 {"relation": one},
             )
 
@@ -116,7 +116,7 @@ def _both_ways(view: FrameView, relation: str, expected: Expected | None) -> Ite
         yield view.finding(
             "relation/antisymmetry",
             (view.ids[a], view.ids[b]),
-            f"{view.said(a, relation, b)}, and the other way too",
+            f"{view.relation_text(a, relation, b)}, and the other way too",
             {"relation": relation},
             _severity(relation, np.array([[a, b], [b, a]]), expected),
         )

@@ -96,7 +96,7 @@ def _references(view: FrameView, table: str, rows: Rows) -> Iterator[Finding]:
         return
     named = np.stack([rows[name] for name in NAMED_OBJECTS[table]], axis=1)
     for row in np.flatnonzero(~np.isin(named, view.ids).all(axis=1)):
-        missing = [int(n) for n in named[row] if n not in view.place]
+        missing = [int(n) for n in named[row] if n not in view.row_of]
         yield view.finding(
             "row/dangling",
             tuple(int(n) for n in named[row]),

@@ -34,8 +34,8 @@ def pairs_where(chosen: np.ndarray) -> list[tuple[int, int]]:
     return list(zip(rows.tolist(), columns.tolist(), strict=True))
 
 
-def places_where(chosen: np.ndarray) -> list[int]:
-    """Places of the true entries of (N,) bool."""
+def indices_where(chosen: np.ndarray) -> list[int]:
+    """Indices of the true entries of (N,) bool."""
     return np.flatnonzero(chosen).tolist()
 
 
@@ -117,11 +117,11 @@ class FrameView:
         )
 
     def named(self, k: int) -> str:
-        """An object in words, by its place: "mug 3"."""
+        """An object in words, by its row: "mug 3"."""
         return f"{self.labels[k]} {self.ids[k]}"
 
-    def said(self, a: int, relation: str, b: int) -> str:
-        """A relation in words, by the places of its objects: "mug 3 left of laptop 5"."""
+    def relation_text(self, a: int, relation: str, b: int) -> str:
+        """A relation in words, by the rows of its objects: "mug 3 left of laptop 5"."""
         return f"{self.named(a)} {PHRASE[relation]} {self.named(b)}"
 
     @property
@@ -175,7 +175,7 @@ class FrameView:
         return ["" if x is None else str(x) for x in self.objects["label"]] if len(self.objects) else []
 
     @cached_property
-    def place(self) -> dict[int, int]:
+    def row_of(self) -> dict[int, int]:
         """Row of an object by its number."""
         return {int(number): k for k, number in reversed(list(enumerate(self.ids)))}
 

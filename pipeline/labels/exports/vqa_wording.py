@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 
-from pipeline.labels.wording import can_be_said, question_text
+from pipeline.labels.wording import can_be_worded, question_text
 from pipeline.language.noun_phrase import noun_phrase, readable
 from pipeline.language.relation_names import RELATIONS
 from pipeline.system.errors import InputError
@@ -50,7 +50,7 @@ _TOKEN = re.compile(r"<[^<>\s]+>")
 
 def can_be_asked(name: str) -> bool:
     """Whether a class name can stand in a question."""
-    return can_be_said(name) and bool(readable(name)) and not _TOKEN.search(name)
+    return can_be_worded(name) and bool(readable(name)) and not _TOKEN.search(name)
 
 
 def _the(name: str) -> str:
