@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from pipeline.answering.pair_table import PairTable, RankConfig, ScoredPair, pair_table, side
 from pipeline.answering.ranking import alone, rank
-from pipeline.diagnosis.oracles import CONF, LIFT, RECALL, SRM, STATE_PROBABILITY, SUBSETS, names_of, size, subset_of
+from pipeline.diagnosis.oracles import CONF, LIFT, ORACLES, RECALL, SRM, STATE_PROBABILITY, SUBSETS, names_of, size
 from pipeline.diagnosis.substitution import given_scores, substitute
 from pipeline.diagnosis.verdict import MARKS, VERDICTS, diagnose
 from pipeline.diagnosis.words import explain
@@ -31,6 +31,11 @@ WEIGHTS = st.builds(
     aggregate=st.sampled_from(["max", "marginal"]),
 )
 QUERY = parse("mug left of the box", class_names=("mug", "box"))
+
+
+def subset_of(names: tuple[str, ...]) -> int:
+    """The subset that holds these oracles."""
+    return sum(1 << ORACLES.index(name) for name in set(names))
 
 
 @given(SEEDS, WEIGHTS)

@@ -31,9 +31,9 @@ from pipeline.evaluation.shared_makers import (
     SIMULATED,
     Measured,
     rank,
+    relation_share,
     shared_makers,
     shares_of_run,
-    shares_rule_and_cloud,
     title_of,
 )
 from pipeline.labels.job import label_dataset
@@ -201,11 +201,11 @@ def test_makers_of_the_demo(demo_labels: Labels) -> None:
     assert makers.masks is not None
     assert makers.masks.detectors == (Model("annotations"),)
     spec = RelationSpec(others=("rule",))
-    assert all(shares_rule_and_cloud(demo_labels, s) for s in open_systems({}, spec, demo_labels))
+    assert all(relation_share(makers, s) is not None for s in open_systems({}, spec, demo_labels))
     silent = demo_labels.manifest.model_copy(update={"models": {**demo_labels.manifest.models, "second_opinion": NONE}})
     own, rule = open_systems({}, spec, demo_labels)
-    assert not shares_rule_and_cloud(Labels(demo_labels.root, silent), own)
-    assert shares_rule_and_cloud(Labels(demo_labels.root, silent), rule)
+    assert relation_share(makers_of(silent), own) is None
+    assert relation_share(makers_of(silent), rule) is not None
 
 
 def test_what_people_decided_is_counted(demo_labels: Labels, bare_corrector: Corrector, journal: Journal) -> None:

@@ -6,11 +6,11 @@ from collections import Counter
 
 import numpy as np
 import pytest
+from benchmarks.planted import KINDS, Outcome, Planted, clean_source, confusion, judge, planted_failures
 
 from pipeline.answering.objects import PreparedFrame
 from pipeline.answering.opening import Pipeline, open_pipeline
 from pipeline.datasets.demo import demo_labels
-from pipeline.evaluation.planted import KINDS, Outcome, Planted, clean_source, confusion, judge, planted_failures
 from pipeline.evaluation.run import class_names_of
 from pipeline.labels.cases import read_cases
 from pipeline.labels.reading import open_labels

@@ -19,8 +19,6 @@ CONF
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-
 ORACLES = ("RECALL", "LIFT", "SRM", "CONF")
 RECALL, LIFT, SRM, CONF = (1 << k for k in range(4))
 SUBSETS = 16
@@ -31,11 +29,6 @@ RIGHT_SCORE, WRONG_SCORE = 0.99, 0.01
 def names_of(subset: int) -> tuple[str, ...]:
     """The oracles of a subset, which is a number with one bit for each."""
     return tuple(name for k, name in enumerate(ORACLES) if subset >> k & 1)
-
-
-def subset_of(names: Iterable[str]) -> int:
-    """The subset that holds these oracles."""
-    return sum(1 << ORACLES.index(name) for name in set(names))
 
 
 def size(subset: int) -> int:

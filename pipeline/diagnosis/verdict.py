@@ -19,7 +19,7 @@ When several oracles are compared, relations count by what the network decides: 
 truth has it. Else the truth, which is never less sure than a network, would go farther than any true geometry and any
 true confidence, and a relation that the network had right, only not to .99, would be blamed for a broken box or for
 confidences that overruled it. Where the network decides wrongly, the truth still goes farther, and SRM is named.
-(With planted faults: see `planted`.)
+(With planted faults: see `tests/benchmarks/planted.py`.)
 """
 
 from __future__ import annotations

@@ -268,11 +268,6 @@ def scorer_share(makers: Makers, name: str, scorer: RelationScorer) -> Share | N
     return None
 
 
-def shares_rule_and_cloud(labels: Labels, system: RelationSystem) -> bool:
-    """Whether a row of relations alone is agreement with the labels' makers, and belongs below those that are not."""
-    return relation_share(makers_of(labels.manifest), system) is not None
-
-
 def title_of(shares: Sequence[Share]) -> str:
     """What a system's figures are, in a few words; empty where accuracy stays accuracy."""
     return next((share.title for share in shares if share.title), "")

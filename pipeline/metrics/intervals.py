@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.metrics.counts import f1_of, ratio
+from pipeline.metrics.counts import ratio
 from pipeline.metrics.inputs import checked_clusters, checked_numbers
 from pipeline.system.errors import InputError
 
@@ -244,25 +244,6 @@ def mean_estimate(
     return ratio_estimate(values, np.ones(np.shape(values)), clusters, other=second, config=config)
 
 
-def f1_estimate(
-    tp: Any,
-    fp: Any,
-    fn: Any,
-    clusters: Any,
-    *,
-    other: tuple[Any, Any, Any] | None = None,
-    config: BootstrapConfig | None = None,
-) -> Estimate:
-    """F1 of (N,) counts a row: true positives, false positives, false negatives.
-
-    With `other`, the (tp, fp, fn) of another system on the same rows, the
-    difference of the two. Every row counts in `n`. For F1 of relations see
-    `pipeline.metrics.relation_intervals`.
-    """
-    second = None if other is None else _columns(other)
-    return bootstrap(_columns((tp, fp, fn)), clusters, _f1, other=second, config=config)[0]
-
-
 def _columns(columns: tuple[Any, ...]) -> np.ndarray:
     shape = (len(np.atleast_1d(columns[0])),)
     return np.stack([checked_numbers(c, "counts and values", shape) for c in columns], axis=1)
@@ -270,7 +251,3 @@ def _columns(columns: tuple[Any, ...]) -> np.ndarray:
 
 def _ratio(sums: np.ndarray) -> np.ndarray:
     return ratio(sums[:, :1], sums[:, 1:])
-
-
-def _f1(sums: np.ndarray) -> np.ndarray:
-    return f1_of(sums[:, :1], sums[:, 1:2], sums[:, 2:])

@@ -161,12 +161,6 @@ def multi_label_metrics(
     )
 
 
-def all_negative_row(truth: Any, relations: Sequence[str] = DIRECTIONAL) -> RelationMetrics:
-    """The figures of a scorer that always says no, to print beside every other (see `multi_label_metrics`)."""
-    states = np.asarray(truth)
-    return multi_label_metrics(np.zeros(states.shape), states, relations=relations)
-
-
 def average_precision(p: Any, truth: Any) -> np.ndarray:
     """AP of each relation: the sum of (R_n - R_(n-1)) P_n over its distinct probabilities, falling.
 

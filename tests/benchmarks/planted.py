@@ -36,17 +36,6 @@ from pipeline.answering.objects import PreparedFrame, prepare_frame
 from pipeline.answering.opening import Pipeline
 from pipeline.diagnosis.frame_evidence import FrameEvidence
 from pipeline.diagnosis.verdict import Diagnosis, diagnose
-from pipeline.evaluation.planted_parts import (
-    PlantedDetector,
-    ShiftedContext,
-    WrongScorer,
-    dropped,
-    false_positives,
-    leaking,
-    moved_boxes,
-    rescored,
-    share,
-)
 from pipeline.evaluation.records import record
 from pipeline.evaluation.run import class_names_of
 from pipeline.geometry.boxes import iou_2d
@@ -57,6 +46,18 @@ from pipeline.language.relation_names import INVERSE, PHRASE
 from pipeline.proposals.annotations import AnnotationDetector
 from pipeline.proposals.base import Proposals
 from pipeline.relations.relations import U
+
+from .planted_parts import (
+    PlantedDetector,
+    ShiftedContext,
+    WrongScorer,
+    dropped,
+    false_positives,
+    leaking,
+    moved_boxes,
+    rescored,
+    share,
+)
 
 KINDS: dict[str, tuple[str, ...]] = {
     "OPM-TARGET": ("absent", "threshold", "rank", "localisation"),
