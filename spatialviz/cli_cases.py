@@ -179,7 +179,7 @@ class Report:
             answered, source, context, subject, scene_html(answered, context) if self.scene else None
         )
         write_page(page, self.out)
-        verdict = None if answered.judgement is None else answered.judgement.diagnosis.verdict
+        verdict = None if answered.diagnosis is None else answered.diagnosis.verdict
         if self.json:
             print_json({"report": str(self.out), "bytes": len(page.encode()), "verdict": verdict})
         else:

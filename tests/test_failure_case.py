@@ -90,13 +90,13 @@ def test_the_folder_gives_the_answer_to_the_last_digit(tmp_path: Path, detector:
     assert answer_record(again) == answer_record(kept)
     assert kept.trace is not None
     assert again.trace is not None
-    assert kept.judgement is not None
-    assert again.judgement is not None
+    assert kept.diagnosis is not None
+    assert again.diagnosis is not None
     np.testing.assert_array_equal(again.trace.scores.probabilities, kept.trace.scores.probabilities)
     for a, b in zip(again.trace.objects, kept.trace.objects, strict=True):
         np.testing.assert_array_equal(a.lifted.points, b.lifted.points)
         np.testing.assert_array_equal(a.mask, b.mask)
-    np.testing.assert_array_equal(again.judgement.diagnosis.margins, kept.judgement.diagnosis.margins)
+    np.testing.assert_array_equal(again.diagnosis.margins, kept.diagnosis.margins)
     replayed = replay_case(open_case(tmp_path / "case"), tolerance=0.0)
     assert replayed.same
     assert not replayed.warnings
@@ -248,8 +248,8 @@ def test_a_case_that_cannot_be_asked_is_kept_with_its_verdict(tmp_path: Path) ->
     assert case is not None
     odd = "mug abov the laptop"
     now = save_case(tmp_path / "odd", used, context, odd, truth=truth, case=replace(case, text=odd))
-    assert now.judgement is not None
-    assert now.judgement.diagnosis.verdict == "PARSE"
+    assert now.diagnosis is not None
+    assert now.diagnosis.verdict == "PARSE"
     assert replay_case(open_case(tmp_path / "odd")).same
 
 

@@ -54,10 +54,10 @@ def test_a_page_holds_verdict_numbers_and_commands(tmp_path: Path) -> None:
     now = open_case(folder).answer()
     page = page_of_case(folder)
     text = " ".join(parsed(page).text)
-    assert now.judgement is not None
+    assert now.diagnosis is not None
     assert now.trace is not None
     assert now.trace.ranking is not None
-    assert now.judgement.diagnosis.verdict in text
+    assert now.diagnosis.verdict in text
     best = now.trace.ranking.pairs[0]
     for number in (best.p_target, best.p_relation, best.probability):
         assert f"{number:.3f}" in text

@@ -9,9 +9,7 @@ import numpy as np
 from pipeline.diagnosis.oracles import CONF, LIFT, SRM
 
 if TYPE_CHECKING:
-    from pipeline.diagnosis.frame_evidence import FrameEvidence
     from pipeline.diagnosis.verdict import Diagnosis
-    from pipeline.labels.cases import Case
 
 DIAGNOSIS_COLUMNS: dict[str, str] = {
     "verdict": "string", "detail": "string", "lucky": "bool", "said": "string", "repair": "strings",
@@ -28,12 +26,11 @@ oracle. `object_…` is the labelled target: longest edge of its box and distanc
 pixels of its mask."""
 
 
-def diagnosis_columns(diagnosis: Diagnosis, said: str, evidence: FrameEvidence, case: Case) -> dict[str, Any]:
+def diagnosis_columns(d: Diagnosis) -> dict[str, Any]:
     """The cells of one expression."""
-    d, missed, facts = diagnosis, diagnosis.missed, evidence.truth.facts
-    k = case.target_object
+    missed, truth, k = d.missed, d.truth, d.case.target_object
     return {
-        "verdict": d.verdict, "detail": d.detail, "lucky": d.lucky, "said": said, "repair": list(d.repair),
+        "verdict": d.verdict, "detail": d.detail, "lucky": d.lucky, "said": d.text, "repair": list(d.repair),
         "mends": list(d.mends), "right_with": d.right_with,
         "margin": _finite(d.margins[0]), "margin_lift": _finite(d.margins[LIFT]), "margin_srm": _finite(d.margins[SRM]),
         "margin_conf": _finite(d.margins[CONF]),
@@ -42,9 +39,9 @@ def diagnosis_columns(diagnosis: Diagnosis, said: str, evidence: FrameEvidence, 
         "missed_overlap": None if missed is None else missed.overlap,
         "missed_score": None if missed is None else missed.score,
         "missed_rank": None if missed is None else missed.rank,
-        "object_size": _finite(evidence.truth.geometry["size"][k].max()),
-        "object_distance": _finite(facts["distance"][k]), "object_occluded": _finite(facts["occluded"][k]),
-        "object_pixels": int(facts["mask_pixels"][k]),
+        "object_size": _finite(truth.geometry["size"][k].max()),
+        "object_distance": _finite(truth.facts["distance"][k]), "object_occluded": _finite(truth.facts["occluded"][k]),
+        "object_pixels": int(truth.facts["mask_pixels"][k]),
     }  # fmt: skip
 
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -18,63 +17,18 @@ from pipeline.answering.ranking import RankConfig
 from pipeline.datasets.base import scene_of
 from pipeline.diagnosis.frame_evidence import DEFAULT_CONFIDENCE, FrameEvidence
 from pipeline.diagnosis.oracles import names_of
-from pipeline.diagnosis.substitution import OracleScores, substitute
 from pipeline.diagnosis.verdict import Diagnosis, diagnose
-from pipeline.diagnosis.words import explain
-from pipeline.geometry.boxes import Box3D, iou_2d
+from pipeline.geometry.boxes import iou_2d
 from pipeline.labels.cases import HIT, Case, FrameCases, frame_cases, is_gold, read_cases
 from pipeline.labels.config import LabelConfig
 from pipeline.labels.labelling import label_objects
 from pipeline.labels.reading import Labels
 from pipeline.labels.second_opinion import open_second_opinion
+from pipeline.language.expression import Query
 from pipeline.language.naming import match
 from pipeline.proposals.annotations import AnnotationDetector
 from pipeline.relations.model import OnnxScorer
 from pipeline.relations.relations import T, U
-
-
-@dataclass(frozen=True)
-class Judgement:
-    """What is known of one answer.
-
-    Attributes
-    ----------
-    case : Case
-    truth : FrameCases
-    evidence : FrameEvidence
-    diagnosis : Diagnosis
-    said : str
-        The verdict in words.
-    gold : bool
-        The expression was read as meant; else the evidence is that of the gold names, not the trace's own.
-    """
-
-    case: Case
-    truth: FrameCases
-    evidence: FrameEvidence
-    diagnosis: Diagnosis
-    said: str
-    gold: bool = True
-
-    def acceptable_pairs(self) -> set[tuple[int, int]]:
-        """Candidate pairs that are acceptable, as places in the trace's objects."""
-        if not self.gold:
-            return set()
-        found, evidence = substitute(self.evidence, self.case), self.evidence
-        here = np.argwhere(found.covered[: found.target.found, : found.reference.found] & ~_same(found, evidence))
-        return {(int(found.target.places[i]), int(found.reference.places[j])) for i, j in here}
-
-    def labelled_boxes(self) -> dict[str, Box3D]:
-        """The labelled target and reference in 3D, as far as their geometry is known."""
-        ends = (("target", self.case.target_object), ("reference", self.case.reference_object))
-        found = ((name, self.evidence.objects.get(k, points=False)) for name, k in ends)
-        return {name: o.lifted.box for name, o in found if o is not None and o.lifted.box is not None}
-
-
-def _same(found: OracleScores, evidence: FrameEvidence) -> np.ndarray:
-    """(T, R) bool: candidates that are one and the same thing."""
-    targets, references = (role.places[: role.found] for role in (found.target, found.reference))
-    return evidence.same[np.ix_(targets, references)]
 
 
 @lru_cache(maxsize=1)
@@ -170,7 +124,7 @@ def judge_trace(
     mark: str | None = None,
     confidence: float | None = None,
     rank: RankConfig | None = None,
-) -> Judgement | str:
+) -> Diagnosis | str:
     """The verdict on a trace, or why there can be none.
 
     Parameters
@@ -198,30 +152,39 @@ def judge_trace(
         truth, case = made
     if rank is not None:
         source = replace(source, config=replace(source.config, rank=rank))
-    gold = is_gold(trace.query, case)
-    names: Collection[str] = (case.target, case.reference)
-    if gold and all(name in trace.candidates for name in names):
+    names = (case.target, case.reference)
+    if is_gold(trace.query, case) and all(name in trace.candidates for name in names):
         answers = FrameAnswers.of_trace(source, context, trace)
     else:
-        answers = FrameAnswers(source, context, tuple(names), (case.relation,))
-    confidence = DEFAULT_CONFIDENCE if confidence is None else confidence
-    evidence = FrameEvidence(truth, answers, confidence, (case,))
-    diagnosis = diagnose(
-        evidence, case, parse_ok=gold, mark=mark, unfiltered=source.unfiltered_detector
-    )
-    said = explain(diagnosis, case, query=trace.query, unknown=answers.unknown)
-    return Judgement(case, truth, evidence, diagnosis, said, gold)
+        answers = FrameAnswers(source, context, names, (case.relation,))
+    return judge_answers(answers, truth, case, trace.query, mark=mark, confidence=confidence)
 
 
-def judgement_record(judged: Judgement) -> dict[str, Any]:
-    """As in `ask --json`: places of objects are those in "proposals", `truth` those of the labels."""
-    d, case, truth = judged.diagnosis, judged.case, judged.truth
+def judge_answers(
+    answers: FrameAnswers,
+    truth: FrameCases,
+    case: Case,
+    query: Query | None,
+    *,
+    mark: str | None = None,
+    confidence: float | None = None,
+    problem: str | None = None,
+) -> Diagnosis:
+    """The verdict on one expression by what was detected; `problem` says why it could not be read or asked."""
+    evidence = FrameEvidence(truth, answers, DEFAULT_CONFIDENCE if confidence is None else confidence, (case,))
+    gold = query is not None and is_gold(query, case)
+    return diagnose(evidence, case, parse_ok=gold, mark=mark, query=query, problem=problem)
+
+
+def diagnosis_record(d: Diagnosis) -> dict[str, Any]:
+    """As in `ask --json`: objects are indices of "proposals", those of `truth` the numbers of the labels."""
+    case, numbers = d.case, d.truth.numbers
     record: dict[str, Any] = {
-        "verdict": d.verdict, "detail": d.detail, "lucky": d.lucky, "said": judged.said, "repair": list(d.repair),
+        "verdict": d.verdict, "detail": d.detail, "lucky": d.lucky, "said": d.text, "repair": list(d.repair),
         "mends": list(d.mends),
         "truth": {
-            "target": int(truth.numbers[case.target_object]), "reference": int(truth.numbers[case.reference_object]),
-            "targets": truth.numbers[case.strict].tolist(), "acceptable": truth.numbers[case.acceptable].tolist(),
+            "target": int(numbers[case.target_object]), "reference": int(numbers[case.reference_object]),
+            "targets": numbers[case.strict].tolist(), "acceptable": numbers[case.acceptable].tolist(),
         },
         "winner": _pair_record(d.winner), "right": _pair_record(d.right),
         "contributions": None if d.contributions is None else {k: round(v, 6) for k, v in d.contributions.items()},

@@ -24,19 +24,20 @@ confidences that overruled it. Where the network decides wrongly, the truth stil
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from pipeline.answering.pair_table import ScoredPair
+from pipeline.answering.pair_table import ScoredPair, one_object_twice
 from pipeline.diagnosis.frame_evidence import FrameEvidence
 from pipeline.diagnosis.misses import Missed, why_missed
 from pipeline.diagnosis.oracles import CONF, LIFT, SRM, SUBSETS, names_of, size
 from pipeline.diagnosis.repair import Needed, needed_changes
 from pipeline.diagnosis.substitution import CandidateSet, OracleScores, substitute
-from pipeline.labels.cases import HIT, Case
-from pipeline.proposals.base import Detector
+from pipeline.diagnosis.words import explain
+from pipeline.geometry.boxes import Box3D
+from pipeline.labels.cases import HIT, Case, FrameCases
+from pipeline.language.expression import Query
 
 VERDICTS = (
     "CORRECT", "PARSE", "LABEL", "OPM-TARGET", "OPM-REF", "LIFT", "SRM", "OPM-CONF", "PRM", "COMPOUND",
@@ -55,7 +56,7 @@ SAME_MARGIN = 1e-6
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What failed and what would mend it.
+    """What failed and what would mend it, with all that it was judged by.
 
     Attributes
     ----------
@@ -86,6 +87,12 @@ class Diagnosis:
         What one factor alone would have to be for the best acceptable pair to win; empty where one wins.
     pseudo : bool
         LIFT's truth was the box of the label for an object of either pair: the dataset has no pixels of it.
+    text : str
+        The verdict in words.
+    gold : bool
+        The expression was read as meant; else the evidence is that of the gold names, not the trace's own.
+    case : Case
+    evidence : FrameEvidence
     """
 
     verdict: str
@@ -103,6 +110,15 @@ class Diagnosis:
     pseudo: bool = False
     mends: tuple[str, ...] = ()
     needed: tuple[Needed, ...] = ()
+    text: str = ""
+    gold: bool = True
+    case: Case = field(kw_only=True)
+    evidence: FrameEvidence = field(kw_only=True, repr=False)
+
+    @property
+    def truth(self) -> FrameCases:
+        """What is true of the frame."""
+        return self.evidence.truth
 
     @property
     def correct(self) -> bool:
@@ -119,6 +135,22 @@ class Diagnosis:
             for name, f in (("target", "p_target"), ("reference", "p_reference"), ("relation", "p_relation"))
         }
 
+    def acceptable_pairs(self) -> set[tuple[int, int]]:
+        """Candidate pairs that are acceptable, as indices of the trace's objects."""
+        if not self.gold:
+            return set()
+        found = substitute(self.evidence, self.case)
+        targets, references = (role.places[: role.found] for role in (found.target, found.reference))
+        covered = found.covered[: len(targets), : len(references)]
+        here = np.argwhere(covered & ~one_object_twice((targets, references), self.evidence.same))
+        return {(int(targets[i]), int(references[j])) for i, j in here}
+
+    def labelled_boxes(self) -> dict[str, Box3D]:
+        """The labelled target and reference in 3D, as far as their geometry is known."""
+        ends = (("target", self.case.target_object), ("reference", self.case.reference_object))
+        found = ((name, self.evidence.objects.get(k, points=False)) for name, k in ends)
+        return {name: o.lifted.box for name, o in found if o is not None and o.lifted.box is not None}
+
 
 def diagnose(
     evidence: FrameEvidence,
@@ -126,9 +158,10 @@ def diagnose(
     *,
     parse_ok: bool,
     mark: str | None = None,
-    unfiltered: Callable[[], Detector] | None = None,
+    query: Query | None = None,
+    problem: str | None = None,
 ) -> Diagnosis:
-    """Name the module that failed on one expression.
+    """Name the module that failed on one expression, and say why.
 
     Parameters
     ----------
@@ -138,9 +171,16 @@ def diagnose(
         The parser read the gold triple.
     mark : str, optional
         What a person said of the label: BAD_LABEL or BAD_BOX.
-    unfiltered : callable, optional
-        Gives the detector without a minimum score, to tell THRESHOLD from ABSENT.
+    query : Query, optional
+        What the parser read.
+    problem : str, optional
+        Why it could not be read, or could not be asked.
     """
+    found = _decided(evidence, case, parse_ok, mark)
+    return replace(found, text=explain(found, case, query=query, problem=problem, unknown=evidence.answers.unknown))
+
+
+def _decided(evidence: FrameEvidence, case: Case, parse_ok: bool, mark: str | None) -> Diagnosis:
     found = substitute(evidence, case)
     pair, alone = found.pair(), found.alone()
     winner = None if pair is None else found.plain.pair(int(found.winners[0]))
@@ -163,6 +203,9 @@ def diagnose(
         false_reference=pair is not None and bool(found.reference.object[pair[1]] < 0),
         needed=needed_changes(found.plain, int(found.winners[0]), right) if lost and right is not None else (),
         pseudo=_pseudo(evidence, found, [p for p in (pair, place) if p is not None]),
+        gold=parse_ok,
+        case=case,
+        evidence=evidence,
     )
     if overlap >= HIT:
         lucky = pair is None or not found.covered[pair]
@@ -176,13 +219,13 @@ def diagnose(
     if pair is not None and found.covered[pair]:
         return replace(diagnosis, verdict="LABEL", detail="SUSPECT", repair=())
     if not found.right[: found.target.found].any():
-        missed = _missed(evidence, case.target, case.acceptable, unfiltered)
+        missed = _missed(evidence, case.target, case.acceptable)
         return replace(diagnosis, verdict="OPM-TARGET", detail=missed.kind, missed=missed, missed_name=case.target)
     if not found.covered[: found.target.found, : found.reference.found].any():
         pairs = evidence.truth.acceptable_pairs(case)
         shown = found.target.overlap[: found.target.found] >= HIT
         wanted = pairs[np.asarray((shown & np.asarray(pairs.any(axis=1))[None]).any(axis=0))].any(axis=0)
-        missed = _missed(evidence, case.reference, np.flatnonzero(wanted), unfiltered)
+        missed = _missed(evidence, case.reference, np.flatnonzero(wanted))
         return replace(
             diagnosis, verdict="OPM-REF", detail=missed.kind, missed=missed, missed_name=case.reference
         )
@@ -224,11 +267,7 @@ def _pseudo(evidence: FrameEvidence, found: OracleScores, pairs: list[tuple[int,
     return any(boxed(found.target, i) or boxed(found.reference, j) for i, j in pairs)
 
 
-def _missed(
-    evidence: FrameEvidence, name: str, objects: np.ndarray, unfiltered: Callable[[], Detector] | None
-) -> Missed:
-    source = evidence.answers.source
-    detector = source.needed_detector()
-    loose = unfiltered or (lambda: detector)
-    frame = evidence.answers.context.frame
-    return why_missed(frame, name, evidence.truth.boxes[objects], source.config.k, detector, loose)
+def _missed(evidence: FrameEvidence, name: str, objects: np.ndarray) -> Missed:
+    source, frame = evidence.answers.source, evidence.answers.context.frame
+    right = evidence.truth.boxes[objects]
+    return why_missed(frame, name, right, source.config.k, source.needed_detector(), source.unfiltered_detector)

@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Collection
+from typing import TYPE_CHECKING
 
 from pipeline.answering.pair_table import HOLDS, ScoredPair
-from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.labels.cases import Case
 from pipeline.language.expression import Query
 from pipeline.language.relation_names import PHRASE
+
+if TYPE_CHECKING:
+    from pipeline.diagnosis.verdict import Diagnosis
 
 _MODULE_WORDS = {
     "RECALL": "the missing objects", "LIFT": "true geometry", "SRM": "true relations", "CONF": "true confidences",

@@ -20,7 +20,6 @@ from pipeline.datasets.capabilities import load_picture
 from pipeline.diagnosis.columns import diagnosis_columns
 from pipeline.diagnosis.frame_evidence import DEFAULT_CONFIDENCE, FrameEvidence
 from pipeline.diagnosis.verdict import diagnose
-from pipeline.diagnosis.words import explain
 from pipeline.evaluation.raw_scores import by_raw_scores, raw_columns
 from pipeline.evaluation.records import COLUMNS, record, records_schema
 from pipeline.evaluation.relation_cases import frames_with_pairs
@@ -176,21 +175,10 @@ class Evaluator:
         self._parsed.clear()
 
     def _diagnosis(self, evidence: FrameEvidence, case: Case, row: dict[str, Any]) -> dict[str, Any]:
-        diagnosis = diagnose(
-            evidence,
-            case,
-            parse_ok=row["parse_ok"],
-            mark=self.spec.marks.get((row["frame"], case.id)),
-            unfiltered=self.source.unfiltered_detector,
+        mark, query = self.spec.marks.get((row["frame"], case.id)), self._parsed[case.text][0]
+        return diagnosis_columns(
+            diagnose(evidence, case, parse_ok=row["parse_ok"], mark=mark, query=query, problem=row["problem"])
         )
-        said = explain(
-            diagnosis,
-            case,
-            query=self._parsed[case.text][0],
-            problem=row["problem"],
-            unknown=evidence.answers.unknown,
-        )
-        return diagnosis_columns(diagnosis, said, evidence, case)
 
     def block(self, first: int, stop: int) -> tuple[pa.Table, pa.Table | None]:
         """The records of the frames from index `first` up to `stop`: of expressions, and of pairs where asked for."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pipeline.answering.json_records import why_no_answer
 from pipeline.answering.told_answer import probability
-from pipeline.diagnosis.live import Judgement
+from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.diagnosis.whatif.edit_list import each_edit
 from pipeline.geometry.palette import hex_color, palette
 from spatialviz.app.failures import verdict_chip
@@ -33,8 +33,8 @@ def before_html(state: State) -> str:
         said = said if best.holds else f'<span class="dim">no such pair; nearest</span> {said}'
         p = f'<b title="P(relation)">{probability(best.relation_probability)}</b>'
     verdict = ""
-    if isinstance(edited.judged, Judgement):
-        verdict = verdict_chip(edited.judged.diagnosis.verdict)
+    if isinstance(edited.judged, Diagnosis):
+        verdict = verdict_chip(edited.judged.verdict)
     count = len(each_edit(state.edits))
     hint = f"{count} edit{'s' if count > 1 else ''}; 0 takes them back"
     return (

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.answering.objects import SceneObject
-from pipeline.diagnosis.cases.answered import Answered
+from pipeline.diagnosis.asking import JudgedAnswer
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.palette import Role
 
@@ -55,9 +55,9 @@ class AnswerRoles:
         return f"{entry.label}·{entry.id if self.exact else place}"
 
 
-def answer_roles(answered: Answered) -> AnswerRoles:
+def answer_roles(answered: JudgedAnswer) -> AnswerRoles:
     """The roles of an answer."""
-    trace, judged = answered.trace, answered.judgement
+    trace, judged = answered.trace, answered.diagnosis
     objects: tuple[SceneObject, ...] = () if trace is None else trace.objects
     target = reference = None
     roles: dict[int, Role] = {}
@@ -77,7 +77,7 @@ def answer_roles(answered: Answered) -> AnswerRoles:
         evidence, case = judged.evidence, judged.case
         # Another parse than the gold triple is judged by detections of its own.
         if evidence.answers.objects is objects:
-            pair = judged.diagnosis.right
+            pair = judged.right
             right = None if pair is None or pair.reference is None else (pair.target, pair.reference)
             labelled = {place: int(k) for place, k in enumerate(evidence.match) if k >= 0}
         ends: tuple[tuple[Role, int], ...] = (("target", case.target_object), ("reference", case.reference_object))

@@ -13,8 +13,8 @@ from pipeline.answering.json_records import why_no_answer
 from pipeline.answering.objects import PreparedFrame
 from pipeline.answering.opening import Pipeline
 from pipeline.answering.told_answer import best_pair, told
-from pipeline.diagnosis.cases.answered import Answered
-from pipeline.diagnosis.live import Judgement
+from pipeline.diagnosis.asking import JudgedAnswer
+from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.language.lexicon import wording
 from pipeline.system.errors import InputError
 from pipeline.system.whole_files import temporary_beside, write_synced
@@ -31,13 +31,13 @@ POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data: blob:; fr
 
 
 def failure_page(
-    answered: Answered, source: Pipeline, context: PreparedFrame, subject: Subject, scene: str | None = None
+    answered: JudgedAnswer, source: Pipeline, context: PreparedFrame, subject: Subject, scene: str | None = None
 ) -> str:
     """The page of one answer as HTML.
 
     Parameters
     ----------
-    answered : Answered
+    answered : JudgedAnswer
     source : Pipeline
         What answered.
     context : PreparedFrame
@@ -46,7 +46,7 @@ def failure_page(
         A self-contained page of the scene in 3D, which is put into a frame of its own.
     """
     cast = answer_roles(answered)
-    judged = answered.judgement
+    judged = answered.diagnosis
     title = f"{answered.text} · {subject.frame}"
     body = [
         _header(answered, subject, cast),
@@ -92,10 +92,10 @@ def write_page(page: str, path: Path) -> None:
             temporary.unlink(missing_ok=True)
 
 
-def headline(answered: Answered) -> str:
+def headline(answered: JudgedAnswer) -> str:
     """Why, in a sentence or two."""
-    if answered.judgement is not None:
-        return answered.judgement.said
+    if answered.diagnosis is not None:
+        return answered.diagnosis.text
     if answered.trace is None:
         return f"The expression cannot be asked: {answered.problem}"
     return why_no_answer(answered.trace) or "An answer without a verdict: " + (
@@ -103,12 +103,11 @@ def headline(answered: Answered) -> str:
     )
 
 
-def _header(answered: Answered, subject: Subject, cast: AnswerRoles) -> str:
-    judged = answered.judgement
-    if judged is None:
+def _header(answered: JudgedAnswer, subject: Subject, cast: AnswerRoles) -> str:
+    d = answered.diagnosis
+    if d is None:
         chip = '<span class="verdict none">NO VERDICT</span>'
     else:
-        d = judged.diagnosis
         said = " · ".join(x for x in (d.verdict, d.detail, "LUCKY" if d.lucky else None) if x)
         chip = f'<span class="verdict{" correct" if d.correct else ""}">{escape(said)}</span>'
     first, *rest = re.split(r"(?<=[.!]) +(?=[A-Z])", headline(answered), maxsplit=1)
@@ -120,7 +119,7 @@ def _header(answered: Answered, subject: Subject, cast: AnswerRoles) -> str:
     )
 
 
-def _answer(answered: Answered, cast: AnswerRoles) -> str:
+def _answer(answered: JudgedAnswer, cast: AnswerRoles) -> str:
     """The answer in words, with the numbers at its top."""
     trace = answered.trace
     best = None if trace is None else best_pair(trace)
@@ -133,7 +132,7 @@ def _answer(answered: Answered, cast: AnswerRoles) -> str:
     return f'<p class="lead">Answer: {escape(said)}. <span class="quiet">{escape(answer.below)}</span></p>'
 
 
-def _expression(answered: Answered) -> str:
+def _expression(answered: JudgedAnswer) -> str:
     """The expression with its two roles in their colours, where it is one of two names."""
     trace = answered.trace
     if trace is None or len(trace.query.readings) > 1 or len(trace.query.labels) > 2:
@@ -146,7 +145,7 @@ def _expression(answered: Answered) -> str:
     )
 
 
-def _views(answered: Answered, context: PreparedFrame, cast: AnswerRoles, scene: str | None) -> str:
+def _views(answered: JudgedAnswer, context: PreparedFrame, cast: AnswerRoles, scene: str | None) -> str:
     keys = _key("target", "target") + _key("reference", "reference")
     truth = _key("truth", "true", " dashed") if cast.true_masks else ""
     picture = f'<figure>{picture_svg(context.frame, cast)}<figcaption>{keys}{truth}</figcaption></figure>'
@@ -177,7 +176,7 @@ def _commands(subject: Subject) -> str:
 
 
 def _facts(
-    answered: Answered, source: Pipeline, context: PreparedFrame, subject: Subject, judged: Judgement | None
+    answered: JudgedAnswer, source: Pipeline, context: PreparedFrame, subject: Subject, judged: Diagnosis | None
 ) -> str:
     config = source.config
     rank = config.rank

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pipeline.answering.objects import PreparedFrame
-from pipeline.diagnosis.cases.answered import Answered
+from pipeline.diagnosis.asking import JudgedAnswer
 from pipeline.geometry.boxes import EDGES, Box3D
 from pipeline.geometry.camera import lift_pixels
 from pipeline.geometry.lifting import flying_pixels
@@ -29,7 +29,7 @@ ASPECT = 1.6
 """Width over height of the part of the page that shows the scene."""
 
 
-def scene_html(answered: Answered, context: PreparedFrame) -> str:
+def scene_html(answered: JudgedAnswer, context: PreparedFrame) -> str:
     """The scene as one HTML page of about 1.5 MB, drawn in the viewer's level frame, dark."""
     import viser
 
@@ -38,7 +38,7 @@ def scene_html(answered: Answered, context: PreparedFrame) -> str:
         return _with_server(viser.ViserServer(host="127.0.0.1", port=0, verbose=False), answered, context)
 
 
-def _with_server(server: viser.ViserServer, answered: Answered, context: PreparedFrame) -> str:
+def _with_server(server: viser.ViserServer, answered: JudgedAnswer, context: PreparedFrame) -> str:
     try:
         axes = context.viewer
         to_show = np.stack([axes.right, axes.forward, axes.up])

@@ -102,14 +102,16 @@ class Outcome:
         As in KINDS.
     frame, id : str
         The expression.
-    diagnosis : Diagnosis
+    verdict : str
+    detail : str or None
     """
 
     module: str
     kind: str
     frame: str
     id: str
-    diagnosis: Diagnosis
+    verdict: str
+    detail: str | None
 
 
 def clean_source(source: Pipeline, seed: int = 0) -> Pipeline:
@@ -159,9 +161,7 @@ def judge(planted: Planted, class_names: Sequence[str]) -> tuple[dict[str, Any],
     answers = FrameAnswers(planted.source, planted.context, names, (case.relation,))
     evidence = FrameEvidence(truth, answers, cases=(case,))
     row = record(case, truth, answers, read_query(case, class_names), evidence.overlap)
-    return row, diagnose(
-        evidence, case, parse_ok=row["parse_ok"], mark=planted.mark, unfiltered=planted.source.unfiltered_detector
-    )
+    return row, diagnose(evidence, case, parse_ok=row["parse_ok"], mark=planted.mark)
 
 
 def planted_failures(
@@ -204,14 +204,14 @@ def planted_failures(
                         continue
                     row, diagnosis = judge(planted, class_names)
                     if not row["correct"] and (module == "LABEL" or not row["set_correct"]):
-                        yield Outcome(module, kind, truth.frame, case.id, diagnosis)
+                        yield Outcome(module, kind, truth.frame, case.id, diagnosis.verdict, diagnosis.detail)
 
 
 def confusion(outcomes: Iterable[Outcome]) -> dict[tuple[str, str], Counter[str]]:
     """(module, kind) -> how often each verdict was given."""
     found: dict[tuple[str, str], Counter[str]] = {}
     for o in outcomes:
-        found.setdefault((o.module, o.kind), Counter())[o.diagnosis.verdict] += 1
+        found.setdefault((o.module, o.kind), Counter())[o.verdict] += 1
     return found
 
 

@@ -5,13 +5,13 @@ judges, `replay` runs it again and says what changed, `truth_record` and
 `kept_proposals` are the two larger parts of the folder.
 """
 
-from pipeline.diagnosis.cases.answered import Answered, answer, answer_record
+from pipeline.diagnosis.asking import JudgedAnswer, answer, answer_record
 from pipeline.diagnosis.cases.opening import OpenedCase, open_case
 from pipeline.diagnosis.cases.replay import Replay, find_cases, replay_case, update_case
 from pipeline.diagnosis.cases.saving import save_case
 
 __all__ = [
-    "Answered",
+    "JudgedAnswer",
     "OpenedCase",
     "Replay",
     "answer",

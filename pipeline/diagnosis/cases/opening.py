@@ -12,7 +12,7 @@ from pipeline.answering.objects import PreparedFrame
 from pipeline.answering.opening import Pipeline
 from pipeline.datasets.saved_case import MANIFEST, SavedCaseDataset, checked_file, read_manifest
 from pipeline.datasets.settings import Settings
-from pipeline.diagnosis.cases.answered import Answered, answer
+from pipeline.diagnosis.asking import JudgedAnswer, answer
 from pipeline.diagnosis.cases.kept_proposals import KeptDetector, read_proposals
 from pipeline.diagnosis.cases.manifest import NETWORK, PROPOSALS, Expected, Manifest, checked_manifest
 from pipeline.diagnosis.cases.truth_record import read_truth
@@ -58,7 +58,7 @@ class OpenedCase:
         """The frame, ready for questions."""
         return PreparedFrame(self.source.dataset.load(self.manifest.frame.id), self.source.config.lift)
 
-    def answer(self) -> Answered:
+    def answer(self) -> JudgedAnswer:
         """Answer and judge now."""
         return answer(
             self.source, self.context, self.manifest.text, truth=self.truth, case=self.case, mark=self.mark,

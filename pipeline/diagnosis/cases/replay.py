@@ -15,7 +15,7 @@ import numpy as np
 
 from pipeline.answering.objects import SAME_BOX_IOU
 from pipeline.datasets.saved_case import MANIFEST
-from pipeline.diagnosis.cases.answered import Answered, answer_record
+from pipeline.diagnosis.asking import JudgedAnswer, answer_record
 from pipeline.diagnosis.cases.manifest import Expected, ExpectedObject, checked_expected
 from pipeline.diagnosis.cases.opening import OpenedCase
 from pipeline.diagnosis.cases.saving import write_expected
@@ -44,7 +44,7 @@ class Replay:
         What moved without changing the answer, and what the case was run with besides its own.
     record : dict
         The whole answer of now.
-    answered : Answered
+    answered : JudgedAnswer
     """
 
     path: Path
@@ -54,7 +54,7 @@ class Replay:
     changes: tuple[str, ...]
     warnings: tuple[str, ...]
     record: dict[str, Any]
-    answered: Answered
+    answered: JudgedAnswer
 
     @property
     def same(self) -> bool:

@@ -15,7 +15,7 @@ from pipeline import __version__
 from pipeline.answering.objects import PreparedFrame
 from pipeline.answering.opening import Pipeline
 from pipeline.datasets.saved_case import CASE_FORMAT, MANIFEST, saved_frame
-from pipeline.diagnosis.cases.answered import Answered, Edited, answer, answer_record
+from pipeline.diagnosis.asking import Edited, JudgedAnswer, answer, answer_record
 from pipeline.diagnosis.cases.kept_proposals import keep_proposals
 from pipeline.diagnosis.cases.manifest import NETWORK, PROPOSALS, ScorerRecord, checked_expected, config_record
 from pipeline.diagnosis.cases.opening import open_case
@@ -45,7 +45,7 @@ def save_case(
     name: str | None = None,
     expected: Mapping[str, Any] | None = None,
     copy_network: bool = False,
-) -> Answered:
+) -> JudgedAnswer:
     """Write a case, and run it once from its folder to be sure that it answers as here.
 
     Parameters
@@ -74,7 +74,7 @@ def save_case(
 
     Returns
     -------
-    Answered
+    JudgedAnswer
         The answer now.
 
     Raises
@@ -94,7 +94,7 @@ def save_case(
     scorer, network = _scorer_record(source.scorer, copy_network)
     if network is not None:
         files[NETWORK] = network
-    judged = now.judgement
+    judged = now.diagnosis
     known = None if judged is None else truth_record(judged.truth, judged.case, mark, confidence)
     record = answer_record(now)
     detector = source.needed_detector()
@@ -158,9 +158,9 @@ def _write_whole(folder: Path, files: dict[str, bytes], source: Pipeline, record
         shutil.rmtree(partial, ignore_errors=True)
 
 
-def _proposals(source: Pipeline, context: PreparedFrame, now: Answered, case: Case | None) -> dict[str, Any]:
+def _proposals(source: Pipeline, context: PreparedFrame, now: JudgedAnswer, case: Case | None) -> dict[str, Any]:
     names: list[str] = [] if now.trace is None else list(now.trace.query.labels)
-    case = now.judgement.case if now.judgement is not None else case
+    case = now.diagnosis.case if now.diagnosis is not None else case
     if case is not None:
         names += [case.target, case.reference]
     return keep_proposals(context.frame, source.needed_detector(), source.unfiltered_detector(), names)
