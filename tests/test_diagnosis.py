@@ -12,10 +12,21 @@ from hypothesis import strategies as st
 
 from pipeline.answering.pair_table import PairTable, RankConfig, ScoredPair, pair_table, side
 from pipeline.answering.ranking import alone, rank
-from pipeline.diagnosis.oracles import CONF, LIFT, ORACLES, RECALL, SRM, STATE_PROBABILITY, SUBSETS, names_of, size
-from pipeline.diagnosis.substitution import given_scores, substitute
-from pipeline.diagnosis.verdict import MARKS, VERDICTS, diagnose
-from pipeline.diagnosis.words import explain
+from pipeline.diagnosis.decision import diagnose
+from pipeline.diagnosis.substitution import (
+    CONF,
+    LIFT,
+    ORACLES,
+    RECALL,
+    SRM,
+    STATE_PROBABILITY,
+    SUBSETS,
+    given_scores,
+    names_of,
+    size,
+    substitute,
+)
+from pipeline.diagnosis.verdict import MARKS, VERDICTS, explain
 from pipeline.evaluation.records import record
 from pipeline.evaluation.shapley import oracle_deltas
 from pipeline.labels.cases import HIT

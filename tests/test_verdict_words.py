@@ -11,10 +11,9 @@ import pytest
 from diagnosis_worlds import world
 
 from pipeline.answering.pair_table import ScoredPair
-from pipeline.diagnosis.misses import Missed
+from pipeline.diagnosis.decision import diagnose
 from pipeline.diagnosis.substitution import substitute
-from pipeline.diagnosis.verdict import Diagnosis, diagnose
-from pipeline.diagnosis.words import explain
+from pipeline.diagnosis.verdict import Diagnosis, Missed, explain
 from pipeline.labels.cases import Case
 
 CASE = Case("1", "book on a book", "book", "on", "shelf", 0, 1, np.array([0]), np.array([0]), False, 0.1)
@@ -66,7 +65,8 @@ def test_luck_says_no_more_than_that_the_reference_matches_none() -> None:
 
 def test_a_name_that_the_detector_does_not_know_is_not_called_unseen() -> None:
     plain = Diagnosis("", None, False, (), 0, np.full(16, np.nan), None, None, case=CASE, evidence=EVIDENCE)
-    found = replace(plain, verdict="OPM-TARGET", detail="ABSENT", repair=("RECALL",), missed=Missed("ABSENT", 0.0), missed_name="book")
+    missed = {"missed": Missed("ABSENT", 0.0), "missed_name": "book"}
+    found = replace(plain, verdict="OPM-TARGET", detail="ABSENT", repair=("RECALL",), **missed)
     assert explain(found, CASE, unknown={"book": "?"}) == "The detector does not know the name “book”."
     assert explain(found, CASE, unknown={"shelf": "?"}).startswith("The detector did not see the right")
 

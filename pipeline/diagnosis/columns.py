@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.diagnosis.oracles import CONF, LIFT, SRM
+from pipeline.diagnosis.substitution import CONF, LIFT, SRM
 
 if TYPE_CHECKING:
     from pipeline.diagnosis.verdict import Diagnosis

@@ -15,9 +15,10 @@ from pipeline.answering.opening import Pipeline
 from pipeline.answering.pair_table import ScoredPair
 from pipeline.answering.ranking import RankConfig
 from pipeline.datasets.base import scene_of
+from pipeline.diagnosis.decision import diagnose
 from pipeline.diagnosis.frame_evidence import DEFAULT_CONFIDENCE, FrameEvidence
-from pipeline.diagnosis.oracles import names_of
-from pipeline.diagnosis.verdict import Diagnosis, diagnose
+from pipeline.diagnosis.substitution import names_of
+from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.geometry.boxes import iou_2d
 from pipeline.labels.cases import HIT, Case, FrameCases, frame_cases, is_gold, read_cases
 from pipeline.labels.config import LabelConfig

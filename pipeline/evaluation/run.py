@@ -18,8 +18,8 @@ from pipeline.answering.opening import Pipeline, open_pipeline
 from pipeline.answering.stage_clock import StageClock
 from pipeline.datasets.capabilities import load_picture
 from pipeline.diagnosis.columns import diagnosis_columns
+from pipeline.diagnosis.decision import diagnose
 from pipeline.diagnosis.frame_evidence import DEFAULT_CONFIDENCE, FrameEvidence
-from pipeline.diagnosis.verdict import diagnose
 from pipeline.evaluation.raw_scores import by_raw_scores, raw_columns
 from pipeline.evaluation.records import COLUMNS, record, records_schema
 from pipeline.evaluation.relation_cases import frames_with_pairs

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from pipeline.diagnosis.columns import DIAGNOSIS_COLUMNS
-from pipeline.diagnosis.oracles import ORACLES
+from pipeline.diagnosis.substitution import ORACLES
 from pipeline.diagnosis.verdict import MODULE_OF, VERDICTS
 from pipeline.evaluation.compare import read_records
 from pipeline.evaluation.search_words import Term, Value, read_terms

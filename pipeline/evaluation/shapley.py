@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.diagnosis.oracles import ORACLES, SUBSETS, names_of
+from pipeline.diagnosis.substitution import ORACLES, SUBSETS, names_of
 from pipeline.metrics.intervals import BootstrapConfig, Estimate, mean_estimate
 
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.diagnosis.oracles import ORACLES, SUBSETS
+from pipeline.diagnosis.substitution import ORACLES, SUBSETS
 from pipeline.diagnosis.verdict import VERDICTS
 from pipeline.evaluation.grounding_tables import clusters_of, column
 from pipeline.evaluation.shapley import Deltas, oracle_deltas

@@ -34,8 +34,9 @@ import numpy as np
 from pipeline.answering.answering import FrameAnswers
 from pipeline.answering.objects import PreparedFrame, prepare_frame
 from pipeline.answering.opening import Pipeline
+from pipeline.diagnosis.decision import diagnose
 from pipeline.diagnosis.frame_evidence import FrameEvidence
-from pipeline.diagnosis.verdict import Diagnosis, diagnose
+from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.evaluation.records import record
 from pipeline.evaluation.run import class_names_of
 from pipeline.geometry.boxes import iou_2d
