@@ -106,7 +106,7 @@ class Replay:
 
     def run(self) -> int:
         from pipeline.diagnosis.cases import find_cases
-        from pipeline.diagnosis.cases.suite import replay_all
+        from pipeline.diagnosis.cases.replay import replay_all
         from spatialviz.printing_cases import print_replay, print_totals, replay_record, totals_record
 
         if not self.cases:

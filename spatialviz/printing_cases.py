@@ -10,7 +10,7 @@ from rich.text import Text
 from pipeline.answering.told_answer import NO_SUCH_PAIR
 from pipeline.diagnosis.asking import JudgedAnswer
 from pipeline.diagnosis.cases.manifest import Expected
-from pipeline.diagnosis.cases.suite import Result
+from pipeline.diagnosis.cases.replay import Result
 from spatialviz.printing import make_console
 
 _STYLE = {"same": "green", "updated": "yellow", "changed": "red", "damaged": "red"}

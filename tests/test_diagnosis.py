@@ -28,7 +28,7 @@ from pipeline.diagnosis.substitution import (
 )
 from pipeline.diagnosis.verdict import MARKS, VERDICTS, explain
 from pipeline.evaluation.records import record
-from pipeline.evaluation.shapley import oracle_deltas
+from pipeline.evaluation.summary import oracle_deltas
 from pipeline.labels.cases import HIT
 from pipeline.language.expression import parse
 from pipeline.relations.relations import U

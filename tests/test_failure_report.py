@@ -18,7 +18,7 @@ from pipeline.diagnosis.live import annotated_truth
 from pipeline.proposals import AnnotationDetector
 from pipeline.system.errors import InputError
 from spatialviz.report import Subject, failure_page, write_page
-from spatialviz.report.answer_roles import answer_roles
+from spatialviz.report.picture_svg import answer_roles
 
 HOSTILE = "<script>alert(1)</script> \"'&<img src=x onerror=alert(1)> mug"
 

@@ -23,8 +23,7 @@ from pipeline.metrics.intervals import (
     ratio_estimate,
     resample_weights,
 )
-from pipeline.metrics.relation_intervals import relation_estimates
-from pipeline.metrics.relation_metrics import cell_outcomes, multi_label_metrics
+from pipeline.metrics.relation_metrics import cell_outcomes, multi_label_metrics, relation_estimates
 from pipeline.system.errors import InputError
 
 SEEDS = st.integers(0, 2**32 - 1)

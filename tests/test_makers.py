@@ -19,7 +19,7 @@ from pipeline.corrections.journal.effective import Corrector, effective_tables
 from pipeline.corrections.journal.field_refs import FieldRef
 from pipeline.corrections.journal.journal import Journal
 from pipeline.evaluation.job import RunReport, evaluate_dataset
-from pipeline.evaluation.relation_systems import RelationSpec, open_systems
+from pipeline.evaluation.relation_cases import RelationSpec, open_systems
 from pipeline.evaluation.run import EvalSpec
 from pipeline.evaluation.run_folder import open_run
 from pipeline.evaluation.shared_makers import (

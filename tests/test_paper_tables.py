@@ -18,8 +18,8 @@ from pipeline.datasets.semantic_abstraction_splits import SUBSETS, subsets_of
 from pipeline.evaluation.job import RunReport, evaluate_dataset
 from pipeline.evaluation.paper_run import tables_of_run
 from pipeline.evaluation.paper_tables import ALL_NEGATIVE, AVD, IMITATION, SA, Evaluated, paper_tables
+from pipeline.evaluation.relation_cases import RelationSpec
 from pipeline.evaluation.relation_records import RelationRecords, SystemRecords
-from pipeline.evaluation.relation_systems import RelationSpec
 from pipeline.evaluation.reported import read_reported
 from pipeline.evaluation.run import EvalSpec
 from pipeline.evaluation.shared_makers import AGREEMENT, PERFECT

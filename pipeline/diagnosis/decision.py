@@ -30,7 +30,6 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.diagnosis.frame_evidence import FrameEvidence
-from pipeline.diagnosis.repair import needed_changes
 from pipeline.diagnosis.substitution import (
     CONF,
     LIFT,
@@ -39,6 +38,7 @@ from pipeline.diagnosis.substitution import (
     CandidateSet,
     OracleScores,
     names_of,
+    needed_changes,
     size,
     substitute,
 )

@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Collection
 from dataclasses import dataclass, field
-from typing import Literal
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 
 from pipeline.answering.pair_table import HOLDS, ScoredPair, one_object_twice
 from pipeline.diagnosis.frame_evidence import FrameEvidence
-from pipeline.diagnosis.repair import Needed
-from pipeline.diagnosis.substitution import substitute
+from pipeline.diagnosis.substitution import Needed, substitute
 from pipeline.geometry.boxes import Box3D
 from pipeline.labels.cases import Case, FrameCases
 from pipeline.language.expression import Query
 from pipeline.language.relation_names import PHRASE
+from pipeline.system.errors import InputError
+
+_KEYS = ("frame", "id", "mark")
 
 Miss = Literal["RANK", "THRESHOLD", "LOCALISATION", "ABSENT"]
 _MODULE_WORDS = {
@@ -378,3 +382,30 @@ def _smallest_change(d: Diagnosis) -> str:
 
 def _p(value: float | None) -> str:
     return "–" if value is None else f"{value:.2f}"
+
+
+def read_marks(path: Path) -> dict[tuple[str, str], str]:
+    """Marks by (frame, id of the expression), from JSON: a list of {"frame", "id", "mark"} and whatever else.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, a mark is not one of MARKS, or an expression is marked twice.
+    """
+    try:
+        entries: Any = json.loads(Path(path).read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError("the marks cannot be read", got=str(error), path=path) from error
+    if not isinstance(entries, list):
+        raise InputError("marks must be a list", got=type(entries).__name__, path=path)
+    found: dict[tuple[str, str], str] = {}
+    for n, entry in enumerate(entries):
+        if not isinstance(entry, dict) or not all(isinstance(entry.get(key), str) for key in _KEYS):
+            raise InputError(f"mark {n} must have the texts {', '.join(_KEYS)}", got=repr(entry)[:80], path=path)
+        frame, expression, mark = (entry[key] for key in _KEYS)
+        if mark not in MARKS:
+            raise InputError(f"mark {n} is not known", got=mark, expected=" or ".join(MARKS), path=path)
+        if (frame, expression) in found:
+            raise InputError("an expression is marked twice", got=f"{frame} {expression}", path=path)
+        found[frame, expression] = mark
+    return found

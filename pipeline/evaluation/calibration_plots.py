@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.evaluation.raw_scores import detector_scores, is_calibrated
+from pipeline.evaluation.records import detector_scores, is_calibrated
 from pipeline.labels.report.style import INK, QUIET, house_style
 from pipeline.metrics.calibration_metrics import ECE_BINS, ReliabilityDiagram, reliability_diagram
 

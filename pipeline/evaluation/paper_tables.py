@@ -16,8 +16,7 @@ from pipeline.evaluation.reported import read_reported
 from pipeline.labels.cases import HIT
 from pipeline.language.relation_names import VOCABULARIES
 from pipeline.metrics.intervals import BootstrapConfig, mean_estimate
-from pipeline.metrics.relation_intervals import relation_estimates
-from pipeline.metrics.relation_metrics import cell_outcomes
+from pipeline.metrics.relation_metrics import cell_outcomes, relation_estimates
 from pipeline.metrics.tables import Cell, Row, Table, in_blocks
 from pipeline.relations.relations import T
 

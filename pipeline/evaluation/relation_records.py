@@ -13,8 +13,16 @@ import numpy as np
 
 from pipeline.answering.objects import PreparedFrame
 from pipeline.answering.opening import Pipeline
-from pipeline.evaluation.relation_cases import FramePairs, read_pairs, score_lifted, score_stored
-from pipeline.evaluation.relation_systems import RelationSpec, RelationSystem, geometry_of_labels, open_systems
+from pipeline.evaluation.relation_cases import (
+    FramePairs,
+    RelationSpec,
+    RelationSystem,
+    geometry_of_labels,
+    open_systems,
+    read_pairs,
+    score_lifted,
+    score_stored,
+)
 from pipeline.labels.reading import Labels
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.metrics.splits import DROPPED, PARTS

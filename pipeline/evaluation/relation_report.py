@@ -8,15 +8,21 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pipeline.evaluation.relation_cases import RelationSystem
 from pipeline.evaluation.relation_records import RelationRecords, SystemRecords
-from pipeline.evaluation.relation_systems import RelationSystem
 from pipeline.evaluation.reported import reported_rows
 from pipeline.evaluation.shared_makers import Share, with_caveats
 from pipeline.language.relation_names import PHRASE
 from pipeline.metrics.calibration_metrics import CalibrationMetrics, calibration_metrics
 from pipeline.metrics.intervals import BootstrapConfig, Estimate, mean_estimate
-from pipeline.metrics.relation_intervals import RelationEstimates, relation_estimates
-from pipeline.metrics.relation_metrics import RelationMetrics, cell_outcomes, multi_label_metrics, tuned_thresholds
+from pipeline.metrics.relation_metrics import (
+    RelationEstimates,
+    RelationMetrics,
+    cell_outcomes,
+    multi_label_metrics,
+    relation_estimates,
+    tuned_thresholds,
+)
 from pipeline.metrics.single_label_metrics import true_ranks
 from pipeline.metrics.splits import DROPPED, TRAIN, VALIDATION
 from pipeline.metrics.tables import NOTHING_SHARED, Cell, Row, Table, in_blocks

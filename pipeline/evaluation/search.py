@@ -12,7 +12,8 @@ quotes, must stand in the expression. `sort:margin`, `sort:-margin`: rows withou
 from __future__ import annotations
 
 import difflib
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -20,11 +21,11 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from pipeline.diagnosis.columns import DIAGNOSIS_COLUMNS
 from pipeline.diagnosis.substitution import ORACLES
 from pipeline.diagnosis.verdict import MODULE_OF, VERDICTS
 from pipeline.evaluation.compare import read_records
-from pipeline.evaluation.search_words import Term, Value, read_terms
+from pipeline.evaluation.records import DIAGNOSIS_COLUMNS
+from pipeline.evaluation.search_words import Term, Value, quote, read_terms
 from pipeline.evaluation.summary import need_verdicts
 from pipeline.labels.database import quoted
 from pipeline.language.relation_names import PAIRWISE, PHRASE
@@ -33,6 +34,11 @@ from pipeline.system.errors import InputError
 if TYPE_CHECKING:
     import duckdb
     import pyarrow as pa
+
+Condition = tuple[str, list[Any]]
+_YES, _NO = ("yes", "true", "1"), ("no", "false", "0")
+_WORD = re.compile(r'(?:[^\s"]|"(?:[^"\\]|\\.)*(?:"|$))+')
+"""A quote that is open or closed belongs to its word, blanks included."""
 
 Kind = Literal["text", "words", "number", "flag", "names"]
 
@@ -270,9 +276,6 @@ def _equality_only(field: Field, term: Term) -> None:
         raise InputError(f"{field.name} has no order", got=repr(term.operator), expected=f"{field.name}:VALUE")
 
 
-Condition = tuple[str, list[Any]]
-
-
 def _text(field: Field, term: Term, _single: bool) -> Condition:
     _equality_only(field, term)
     column, parts, values = quoted(field.column), [], []
@@ -333,9 +336,6 @@ def _number(field: Field, term: Term, single: bool) -> Condition:
     return _any(parts), values
 
 
-_YES, _NO = ("yes", "true", "1"), ("no", "false", "0")
-
-
 def _flag(field: Field, term: Term, _single: bool) -> Condition:
     _equality_only(field, term)
     column, parts = quoted(field.column), []
@@ -372,3 +372,59 @@ def _names(field: Field, term: Term, _single: bool) -> Condition:
 _CONDITIONS: dict[Kind, Callable[[Field, Term, bool], Condition]] = {
     "text": _text, "words": _text, "number": _number, "flag": _flag, "names": _names,
 }  # fmt: skip
+
+
+def completions(source: str | Path | pa.Table, most: int = 200) -> tuple[Field, ...]:
+    """All fields of a run with the values that occur, for a field that completes what is typed."""
+    import pyarrow.compute as pc
+
+    records = records_of(source)
+    found = []
+    for field in fields_of(records.schema).values():
+        column = records.column(field.column)
+        values: tuple[str, ...] = ()
+        if field.kind == "text":
+            # Ids are not chosen from a list.
+            if field.column != "id":
+                counts = column.drop_null().value_counts()
+                by_count = sorted(counts.to_pylist(), key=lambda c: (-c["counts"], c["values"]))
+                values = tuple(quote(c["values"]) for c in by_count[:most])
+        elif field.kind == "flag":
+            values = ("yes", "no")
+        elif field.kind == "names":
+            flat = column.drop_null().combine_chunks().flatten()
+            values = tuple(sorted(str(v) for v in flat.unique().to_pylist() if v is not None))
+        elif field.kind == "number" and column.null_count < len(column):
+            ends = pc.min_max(column).as_py()  # pyright: ignore[reportAttributeAccessIssue]
+            values = (f"{ends['min']:.6g}", f"{ends['max']:.6g}")
+        found.append(Field(field.name, field.column, field.kind, values))
+    return tuple(found)
+
+
+def complete(typed: str, fields: Sequence[Field], most: int = 20) -> list[str]:
+    """What the last word of a search may become, each as the whole word.
+
+    Parameters
+    ----------
+    typed : str
+    fields : sequence of Field
+        From `completions`.
+    most : int
+    """
+    words = list(_WORD.finditer(typed))
+    word = words[-1][0] if words and words[-1].end() == len(typed) else ""
+    minus, bare = ("-", word[1:]) if word.startswith("-") else ("", word)
+    name, colon, value = bare.partition(":")
+    if not colon:
+        ends = {"flag": "", "number": "<"}
+        offered = [f"{minus}{f.name}{ends.get(f.kind, ':')}" for f in fields if f.name.startswith(bare.lower())]
+        return [*offered, *([f"{SORT}:"] if SORT.startswith(bare.lower()) else [])][:most]
+    if name.lower() == SORT:
+        down = "-" if value.startswith("-") else ""
+        return [f"{SORT}:{down}{f.name}" for f in fields if f.name.startswith(value.removeprefix("-").lower())][:most]
+    before, comma, last = value.rpartition(",")
+    start = last.lstrip('"').lower()
+    chosen = [f for f in fields if f.name == name.lower() and f.kind not in ("number", "words")]
+    return [
+        f"{minus}{name}:{before}{comma}{v}" for f in chosen for v in f.values if v.lstrip('"').lower().startswith(start)
+    ][:most]

@@ -20,7 +20,7 @@ from pipeline.system.onnx_session import file_hash
 
 if TYPE_CHECKING:
     from pipeline.answering.opening import Pipeline
-    from pipeline.evaluation.relation_systems import RelationSystem
+    from pipeline.evaluation.relation_cases import RelationSystem
     from pipeline.metrics.tables import Table
 
 AGREEMENT = "shares rule and cloud with the labels: agreement, not accuracy"

@@ -178,7 +178,7 @@ class State:
         return self.beside.partner(self.selected)
 
     def named(self, key: str) -> str:
-        """The name of an object by its key (`pipeline.diagnosis.whatif.keys`)."""
+        """The name of an object by its key (`pipeline.diagnosis.whatif.pair_tables`)."""
         keys = () if self.edited is None else self.edited.after.keys
         if key in keys:
             return self.shown.names[self.shown.place[keys.index(key)]]

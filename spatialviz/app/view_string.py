@@ -11,7 +11,7 @@ import numpy as np
 
 from pipeline.answering.objects import SceneObject
 from pipeline.answering.opening import Pipeline
-from pipeline.diagnosis.whatif.keys import detection_keys
+from pipeline.diagnosis.whatif.pair_tables import detection_keys
 from pipeline.diagnosis.whatif.state import CameraView, Toggle, ViewState
 from spatialviz.app.scene import SceneFlags
 from spatialviz.app.state import State

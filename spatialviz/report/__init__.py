@@ -4,7 +4,6 @@
 image, `tables` holds the numbers, `page` puts all on a page of the `style`.
 """
 
-from spatialviz.report.page import failure_page, write_page
-from spatialviz.report.subject import Subject
+from spatialviz.report.page import Subject, failure_page, write_page
 
 __all__ = ["Subject", "failure_page", "write_page"]

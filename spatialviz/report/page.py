@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import os
 import re
+import shlex
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from dataclasses import dataclass
 from html import escape
 from pathlib import Path
+from typing import Any
 
 from pipeline import __version__
 from pipeline.answering.json_records import why_no_answer
@@ -14,14 +18,14 @@ from pipeline.answering.objects import PreparedFrame
 from pipeline.answering.opening import Pipeline
 from pipeline.answering.told_answer import best_pair, told
 from pipeline.diagnosis.asking import JudgedAnswer
+from pipeline.diagnosis.cases.manifest import PROPOSALS
+from pipeline.diagnosis.cases.opening import OpenedCase
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.language.lexicon import wording
 from pipeline.system.errors import InputError
 from pipeline.system.whole_files import temporary_beside, write_synced
-from spatialviz.report.answer_roles import AnswerRoles, answer_roles
-from spatialviz.report.picture_svg import picture_svg
+from spatialviz.report.picture_svg import AnswerRoles, answer_roles, picture_svg
 from spatialviz.report.style import STYLE
-from spatialviz.report.subject import Subject
 from spatialviz.report.tables import decomposition_html, modules_html, pairs_html, relations_html
 
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data: blob:; frame-src 'self' data: blob:; " \
@@ -197,3 +201,73 @@ def _facts(
     return '<dl class="facts">' + "".join(
         f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in (*facts, *subject.facts)
     ) + "</dl>"  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Subject:
+    """What the page says besides the answer.
+
+    Attributes
+    ----------
+    dataset : str
+        Its name.
+    frame : str
+    commands : tuple of str
+        To see the same again.
+    state : str or None
+        The view as one string.
+    facts : tuple of (str, str)
+        More about where it is from.
+    """
+
+    dataset: str
+    frame: str
+    commands: tuple[str, ...]
+    state: str | None = None
+    facts: tuple[tuple[str, str], ...] = ()
+
+    @staticmethod
+    def of_case(opened: OpenedCase) -> Subject:
+        """A kept case."""
+        m = opened.manifest
+        root = str(opened.root)
+        facts = [("case", m.name), ("kept", f"{m.created} by {m.tool}")]
+        facts += [(str(key), str(value)) for key, value in m.run.items()]
+        facts += [("note", note) for note in opened.notes]
+        dataset = m.dataset.get("name", "")
+        recording = str(opened.root / PROPOSALS)
+        commands = (
+            shlex.join(["spatialviz", "replay", root]),
+            shlex.join(["spatialviz", "view", root, "--detector", "recorded", "--model", recording]),
+        )
+        return Subject(
+            dataset, m.frame.id, commands, view_state(dataset, m.frame.id, m.text, m.edits), tuple(facts),
+        )  # fmt: skip
+
+    @staticmethod
+    def of_dataset(
+        path: str, source: Pipeline, context: PreparedFrame, text: str, options: Sequence[str] = ()
+    ) -> Subject:
+        """An expression on a frame of a dataset; `options` are those of the command line."""
+        frame = context.frame.id
+        name = source.dataset.root.resolve().name
+        commands = (
+            shlex.join(["spatialviz", "ask", path, frame, text, *options]),
+            shlex.join(["spatialviz", "save-case", path, frame, text, "--out", "CASE", *options]),
+        )
+        return Subject(name, frame, commands, view_state(name, frame, text, None))
+
+
+def view_state(dataset: str, frame: str, text: str, edits: Mapping[str, Any] | None) -> str | None:
+    """The view as a string that `spatialviz view --state` takes; None where it cannot be written."""
+    from importlib.util import find_spec
+
+    if find_spec("pipeline.diagnosis.whatif") is None:
+        return None
+    from pipeline.diagnosis.whatif.edits import Edits, read_edits
+    from pipeline.diagnosis.whatif.state import ViewState, encode
+
+    try:
+        return encode(ViewState(dataset, frame, text, edits=read_edits(dict(edits)) if edits else Edits()))
+    except InputError:
+        return None

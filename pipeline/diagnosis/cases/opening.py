@@ -14,8 +14,7 @@ from pipeline.datasets.saved_case import MANIFEST, SavedCaseDataset, checked_fil
 from pipeline.datasets.settings import Settings
 from pipeline.diagnosis.asking import JudgedAnswer, answer
 from pipeline.diagnosis.cases.kept_proposals import KeptDetector, read_proposals
-from pipeline.diagnosis.cases.manifest import NETWORK, PROPOSALS, Expected, Manifest, checked_manifest
-from pipeline.diagnosis.cases.truth_record import read_truth
+from pipeline.diagnosis.cases.manifest import NETWORK, PROPOSALS, Expected, Manifest, checked_manifest, read_truth
 from pipeline.labels.cases import Case, FrameCases
 from pipeline.language.naming import Synonyms
 from pipeline.relations import RelationScorer, make_scorer, shipped_network
@@ -129,7 +128,6 @@ def open_case(
     notes: tuple[str, ...] = ()
     if scorer is None:
         scorer, notes = _scorer(root, manifest, srm, vectors)
-    config = manifest.config.config()
     truth = case = mark = confidence = None
     if manifest.truth is not None:
         truth, case, mark, confidence = read_truth(manifest.truth, manifest.frame.id, root / MANIFEST)
@@ -139,7 +137,7 @@ def open_case(
             tuple(frozenset(g) for g in manifest.synonyms.groups), frozenset(manifest.synonyms.exceptions)
         )
     source = Pipeline(
-        SavedCaseDataset(root, Settings()), detector, scorer, config, synonyms,
+        SavedCaseDataset(root, Settings()), detector, scorer, manifest.config, synonyms,
         lambda: replace(detector, everything=True, _answers={}),
     )  # fmt: skip
     return OpenedCase(root, manifest, table, expected, source, truth, case, mark, confidence, notes)

@@ -17,9 +17,15 @@ from pipeline.answering.opening import Pipeline
 from pipeline.datasets.saved_case import CASE_FORMAT, MANIFEST, saved_frame
 from pipeline.diagnosis.asking import Edited, JudgedAnswer, answer, answer_record
 from pipeline.diagnosis.cases.kept_proposals import keep_proposals
-from pipeline.diagnosis.cases.manifest import NETWORK, PROPOSALS, ScorerRecord, checked_expected, config_record
+from pipeline.diagnosis.cases.manifest import (
+    NETWORK,
+    PROPOSALS,
+    ScorerRecord,
+    checked_expected,
+    config_record,
+    truth_record,
+)
 from pipeline.diagnosis.cases.opening import open_case
-from pipeline.diagnosis.cases.truth_record import truth_record
 from pipeline.labels.cases import Case, FrameCases
 from pipeline.language.naming import Synonyms, default_synonyms
 from pipeline.relations import RelationScorer, RuleScorer, shipped_network

@@ -7,8 +7,7 @@ would win where, `state` writes a view as one string.
 """
 
 from pipeline.diagnosis.whatif.changes import what_changed
-from pipeline.diagnosis.whatif.edits import Edits, PlacedBox, RunLengthMask
-from pipeline.diagnosis.whatif.edits_json import edits_record, load_edits, read_edits
+from pipeline.diagnosis.whatif.edits import Edits, PlacedBox, RunLengthMask, edits_record, load_edits, read_edits
 from pipeline.diagnosis.whatif.rerun import Baseline, Outcome, apply, rerun
 
 __all__ = [

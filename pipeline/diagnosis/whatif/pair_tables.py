@@ -7,20 +7,23 @@ numbers that scoring the whole list gives.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.answering.ask import Trace
 from pipeline.answering.objects import SceneObject, appearance_of
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.lifting import LiftedObject
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.language.relation_names import PAIRWISE
+from pipeline.proposals.base import Proposals
 from pipeline.relations.contact import enclosed_share, points_decide, surface_heights
 from pipeline.relations.model import OnnxScorer
 from pipeline.relations.relations import Profile, known_extents, measure_pairs, measured_states, pairwise_states
 from pipeline.relations.scorer import RelationScorer, RelationScores, RuleScorer, rule_probabilities, stacked_extents
+from pipeline.system.errors import InputError
 
 _WHOLE = 0.5
 """From this share of new pairs on everything is scored anew, as one scene."""
@@ -250,3 +253,52 @@ def _by_any(
     ruled = np.array([found.scored_by.get(r) == RuleScorer.name for r in PAIRWISE])
     probabilities = np.where(ruled, rule_probabilities(states), found.probabilities)
     return RelationScores(PAIRWISE, states, probabilities, found.scored_by)
+
+
+def detection_keys(name: str, found: Proposals) -> tuple[str, ...]:
+    """The key of each detection of a run for one class name, in the run's order.
+
+    Parameters
+    ----------
+    name : str
+        As it was asked.
+    found : Proposals
+        All of the run.
+    """
+    place = np.empty(len(found), np.int64)
+    place[np.argsort(-found.scores, kind="stable")] = np.arange(1, len(found) + 1)
+    return tuple(
+        f"#{number}" if number >= 0 else f"{name}/{at}" for number, at in zip(found.ids.tolist(), place, strict=True)
+    )
+
+
+def object_keys(trace: Trace, found: Mapping[str, Proposals]) -> tuple[str, ...]:
+    """The key of each object of a trace that was answered without edits, in the order of `trace.objects`.
+
+    Parameters
+    ----------
+    found : mapping of str to Proposals
+        The detector's whole run for each name of the expression.
+
+    Raises
+    ------
+    InputError
+        The trace is of other detections.
+    """
+    keys: list[str | None] = [f"#{o.id}" if o.id >= 0 else None for o in trace.objects]
+    for name, candidates in trace.candidates.items():
+        names, proposals = detection_keys(name, found[name]), found[name]
+        taken: set[int] = set()
+        for at in candidates.index.tolist():
+            if keys[at] is not None:
+                continue
+            entry = trace.objects[at]
+            alike = (proposals.boxes == entry.bbox).all(axis=1) & (proposals.scores == np.float32(entry.score))
+            places = [k for k in np.flatnonzero(alike).tolist() if k not in taken]
+            if not places:
+                raise InputError(f"the trace has an object {name!r} that is not among these detections")
+            taken.add(places[0])
+            keys[at] = names[places[0]]
+    if any(key is None for key in keys):
+        raise InputError("the trace has an object that is no candidate of any name")
+    return tuple(key for key in keys if key is not None)

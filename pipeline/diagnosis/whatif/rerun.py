@@ -22,8 +22,7 @@ from pipeline.answering.objects import PreparedFrame, SceneObject, same_object
 from pipeline.answering.opening import Pipeline
 from pipeline.answering.ranking import Candidates, RelationLookup, rank
 from pipeline.diagnosis.whatif.edits import Edits, PlacedBox, RunLengthMask
-from pipeline.diagnosis.whatif.keys import detection_keys
-from pipeline.diagnosis.whatif.pair_tables import PairTables, identity, score_pairs
+from pipeline.diagnosis.whatif.pair_tables import PairTables, detection_keys, identity, score_pairs
 from pipeline.geometry.lifting import LiftedObject, lift
 from pipeline.geometry.mask_crop import MaskCrop
 from pipeline.language.expression import Attachment, parse

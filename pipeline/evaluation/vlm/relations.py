@@ -9,7 +9,7 @@ from typing import Protocol
 
 import numpy as np
 
-from pipeline.evaluation.vlm.answers import parse_yes_no, yes_probability
+from pipeline.evaluation.vlm.box_answers import parse_yes_no, yes_probability
 from pipeline.evaluation.vlm.client import Answer, ChatClient, Question
 from pipeline.evaluation.vlm.view import Picture, marked, view_of
 from pipeline.geometry.frame import Frame
