@@ -12,8 +12,7 @@ import pytest
 from pipeline.answering.opening import Pipeline, open_pipeline
 from pipeline.answering.ranking import RankConfig
 from pipeline.diagnosis import asking
-from pipeline.diagnosis.asking import ask_and_judge, edited_verdicts, judged_record
-from pipeline.diagnosis.live import case_of
+from pipeline.diagnosis.asking import ask_and_judge, case_of, edited_verdicts, judged_record
 from pipeline.diagnosis.whatif import Baseline, Edits, rerun
 from pipeline.geometry.frame import Frame
 from pipeline.labels.job import label_dataset

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from pipeline.diagnosis.whatif import Edits
 from pipeline.diagnosis.whatif.box_numbers import SMALLEST_SIDE, box_numbers, with_numbers
-from pipeline.diagnosis.whatif.edit_list import each_edit, without_edit
+from pipeline.diagnosis.whatif.changes import each_edit, without_edit
 from pipeline.diagnosis.whatif.masks import MOST_PIXELS, grown, labelled_mask, rectangle
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.run_length import encode_run_length

@@ -22,7 +22,7 @@ from pipeline.system.errors import InputError
 _KEYS = ("frame", "id", "mark")
 
 Miss = Literal["RANK", "THRESHOLD", "LOCALISATION", "ABSENT"]
-_MODULE_WORDS = {
+ORACLE_WORDS = {
     "RECALL": "the missing objects", "LIFT": "true geometry", "SRM": "true relations", "CONF": "true confidences",
 }  # fmt: skip
 
@@ -344,7 +344,7 @@ def _repaired(d: Diagnosis) -> str:
     if not d.repair:
         return "No correction of the modules mends it."
     together = " together" if len(d.repair) > 1 else ""
-    return f"It takes {' and '.join(_MODULE_WORDS[name] for name in d.repair)}{together}."
+    return f"It takes {' and '.join(ORACLE_WORDS[name] for name in d.repair)}{together}."
 
 
 def _others(d: Diagnosis) -> str:
@@ -352,7 +352,7 @@ def _others(d: Diagnosis) -> str:
     others = [name for name in d.mends if name not in d.repair]
     if not others:
         return ""
-    words = " or ".join(_MODULE_WORDS[name] for name in others)
+    words = " or ".join(ORACLE_WORDS[name] for name in others)
     return f"{words[0].upper()}{words[1:]} alone would do too."
 
 

@@ -3,18 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from pipeline.labels.cases import HIT
 from pipeline.language.relation_names import PAIRWISE, PHRASE
 from pipeline.metrics.intervals import BootstrapConfig, Estimate, mean_estimate
 from pipeline.metrics.significance import McNemar, mcnemar
 from pipeline.metrics.tables import NOTHING_SHARED, Row, Table, in_blocks
+from pipeline.system.errors import InputError
 
 if TYPE_CHECKING:
     import pyarrow as pa
+
+FIGURES = Path(__file__).with_name("reported.json")
 
 ACCURACIES = {"Acc@0.5 single truth": "iou", "strict set": "strict_iou", "set-valued": "set_iou"}
 COLUMNS = (*ACCURACIES, "only with the relation", "only by OPM alone", "McNemar p", "n")
@@ -182,3 +187,49 @@ def gain_table(
         "Points of accuracy, paired, with 95 % bootstrap intervals as above; right only with the relation, right only "
         "by the detector's best target, and McNemar's exact test are of the single truth.",
     )
+
+
+class Reported(BaseModel):
+    """One published line: figures by the measure's name, as shares, and where they stand."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    table: str
+    name: str
+    source: str = Field(min_length=1)
+    figures: dict[str, float]
+
+
+class Publications(BaseModel):
+    """The file."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    rows: list[Reported]
+
+
+def read_reported(path: Path = FIGURES) -> tuple[Reported, ...]:
+    """All published lines of a file.
+
+    Raises
+    ------
+    InputError
+        It is missing or of another shape.
+    """
+    try:
+        return tuple(Publications.model_validate_json(path.read_bytes()).rows)
+    except FileNotFoundError as error:
+        raise InputError("there is no such file of published figures", path=path) from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(p) for p in first["loc"])
+        raise InputError(f"published figures: {where}: {first['msg']}", path=path) from error
+
+
+def reported_rows(table: str = "grounding", columns: tuple[str, ...] = MEASURES, path: Path = FIGURES) -> list[Row]:
+    """The published lines of a table; a measure that was not published is left blank."""
+    return [
+        Row(f"{line.name}, {line.source}", tuple(line.figures.get(c) for c in columns), "reported")
+        for line in read_reported(path)
+        if line.table == table
+    ]

@@ -22,15 +22,15 @@ from pipeline.evaluation.grounding_tables import (
     opm_row,
     problem_warnings,
     relation_table,
+    reported_rows,
     stages_table,
     systems_table,
 )
-from pipeline.evaluation.paper_run import tables_of_folder
+from pipeline.evaluation.paper_tables import tables_of_folder
 from pipeline.evaluation.records import is_calibrated, raw_records
 from pipeline.evaluation.relation_cases import labelled_detector
 from pipeline.evaluation.relation_job import measure_relations, relation_sink
 from pipeline.evaluation.report import diagnose_run
-from pipeline.evaluation.reported import reported_rows
 from pipeline.evaluation.run import EvalSpec, Progress, evaluate_labels, median_confidence, write_records
 from pipeline.evaluation.run_folder import RUN_FILE, other_systems, spec_record
 from pipeline.evaluation.shared_makers import Share, measured_of, rank, shared_makers, title_of, with_caveats
@@ -182,8 +182,7 @@ def evaluate_dataset(
         if comparison is not None:
             write_json(folder / "comparison.json", comparison.record())
         if plots:
-            from pipeline.evaluation.plots import draw
-            from pipeline.evaluation.relation_plots import draw_relations
+            from pipeline.evaluation.plots import draw, draw_relations
 
             if spec.grounding:
                 draw(systems, tables, folder / "plots")

@@ -71,7 +71,7 @@ COLUMNS |= {f"{end}_{what}": kind for end in ("target", "reference") for what, k
 """The columns of `records.parquet`. Places of objects are those of the labels, ranks count from 1 and are null where
 nothing fits; `right_…` is the best-scoring acceptable pair among the candidates; overlaps are 0 without an answer.
 `degenerate` is set where all pairs are one thing, so that the detector's best target answers alone, as in `ask`.
-`raw_…`, `target_scores` and so on are null where scores are not calibrated: see `pipeline.evaluation.records`; the
+`raw_…`, `target_scores` and so on are null where scores are not calibrated: see `raw_columns`; the
 columns of the diagnosis for systems that are not the pipeline."""
 
 
@@ -276,7 +276,10 @@ def _finite(value: float) -> float | None:
 
 
 def by_raw_scores(answers: FrameAnswers) -> FrameAnswers | None:
-    """The same frame with the detector's own scores; None where they are not calibrated."""
+    """The same frame with the detector's own scores; None where they are not calibrated.
+
+    Detections, boxes and relations are those of the first answer; only the ranking differs.
+    """
     if answers.source.config.score_calibration is None or answers.source.needed_detector().exact:
         return None
     raw = copy.copy(answers)

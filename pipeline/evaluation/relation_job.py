@@ -238,7 +238,7 @@ def ask_relations(
     import pyarrow.parquet as pq
 
     from pipeline.evaluation.vlm.client import ChatClient
-    from pipeline.evaluation.vlm.relations import RelationConfig, score_pairs
+    from pipeline.evaluation.vlm.questions import RelationConfig, score_pairs
 
     client = ChatClient(
         options.url, options.model, timeout_s=options.timeout_s, requests_per_minute=options.requests_per_minute

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pipeline.evaluation.grounding_tables import reported_rows
 from pipeline.evaluation.relation_cases import RelationSystem
 from pipeline.evaluation.relation_records import RelationRecords, SystemRecords
-from pipeline.evaluation.reported import reported_rows
 from pipeline.evaluation.shared_makers import Share, with_caveats
 from pipeline.language.relation_names import PHRASE
 from pipeline.metrics.calibration_metrics import CalibrationMetrics, calibration_metrics

@@ -1,4 +1,4 @@
-"""Failures by words: a search compiled to a condition of DuckDB, with every value as a parameter.
+"""Failures by words, as they may be typed: a search compiled to a condition of DuckDB, every value a parameter.
 
     verdict:SRM relation:behind class:chair margin<0.1 -lucky frame:000002/* "trash can" repair:LIFT,SRM sort:margin
 

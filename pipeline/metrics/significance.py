@@ -1,4 +1,4 @@
-"""Whether two systems that answered the same questions differ."""
+"""Whether two systems that answered the same questions differ, and how far two people agree (Cohen's kappa)."""
 
 from __future__ import annotations
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pipeline.answering.json_records import why_no_answer
 from pipeline.answering.told_answer import probability
 from pipeline.diagnosis.verdict import Diagnosis
-from pipeline.diagnosis.whatif.edit_list import each_edit
+from pipeline.diagnosis.whatif.changes import each_edit
 from pipeline.geometry.palette import hex_color, palette
 from spatialviz.app.failures import verdict_chip
 from spatialviz.app.state import State

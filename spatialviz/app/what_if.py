@@ -15,8 +15,8 @@ from pipeline.answering.opening import Pipeline
 from pipeline.answering.ranking import RankConfig
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.diagnosis.whatif import Baseline, Edits, Outcome, rerun
+from pipeline.diagnosis.whatif.changes import each_edit, without_edit
 from pipeline.diagnosis.whatif.decision_map import DecisionMap, decision_map
-from pipeline.diagnosis.whatif.edit_list import each_edit, without_edit
 from pipeline.geometry.boxes import Box3D
 from pipeline.system.errors import InputError
 from spatialviz.app.edit_messages import edited_by

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import os
 import re
 import shlex
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
@@ -23,7 +21,7 @@ from pipeline.diagnosis.cases.opening import OpenedCase
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.language.lexicon import wording
 from pipeline.system.errors import InputError
-from pipeline.system.whole_files import temporary_beside, write_synced
+from pipeline.system.whole_files import write_whole
 from spatialviz.report.picture_svg import AnswerRoles, answer_roles, picture_svg
 from spatialviz.report.style import STYLE
 from spatialviz.report.tables import decomposition_html, modules_html, pairs_html, relations_html
@@ -84,16 +82,7 @@ def write_page(page: str, path: Path) -> None:
     InputError
         The place cannot be written.
     """
-    temporary = temporary_beside(path)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_synced(temporary, page.encode("utf-8", "replace"))
-        os.replace(temporary, path)
-    except OSError as error:
-        raise InputError("the report cannot be written", got=error.strerror, path=path) from error
-    finally:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
+    write_whole(path, page.encode("utf-8", "replace"), "the report")
 
 
 def headline(answered: JudgedAnswer) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from pathlib import Path
 
 import cv2
@@ -16,6 +15,7 @@ from pipeline.geometry.boxes import EDGES, Box3D
 from pipeline.geometry.camera import Camera, project
 from pipeline.geometry.palette import ON_DARK, Role
 from pipeline.system.errors import InputError
+from pipeline.system.whole_files import write_whole
 
 TINT = 0.45
 
@@ -106,14 +106,7 @@ def write_picture(image: np.ndarray, path: Path) -> None:
         ok, data = False, np.zeros(0, np.uint8)
     if not ok:
         raise InputError("cannot write a picture of this kind", got=path.suffix, expected=".png or .jpg", path=path)
-    temporary = path.with_name(f".{path.name}.part")
-    try:
-        temporary.write_bytes(data.tobytes())
-        temporary.replace(path)
-    except OSError as error:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
-        raise InputError("the picture cannot be written", got=error.strerror, path=path) from error
+    write_whole(path, data.tobytes(), "the picture")
 
 
 def _line(image: np.ndarray, start: np.ndarray, end: np.ndarray, color: Sequence[int], width: int) -> None:

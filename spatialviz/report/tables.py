@@ -6,7 +6,7 @@ from html import escape
 from math import log
 
 from pipeline.diagnosis.asking import JudgedAnswer
-from pipeline.diagnosis.verdict import MODULE_OF, Diagnosis
+from pipeline.diagnosis.verdict import MODULE_OF, ORACLE_WORDS, Diagnosis
 from pipeline.language.lexicon import wording
 from pipeline.language.relation_names import PHRASE
 from pipeline.relations.relations import letter
@@ -18,9 +18,6 @@ _MODULES = (
     ("SRM", "relations", ("srm",)), ("PRM", "ranking", ("prm",)), ("LABEL", "the label", ()),
 )  # fmt: skip
 _ORACLE_MODULE = {"RECALL": "OPM", "LIFT": "LIFT", "SRM": "SRM", "CONF": "PRM"}
-_MODULE_WORDS = {
-    "RECALL": "the missing objects", "LIFT": "true geometry", "SRM": "true relations", "CONF": "true confidences",
-}  # fmt: skip
 _FACTORS = (("target", "p_target"), ("reference", "p_reference"), ("relation", "p_relation"))
 
 
@@ -91,8 +88,8 @@ def _needed(d: Diagnosis) -> str:
             ways.append(f"of the answer below <b>{n.winner_below:.3g}</b> (is {n.winner:.3g})")
         if ways:
             lines.append(f"<li>{n.factor} {', or '.join(ways)}</li>")
-    together = " and ".join(_MODULE_WORDS[name] for name in d.repair)
-    repairs = [_MODULE_WORDS[name] for name in d.mends] or ([together] if together else [])
+    together = " and ".join(ORACLE_WORDS[name] for name in d.repair)
+    repairs = [ORACLE_WORDS[name] for name in d.mends] or ([together] if together else [])
     mended = "".join(f"<li>{repair}</li>" for repair in repairs)
     if not lines and not mended:
         return ""
@@ -108,7 +105,7 @@ def _missed_html(d: Diagnosis) -> str:
         ("best overlap with a right one", f"{missed.overlap:.2f} (.50 is asked)"),
         ("its score", "–" if missed.score is None else f"{missed.score:.3f}"),
         ("its place by score", "–" if missed.rank is None else str(missed.rank)),
-        ("mended by", " and ".join(_MODULE_WORDS[name] for name in d.repair) or "nothing"),
+        ("mended by", " and ".join(ORACLE_WORDS[name] for name in d.repair) or "nothing"),
     ]  # fmt: skip
     return '<dl class="facts">' + "".join(f"<dt>{k}</dt><dd>{v}</dd>" for k, v in rows) + "</dl>"
 

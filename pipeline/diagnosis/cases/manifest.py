@@ -1,4 +1,4 @@
-"""The manifest of a case: what is validated when a case is opened."""
+"""The manifest of a case: what is validated when a case is opened, and what is true of its frame, as JSON."""
 
 from __future__ import annotations
 

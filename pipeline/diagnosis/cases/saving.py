@@ -30,7 +30,7 @@ from pipeline.labels.cases import Case, FrameCases
 from pipeline.language.naming import Synonyms, default_synonyms
 from pipeline.relations import RelationScorer, RuleScorer, shipped_network
 from pipeline.system.errors import InputError
-from pipeline.system.whole_files import temporary_beside, write_synced
+from pipeline.system.whole_files import temporary_beside, write_synced, write_whole
 
 LARGEST_COPY = 16 * 2**20
 """Bytes of a relation network that may be copied into a case."""
@@ -66,7 +66,7 @@ def save_case(
     truth : FrameCases, optional
         What is true of the frame; without it there is no verdict.
     case, mark, confidence
-        As for `pipeline.diagnosis.live.judge_trace`.
+        As for `pipeline.diagnosis.asking.judge_trace`.
     edits : mapping, optional
         Edits as JSON (`pipeline.diagnosis.whatif.edits_record`).
     run : mapping, optional
@@ -204,18 +204,6 @@ def _scorer_record(scorer: RelationScorer, copy: bool) -> tuple[ScorerRecord, by
     return record, data
 
 
-def _with_expected(table: dict[str, Any], record: dict[str, Any]) -> bytes:
-    return _json({**table, "expected": record}).encode()
-
-
 def write_expected(root: Path, table: dict[str, Any], record: dict[str, Any]) -> None:
     """Put another expected answer into a case's manifest, whole or not at all."""
-    path = root / MANIFEST
-    temporary = temporary_beside(path)
-    try:
-        write_synced(temporary, _with_expected(table, record))
-        os.replace(temporary, path)
-    except OSError as error:
-        raise InputError("the case cannot be written", got=error.strerror, path=path) from error
-    finally:
-        temporary.unlink(missing_ok=True)
+    write_whole(root / MANIFEST, _json({**table, "expected": record}).encode(), "the case")

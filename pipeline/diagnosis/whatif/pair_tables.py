@@ -258,6 +258,11 @@ def _by_any(
 def detection_keys(name: str, found: Proposals) -> tuple[str, ...]:
     """The key of each detection of a run for one class name, in the run's order.
 
+    A key means the same detection after a change of K, of a threshold, of an edit. "#12" is the detection with the
+    detector's own identity 12. Where the detector has none, "chair/3" is the third best by score of all it found when
+    asked for "chair", before anything is suppressed or cut off. The first kind has no slash and the second always has
+    one, so that no key can be mistaken for another.
+
     Parameters
     ----------
     name : str

@@ -14,14 +14,15 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from pipeline.evaluation.vlm.cache import AnswerCache, answer_key
 from pipeline.evaluation.vlm.pool import map_ordered
 from pipeline.evaluation.vlm.protocol import (
     PICTURE_TOKENS,
     Alternatives,
+    AnswerCache,
     Completion,
     Parameters,
     Usage,
+    answer_key,
     estimated_tokens,
     read_completion,
     read_models,

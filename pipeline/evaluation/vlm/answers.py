@@ -1,4 +1,4 @@
-"""What a model's words mean: a box, in one of the many ways in which models write one."""
+"""What a model's words mean: yes or no, or a box, in one of the many ways in which models write one."""
 
 from __future__ import annotations
 

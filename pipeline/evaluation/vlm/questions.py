@@ -1,4 +1,4 @@
-"""Relations by a vision-language model: LLaVA's yes/no question about every ordered pair."""
+"""What a vision-language model is asked: for the box of a sentence, and whether the relations of a pair hold."""
 
 from __future__ import annotations
 
@@ -9,15 +9,17 @@ from typing import Protocol
 
 import numpy as np
 
-from pipeline.evaluation.vlm.box_answers import parse_yes_no, yes_probability
+from pipeline.evaluation.vlm.answers import BoxScale, parse_box, parse_yes_no, yes_probability
 from pipeline.evaluation.vlm.client import Answer, ChatClient, Question
-from pipeline.evaluation.vlm.view import Picture, marked, view_of
+from pipeline.evaluation.vlm.view import Picture, View, marked, view_of
 from pipeline.geometry.frame import Frame
-from pipeline.labels.exports.vqa_wording import BRIEF, ask_relation, can_be_asked
+from pipeline.labels.exports.vqa_wording import BRIEF, ask_grounding, ask_relation, can_be_asked
 from pipeline.language.naming import normal_form
 from pipeline.language.noun_phrase import noun_phrase, readable
 from pipeline.language.relation_names import PAIRWISE, PHRASE
 from pipeline.system.errors import InputError
+
+_Key = tuple[tuple[int, int] | None, str, str, str]
 
 UNKNOWN = 0.5
 _TOP_LOGPROBS = 5
@@ -168,9 +170,6 @@ def score_pairs(
     )
 
 
-_Key = tuple[tuple[int, int] | None, str, str, str]
-
-
 def relation_question(relation: str, a: str, b: str, wording: int = 0) -> str:
     """LLaVA's yes/no question: "Is the mug left of the laptop?", and the wish for a short answer."""
     return ask_relation(relation, a, b, wording)
@@ -250,3 +249,109 @@ def _checked(pairs: np.ndarray | Sequence[tuple[int, int]], count: int, relation
     if unknown:
         raise InputError("no such relation of two things", got=repr(unknown[0]), expected=" | ".join(PAIRWISE))
     return places
+
+
+@dataclass(frozen=True)
+class GroundingConfig:
+    """How boxes are asked for.
+
+    Attributes
+    ----------
+    box_scale : float, "pixels" or "auto"
+        See `answers.parse_box`; pixels are those of the picture as it is sent. Models that count in thousandths
+        (Qwen3-VL, InternVL) need 1000.
+    wording : int
+        Which of the house's sentences asks; 0 is LLaVA's.
+    square, max_side
+        See `view.view_of`.
+    max_tokens : int
+    workers : int
+    keep_going : bool
+        Go on without an answer where one question fails for itself.
+    """
+
+    box_scale: BoxScale = "auto"
+    wording: int = 0
+    square: bool = True
+    max_side: int | None = None
+    max_tokens: int = 64
+    workers: int = 4
+    keep_going: bool = False
+
+
+@dataclass(frozen=True)
+class Grounding:
+    """Where the model says that an expression's target is.
+
+    Attributes
+    ----------
+    box : (4,) float32 or None
+        x0, y0, x1, y1, pixels of the frame.
+    raw : str
+        The answer.
+    reason : str or None
+        Why there is no box.
+    notes : tuple of str
+        What had to be mended or assumed to read it.
+    """
+
+    box: np.ndarray | None
+    raw: str
+    reason: str | None = None
+    notes: tuple[str, ...] = ()
+
+
+def ground(client: ChatClient, frame: Frame, text: str, *, config: GroundingConfig | None = None) -> Grounding:
+    """Ask for the box of one expression.
+
+    Parameters
+    ----------
+    text : str
+        "the mug left of the laptop".
+
+    Raises
+    ------
+    InputError
+        For an expression that cannot be asked.
+    ServerError
+        The server gives no answer.
+    """
+    return ground_many(client, frame, [text], config=config)[0]
+
+
+def ground_many(
+    client: ChatClient,
+    frame: Frame,
+    texts: Sequence[str],
+    *,
+    config: GroundingConfig | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> list[Grounding]:
+    """Ask for the boxes of many expressions about one frame; in their order. See `ground`."""
+    config = config or GroundingConfig()
+    # An unusable scale is told before the server is asked.
+    parse_box("", (1, 1), config.box_scale)
+    if not all(text.strip() for text in texts):
+        raise InputError("an expression is empty")
+    view = view_of(frame.rgb, square=config.square, max_side=config.max_side)
+    questions = [Question(ask_grounding(text, config.wording), view.picture, config.max_tokens) for text in texts]
+    answers = client.ask_many(
+        questions,
+        workers=config.workers,
+        progress=lambda done: progress(done, len(questions)),
+        keep_going=config.keep_going,
+    )
+    return [_grounding(answer, view, config.box_scale) for answer in answers]
+
+
+def _grounding(answer: Answer, view: View, scale: BoxScale) -> Grounding:
+    if answer.failure is not None:
+        return Grounding(None, "", answer.failure)
+    found = parse_box(answer.text, view.size, scale)
+    if found.box is None:
+        cut = ", cut off by max_tokens" if answer.finish == "length" else ""
+        return Grounding(None, answer.text, f"{found.reason}{cut}", found.notes)
+    box = view.to_frame(found.box)
+    if box is None:
+        return Grounding(None, answer.text, "a box outside the frame, in the padding", found.notes)
+    return Grounding(box, answer.text, None, found.notes)
