@@ -54,23 +54,24 @@ def clusters_of(records: pa.Table) -> tuple[np.ndarray, str]:
 
 def full_row(name: str, records: pa.Table, config: BootstrapConfig | None = None) -> Row:
     """The pipeline's line of the table of systems."""
-    clusters, _ = clusters_of(records)
     names = ("correct", "strict_correct", "set_correct", "iou", "set_iou", "reference_correct", "pair_correct")
-    cells = []
-    for measure in names:
-        values = column(records, measure)
-        # A system that gives one box has no reference to be measured by.
-        cells.append(None if np.isnan(values).all() else mean_estimate(values, clusters, config=config))
-    return Row(name, (*cells, records.num_rows))
+    return _row(name, records, [column(records, measure) for measure in names], config)
 
 
 def opm_row(name: str, records: pa.Table, config: BootstrapConfig | None = None) -> Row:
     """The line of the detector's best target alone: it has no reference."""
+    single, strict, lenient = (column(records, f"opm_{n}") for n in ("iou", "strict_iou", "set_iou"))
+    hits = [(overlap >= HIT).astype(np.float64) for overlap in (single, strict, lenient)]
+    return _row(name, records, [*hits, single, lenient, None, None], config)
+
+
+def _row(
+    name: str, records: pa.Table, measures: Sequence[np.ndarray | None], config: BootstrapConfig | None
+) -> Row:
     clusters, _ = clusters_of(records)
-    overlaps = [column(records, f"opm_{n}") for n in ("iou", "strict_iou", "set_iou")]
-    found = [mean_estimate((o >= HIT).astype(np.float64), clusters, config=config) for o in overlaps]
-    means = [mean_estimate(o, clusters, config=config) for o in (overlaps[0], overlaps[2])]
-    return Row(name, (*found, *means, None, None, records.num_rows))
+    # A system that gives one box has no reference to be measured by.
+    cells = (None if m is None or np.isnan(m).all() else mean_estimate(m, clusters, config=config) for m in measures)
+    return Row(name, (*cells, records.num_rows))
 
 
 def systems_table(systems: Sequence[Row], unit: str, shares: Mapping[str, str] = NOTHING_SHARED) -> Table:

@@ -13,6 +13,7 @@ import numpy as np
 from pipeline.answering.objects import PreparedFrame
 from pipeline.answering.opening import Pipeline
 from pipeline.labels.reading import Labels
+from pipeline.labels.tables import read_table
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.metrics.splits import FrameKey
 from pipeline.proposals import make_detector
@@ -73,15 +74,15 @@ class FramePairs:
     frame: dict[str, Any]
 
 
-def frames_with_pairs(labels: Labels, limit: int | None = None) -> np.ndarray:
-    """Indices of the frames that have labelled pairs, rising; at most so many, spread evenly."""
-    import pyarrow.parquet as pq
+def spread(count: int, limit: int | None) -> np.ndarray:
+    """Indices below `count`, rising; at most so many, spread evenly."""
+    return np.unique(np.linspace(0, count - 1, count if limit is None else min(limit, count)).astype(int))
 
-    column = pq.read_table(labels.root / "relations.parquet", columns=["frame_index"]).column("frame_index")
-    found = np.unique(column.to_numpy())
-    if limit is None or limit >= len(found):
-        return found
-    return found[np.unique(np.linspace(0, len(found) - 1, limit).astype(int))]
+
+def frames_in(labels: Labels, table: str, limit: int | None = None) -> np.ndarray:
+    """Indices of the frames that have rows in a table of the labels, rising; at most so many, spread evenly."""
+    found = np.unique(read_table(labels.root / f"{table}.parquet", table, ["frame_index"]).column(0).to_numpy())
+    return found[spread(len(found), limit)]
 
 
 def read_pairs(labels: Labels, first: int, stop: int, chosen: Collection[int] | None = None) -> Iterator[FramePairs]:

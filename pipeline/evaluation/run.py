@@ -21,12 +21,13 @@ from pipeline.datasets.capabilities import load_picture
 from pipeline.diagnosis.decision import diagnose
 from pipeline.diagnosis.frame_evidence import DEFAULT_CONFIDENCE, FrameEvidence
 from pipeline.evaluation.records import COLUMNS, by_raw_scores, diagnosis_columns, raw_columns, record, records_schema
-from pipeline.evaluation.relation_cases import RelationSpec, frames_with_pairs
+from pipeline.evaluation.relation_cases import RelationSpec, frames_in, spread
 from pipeline.evaluation.relation_records import RelationPass
 from pipeline.evaluation.whole_expression import Referring, Vlm, VlmOptions, WholeExpression, record_whole
 from pipeline.geometry.boxes import iou_2d
 from pipeline.labels.cases import HIT, Case, FrameCases, read_cases, read_query
 from pipeline.labels.reading import Labels, open_labels
+from pipeline.labels.tables import read_table
 from pipeline.language.expression import Query
 from pipeline.proposals.base import reads_annotations
 from pipeline.system.errors import InputError
@@ -115,7 +116,7 @@ class Evaluator:
         self.clock = StageClock()
         self.relations: RelationPass | None = None
         if spec.relations is not None:
-            chosen = frames_with_pairs(self.labels, spec.relations.frames)
+            chosen = frames_in(self.labels, "relations", spec.relations.frames)
             self.relations = RelationPass(spec.relations, spec.options, self.labels, chosen.tolist())
         self._grounding = spec.grounding
         self._chosen = chosen_ids(self.labels, spec.limit)
@@ -207,21 +208,16 @@ class Evaluator:
 
 def class_names_of(labels: Labels) -> tuple[str, ...]:
     """The class names of the labelled objects, in order."""
-    import pyarrow.parquet as pq
-
-    column = pq.read_table(labels.root / "objects.parquet", columns=["label"]).column("label")
+    column = read_table(labels.root / "objects.parquet", "objects", ["label"]).column("label")
     return tuple(sorted(column.unique().to_pylist()))
 
 
 def chosen_ids(labels: Labels, limit: int | None) -> set[tuple[int, str]] | None:
     """Which expressions are asked under a limit, evenly over all of them; None for all."""
-    import pyarrow.parquet as pq
-
     if limit is None:
         return None
-    rows = pq.read_table(labels.root / "expressions.parquet", columns=["frame_index", "id"])
-    at = np.unique(np.linspace(0, rows.num_rows - 1, min(limit, rows.num_rows)).astype(int))
-    chosen = rows.take(at)
+    rows = read_table(labels.root / "expressions.parquet", "expressions", ["frame_index", "id"])
+    chosen = rows.take(spread(rows.num_rows, limit))
     return set(zip(chosen.column("frame_index").to_pylist(), chosen.column("id").to_pylist(), strict=True))
 
 
@@ -230,14 +226,6 @@ def table_of(rows: Sequence[dict[str, Any]]) -> pa.Table:
     import pyarrow as pa
 
     return pa.table({name: [row[name] for row in rows] for name in COLUMNS}, records_schema())
-
-
-def frames_with_expressions(labels: Labels) -> np.ndarray:
-    """Indices of the frames that are asked something, in order."""
-    import pyarrow.parquet as pq
-
-    column = pq.read_table(labels.root / "expressions.parquet", columns=["frame_index"]).column("frame_index")
-    return np.unique(column.to_numpy())
 
 
 def blocks_of(index: np.ndarray, frames: int = FRAMES_A_BLOCK) -> tuple[tuple[int, int], ...]:
@@ -274,12 +262,12 @@ def evaluate_labels(
     """
     spec = spec if relations is not None else replace(spec, relations=None)
     _, labels = spec.open()
-    asked = frames_with_expressions(labels) if spec.grounding else np.zeros(0, np.int64)
+    asked = frames_in(labels, "expressions") if spec.grounding else np.zeros(0, np.int64)
     if spec.grounding and not len(asked):
         raise InputError("these labels have no expressions", path=labels.root)
     paired = np.zeros(0, np.int64)
     if spec.relations is not None:
-        paired = frames_with_pairs(labels, spec.relations.frames)
+        paired = frames_in(labels, "relations", spec.relations.frames)
         if not len(paired):
             raise InputError("these labels have no pairs of objects", path=labels.root)
     index = np.union1d(asked, paired)
@@ -387,15 +375,8 @@ def median_confidence(source: Pipeline, labels: Labels, looked_at: int = LOOKED_
     looked_at : int
         Frames that are looked at, spread evenly.
     """
-    import pyarrow.parquet as pq
-
-    column = pq.read_table(labels.root / "expressions.parquet", columns=["frame_index"]).column(0)
-    frames = np.unique(column.to_numpy())
-    if not len(frames):
-        return None, 0
-    chosen = frames[np.unique(np.linspace(0, len(frames) - 1, min(looked_at, len(frames))).astype(int))]
     found = [np.zeros(0)]
-    for index in chosen.tolist():
+    for index in frames_in(labels, "expressions", looked_at).tolist():
         for truth in read_cases(labels, index, index + 1):
             try:
                 context = prepare_frame(source.dataset, source.dataset.load(truth.frame), source.config.lift)

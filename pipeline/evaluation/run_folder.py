@@ -144,6 +144,26 @@ def _files(options: Mapping[str, Any]) -> tuple[str, ...]:
     return tuple(k for k in _PATHS if options.get(k) is not None and str(options[k]) not in _WORDS)
 
 
+def read_manifest(folder: Path) -> dict[str, Any]:
+    """The whole of `run.json`.
+
+    Raises
+    ------
+    InputError
+        No run there, or a manifest that cannot be read.
+    """
+    path = folder / RUN_FILE
+    try:
+        manifest = json.loads(path.read_text(encoding="utf-8"))
+        if not isinstance(manifest["name"], str) or not isinstance(manifest.get("labels", {}), dict):
+            raise ValueError("no name of a system, or no labels")
+    except (FileNotFoundError, NotADirectoryError) as error:
+        raise InputError("no evaluation run here", expected="a folder that `eval` wrote", path=folder) from error
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError("the run's manifest cannot be read", got=str(error), path=path) from error
+    return manifest
+
+
 def open_run(folder: str | Path, *, dataset: str | None = None, labels: str | None = None) -> Run:
     """Open a run folder.
 
@@ -159,14 +179,7 @@ def open_run(folder: str | Path, *, dataset: str | None = None, labels: str | No
         No run there, a manifest that cannot be read, or one of an earlier release.
     """
     folder = Path(folder)
-    path = folder / RUN_FILE
-    try:
-        manifest = json.loads(path.read_text(encoding="utf-8"))
-        name = str(manifest["name"])
-    except (FileNotFoundError, NotADirectoryError) as error:
-        raise InputError("no evaluation run here", expected="a folder that `eval` wrote", path=folder) from error
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError("the run's manifest cannot be read", got=str(error), path=path) from error
+    path, manifest = folder / RUN_FILE, read_manifest(folder)
     if not isinstance(manifest.get("spec"), dict):
         raise InputError(
             "the run does not say what it was made of", cause="made by an earlier release? run `eval` again", path=path
@@ -180,7 +193,7 @@ def open_run(folder: str | Path, *, dataset: str | None = None, labels: str | No
         spec = replace(spec, dataset=dataset)
     if labels is not None:
         spec = replace(spec, labels=labels)
-    return Run(folder, name, manifest, spec)
+    return Run(folder, manifest["name"], manifest, spec)
 
 
 def _read_spec(record: Mapping[str, Any], folder: Path) -> EvalSpec:
@@ -244,7 +257,7 @@ def other_systems(runs: Sequence[Path], name: str, content_hash: str, makers: Ma
     found: dict[str, OtherSystem] = {}
     taken = {name}
     for run in map(Path, runs):
-        manifest = _manifest(run)
+        manifest = read_manifest(run)
         asked = manifest.get("labels", {}).get("content_hash")
         if asked != content_hash:
             raise InputError(
@@ -258,16 +271,3 @@ def other_systems(runs: Sequence[Path], name: str, content_hash: str, makers: Ma
         taken.add(own)
         found[own] = OtherSystem(read_records(run), shared_makers(makers, measured_of_run(manifest)))
     return found
-
-
-def _manifest(run: Path) -> dict[str, Any]:
-    path = run / RUN_FILE
-    try:
-        manifest = json.loads(path.read_text(encoding="utf-8"))
-        if not isinstance(manifest["name"], str) or not isinstance(manifest.get("labels", {}), dict):
-            raise ValueError("no name of a system, or no labels")
-    except FileNotFoundError as error:
-        raise InputError("no evaluation run here", expected="a folder that `eval` wrote", path=run) from error
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError("the run's manifest cannot be read", got=str(error), path=path) from error
-    return manifest

@@ -177,13 +177,16 @@ def rerun(baseline: Baseline, edits: Edits) -> Outcome:
 
 def _rerun(baseline: Baseline, edits: Edits) -> Outcome:
     config, detector = baseline.source.config, baseline.detector
-    stages = {"parse": baseline.seconds["parse"]}
-    clock = _Clock(stages)
     context = _context(baseline, edits)
-    stages["frame"] = context.seconds
-    clock.start()
+    stages = {"parse": baseline.seconds["parse"], "frame": context.seconds}
+    laps = [perf_counter()]
+
+    def took(stage: str) -> None:
+        laps.append(perf_counter())
+        stages[stage] = laps[-1] - laps[-2]
+
     places = {name: _selected(baseline, edits, name) for name in baseline.found}
-    clock.stop("opm")
+    took("opm")
     found = {}
     keys: dict[int, str] = {}
     for name, at in places.items():
@@ -196,11 +199,11 @@ def _rerun(baseline: Baseline, edits: Edits) -> Outcome:
     objects, candidates = joined(found, calibration)
     object_keys = tuple(keys[id(o)] for o in objects)
     candidates = _with_confidences(candidates, object_keys, edits)
-    clock.stop("lift")
+    took("lift")
     scorer = baseline.scorer(edits.scorer)
     tables = _tables(baseline, context, edits, scorer, objects)
     scores = _with_relations(tables.scores, object_keys, edits)
-    clock.stop("srm")
+    took("srm")
     missing = tuple(name for name in baseline.query.labels if not len(candidates[name].index))
     ranking = None
     if not missing:
@@ -209,7 +212,7 @@ def _rerun(baseline: Baseline, edits: Edits) -> Outcome:
         sizes = np.array([o.lifted.quality.mask_pixels for o in objects])
         rank_config = replace(config.rank, **edits.rank)
         ranking = rank(baseline.query.readings, candidates, lookup, same, sizes, rank_config)
-        clock.stop("prm")
+        took("prm")
     trace = Trace(
         frame=context.frame,
         viewer=context.viewer,
@@ -226,22 +229,6 @@ def _rerun(baseline: Baseline, edits: Edits) -> Outcome:
         score_calibration=calibration,
     )
     return Outcome(trace, object_keys, tables.scored)
-
-
-class _Clock:
-    """Seconds of each stage, one after the other."""
-
-    def __init__(self, stages: dict[str, float]) -> None:
-        self.stages = stages
-        self.start()
-
-    def start(self) -> None:
-        self._since = perf_counter()
-
-    def stop(self, stage: str) -> None:
-        now = perf_counter()
-        self.stages[stage] = self.stages.get(stage, 0.0) + now - self._since
-        self._since = now
 
 
 def _context(baseline: Baseline, edits: Edits) -> PreparedFrame:

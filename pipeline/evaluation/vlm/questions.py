@@ -37,19 +37,13 @@ class Named(Protocol):
 
 
 @dataclass(frozen=True)
-class RelationConfig:
-    """How relations are asked for.
+class AskingConfig:
+    """How a model is asked.
 
     Attributes
     ----------
-    mark : bool
-        Draw the pair's boxes, numbered 1 and 2, and name the numbers in the question ("Is the mug (box 1) ..."), as
-        in Set-of-Mark prompting (Yang et al. 2023). Without it, as in LLaVA, things are told apart by their names only.
     wording : int
-        Which of the house's sentences asks where nothing is marked; 0 is the plainest. See
-        `labels.wording.question_text`.
-    logprobs : bool
-        Ask for log-probabilities, and where the server gives them take P(yes) / (P(yes) + P(no)).
+        Which of the house's sentences asks; 0 is the plainest, LLaVA's.
     square, max_side
         See `view.view_of`.
     max_tokens : int
@@ -58,14 +52,29 @@ class RelationConfig:
         Go on without an answer where one question fails for itself.
     """
 
-    mark: bool = False
     wording: int = 0
-    logprobs: bool = False
     square: bool = True
     max_side: int | None = None
     max_tokens: int = 32
     workers: int = 4
     keep_going: bool = False
+
+
+@dataclass(frozen=True)
+class RelationConfig(AskingConfig):
+    """How relations are asked for; the wording is that of `labels.wording.question_text`, where nothing is marked.
+
+    Attributes
+    ----------
+    mark : bool
+        Draw the pair's boxes, numbered 1 and 2, and name the numbers in the question ("Is the mug (box 1) ..."), as
+        in Set-of-Mark prompting (Yang et al. 2023). Without it, as in LLaVA, things are told apart by their names only.
+    logprobs : bool
+        Ask for log-probabilities, and where the server gives them take P(yes) / (P(yes) + P(no)).
+    """
+
+    mark: bool = False
+    logprobs: bool = False
 
     def __post_init__(self) -> None:
         if not 0 <= self.wording < 2**64:
@@ -170,11 +179,6 @@ def score_pairs(
     )
 
 
-def relation_question(relation: str, a: str, b: str, wording: int = 0) -> str:
-    """LLaVA's yes/no question: "Is the mug left of the laptop?", and the wish for a short answer."""
-    return ask_relation(relation, a, b, wording)
-
-
 def marked_question(relation: str, a: str, b: str) -> str:
     """The question about the things in the boxes 1 and 2 of a marked picture."""
     first, second = (noun_phrase(readable(name)) for name in (a, b))
@@ -196,7 +200,7 @@ def _questions(
                     text = (
                         marked_question(relation, *names)
                         if config.mark
-                        else relation_question(relation, *names, config.wording)
+                        else ask_relation(relation, *names, config.wording)
                     )
                 except InputError:
                     text = None
@@ -252,7 +256,7 @@ def _checked(pairs: np.ndarray | Sequence[tuple[int, int]], count: int, relation
 
 
 @dataclass(frozen=True)
-class GroundingConfig:
+class GroundingConfig(AskingConfig):
     """How boxes are asked for.
 
     Attributes
@@ -260,23 +264,10 @@ class GroundingConfig:
     box_scale : float, "pixels" or "auto"
         See `answers.parse_box`; pixels are those of the picture as it is sent. Models that count in thousandths
         (Qwen3-VL, InternVL) need 1000.
-    wording : int
-        Which of the house's sentences asks; 0 is LLaVA's.
-    square, max_side
-        See `view.view_of`.
-    max_tokens : int
-    workers : int
-    keep_going : bool
-        Go on without an answer where one question fails for itself.
     """
 
-    box_scale: BoxScale = "auto"
-    wording: int = 0
-    square: bool = True
-    max_side: int | None = None
     max_tokens: int = 64
-    workers: int = 4
-    keep_going: bool = False
+    box_scale: BoxScale = "auto"
 
 
 @dataclass(frozen=True)
