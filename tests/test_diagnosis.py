@@ -73,10 +73,10 @@ def test_without_oracles_it_is_the_ranking(seed: int, weights: RankConfig) -> No
         assert pair is None
         at = found.alone()
         assert at is not None
-        assert int(found.target.places[at]) == best.target == alone(answers.candidates["mug"])
+        assert int(found.target.index[at]) == best.target == alone(answers.candidates["mug"])
         return
     assert pair is not None
-    assert (int(found.target.places[pair[0]]), int(found.reference.places[pair[1]])) == (best.target, best.reference)
+    assert (int(found.target.index[pair[0]]), int(found.reference.index[pair[1]])) == (best.target, best.reference)
     assert found.log_score[0][pair] == best.log_score
     scored = answers.score("mug", "left", "box")
     assert scored is not None
@@ -93,8 +93,8 @@ def test_each_oracle_replaces_one_thing(seed: int) -> None:
     np.testing.assert_array_equal(plain[stay], lifted[stay])
     for lift in (0, 1):
         before, after = found.p_relation[lift]
-        for i, a in enumerate(evidence.match_at(found.target.places)):
-            for j, b in enumerate(evidence.match_at(found.reference.places)):
+        for i, a in enumerate(evidence.match_at(found.target.index)):
+            for j, b in enumerate(evidence.match_at(found.reference.index)):
                 if a < 0 or b < 0 or (a != b and not truth.judged[a, b]):
                     assert after[i, j] == before[i, j]
                 else:
@@ -102,11 +102,11 @@ def test_each_oracle_replaces_one_thing(seed: int) -> None:
                     assert after[i, j] == STATE_PROBABILITY[state]
     for role, name, example in ((found.target, "mug", 0), (found.reference, "box", 1)):
         candidates = evidence.answers.candidates[name]
-        np.testing.assert_array_equal(role.places[: role.found], candidates.index)
+        np.testing.assert_array_equal(role.index[: role.found], candidates.index)
         overlap = evidence.overlap[candidates.index]
         covered = (overlap >= HIT).any(axis=0) if len(overlap) else np.zeros(evidence.labelled, np.bool_)
         missing = np.flatnonzero(truth.alike[example] & ~covered & evidence.known)
-        np.testing.assert_array_equal(role.places[role.found :], evidence.detections + missing)
+        np.testing.assert_array_equal(role.index[role.found :], evidence.detections + missing)
         is_one = (overlap[:, truth.alike[example]] >= HIT).any(axis=1)
         np.testing.assert_array_equal(given_scores(role)[: role.found], np.where(is_one, 0.99, 0.01))
     missing = np.isneginf(found.log_score)

@@ -94,7 +94,7 @@ def test_what_people_decided_is_theirs() -> None:
     measured = Measured(mask_makers(YOLO), "net", A)
     some = shared_makers(made(YOLO, Decided((3, 9), (0, 40), (0, 5))), measured)
     assert title_of(some) == REPEATED
-    assert "but for 3 of 9 objects that people decided" in some[0].said
+    assert "but for 3 of 9 objects that people decided" in some[0].text
     every = shared_makers(made(YOLO, Decided((9, 9), (0, 40), (0, 5))), measured)
     assert title_of(every) == CHECKED
     assert rank(CHECKED) < rank(REPEATED), "it says more, and stands above"

@@ -68,7 +68,7 @@ def test_relation_metrics_are_those_of_scikit_learn(seed: int, grain: int | None
             assert [found.fp[k], found.fn[k], found.tp[k]] == confusion.ravel()[1:].tolist()
             assert found.positives[k] == holds.sum()
             assert found.negatives[k] == (~holds).sum()
-            assert found.doubtful[k] == (~known).sum()
+            assert found.undecided[k] == (~known).sum()
         known = truth != 0
         holds, said = (truth > 0)[known], (p > cut)[known]
         assert found.micro_f1 == pytest.approx(oracle.f1_score(holds, said), abs=1e-9)

@@ -334,8 +334,8 @@ def _closest(pairs: np.ndarray, trace: Trace, truth: FrameCases) -> int:
     if trace.ranking is None or not trace.ranking.pairs:
         return 0
     best = trace.ranking.pairs[0]
-    places = (best.target, best.target if best.reference is None else best.reference)
-    overlap = iou_2d(np.array([trace.objects[k].bbox for k in places], np.float64), truth.boxes)
+    indices = (best.target, best.target if best.reference is None else best.reference)
+    overlap = iou_2d(np.array([trace.objects[k].bbox for k in indices], np.float64), truth.boxes)
     overlap[overlap < HIT] = 0
     return int(np.lexsort((-overlap[1, pairs[:, 1]], -overlap[0, pairs[:, 0]]))[0])
 

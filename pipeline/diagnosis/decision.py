@@ -88,11 +88,11 @@ def _decided(evidence: FrameEvidence, case: Case, parse_ok: bool, mark: str | No
     found = substitute(evidence, case)
     pair, alone = found.pair(), found.alone()
     winner = None if pair is None else found.plain.pair(int(found.winners[0]))
-    place = found.best_acceptable
+    index = found.best_acceptable
     target = pair[0] if pair is not None else alone
     overlap = 0.0 if target is None or not parse_ok else float(found.target.overlap[target, case.target_object])
     flip = _smallest(found, range(1, SUBSETS))
-    right = None if place is None else place[0] * found.covered.shape[1] + place[1]
+    right = None if index is None else index[0] * found.covered.shape[1] + index[1]
     lost = pair is not None and right is not None and not found.covered[pair]
     diagnosis = Diagnosis(
         verdict="",
@@ -106,7 +106,7 @@ def _decided(evidence: FrameEvidence, case: Case, parse_ok: bool, mark: str | No
         false_target=target is not None and bool(found.target.object[target] < 0),
         false_reference=pair is not None and bool(found.reference.object[pair[1]] < 0),
         needed=needed_changes(found.plain, int(found.winners[0]), right) if lost and right is not None else (),
-        pseudo=_pseudo(evidence, found, [p for p in (pair, place) if p is not None]),
+        pseudo=_pseudo(evidence, found, [p for p in (pair, index) if p is not None]),
         gold=parse_ok,
         case=case,
         evidence=evidence,

@@ -94,9 +94,9 @@ class FrameEvidence:
         """(N,) bool: labelled objects whose true geometry is known."""
         return self.objects.known
 
-    def match_at(self, places: np.ndarray) -> np.ndarray:
+    def match_at(self, indices: np.ndarray) -> np.ndarray:
         """(K,) int64: the labelled object, of whatever class, at each place of the list; -1 for none."""
-        return np.asarray(np.concatenate([self.match, np.arange(self.labelled)])[places], np.int64)
+        return np.asarray(np.concatenate([self.match, np.arange(self.labelled)])[indices], np.int64)
 
     def probabilities(self, relation: str) -> np.ndarray:
         """(D + N, D + N) float64: the scorer's word on every pair that the cases of this relation are about.
@@ -113,16 +113,16 @@ class FrameEvidence:
     def _score(self, relations: Sequence[str]) -> None:
         source, d = self.answers.source, self.detections
         points = any(needs_points(source.scorer, relation) for relation in relations)
-        places = self._involved(relations)
-        true = {k: self.objects.get(k, points) for k in (places[places >= d] - d).tolist()}
-        places = np.array([p for p in places.tolist() if p < d or true[p - d] is not None], np.int64)
-        objects = [self.answers.objects[p] if p < d else true[p - d] for p in places.tolist()]
+        indices = self._involved(relations)
+        true = {k: self.objects.get(k, points) for k in (indices[indices >= d] - d).tolist()}
+        indices = np.array([p for p in indices.tolist() if p < d or true[p - d] is not None], np.int64)
+        objects = [self.answers.objects[p] if p < d else true[p - d] for p in indices.tolist()]
         present = [o for o in objects if o is not None]
         scores = source.score(self.answers.context, present, relations) if present else None
         for relation in relations:
             table = np.full((d + self.labelled, d + self.labelled), np.nan)
             if scores is not None:
-                table[np.ix_(places, places)] = scores.of(relation)
+                table[np.ix_(indices, indices)] = scores.of(relation)
             own = self.answers.probabilities(relation)
             if own is not None:
                 table[:d, :d] = own
@@ -139,10 +139,10 @@ class FrameEvidence:
                 index = self.answers.candidates[name].index
                 candidates.append(index)
                 labelled |= self.truth.alike[example]
-        places = np.unique(np.concatenate(candidates))
-        matched = self.match[places]
+        indices = np.unique(np.concatenate(candidates))
+        matched = self.match[indices]
         labelled[matched[matched >= 0]] = True
-        return np.concatenate([places, self.detections + np.flatnonzero(labelled)])
+        return np.concatenate([indices, self.detections + np.flatnonzero(labelled)])
 
 
 class TrueObjects:

@@ -59,7 +59,7 @@ class CandidateSet:
 
     Attributes
     ----------
-    places : (K,) int64
+    index : (K,) int64
         In the list of the frame's evidence.
     found : int
         How many of them are candidates.
@@ -72,7 +72,7 @@ class CandidateSet:
         With every labelled object.
     """
 
-    places: np.ndarray
+    index: np.ndarray
     found: int
     scores: np.ndarray
     object: np.ndarray
@@ -150,7 +150,7 @@ class OracleScores:
 
     def alone(self, subset: int = 0) -> int | None:
         """The target that answers where all pairs are one thing; None where a role has no candidate at all."""
-        t, r = ((len(x.places) if subset & RECALL else x.found) for x in (self.target, self.reference))
+        t, r = ((len(x.index) if subset & RECALL else x.found) for x in (self.target, self.reference))
         if self.winners[subset] >= 0 or not t or not r:
             return None
         return int(np.argmax(self.table.target.scores[subset, :t]))
@@ -217,7 +217,7 @@ def role_of(evidence: FrameEvidence, candidates: Candidates, asked: np.ndarray) 
     everyone = np.concatenate([objects, missing]).astype(np.int64)
     truth = evidence.truth.boxes
     return CandidateSet(
-        places=np.concatenate([candidates.index, evidence.detections + missing]).astype(np.int64),
+        index=np.concatenate([candidates.index, evidence.detections + missing]).astype(np.int64),
         found=len(candidates.index),
         scores=np.concatenate([candidates.scores, np.full(len(missing), evidence.confidence)]),
         object=everyone,
@@ -246,7 +246,7 @@ def substitute(evidence: FrameEvidence, case: Case) -> OracleScores:
     lift, srm, conf = (((_ALL & bit) > 0).astype(int) for bit in (LIFT, SRM, CONF))
     unseen = (_ALL & RECALL) == 0
     same, same_box = (
-        one_object_twice((target.places, reference.places), table) for table in (evidence.same, evidence.same_box)
+        one_object_twice((target.index, reference.index), table) for table in (evidence.same, evidence.same_box)
     )
     a, b = target.shape_of[:, None], reference.shape_of[None, :]
     # LIFT also gives the true masks, and those of two objects are never alike.
@@ -274,16 +274,16 @@ def substitute(evidence: FrameEvidence, case: Case) -> OracleScores:
 
 def _side(role: CandidateSet, conf: np.ndarray, weight: float) -> Side:
     """A role under every subset; `conf` says which of them give true confidences."""
-    both = side(role.places, np.stack([role.scores, given_scores(role)]), weight)
+    both = side(role.index, np.stack([role.scores, given_scores(role)]), weight)
     return Side(both.index, both.scores[conf], both.log[conf])
 
 
 def _relation(evidence: FrameEvidence, relation: str, target: CandidateSet, reference: CandidateSet) -> np.ndarray:
     """(2, 2, T, R): without and with LIFT, without and with SRM."""
     table = evidence.probabilities(relation)
-    base = table[target.places[:, None], reference.places]
+    base = table[target.index[:, None], reference.index]
     shaped = [
-        np.where(role.shape_of >= 0, evidence.detections + role.shape_of, role.places) for role in (target, reference)
+        np.where(role.shape_of >= 0, evidence.detections + role.shape_of, role.index) for role in (target, reference)
     ]
     lifted = table[shaped[0][:, None], shaped[1]]
     # Two candidates that are one object stand in no relation to each other.
@@ -291,7 +291,7 @@ def _relation(evidence: FrameEvidence, relation: str, target: CandidateSet, refe
     moved = (target.shape_of >= 0)[:, None] | (reference.shape_of >= 0)[None, :]
     lifted = np.where(moved & np.isfinite(lifted), lifted, base)
     a, b = (
-        np.where(role.object >= 0, role.object, evidence.match_at(role.places)) for role in (target, reference)
+        np.where(role.object >= 0, role.object, evidence.match_at(role.index)) for role in (target, reference)
     )
     if evidence.labelled:
         known = np.array([STATE_PROBABILITY[k] for k in (-1, 0, 1)])

@@ -124,7 +124,7 @@ class Diagnosis:
         if not self.gold:
             return set()
         found = substitute(self.evidence, self.case)
-        targets, references = (role.places[: role.found] for role in (found.target, found.reference))
+        targets, references = (role.index[: role.found] for role in (found.target, found.reference))
         covered = found.covered[: len(targets), : len(references)]
         here = np.argwhere(covered & ~one_object_twice((targets, references), self.evidence.same))
         return {(int(targets[i]), int(references[j])) for i, j in here}
@@ -260,12 +260,12 @@ def _flipped(d: Diagnosis, case: Case) -> str:
             else f"The right {case.target} and {case.reference}"
         )
         return f"{first} count as one thing. {_repaired(d) if d.repair else ''}".strip() + f" Verdict: {d.verdict}."
-    said = _relation(winner.p_relation, right.p_relation, case)
+    text = _relation(winner.p_relation, right.p_relation, case)
     if d.verdict == "LIFT":
         boxed = " (of some objects the label's box)" if d.pseudo else ""
-        return f"A 3D box is off: {said}. With true geometry{boxed} the right pair wins. Verdict: LIFT."
+        return f"A 3D box is off: {text}. With true geometry{boxed} the right pair wins. Verdict: LIFT."
     if d.verdict == "SRM":
-        return f"{said[0].upper()}{said[1:]}. With the labelled relations the right pair wins. Verdict: SRM."
+        return f"{text[0].upper()}{text[1:]}. With the labelled relations the right pair wins. Verdict: SRM."
     if d.verdict in ("OPM-CONF", "PRM") and d.detail != "DEGENERATE":
         return _confidences(d, winner, right, case)
     if d.verdict == "COMPOUND":
@@ -303,8 +303,8 @@ def _confidences(d: Diagnosis, winner: ScoredPair, right: ScoredPair, case: Case
         if first == second
         else f"the relation favoured {favoured} {first} to {second}"
     )
-    said = "; ".join([*(f"the detector gave {' and '.join(parts)}" for _ in parts[:1]), relation])
-    return f"{said[0].upper()}{said[1:]}. With equal confidences the answer is right.{_nearest(right)} Verdict: PRM."
+    text = "; ".join([*(f"the detector gave {' and '.join(parts)}" for _ in parts[:1]), relation])
+    return f"{text[0].upper()}{text[1:]}. With equal confidences the answer is right.{_nearest(right)} Verdict: PRM."
 
 
 def _relation(winner: float, right: float, case: Case) -> str:

@@ -109,8 +109,8 @@ def compare(before: pa.Table, after: pa.Table, measure: str = "set_correct") -> 
         They have no expression in common.
     """
     keys = [list(zip(t.column("frame").to_pylist(), t.column("id").to_pylist(), strict=True)) for t in (before, after)]
-    place = {key: k for k, key in enumerate(keys[0])}
-    shared = [(place[key], k) for k, key in enumerate(keys[1]) if key in place]
+    index = {key: k for k, key in enumerate(keys[0])}
+    shared = [(index[key], k) for k, key in enumerate(keys[1]) if key in index]
     if not shared:
         raise InputError("the two runs have no expression in common", cause="were they made with other labels?")
     first, second = (rows.take([pair[k] for pair in shared]) for k, rows in enumerate((before, after)))

@@ -89,10 +89,10 @@ def _verdicts(summaries: Mapping[str, RunSummary], path: Path) -> Path:
         axes.errorbar(
             value, at, xerr=np.array([interval(s.estimate) for s in shares]).T, fmt="none", ecolor=INK, elinewidth=0.8
         )
-        for place, share in zip(at, shares, strict=True):
-            said = f"{short(name)}: {share.count}" if len(summaries) > 1 else f"{share.count}"
+        for index, share in zip(at, shares, strict=True):
+            text = f"{short(name)}: {share.count}" if len(summaries) > 1 else f"{share.count}"
             end = 100 * share.estimate.value + interval(share.estimate)[1]
-            axes.text(end + 0.8, place, said, va="center", fontsize=8.5, color=QUIET)
+            axes.text(end + 0.8, index, text, va="center", fontsize=8.5, color=QUIET)
     axes.set_yticks(y, VERDICTS)
     axes.invert_yaxis()
     axes.set_xlim(0, 105)
@@ -147,8 +147,8 @@ def _slices(system: str, slices: Sequence[Slices], path: Path) -> Path:
         "right answer.",
     )  # fmt: skip
     seen: dict[str, Any] = {}
-    for place, cut in enumerate(chosen):
-        axes = figure.add_subplot((len(chosen) + 1) // 2, 2, place + 1)
+    for index, cut in enumerate(chosen):
+        axes = figure.add_subplot((len(chosen) + 1) // 2, 2, index + 1)
         rows = [s for s in cut.slices if s.system == system][:MOST_SHOWN]
         left = np.zeros(len(rows))
         for verdict in VERDICTS:

@@ -252,8 +252,8 @@ def draw_reliability(diagrams: Diagrams, path: Path) -> Path:
             upper.plot([0, 1], [0, 100], color=QUIET, linewidth=0.8, linestyle=":", label="as likely as it says")
             for n, (kind, diagram) in enumerate(kinds.items()):
                 there = diagram.count > 0
-                said, happened = diagram.confidence[there], 100 * diagram.frequency[there]
-                upper.plot(said, happened, marker="o", markersize=3.5, color=SCORE_TONES[kind],
+                text, happened = diagram.confidence[there], 100 * diagram.frequency[there]
+                upper.plot(text, happened, marker="o", markersize=3.5, color=SCORE_TONES[kind],
                            label=f"{kind}, ECE {diagram.ece:.3f}")  # fmt: skip
                 middle = (diagram.edges[:-1] + diagram.edges[1:]) / 2 + (n - 0.5) * 0.4 / ECE_BINS
                 lower.bar(middle, diagram.count, 0.36 / ECE_BINS, color=SCORE_TONES[kind])

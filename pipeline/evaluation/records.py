@@ -326,8 +326,8 @@ def raw_records(records: pa.Table) -> pa.Table:
     Columns of the ranking itself (probabilities, margins) stay those of the calibrated one.
     """
     for name in RAW:
-        place = records.column_names.index(name)
-        records = records.set_column(place, records.schema.field(name), records.column(f"raw_{name}"))
+        index = records.column_names.index(name)
+        records = records.set_column(index, records.schema.field(name), records.column(f"raw_{name}"))
     return records
 
 

@@ -98,8 +98,8 @@ def read_pairs(labels: Labels, first: int, stop: int, chosen: Collection[int] | 
     }
     frames, objects, rows = (_part(labels, table, names, first, stop) for table, names in wanted.items())
     objects = {name: values[objects["usable"]] for name, values in objects.items()}
-    for place in np.argsort(frames["frame_index"], kind="stable"):
-        index = int(frames["frame_index"][place])
+    for at in np.argsort(frames["frame_index"], kind="stable"):
+        index = int(frames["frame_index"][at])
         if chosen is not None and index not in chosen:
             continue
         mine, pairs = (rows_of_frame(t["frame_index"], index) for t in (objects, rows))
@@ -112,7 +112,7 @@ def read_pairs(labels: Labels, first: int, stop: int, chosen: Collection[int] | 
         if not there.any():
             continue
         yield FramePairs(
-            FrameKey(str(frames["frame"][place]), str(frames["scene"][place]), index),
+            FrameKey(str(frames["frame"][at]), str(frames["scene"][at]), index),
             numbers,
             tuple(str(n) for n in objects["label"][mine]),
             i[there].astype(np.int64),
@@ -120,7 +120,7 @@ def read_pairs(labels: Labels, first: int, stop: int, chosen: Collection[int] | 
             relations,
             np.stack([rows[r][pairs][there] for r in relations], axis=1).astype(np.int8),
             {name: objects[name][mine] for name in _GEOMETRY},
-            {name: frames[name][place] for name in ("width", "height", "up")},
+            {name: frames[name][at] for name in ("width", "height", "up")},
         )
 
 
@@ -156,15 +156,15 @@ def score_lifted(
     """
     detector = labelled_detector(source)
     proposals = detector.detect(context.frame, None)
-    place = {int(number): k for k, number in enumerate(proposals.ids)}
-    absent = [int(n) for n in pairs.numbers if int(n) not in place]
+    index = {int(number): k for k, number in enumerate(proposals.ids)}
+    absent = [int(n) for n in pairs.numbers if int(n) not in index]
     if absent:
         raise InputError(
             f"frame {pairs.key.frame} has no annotation {absent[0]}, which the labels name",
             cause="labels of another dataset, or of another detector? --relation-boxes stored takes their own boxes",
             path=source.dataset.root,
         )
-    objects = context.lift(proposals.take(np.array([place[int(n)] for n in pairs.numbers])), detector)
+    objects = context.lift(proposals.take(np.array([index[int(n)] for n in pairs.numbers])), detector)
     found = []
     for system in systems:
         scores = replace(source, scorer=system.scorer).score(context, objects, system.relations)

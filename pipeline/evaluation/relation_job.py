@@ -212,10 +212,10 @@ class VlmRecords:
 
 def sample_pairs(records: RelationRecords, counted: np.ndarray, number: int, seed: int) -> np.ndarray:
     """(M,) int64: places of at most so many of the counted pairs, without replacement, rising."""
-    places = np.flatnonzero(counted)
-    if number >= len(places):
-        return places
-    return np.sort(np.random.default_rng([seed, 53]).choice(places, number, replace=False))
+    indices = np.flatnonzero(counted)
+    if number >= len(indices):
+        return indices
+    return np.sort(np.random.default_rng([seed, 53]).choice(indices, number, replace=False))
 
 
 def ask_relations(

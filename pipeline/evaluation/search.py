@@ -210,10 +210,10 @@ def _rows(records: pa.Table, search: Search) -> np.ndarray:
 
     if not search.columns:
         return np.arange(records.num_rows)
-    place = "row of the run"
-    rows = records.select(list(search.columns)).append_column(place, pa.array(np.arange(records.num_rows)))
+    index = "row of the run"
+    rows = records.select(list(search.columns)).append_column(index, pa.array(np.arange(records.num_rows)))
     order = [f"{_defined(n, rows.schema)} {'DESC' if down else 'ASC'} NULLS LAST" for n, down in search.order]
-    sql = f"SELECT {quoted(place)} AS place FROM run WHERE {search.where} ORDER BY {', '.join([*order, quoted(place)])}"
+    sql = f"SELECT {quoted(index)} AS place FROM run WHERE {search.where} ORDER BY {', '.join([*order, quoted(index)])}"
     with _database().cursor() as connection:
         connection.register("run", rows)
         found = connection.execute(sql, list(search.parameters)).fetchnumpy()
@@ -303,16 +303,16 @@ def _named(field: Field, value: Value) -> tuple[Value, ...]:
     known = {"verdict": VERDICTS, "relation": PAIRWISE}.get(field.column)
     if known is None or _none(value) or ("*" in value.text and not value.quoted):
         return (value,)
-    said = value.text.lower()
-    if field.column == "verdict" and said == "opm":
+    text = value.text.lower()
+    if field.column == "verdict" and text == "opm":
         return tuple(Value(v) for v, module in MODULE_OF.items() if module == "OPM")
     phrases = {phrase: name for name, phrase in PHRASE.items()} if field.column == "relation" else {}
     names = {name.lower(): name for name in known} | phrases
-    if said not in names:
-        near = difflib.get_close_matches(said, names, 1, 0.5)
+    if text not in names:
+        near = difflib.get_close_matches(text, names, 1, 0.5)
         expected = repr(names[near[0]]) if near else f"one of {', '.join(known)}"
         raise InputError(f"no such {field.column}", got=repr(value.text), expected=expected)
-    return (Value(names[said], True),)
+    return (Value(names[text], True),)
 
 
 def _number(field: Field, term: Term, single: bool) -> Condition:
@@ -340,11 +340,11 @@ def _flag(field: Field, term: Term, _single: bool) -> Condition:
     _equality_only(field, term)
     column, parts = quoted(field.column), []
     for value in term.values:
-        said = value.text.lower()
+        text = value.text.lower()
         if _none(value):
             parts.append(f"{column} IS NULL")
-        elif said in (*_YES, *_NO):
-            parts.append(column if said in _YES else f"NOT {column}")
+        elif text in (*_YES, *_NO):
+            parts.append(column if text in _YES else f"NOT {column}")
         else:
             raise InputError(f"{field.name} is yes or no", got=repr(value.text), expected=f"{field.name}:yes")
     return _any(parts), []

@@ -144,6 +144,6 @@ def record_whole(case: Case, truth: FrameCases, pointed: Pointed) -> dict[str, A
         "correct": iou >= HIT, "strict_correct": strict >= HIT, "set_correct": lenient >= HIT,
     }  # fmt: skip
     if box is not None:
-        place = int(matched(iou_2d(box[None], truth.boxes), truth.alike[[case.target_object]])[0])
-        row |= {"box": box.tolist(), "p_target": pointed.score, "matched_target": None if place < 0 else place}
+        index = int(matched(iou_2d(box[None], truth.boxes), truth.alike[[case.target_object]])[0])
+        row |= {"box": box.tolist(), "p_target": pointed.score, "matched_target": None if index < 0 else index}
     return row

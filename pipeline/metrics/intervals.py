@@ -166,8 +166,8 @@ def bootstrap(
     config = config or BootstrapConfig()
     rows = checked_numbers(rows, "rows", np.shape(rows))
     systems = [rows] if other is None else [rows, checked_numbers(other, "rows of the other system", rows.shape)]
-    place, count = checked_clusters(clusters, len(rows))
-    sums = [_cluster_sums(system.reshape(len(rows), math.prod(rows.shape[1:])), place, count) for system in systems]
+    index, count = checked_clusters(clusters, len(rows))
+    sums = [_cluster_sums(system.reshape(len(rows), math.prod(rows.shape[1:])), index, count) for system in systems]
 
     def figures(of: list[np.ndarray]) -> np.ndarray:
         found = [statistic(s.reshape(len(s), *rows.shape[1:])) for s in of]
@@ -175,7 +175,7 @@ def bootstrap(
 
     values = figures([s.sum(axis=0, keepdims=True) for s in sums])[0]
     counted = np.ones((len(rows), len(values)), np.bool_) if counted is None else counted
-    per_cluster = _cluster_sums(counted.astype(np.float64), place, count)
+    per_cluster = _cluster_sums(counted.astype(np.float64), index, count)
     n, held = per_cluster.sum(axis=0).astype(int), (per_cluster > 0).sum(axis=0)
     if count < 2:
         drawn = np.full((1, len(values)), np.nan)
@@ -188,12 +188,12 @@ def bootstrap(
     ]
 
 
-def _cluster_sums(rows: np.ndarray, place: np.ndarray, count: int) -> np.ndarray:
+def _cluster_sums(rows: np.ndarray, index: np.ndarray, count: int) -> np.ndarray:
     """(C, m) float64 sums of (N, m) rows by cluster."""
     if not len(rows):
         return np.zeros((0, rows.shape[1]))
-    order = np.argsort(place, kind="stable")
-    starts = np.searchsorted(place[order], np.arange(count))
+    order = np.argsort(index, kind="stable")
+    starts = np.searchsorted(index[order], np.arange(count))
     return np.add.reduceat(rows[order], starts, axis=0)
 
 

@@ -49,7 +49,7 @@ class RelationMetrics:
     relations : tuple of str
         The order of everything with shape (R,).
     pairs : int
-    positives, negatives, doubtful : (R,) int64
+    positives, negatives, undecided : (R,) int64
         Cells whose truth is T, F, U.
     tp, fp, fn : (R,) int64
     thresholds : (R,) float64
@@ -72,7 +72,7 @@ class RelationMetrics:
     pairs: int
     positives: np.ndarray
     negatives: np.ndarray
-    doubtful: np.ndarray
+    undecided: np.ndarray
     tp: np.ndarray
     fp: np.ndarray
     fn: np.ndarray
@@ -107,9 +107,9 @@ def cell_outcomes(p: Any, truth: Any, thresholds: Any = THRESHOLD) -> CellOutcom
         Shapes differ, probabilities are NaN or outside 0..1, or a state is none.
     """
     p, truth = checked_cells(p, truth)
-    said = p > checked_thresholds(thresholds, p.shape[1])
+    text = p > checked_thresholds(thresholds, p.shape[1])
     holds, fails = truth > 0, truth < 0
-    return CellOutcomes(said & holds, said & fails, ~said & holds, ~said & fails)
+    return CellOutcomes(text & holds, text & fails, ~text & holds, ~text & fails)
 
 
 def multi_label_metrics(
@@ -145,7 +145,7 @@ def multi_label_metrics(
         pairs=len(p),
         positives=positives,
         negatives=negatives,
-        doubtful=len(p) - known,
+        undecided=len(p) - known,
         tp=tp,
         fp=fp,
         fn=fn,
@@ -181,9 +181,9 @@ def average_precision(p: Any, truth: Any) -> np.ndarray:
     p, truth = checked_cells(p, truth)
     found = np.full(p.shape[1], np.nan)
     for k in range(p.shape[1]):
-        _, tp, said, positives = _ranked(p[:, k], truth[:, k])
+        _, tp, text, positives = _ranked(p[:, k], truth[:, k])
         if positives:
-            found[k] = (np.diff(tp, prepend=0) * (tp / said)).sum() / positives
+            found[k] = (np.diff(tp, prepend=0) * (tp / text)).sum() / positives
     return found
 
 
@@ -207,10 +207,10 @@ def tuned_thresholds(p_validation: Any, truth_validation: Any) -> np.ndarray:
     p, truth = checked_cells(p_validation, truth_validation)
     found = np.full(p.shape[1], THRESHOLD)
     for k in range(p.shape[1]):
-        values, tp, said, positives = _ranked(p[:, k], truth[:, k])
+        values, tp, text, positives = _ranked(p[:, k], truth[:, k])
         if not positives:
             continue
-        f1 = 2 * tp / (said + positives)
+        f1 = 2 * tp / (text + positives)
         below = np.append(values[1:], 0.0 if values[-1] > 0 else -1.0)
         middle = below + (values - below) / 2
         # Between neighbouring floats the middle is rounded to one of them.
@@ -230,9 +230,9 @@ def _ranked(p: np.ndarray, truth: np.ndarray) -> tuple[np.ndarray, np.ndarray, n
     return p[last], np.cumsum(holds)[last], last + 1, int(holds.sum())
 
 
-def _reasons(names: tuple[str, ...], known: np.ndarray, positives: np.ndarray, said: np.ndarray) -> dict[str, str]:
+def _reasons(names: tuple[str, ...], known: np.ndarray, positives: np.ndarray, text: np.ndarray) -> dict[str, str]:
     found = {}
-    for name, cells, hold, claimed in zip(names, known.tolist(), positives.tolist(), said.tolist(), strict=True):
+    for name, cells, hold, claimed in zip(names, known.tolist(), positives.tolist(), text.tolist(), strict=True):
         if not cells:
             found[name] = "no cell is known (all are U, or there is none)"
         elif not hold:
@@ -300,17 +300,17 @@ def relation_estimates(
     ):
         raise InputError("two scorers can only be compared on the same pairs and the same truth")
     # Sums by cluster first: a million pairs with four numbers for each relation would be hundreds of megabytes.
-    place, count = checked_clusters(clusters, shape[0])
+    index, count = checked_clusters(clusters, shape[0])
     known = cells.tp | cells.fp | cells.fn | cells.tn
-    by_relation = np.stack([_sums(known[..., k], place, count) for k in range(shape[1])], axis=1)
-    some = np.repeat(_sums(np.asarray(known.any(axis=1)), place, count)[:, None], 3, axis=1)
+    by_relation = np.stack([_sums(known[..., k], index, count) for k in range(shape[1])], axis=1)
+    some = np.repeat(_sums(np.asarray(known.any(axis=1)), index, count)[:, None], 3, axis=1)
     rows = np.concatenate([by_relation] * 3 + [some], axis=1)
     found = bootstrap(
-        _by_cluster(cells, place, count),
+        _by_cluster(cells, index, count),
         np.arange(count),
         _figures,
         counted=rows > 0,
-        other=None if other is None else _by_cluster(other, place, count),
+        other=None if other is None else _by_cluster(other, index, count),
         config=config,
     )
     found = [replace(e, n=int(n)) for e, n in zip(found, rows.sum(axis=0), strict=True)]
@@ -319,15 +319,15 @@ def relation_estimates(
     return RelationEstimates(names, precision, recall, f1, *found[3 * r :])
 
 
-def _by_cluster(cells: CellOutcomes, place: np.ndarray, count: int) -> np.ndarray:
+def _by_cluster(cells: CellOutcomes, index: np.ndarray, count: int) -> np.ndarray:
     """(C, R, 4) float64: how many of tp, fp, fn, tn each cluster has."""
     kinds = (cells.tp, cells.fp, cells.fn, cells.tn)
-    columns = [np.stack([_sums(kind[:, k], place, count) for kind in kinds], axis=1) for k in range(cells.tp.shape[1])]
+    columns = [np.stack([_sums(kind[:, k], index, count) for kind in kinds], axis=1) for k in range(cells.tp.shape[1])]
     return np.stack(columns, axis=1)
 
 
-def _sums(flags: np.ndarray, place: np.ndarray, count: int) -> np.ndarray:
-    return np.bincount(place[flags], minlength=count).astype(np.float64)
+def _sums(flags: np.ndarray, index: np.ndarray, count: int) -> np.ndarray:
+    return np.bincount(index[flags], minlength=count).astype(np.float64)
 
 
 def _figures(sums: np.ndarray) -> np.ndarray:

@@ -217,7 +217,7 @@ def _list(state: State) -> str:
         return ""
     color = hex_color(palette(state.dark)["edited"])
     rows = "".join(
-        f'<div class="edit" style="--c:{color}"><span title="{safe(edit.said)}">{safe(edit.said)}</span>'
+        f'<div class="edit" style="--c:{color}"><span title="{safe(edit.text)}">{safe(edit.text)}</span>'
         f'<span class="try" data-id="{safe(edit.id)}" onclick="sv(\'edit-remove:\'+this.dataset.id)" '
         f'title="take this edit back">×</span></div>'
         for edit in found

@@ -101,8 +101,8 @@ def _header(answered: JudgedAnswer, subject: Subject, cast: AnswerRoles) -> str:
     if d is None:
         chip = '<span class="verdict none">NO VERDICT</span>'
     else:
-        said = " · ".join(x for x in (d.verdict, d.detail, "LUCKY" if d.lucky else None) if x)
-        chip = f'<span class="verdict{" correct" if d.correct else ""}">{escape(said)}</span>'
+        text = " · ".join(x for x in (d.verdict, d.detail, "LUCKY" if d.lucky else None) if x)
+        chip = f'<span class="verdict{" correct" if d.correct else ""}">{escape(text)}</span>'
     first, *rest = re.split(r"(?<=[.!]) +(?=[A-Z])", headline(answered), maxsplit=1)
     lead = f'<p class="lead">{escape(rest[0])}</p>' if rest else ""
     return (
@@ -121,8 +121,8 @@ def _answer(answered: JudgedAnswer, cast: AnswerRoles) -> str:
     second = "" if best.second_reference is None else f" and {cast.name(best.second_reference)}"
     phrase = wording(trace.asked.relation, inverse=trace.asked.inverse)
     answer = told(trace, cast.name)
-    said = answer.sentence(f"{cast.name(best.target)} {phrase} {cast.name(best.reference)}{second}")
-    return f'<p class="lead">Answer: {escape(said)}. <span class="quiet">{escape(answer.below)}</span></p>'
+    text = answer.sentence(f"{cast.name(best.target)} {phrase} {cast.name(best.reference)}{second}")
+    return f'<p class="lead">Answer: {escape(text)}. <span class="quiet">{escape(answer.below)}</span></p>'
 
 
 def _expression(answered: JudgedAnswer) -> str:
@@ -186,7 +186,7 @@ def _facts(
     if judged is not None:
         case = judged.case
         facts.append(("meant", f"{case.target} {wording(case.relation)} {case.reference}"))
-        facts.append(("right answers", f"{len(case.strict)} beyond doubt, {len(case.acceptable)} with the doubtful"))
+        facts.append(("right answers", f"{len(case.strict)} beyond doubt, {len(case.acceptable)} with the undecided"))
     return '<dl class="facts">' + "".join(
         f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in (*facts, *subject.facts)
     ) + "</dl>"  # fmt: skip

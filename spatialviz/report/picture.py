@@ -35,8 +35,8 @@ def tinted(rgb: np.ndarray, objects: Sequence[SceneObject], roles: Mapping[int, 
     (H, W, 3) uint8
     """
     image = rgb.copy()
-    for place, role in roles.items():
-        mask, color = objects[place].mask, np.array(ON_DARK[role])
+    for index, role in roles.items():
+        mask, color = objects[index].mask, np.array(ON_DARK[role])
         image[mask] = (image[mask] * (1 - TINT) + color * TINT).astype(np.uint8)
         outline, _ = cv2.findContours(mask.view(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
         cv2.drawContours(image, outline, -1, ON_DARK[role], max(1, rgb.shape[1] // 500), cv2.LINE_AA)
@@ -74,13 +74,13 @@ def answer_picture(trace: Trace) -> np.ndarray:
         roles[best.target] = "target"
     image = tinted(trace.frame.rgb, trace.objects, roles)
     scale = max(1.0, trace.frame.width / 640)
-    for place, role in roles.items():
-        entry = trace.objects[place]
+    for index, role in roles.items():
+        entry = trace.objects[index]
         if entry.lifted.box is not None:
             for start, end in box_edges_2d(entry.lifted.box, trace.frame.camera):
                 _line(image, start, end, ON_DARK[role], max(1, round(1.5 * scale)))
-    for place, role in roles.items():
-        entry = trace.objects[place]
+    for index, role in roles.items():
+        entry = trace.objects[index]
         _tag(image, f"{entry.label} {entry.score:.2f}", entry.bbox[:2], ON_DARK[role], 0.5 * scale)
     return np.concatenate([image, _caption(trace, image.shape[1], scale)])
 
@@ -131,7 +131,7 @@ def _caption(trace: Trace, width: int, scale: float) -> np.ndarray:
     if best_pair(trace) is None:
         text += ": no answer"
     else:
-        answer = told(trace, lambda place: trace.objects[place].label)
+        answer = told(trace, lambda index: trace.objects[index].label)
         text += f": {answer.numbers if answer.holds else answer.sentence('this pair')} ({trace.scorer})"
     strip = np.full((round(26 * scale), width, 3), 24, np.uint8)
     cv2.putText(

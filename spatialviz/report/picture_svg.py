@@ -36,17 +36,17 @@ def picture_svg(frame: Frame, cast: AnswerRoles) -> str:
     ]
     for _, role, mask in cast.true_masks:
         parts.append(f'<path class="true {role}" d="{_outline(mask)}"/>')
-    for place, role in cast.roles.items():
-        parts.append(f'<path class="mask {role}" d="{_outline(cast.objects[place].mask)}"/>')
-    for place, role in cast.roles.items():
-        box = cast.objects[place].lifted.box
+    for index, role in cast.roles.items():
+        parts.append(f'<path class="mask {role}" d="{_outline(cast.objects[index].mask)}"/>')
+    for index, role in cast.roles.items():
+        box = cast.objects[index].lifted.box
         if box is not None:
             parts.append(f'<path class="box {role}" d="{_edges(box, frame.camera)}"/>')
     taken: list[tuple[float, float, float, float]] = []
-    for place, role in reversed(cast.roles.items()):
-        entry = cast.objects[place]
+    for index, role in reversed(cast.roles.items()):
+        entry = cast.objects[index]
         parts.append(_tag(f"{entry.label} {entry.score:.2f}", role, entry.bbox, frame, taken))
-    shown = {cast.labelled.get(place) for place in cast.roles}
+    shown = {cast.labelled.get(index) for index in cast.roles}
     for (label, role, mask), k in zip(cast.true_masks, _true_places(cast), strict=True):
         if k not in shown:
             rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
@@ -57,7 +57,7 @@ def picture_svg(frame: Frame, cast: AnswerRoles) -> str:
 
 
 def _true_places(cast: AnswerRoles) -> tuple[int | None, ...]:
-    return cast.true_places if len(cast.true_places) == len(cast.true_masks) else (None,) * len(cast.true_masks)
+    return cast.true_index if len(cast.true_index) == len(cast.true_masks) else (None,) * len(cast.true_masks)
 
 
 def _jpeg(rgb: np.ndarray) -> str:
@@ -130,7 +130,7 @@ class AnswerRoles:
         Place -> the labelled object that it is.
     true_boxes : tuple of (str, Box3D)
         Label and box of the labelled target and reference, where they are known.
-    true_places : tuple of int
+    true_index : tuple of int
         Which labelled objects those are.
     true_masks : tuple of (str, Role, (H, W) bool)
         Label, role and pixels of the same.
@@ -145,14 +145,14 @@ class AnswerRoles:
     right: tuple[int, int] | None
     labelled: dict[int, int]
     true_boxes: tuple[tuple[str, Box3D], ...]
-    true_places: tuple[int, ...]
+    true_index: tuple[int, ...]
     true_masks: tuple[tuple[str, Role, np.ndarray], ...]
     exact: bool
 
-    def name(self, place: int) -> str:
+    def name(self, index: int) -> str:
         """An object as the tables call it."""
-        entry = self.objects[place]
-        return f"{entry.label}·{entry.id if self.exact else place}"
+        entry = self.objects[index]
+        return f"{entry.label}·{entry.id if self.exact else index}"
 
 
 def answer_roles(answered: JudgedAnswer) -> AnswerRoles:
@@ -171,7 +171,7 @@ def answer_roles(answered: JudgedAnswer) -> AnswerRoles:
     right = None
     labelled: dict[int, int] = {}
     boxes: list[tuple[str, Box3D]] = []
-    places: list[int] = []
+    indices: list[int] = []
     masks: list[tuple[str, Role, np.ndarray]] = []
     if judged is not None:
         evidence, case = judged.evidence, judged.case
@@ -179,7 +179,7 @@ def answer_roles(answered: JudgedAnswer) -> AnswerRoles:
         if evidence.answers.objects is objects:
             pair = judged.right
             right = None if pair is None or pair.reference is None else (pair.target, pair.reference)
-            labelled = {place: int(k) for place, k in enumerate(evidence.match) if k >= 0}
+            labelled = {index: int(k) for index, k in enumerate(evidence.match) if k >= 0}
         ends: tuple[tuple[Role, int], ...] = (("target", case.target_object), ("reference", case.reference_object))
         for role, k in ends:
             entry = evidence.objects.get(k, points=True)
@@ -188,8 +188,8 @@ def answer_roles(answered: JudgedAnswer) -> AnswerRoles:
             masks.append((judged.truth.labels[k], role, entry.mask))
             if entry.lifted.box is not None:
                 boxes.append((judged.truth.labels[k], entry.lifted.box))
-                places.append(k)
+                indices.append(k)
     return AnswerRoles(
-        objects, target, reference, roles, right, labelled, tuple(boxes), tuple(places), tuple(masks),
+        objects, target, reference, roles, right, labelled, tuple(boxes), tuple(indices), tuple(masks),
         trace is not None and trace.exact,
     )  # fmt: skip

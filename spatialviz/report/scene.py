@@ -78,20 +78,20 @@ def _draw_cloud(scene: viser.SceneApi, context: PreparedFrame, to_show: np.ndarr
 def _draw_boxes(scene: viser.SceneApi, cast: AnswerRoles, to_show: np.ndarray) -> None:
     colors = palette(dark=True)
     by_role: dict[Role, list[Box3D]] = {}
-    for place, entry in enumerate(cast.objects):
+    for index, entry in enumerate(cast.objects):
         if entry.lifted.box is not None:
-            by_role.setdefault(cast.roles.get(place, "other"), []).append(_shown(entry.lifted.box, to_show))
+            by_role.setdefault(cast.roles.get(index, "other"), []).append(_shown(entry.lifted.box, to_show))
     by_role["truth"] = [_shown(box, to_show) for _, box in cast.true_boxes]
     opacity: Mapping[Role, float] = {**FACE_OPACITY, "truth": GHOST_OPACITY}
     for role, boxes in by_role.items():
         if boxes:
             _add_boxes(scene, role, boxes, colors[role], LINE_WIDTH[role], opacity[role])
-    for place, role in cast.roles.items():
-        box = cast.objects[place].lifted.box
+    for index, role in cast.roles.items():
+        box = cast.objects[index].lifted.box
         if box is not None:
-            _add_label(scene, f"/names/{place}", f"{role}: {cast.objects[place].label}", _shown(box, to_show), 0.05)
+            _add_label(scene, f"/names/{index}", f"{role}: {cast.objects[index].label}", _shown(box, to_show), 0.05)
     for k, (label, box) in enumerate(cast.true_boxes):
-        if not any(cast.labelled.get(place) == cast.true_places[k] for place in cast.roles):
+        if not any(cast.labelled.get(index) == cast.true_index[k] for index in cast.roles):
             _add_label(scene, f"/names/true/{k}", f"truth: {label}", _shown(box, to_show), 0.14)
     pair = [cast.objects[p].lifted.box for p in (cast.target, cast.reference) if p is not None]
     ends = [box.center @ to_show.T for box in pair if box is not None]

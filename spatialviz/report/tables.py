@@ -30,8 +30,8 @@ def modules_html(answered: JudgedAnswer) -> str:
         took = sum(times.get(s, 0.0) for s in stages) * 1000
         shown = f"{took:.1f} ms" if any(s in times for s in stages) else "–"
         mark = ' class="blamed"' if name in blamed else ""
-        said = ' <span class="sr">blamed</span>' if name in blamed else ""
-        cells.append(f"<li{mark}><b>{name}</b><span>{what}</span><em>{shown}</em>{said}</li>")
+        text = ' <span class="sr">blamed</span>' if name in blamed else ""
+        cells.append(f"<li{mark}><b>{name}</b><span>{what}</span><em>{shown}</em>{text}</li>")
     return f'<ol class="modules">{"".join(cells)}</ol>'
 
 
@@ -116,12 +116,12 @@ def pairs_html(answered: JudgedAnswer, cast: AnswerRoles) -> str:
     if trace is None or trace.ranking is None or trace.ranking.degenerate:
         return ""
     pairs = trace.ranking.pairs
-    places = list(range(min(SHOWN_PAIRS, len(pairs))))
+    indices = list(range(min(SHOWN_PAIRS, len(pairs))))
     at = next((k for k, p in enumerate(pairs) if (p.target, p.reference) == cast.right), None)
-    if at is not None and at not in places:
-        places.append(at)
+    if at is not None and at not in indices:
+        indices.append(at)
     rows = []
-    for k in places:
+    for k in indices:
         p = pairs[k]
         marks = ("winner " if k == 0 else "") + ("right" if k == at else "")
         if k >= SHOWN_PAIRS:
@@ -143,7 +143,7 @@ def pairs_html(answered: JudgedAnswer, cast: AnswerRoles) -> str:
             ("#", "target", "reference", "P(target)", "P(reference)", f"P({escape(asked)})", "ln product", "posterior")
         )
     )
-    more = len(pairs) - len(places)
+    more = len(pairs) - len(indices)
     note = f'<p class="quiet">and {more} more pairs</p>' if more > 0 else ""
     return (
         f'<div class="scroll"><table class="pairs"><thead><tr>{head}</tr></thead>'
@@ -163,13 +163,13 @@ def relations_html(answered: JudgedAnswer, cast: AnswerRoles) -> str:
     for n, relation in enumerate(trace.scores.relations):
         cells = []
         for _, (a, b) in pairs:
-            said = ""
+            text = ""
             if judged is not None and relation in judged.truth.states:
                 i, j = cast.labelled.get(a), cast.labelled.get(b)
                 if i is not None and j is not None and judged.truth.judged[i, j]:
-                    said = letter(judged.truth.states[relation][i, j])
+                    text = letter(judged.truth.states[relation][i, j])
             p = float(trace.scores.probabilities[a, b, n])
-            cells.append(f'<td>{_meter(p)}</td><td class="state">{said or "–"}</td>')
+            cells.append(f'<td>{_meter(p)}</td><td class="state">{text or "–"}</td>')
         mark = ' class="asked"' if relation == trace.asked.relation else ""
         rows.append(f'<tr{mark}><th scope="row">{escape(PHRASE[relation])}</th>{"".join(cells)}</tr>')
     head = "".join(
@@ -184,7 +184,7 @@ def relations_html(answered: JudgedAnswer, cast: AnswerRoles) -> str:
 
 
 def _pair(cast: AnswerRoles, target: int, reference: int | None) -> str:
-    if reference is None or not all(0 <= place < len(cast.objects) for place in (target, reference)):
+    if reference is None or not all(0 <= index < len(cast.objects) for index in (target, reference)):
         return ""
     return f"{escape(cast.name(target))} / {escape(cast.name(reference))}"
 

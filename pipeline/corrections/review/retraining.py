@@ -267,7 +267,7 @@ def compare_networks(
     `fed_before` is `now` as the network before is fed it, where that is something else.
     """
     own = plan.for_frames([f.key for f in now.frames])
-    test = [now.frames[k] for k in own.places(TEST)]
+    test = [now.frames[k] for k in own.indices(TEST)]
     truth = stacked([f.states for f in test])
     rows = _rows_of(test, fed_before or now), [f.rows for f in test]
     p = [

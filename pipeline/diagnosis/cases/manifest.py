@@ -255,10 +255,10 @@ def read_truth(record: Any, frame_id: str, path: Path) -> tuple[FrameCases, Case
     except ValidationError as error:
         raise damaged(error, path, "truth") from error
     n, e = len(saved.objects), saved.expression
-    places = [e.target_object, e.reference_object, *e.strict, *e.acceptable]
-    if not all(0 <= p < n for p in places):
+    indices = [e.target_object, e.reference_object, *e.strict, *e.acceptable]
+    if not all(0 <= p < n for p in indices):
         among = f"objects 0 to {n - 1}"
-        raise InputError("the case is damaged at truth.expression", got=places, expected=among, path=path)
+        raise InputError("the case is damaged at truth.expression", got=indices, expected=among, path=path)
     if e.relation not in saved.states or not set(saved.states) <= set(PAIRWISE):
         raise InputError("the case is damaged at truth.states", got=list(saved.states), path=path)
     if any(o.R is not None and len(o.R) != 9 for o in saved.objects):

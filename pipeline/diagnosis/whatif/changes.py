@@ -26,7 +26,7 @@ _WORDS = {
     "relation_weight": "weight of the relation γ",
     "aggregate": "references",
     "cone": "cone, degrees",
-    "doubtful_cone": "doubtful cone, degrees",
+    "doubtful_cone": "undecided cone, degrees",
     "dead_zone": "dead zone, m",
     "dead_zone_depth": "dead zone in depth, m",
 }
@@ -107,13 +107,13 @@ def _answer(outcome: Outcome, verdict: str | None) -> Record:
         return record
     pair = ranking.pairs[0]
     record |= {
-        role: _object(outcome, place)
-        for role, place in (
+        role: _object(outcome, index)
+        for role, index in (
             ("target", pair.target),
             ("reference", pair.reference),
             ("second_reference", pair.second_reference),
         )
-        if place is not None
+        if index is not None
     }
     return record | {
         "p_target": pair.p_target,
@@ -133,8 +133,8 @@ def _answer(outcome: Outcome, verdict: str | None) -> Record:
     }
 
 
-def _object(outcome: Outcome, place: int) -> Record:
-    return {"key": outcome.keys[place], "label": outcome.trace.objects[place].label}
+def _object(outcome: Outcome, index: int) -> Record:
+    return {"key": outcome.keys[index], "label": outcome.trace.objects[index].label}
 
 
 def _pairs(outcome: Outcome) -> dict[_Names, tuple[int, ScoredPair]]:
@@ -170,14 +170,14 @@ class Edit:
     ----------
     id : str
         Names it among the edits of its view.
-    said : str
+    text : str
         What is changed, in words.
     key : str or None
         Of the object; None for a setting, and for a relation that of its first end.
     """
 
     id: str
-    said: str
+    text: str
     key: str | None = None
 
 

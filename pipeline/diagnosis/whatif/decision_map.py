@@ -177,7 +177,7 @@ def _pair_probabilities(
         rows = describe(trace.objects, trace.viewer, trace.frame, scorer)
         moved_rows = _sliding_rows(outcome, moved, shift, scorer)
     cloud = trace.objects[moved].lifted.points @ axes
-    place = {k: at for at, k in enumerate(outcome.keys)}
+    index = {k: at for at, k in enumerate(outcome.keys)}
     found: _PairTable = {}
     for other in range(len(trace.objects)):
         known = np.isfinite(lo[other]).all()
@@ -206,9 +206,9 @@ def _pair_probabilities(
         table = combined(states, network, scorer).probabilities
         found[other] = np.stack([table[:, 0, 1], table[:, 1, 0]], axis=1)
     for (relation, a, b), p in edits.relations.items():
-        if relation in PAIRWISE and outcome.keys[moved] in (a, b) and {a, b} <= place.keys():
-            way = 0 if place[a] == moved else 1
-            found[place[b] if way == 0 else place[a]][:, way, PAIRWISE.index(relation)] = p
+        if relation in PAIRWISE and outcome.keys[moved] in (a, b) and {a, b} <= index.keys():
+            way = 0 if index[a] == moved else 1
+            found[index[b] if way == 0 else index[a]][:, way, PAIRWISE.index(relation)] = p
     return found
 
 
@@ -247,13 +247,13 @@ def _vectorised(
     table = trace.scores.of(attachment.relation)
     if attachment.inverse:
         table = table.T
-    places = targets.index, references.index
-    base = table[np.ix_(*places)]
+    indices = targets.index, references.index
+    base = table[np.ix_(*indices)]
     ends = (
         side(targets.index, targets.scores, config.target_weight),
         side(references.index, references.scores, config.reference_weight),
     )
-    forbidden = one_object_twice(places, baseline.same(trace.objects))
+    forbidden = one_object_twice(indices, baseline.same(trace.objects))
     sizes = np.array([o.lifted.quality.mask_pixels for o in trace.objects])
     forth, back = (1, 0) if attachment.inverse else (0, 1)
     found = []

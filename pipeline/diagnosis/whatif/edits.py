@@ -352,9 +352,9 @@ def validated(kind: Any, names: Iterable[str], record: Record | str | bytes, wha
         told = first.get("ctx", {}).get("error")
         if isinstance(told, InputError):
             raise told from None
-        place = ".".join(str(p)[:60] for p in first["loc"])
-        where = f"{what}: {place}" if place else what
+        index = ".".join(str(p)[:60] for p in first["loc"])
+        where = f"{what}: {index}" if index else what
         if first["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
             fields = ", ".join(names) if len(first["loc"]) == 1 else None
-            raise InputError(f"{what}: there is no field {place!r}", expected=fields) from error
+            raise InputError(f"{what}: there is no field {index!r}", expected=fields) from error
         raise InputError(f"{where} cannot be this", got=repr(first["input"])[:80], expected=first["msg"]) from error

@@ -40,8 +40,8 @@ class PairTables:
     Attributes
     ----------
     objects : tuple of SceneObject
-    place : dict
-        Identity of an object -> its place.
+    index : dict
+        Identity of an object -> its index.
     lo, hi : (N, 3) float64
         Extents along (right, up, forward), metres.
     clouds : tuple of (M, 3) float32
@@ -55,7 +55,7 @@ class PairTables:
     """
 
     objects: tuple[SceneObject, ...]
-    place: dict[_Identity, int]
+    index: dict[_Identity, int]
     lo: np.ndarray
     hi: np.ndarray
     clouds: tuple[np.ndarray, ...]
@@ -88,7 +88,7 @@ def score_pairs(
     objects = tuple(objects)
     n = len(objects)
     identities = [identity(o) for o in objects]
-    known = {} if before is None else before.place
+    known = {} if before is None else before.index
     old = np.array([known.get(i, -1) for i in identities], np.int64).reshape(-1)
     fresh = np.flatnonzero(old < 0)
     lo, hi = stacked_extents([o.lifted for o in objects])
@@ -107,8 +107,8 @@ def score_pairs(
         scores = combined(states, scorer.probabilities(rows) if isinstance(scorer, OnnxScorer) else None, scorer)
     else:
         scores = _renewed(old, first, second, (lo, hi), clouds, rows, scorer, profile, before)
-    place = {one: at for at, one in enumerate(identities)}
-    return PairTables(objects, place, lo, hi, clouds, rows, scores, len(first))
+    index = {one: at for at, one in enumerate(identities)}
+    return PairTables(objects, index, lo, hi, clouds, rows, scores, len(first))
 
 
 def _described(
@@ -225,14 +225,14 @@ def of_pairs(
     return combined(states, scorer.probabilities(rows[pair]) if isinstance(scorer, OnnxScorer) else None, scorer)
 
 
-def _grouped(places: np.ndarray, wanted: np.ndarray) -> list[tuple[int, np.ndarray]]:
+def _grouped(indices: np.ndarray, wanted: np.ndarray) -> list[tuple[int, np.ndarray]]:
     """Each object ((P,) places) with those of the wanted pairs ((P,) bool) in which it stands."""
     order = np.flatnonzero(wanted)
-    order = order[np.argsort(places[order], kind="stable")]
+    order = order[np.argsort(indices[order], kind="stable")]
     if not len(order):
         return []
-    cuts = np.flatnonzero(np.diff(places[order])) + 1
-    return [(int(places[group[0]]), group) for group in np.split(order, cuts)]
+    cuts = np.flatnonzero(np.diff(indices[order])) + 1
+    return [(int(indices[group[0]]), group) for group in np.split(order, cuts)]
 
 
 def _by_any(
@@ -270,10 +270,10 @@ def detection_keys(name: str, found: Proposals) -> tuple[str, ...]:
     found : Proposals
         All of the run.
     """
-    place = np.empty(len(found), np.int64)
-    place[np.argsort(-found.scores, kind="stable")] = np.arange(1, len(found) + 1)
+    index = np.empty(len(found), np.int64)
+    index[np.argsort(-found.scores, kind="stable")] = np.arange(1, len(found) + 1)
     return tuple(
-        f"#{number}" if number >= 0 else f"{name}/{at}" for number, at in zip(found.ids.tolist(), place, strict=True)
+        f"#{number}" if number >= 0 else f"{name}/{at}" for number, at in zip(found.ids.tolist(), index, strict=True)
     )
 
 
@@ -299,11 +299,11 @@ def object_keys(trace: Trace, found: Mapping[str, Proposals]) -> tuple[str, ...]
                 continue
             entry = trace.objects[at]
             alike = (proposals.boxes == entry.bbox).all(axis=1) & (proposals.scores == np.float32(entry.score))
-            places = [k for k in np.flatnonzero(alike).tolist() if k not in taken]
-            if not places:
+            indices = [k for k in np.flatnonzero(alike).tolist() if k not in taken]
+            if not indices:
                 raise InputError(f"the trace has an object {name!r} that is not among these detections")
-            taken.add(places[0])
-            keys[at] = names[places[0]]
+            taken.add(indices[0])
+            keys[at] = names[indices[0]]
     if any(key is None for key in keys):
         raise InputError("the trace has an object that is no candidate of any name")
     return tuple(key for key in keys if key is not None)

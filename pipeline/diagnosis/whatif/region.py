@@ -54,7 +54,7 @@ class Patch:
 
 @dataclass(frozen=True)
 class Region:
-    """Where a relation holds (T) and where it is doubtful (U), for the centre of a target of one size.
+    """Where a relation holds (T) and where it is undecided (U), for the centre of a target of one size.
 
     Attributes
     ----------
@@ -63,7 +63,7 @@ class Region:
     axes : (3, 2, 3) float64
         Segments from the reference's middle along the viewer's right, up and forward, camera frame, metres.
     dead_zone : float
-        Half width of the doubtful strip along the relation's axis, metres; 0 where it has none.
+        Half width of the undecided strip along the relation's axis, metres; 0 where it has none.
     exact : bool
         Every point of the plane that is drawn is judged as the rule judges it. The solids of above, below, on and
         in take extents for points, and their U is what lies inside U and outside T.
@@ -131,12 +131,12 @@ def region_of(
 
 
 def plane_states(
-    lo: np.ndarray, hi: np.ndarray, size: np.ndarray, places: np.ndarray, relation: str, profile: Profile
+    lo: np.ndarray, hi: np.ndarray, size: np.ndarray, indices: np.ndarray, relation: str, profile: Profile
 ) -> np.ndarray:
     """(P,) int8: the rule's verdict on a target of a size with its centre at each place ((P, 3), level axes)."""
-    count = len(places)
+    count = len(indices)
     both = [
-        np.stack([places + sign * size / 2, np.broadcast_to(own, (count, 3))], axis=1)
+        np.stack([indices + sign * size / 2, np.broadcast_to(own, (count, 3))], axis=1)
         for sign, own in ((-1, lo), (1, hi))
     ]
     pairs = measure_pairs(both[0], both[1], profile)
@@ -182,10 +182,10 @@ def _plane(
     solid = (high0 - low0) + (high1 - low1) > 1e-9
     corners = np.stack([low0[solid], high0[solid], low1[solid], high1[solid]], axis=1)
     strip = strip[solid]
-    places = np.broadcast_to(middle, (len(strip), 3)).copy()
-    places[:, axis] += side * (s0[strip] + s1[strip]) / 2
-    places[:, across] += corners.mean(axis=1)
-    state = plane_states(lo, hi, size, places, relation, profile)
+    indices = np.broadcast_to(middle, (len(strip), 3)).copy()
+    indices[:, axis] += side * (s0[strip] + s1[strip]) / 2
+    indices[:, across] += corners.mean(axis=1)
+    state = plane_states(lo, hi, size, indices, relation, profile)
     return _merged(strip, corners, state, s0, s1, axis, side, middle)
 
 

@@ -185,11 +185,11 @@ def _rerun(baseline: Baseline, edits: Edits) -> Outcome:
         laps.append(perf_counter())
         stages[stage] = laps[-1] - laps[-2]
 
-    places = {name: _selected(baseline, edits, name) for name in baseline.found}
+    indices = {name: _selected(baseline, edits, name) for name in baseline.found}
     took("opm")
     found = {}
     keys: dict[int, str] = {}
-    for name, at in places.items():
+    for name, at in indices.items():
         entries = [_edited(baseline, context, edits, name, int(k)) for k in at]
         for entry, k in zip(entries, at.tolist(), strict=True):
             keys[id(entry)] = baseline.keys[name][k]
@@ -334,8 +334,8 @@ def _tables(
     plain = not edits.boxes and not edits.masks
     kind = (context.config, edits.scorer, profile)
     known = [t for t in (baseline.last("tables", (kind, p)) for p in (False, True)) if t is not None]
-    places = {identity(o) for o in objects}
-    before = max(known, key=lambda t: len(places & t.place.keys()), default=None)
+    indices = {identity(o) for o in objects}
+    before = max(known, key=lambda t: len(indices & t.index.keys()), default=None)
     tables = score_pairs(objects, context.viewer, context.frame, scorer, profile, before)
     widest = baseline.last("tables", (kind, True))
     # What was scored for a larger K serves a smaller one again.
@@ -353,11 +353,11 @@ def _with_relations(scores: RelationScores, keys: tuple[str, ...], edits: Edits)
                 expected=", ".join((*PAIRWISE, "closest", "farthest")),
             )
     known = {r: k for k, r in enumerate(scores.relations)}
-    place = {key: at for at, key in enumerate(keys)}
+    index = {key: at for at, key in enumerate(keys)}
     given = [
-        (place[a], place[b], known[r], p)
+        (index[a], index[b], known[r], p)
         for (r, a, b), p in edits.relations.items()
-        if r in known and a in place and b in place
+        if r in known and a in index and b in index
     ]
     if not given:
         return scores
@@ -372,13 +372,13 @@ def with_superlatives(lookup: RelationLookup, keys: tuple[str, ...], edits: Edit
     given = {k: p for k, p in edits.relations.items() if k[0] in ("closest", "farthest")}
     if not given:
         return lookup
-    place = {key: at for at, key in enumerate(keys)}
+    index = {key: at for at, key in enumerate(keys)}
 
     def edited(attachment: Attachment, heads: np.ndarray, ends: Any) -> np.ndarray:
         found = lookup(attachment, heads, ends)
         for (relation, a, b), p in given.items():
-            if relation == attachment.relation and a in place and b in place:
-                at = np.ix_(np.flatnonzero(heads == place[a]), np.flatnonzero(ends[0] == place[b]))
+            if relation == attachment.relation and a in index and b in index:
+                at = np.ix_(np.flatnonzero(heads == index[a]), np.flatnonzero(ends[0] == index[b]))
                 found[at] = p
         return found
 

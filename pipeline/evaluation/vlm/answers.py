@@ -211,16 +211,16 @@ def _in_brackets(text: str) -> _Found | None:
     groups += [(m.start(), m.end(), [m[1], m[2]]) for m in _POINT.finditer(text)]
     groups.sort()
     boxes: list[list[str]] = []
-    place = 0
-    while place < len(groups):
-        _, end, values = groups[place]
-        following = groups[place + 1] if place + 1 < len(groups) else None
+    index = 0
+    while index < len(groups):
+        _, end, values = groups[index]
+        following = groups[index + 1] if index + 1 < len(groups) else None
         if len(values) == 4:
             boxes.append(values)
         elif len(values) == 2 and following and len(following[2]) == 2 and following[0] - end <= 60:
             boxes.append(values + following[2])
-            place += 1
-        place += 1
+            index += 1
+        index += 1
     scale = 1000 if _QWEN.search(text) else None
     return _found(boxes[0], boxes=len(boxes), scale=scale) if boxes else None
 
@@ -323,11 +323,11 @@ def yes_probability(logprobs: Sequence[Alternatives]) -> float | None:
 
     Spellings ("Yes", " yes", "YES") are summed. One that is not among the alternatives counts as zero.
     """
-    for place in logprobs:
-        if not place or _plain_token(place[0][0]) not in ("yes", "no"):
+    for index in logprobs:
+        if not index or _plain_token(index[0][0]) not in ("yes", "no"):
             continue
         mass = {"yes": 0.0, "no": 0.0}
-        for token, logprob in place:
+        for token, logprob in index:
             word = _plain_token(token)
             if word in mass:
                 mass[word] += math.exp(logprob)

@@ -164,9 +164,9 @@ def first_line(body: bytes, limit: int = 200) -> str:
     except (ValueError, RecursionError):
         table = None
     for holder in (table.get("error"), table) if isinstance(table, dict) else ():
-        said = holder.get("message") if isinstance(holder, dict) else holder
-        if isinstance(said, str) and said.strip():
-            text = said
+        message = holder.get("message") if isinstance(holder, dict) else holder
+        if isinstance(message, str) and message.strip():
+            text = message
             break
     line = next((found for found in text.splitlines() if found.strip()), "")
     line = "".join(c if c.isprintable() else " " for c in line).strip()
@@ -338,7 +338,7 @@ class AnswerCache:
             sound = isinstance(answer["text"], str) and all(n is None or (type(n) is int and n >= 0) for n in tokens)
             if table["key"] != key or not sound or not (finish is None or isinstance(finish, str)):
                 return None
-            logprobs = tuple(tuple((str(t), float(p)) for t, p in place) for place in answer["logprobs"])
+            logprobs = tuple(tuple((str(t), float(p)) for t, p in index) for index in answer["logprobs"])
             return Completion(answer["text"], finish, tokens[0], tokens[1], logprobs), seconds
         except (OSError, ValueError, KeyError, TypeError, RecursionError):
             return None

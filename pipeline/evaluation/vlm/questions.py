@@ -142,8 +142,8 @@ def score_pairs(
         The server gives no answer.
     """
     config = config or RelationConfig()
-    places = _checked(pairs, len(objects), relations)
-    asked = _questions(objects, places, relations, config)
+    indices = _checked(pairs, len(objects), relations)
+    asked = _questions(objects, indices, relations, config)
     # Things of one name ask the same without marks, and are asked about once.
     order = {key: n for n, key in enumerate(dict.fromkeys(k for k, text in asked if text is not None))}
     prompts = {key: text for key, text in asked if text is not None}
@@ -153,16 +153,16 @@ def score_pairs(
         progress=lambda done: progress(done, len(order)),
         keep_going=config.keep_going,
     )
-    shape = (len(places), len(relations))
+    shape = (len(indices), len(relations))
     probabilities, known = np.full(shape, UNKNOWN), np.zeros(shape, np.bool_)
-    by_logprobs, reasons, said = np.zeros(shape, np.bool_), Counter[str](), [[""] * shape[1] for _ in range(shape[0])]
+    by_logprobs, reasons, texts = np.zeros(shape, np.bool_), Counter[str](), [[""] * shape[1] for _ in range(shape[0])]
     for cell, (key, text) in enumerate(asked):
         i, j = divmod(cell, shape[1])
         if text is None:
             reasons["a name that cannot stand in a question"] += 1
             continue
         answer = answers[order[key]]
-        said[i][j] = answer.text
+        texts[i][j] = answer.text
         value, exact, reason = _judged(answer)
         if reason is not None:
             reasons[reason] += 1
@@ -173,8 +173,8 @@ def score_pairs(
         probabilities,
         known,
         by_logprobs,
-        _shared_names(objects)[places].reshape(-1, 2).any(axis=1) & np.full(len(places), not config.mark),
-        tuple(map(tuple, said)),
+        _shared_names(objects)[indices].reshape(-1, 2).any(axis=1) & np.full(len(indices), not config.mark),
+        tuple(map(tuple, texts)),
         dict(reasons),
     )
 
@@ -187,11 +187,11 @@ def marked_question(relation: str, a: str, b: str) -> str:
 
 
 def _questions(
-    objects: Sequence[Named], places: np.ndarray, relations: Sequence[str], config: RelationConfig
+    objects: Sequence[Named], indices: np.ndarray, relations: Sequence[str], config: RelationConfig
 ) -> list[tuple[_Key, str | None]]:
     """For every cell what makes its question the same as another's, and its words; None where a name cannot be said."""
     found: list[tuple[_Key, str | None]] = []
-    for a, b in places.tolist():
+    for a, b in indices.tolist():
         names = objects[a].label, objects[b].label
         for relation in relations:
             text = None
@@ -241,18 +241,18 @@ def _shared_names(objects: Sequence[Named]) -> np.ndarray:
 
 
 def _checked(pairs: np.ndarray | Sequence[tuple[int, int]], count: int, relations: Sequence[str]) -> np.ndarray:
-    places = np.asarray(pairs)
-    if not places.size:
-        places = np.zeros((0, 2), np.int64)
-    if places.ndim != 2 or places.shape[1] != 2 or not np.issubdtype(places.dtype, np.integer):
-        raise InputError("pairs must be int (N, 2)", got=f"{places.dtype} {places.shape}")
-    if places.size and (places.min() < 0 or places.max() >= count):
-        raise InputError("a pair names an object that is not there", got=f"{places.min()} to {places.max()}",
+    indices = np.asarray(pairs)
+    if not indices.size:
+        indices = np.zeros((0, 2), np.int64)
+    if indices.ndim != 2 or indices.shape[1] != 2 or not np.issubdtype(indices.dtype, np.integer):
+        raise InputError("pairs must be int (N, 2)", got=f"{indices.dtype} {indices.shape}")
+    if indices.size and (indices.min() < 0 or indices.max() >= count):
+        raise InputError("a pair names an object that is not there", got=f"{indices.min()} to {indices.max()}",
                          expected=f"0 to {count - 1}")  # fmt: skip
     unknown = [r for r in relations if r not in PAIRWISE]
     if unknown:
         raise InputError("no such relation of two things", got=repr(unknown[0]), expected=" | ".join(PAIRWISE))
-    return places
+    return indices
 
 
 @dataclass(frozen=True)
