@@ -23,6 +23,7 @@ from pipeline.diagnosis.cases import answer_record, find_cases, open_case, repla
 from pipeline.diagnosis.cases.replay import replay_all
 from pipeline.diagnosis.whatif import Edits, edits_record
 from pipeline.geometry.camera import Camera
+from pipeline.proposals.score_calibration import FittedFrame, ScoreCalibration
 from pipeline.system.errors import InputError
 
 TEXT = "mug left of the laptop"
@@ -73,6 +74,16 @@ def test_a_case_of_an_earlier_release_replays_and_another_standing_is_a_change(s
     (folder / MANIFEST).write_text(json.dumps(table))
     (change,) = replay_case(open_case(folder)).changes
     assert "there is no such pair" in change
+
+
+def test_a_case_of_calibrated_scores_comes_back(tmp_path: Path) -> None:
+    fitted = (FittedFrame("room/000001", "room", "0" * 16),)
+    calibration = ScoreCalibration(None, 0.8, -0.3, 60, 70, 10, "rooms", fitted)
+    used = made(ScoringDetector(), score_calibration=calibration)
+    kept = save_case(tmp_path / "case", used, context_of(), TEXT)
+    opened = open_case(tmp_path / "case")
+    assert opened.source.config.score_calibration == calibration
+    assert answer_record(opened.answer()) == answer_record(kept)
 
 
 def test_a_missing_network_damages_no_case(scored: Path, tmp_path: Path) -> None:
