@@ -21,6 +21,7 @@ from pipeline.diagnosis.decision import diagnose
 from pipeline.diagnosis.frame_evidence import DEFAULT_CONFIDENCE, FrameEvidence
 from pipeline.diagnosis.substitution import names_of
 from pipeline.diagnosis.verdict import Diagnosis
+from pipeline.diagnosis.whatif import Baseline, apply, read_edits
 from pipeline.geometry.boxes import iou_2d
 from pipeline.labels.cases import HIT, Case, FrameCases, frame_cases, is_gold, read_cases, read_query
 from pipeline.labels.config import LabelConfig
@@ -227,8 +228,6 @@ def edited_trace(source: Pipeline, context: PreparedFrame, text: str, edits: Edi
     InputError
         Edits that cannot be read, or ones that name a file.
     """
-    from pipeline.diagnosis.whatif import Baseline, apply, read_edits
-
     read = read_edits(dict(edits))
     if read.scorer not in (None, "rule", "trained"):
         raise InputError("the edits name a relation network by its path", got=read.scorer, expected="--srm FILE")

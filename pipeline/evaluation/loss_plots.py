@@ -16,6 +16,7 @@ from pipeline.evaluation.plot_parts import (
     LOSS_COLORS,
     VERDICT_COLORS,
     interval,
+    moving_figure,
     plain,
     shares_of_rows,
     waterfall,
@@ -216,9 +217,7 @@ def _errors(estimates: Sequence[Estimate]) -> dict[str, Any]:
 
 
 def _verdicts_figure(summaries: Mapping[str, RunSummary]) -> Any:
-    import plotly.graph_objects as go
-
-    figure = go.Figure()
+    figure = moving_figure()
     for name, summary in summaries.items():
         shares = [summary.verdicts[v] for v in VERDICTS]
         figure.add_bar(
@@ -232,10 +231,8 @@ def _verdicts_figure(summaries: Mapping[str, RunSummary]) -> Any:
 
 
 def _oracles_figure(name: str, summary: RunSummary) -> Any:
-    import plotly.graph_objects as go
-
     bars = waterfall(summary)
-    figure = go.Figure()
+    figure = moving_figure()
     figure.add_bar(
         x=[k for k, _, _ in bars], y=[100 * e.value for _, _, e in bars], base=[100 * s for _, s, _ in bars],
         marker_color=[LOSS_COLORS[k] for k, _, _ in bars], error_y=_errors([e for _, _, e in bars]),
@@ -256,10 +253,8 @@ def _oracles_figure(name: str, summary: RunSummary) -> Any:
 
 
 def _slices_figure(system: str, cut: Slices) -> Any:
-    import plotly.graph_objects as go
-
     rows = [s for s in cut.slices if s.system == system]
-    figure = go.Figure()
+    figure = moving_figure()
     for verdict in VERDICTS:
         if not any(s.counts[verdict] for s in rows):
             continue
@@ -284,14 +279,11 @@ def _slices_figure(system: str, cut: Slices) -> Any:
 
 
 def _confusion_figure(found: Confusion) -> Any:
-    import plotly.graph_objects as go
-
-    figure = go.Figure(
-        go.Heatmap(
-            z=100 * shares_of_rows(found), x=[PHRASE.get(c, c) for c in found.columns],
-            y=[PHRASE.get(r, r) for r in found.rows], text=found.counts, texttemplate="%{text}", colorscale="Blues",
-            zmin=0, zmax=100, hovertemplate="%{y} → %{x}: %{text} (%{z:.1f} %)<extra></extra>",
-        )
+    figure = moving_figure()
+    figure.add_heatmap(
+        z=100 * shares_of_rows(found), x=[PHRASE.get(c, c) for c in found.columns],
+        y=[PHRASE.get(r, r) for r in found.rows], text=found.counts, texttemplate="%{text}", colorscale="Blues",
+        zmin=0, zmax=100, hovertemplate="%{y} → %{x}: %{text} (%{z:.1f} %)<extra></extra>",
     )  # fmt: skip
     figure.update_layout(title=plain(found.title), yaxis={"autorange": "reversed"})
     return figure

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from html import escape
 from pathlib import Path
 from typing import Any
@@ -56,16 +57,32 @@ Bars = tuple[Sequence[str], dict[str, np.ndarray]]
 """What bars stand for, and by name (3, K) float64: values, lows and highs in percent; NaN for none."""
 
 
+@contextmanager
+def drawing(path: Path, **options: Any) -> Iterator[Any]:
+    """Axes of a new picture, as `plt.subplots` gives them, which is written when the block ends."""
+    import matplotlib.pyplot as plt
+
+    with house_style():
+        figure, axes = plt.subplots(dpi=200, layout="constrained", **options)
+        yield axes
+        figure.savefig(path)
+        plt.close(figure)
+
+
+def moving_figure() -> Any:
+    """An empty figure of plotly's."""
+    import plotly.graph_objects as go
+
+    return go.Figure()
+
+
 def draw_bars(
     bars: Bars, tones: Mapping[str, str], title: str, y_label: str, path: Path, height: float = 3.6
 ) -> Path:
     """Bars beside each other, with their intervals."""
-    import matplotlib.pyplot as plt
-
     ticks, rows = bars
     width = 0.8 / max(len(rows), 1)
-    with house_style():
-        figure, axes = plt.subplots(figsize=(8, height), dpi=200, layout="constrained")
+    with drawing(path, figsize=(8, height)) as axes:
         for k, (name, (value, low, high)) in enumerate(rows.items()):
             x = np.arange(len(ticks)) + (k - (len(rows) - 1) / 2) * width
             axes.bar(x, value, width * 0.92, label=name, color=tones[name])
@@ -79,17 +96,13 @@ def draw_bars(
         axes.set_title(title)
         axes.grid(axis="y")
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=2)
-        figure.savefig(path)
-        plt.close(figure)
     return path
 
 
 def bar_figure(bars: Bars, tones: Mapping[str, str], title: str, y_label: str) -> Any:
     """The same to move about in."""
-    import plotly.graph_objects as go
-
     ticks, rows = bars
-    figure = go.Figure()
+    figure = moving_figure()
     for name, (value, low, high) in rows.items():
         figure.add_bar(
             x=list(ticks), y=value, name=plain(name), marker_color=tones[name],

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.evaluation.grounding_tables import OPM_ONLY, column, has_opm
-from pipeline.evaluation.plot_parts import Bars, bar_figure, draw_bars, plain, write_figures
+from pipeline.evaluation.plot_parts import Bars, bar_figure, draw_bars, drawing, moving_figure, plain, write_figures
 from pipeline.evaluation.records import detector_scores, is_calibrated
 from pipeline.evaluation.relation_report import SystemFigures
-from pipeline.labels.report.style import INK, QUIET, house_style, need_matplotlib
+from pipeline.labels.report.style import INK, QUIET, need_matplotlib
 from pipeline.language.relation_names import PAIRWISE, PHRASE
 from pipeline.metrics.calibration_metrics import ECE_BINS, ReliabilityDiagram, reliability_diagram
 from pipeline.metrics.intervals import Estimate
@@ -118,10 +118,7 @@ def _tones(rows: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _draw_lines(curves: Mapping[str, Lines], title: str, x_label: str, path: Path) -> Path:
-    import matplotlib.pyplot as plt
-
-    with house_style():
-        figure, axes = plt.subplots(figsize=(6, 3.4), dpi=200, layout="constrained")
+    with drawing(path, figsize=(6, 3.4)) as axes:
         for k, (system, (x, lines)) in enumerate(curves.items()):
             for label, y in lines.items():
                 style = "--" if label == "OPM only" else "-"
@@ -132,15 +129,11 @@ def _draw_lines(curves: Mapping[str, Lines], title: str, x_label: str, path: Pat
         axes.set_title(title)
         axes.grid(axis="y")
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.18), ncols=2)
-        figure.savefig(path)
-        plt.close(figure)
     return path
 
 
 def _line_figure(curves: Mapping[str, Lines], title: str, x_label: str) -> Any:
-    import plotly.graph_objects as go
-
-    figure = go.Figure()
+    figure = moving_figure()
     for k, (system, (x, lines)) in enumerate(curves.items()):
         for label, y in lines.items():
             line = {"color": TONES[k % len(TONES)], "dash": "dash" if label == "OPM only" else "solid"}
@@ -186,10 +179,7 @@ def _f1_bars(figures: Sequence[SystemFigures]) -> Bars:
 
 
 def _draw_reliability(figures: Sequence[SystemFigures], path: Path) -> Path:
-    import matplotlib.pyplot as plt
-
-    with house_style():
-        figure, axes = plt.subplots(figsize=(5, 5), dpi=200, layout="constrained")
+    with drawing(path, figsize=(5, 5)) as axes:
         axes.plot([0, 100], [0, 100], color=PALE_TONE, linestyle="--", linewidth=1)
         for k, (title, (confidence, frequency, _)) in enumerate(reliability_lines(figures).items()):
             ece = 100 * figures[k].calibration.pooled_ece
@@ -205,15 +195,11 @@ def _draw_reliability(figures: Sequence[SystemFigures], path: Path) -> Path:
         axes.set_title("Do probabilities of relations mean what they say?")
         axes.grid()
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=1)
-        figure.savefig(path)
-        plt.close(figure)
     return path
 
 
 def _curves(figures: Sequence[SystemFigures]) -> Any:
-    import plotly.graph_objects as go
-
-    curves = go.Figure()
+    curves = moving_figure()
     curves.add_scatter(x=[0, 100], y=[0, 100], name="exact", line={"color": PALE_TONE, "dash": "dash"})
     for k, (title, (confidence, frequency, count)) in enumerate(reliability_lines(figures).items()):
         curves.add_scatter(
@@ -240,13 +226,10 @@ def score_diagrams(systems: Mapping[str, pa.Table]) -> Diagrams:
 
 def draw_reliability(diagrams: Diagrams, path: Path) -> Path:
     """One panel a system: the share of hits by score, and below how many detections have it."""
-    import matplotlib.pyplot as plt
-
-    with house_style():
-        figure, axes = plt.subplots(
-            2, len(diagrams), figsize=(4.2 * len(diagrams) + 0.6, 4.6), dpi=200, layout="constrained", squeeze=False,
-            sharex=True, height_ratios=(3, 1),
-        )  # fmt: skip
+    wide = 4.2 * len(diagrams) + 0.6
+    with drawing(
+        path, nrows=2, ncols=len(diagrams), figsize=(wide, 4.6), squeeze=False, sharex=True, height_ratios=(3, 1)
+    ) as axes:
         for k, (system, kinds) in enumerate(diagrams.items()):
             upper, lower = axes[:, k]
             upper.plot([0, 1], [0, 100], color=QUIET, linewidth=0.8, linestyle=":", label="as likely as it says")
@@ -265,18 +248,14 @@ def draw_reliability(diagrams: Diagrams, path: Path) -> Path:
             upper.legend(loc="lower right")
             lower.set_xlabel("score")
             lower.set_ylabel("detections")
-        figure.savefig(path)
-        plt.close(figure)
     return path
 
 
 def reliability_figures(diagrams: Diagrams) -> list[Any]:
     """The same to move about in."""
-    import plotly.graph_objects as go
-
     figures = []
     for system, kinds in diagrams.items():
-        figure = go.Figure()
+        figure = moving_figure()
         figure.add_scatter(
             x=[0, 1], y=[0, 100], mode="lines", name="as likely as it says", line={"color": QUIET, "dash": "dot"}
         )

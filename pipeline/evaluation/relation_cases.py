@@ -20,6 +20,7 @@ from pipeline.proposals import make_detector
 from pipeline.proposals.base import Detector
 from pipeline.relations import RULE, TRAINED, RelationScorer, make_scorer, shipped_network
 from pipeline.relations.features import geometry_of
+from pipeline.relations.model import OnnxScorer
 from pipeline.relations.relations import pairwise_states
 from pipeline.relations.scorer import rule_probabilities
 from pipeline.relations.trained_on import TrainedOn
@@ -178,8 +179,6 @@ def score_stored(systems: Sequence[RelationSystem], pairs: FramePairs) -> list[n
 
     The rule has no points then: on, in and near are judged by extents.
     """
-    from pipeline.relations.model import OnnxScorer
-
     found = []
     everything = slice(0, len(pairs.numbers))
     for system in systems:
@@ -333,8 +332,6 @@ def open_systems(options: Mapping[str, Any], spec: RelationSpec, labels: Labels)
 
 
 def _system(name: str, which: str, scorer: RelationScorer, labels: Labels) -> RelationSystem:
-    from pipeline.relations.model import OnnxScorer
-
     labelled = labels.relation_names
     if not isinstance(scorer, OnnxScorer):
         return RelationSystem(name, name, scorer, tuple(labelled))

@@ -40,6 +40,7 @@ from pipeline.labels.reading import Labels
 from pipeline.metrics.intervals import BootstrapConfig
 from pipeline.metrics.splits import DROPPED
 from pipeline.metrics.tables import Table
+from pipeline.relations.model import OnnxScorer
 from pipeline.system.errors import InputError
 
 if TYPE_CHECKING:
@@ -168,8 +169,6 @@ def _said(records: RelationRecords, counted: np.ndarray, geometry: str, held_out
 
 
 def _system_record(system: RelationSystem) -> dict[str, Any]:
-    from pipeline.relations.model import OnnxScorer
-
     found: dict[str, Any] = {"name": system.name, "title": system.title, "relations": list(system.relations)}
     if isinstance(system.scorer, OnnxScorer):
         contract = system.scorer.contract

@@ -26,6 +26,7 @@ from pipeline.evaluation.relation_cases import (
 from pipeline.labels.reading import Labels
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.metrics.splits import DROPPED, PARTS
+from pipeline.relations.model import OnnxScorer
 from pipeline.system.errors import InputError
 from pipeline.training.label_identity import parts_seen
 
@@ -157,8 +158,6 @@ def relation_schema(systems: Sequence[RelationSystem], labels: Labels) -> pa.Sch
 
 
 def _prior_of(system: RelationSystem) -> list[float]:
-    from pipeline.relations.model import OnnxScorer
-
     if not system.single_label or not isinstance(system.scorer, OnnxScorer):
         return []
     shares = dict(zip(system.scorer.contract.vocabulary, system.prior, strict=True))

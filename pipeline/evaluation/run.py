@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
+import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -118,7 +120,6 @@ class Evaluator:
         if spec.relations is not None:
             chosen = frames_in(self.labels, "relations", spec.relations.frames)
             self.relations = RelationPass(spec.relations, spec.options, self.labels, chosen.tolist())
-        self._grounding = spec.grounding
         self._chosen = chosen_ids(self.labels, spec.limit)
         self._parsed: dict[str, tuple[Query | None, str | None]] = {}
 
@@ -189,7 +190,7 @@ class Evaluator:
         import pyarrow as pa
 
         with self.clock.stage("read"):
-            cases = {t.frame_index: t for t in read_cases(self.labels, first, stop)} if self._grounding else {}
+            cases = {t.frame_index: t for t in read_cases(self.labels, first, stop)} if self.spec.grounding else {}
             pairs = {} if self.relations is None else self.relations.cases(first, stop)
         rows: list[dict[str, Any]] = []
         tables = []
@@ -314,8 +315,6 @@ _evaluator: Evaluator | None = None
 
 def _start(spec: EvalSpec) -> None:
     global _evaluator
-    import signal
-
     import cv2
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -330,8 +329,6 @@ def _block(block: tuple[int, int]) -> tuple[pa.Table, pa.Table | None]:
 
 def write_records(tables: Iterator[pa.Table], path: Path) -> int:
     """Write records as they come, whole or not at all; how many."""
-    import os
-
     import pyarrow.parquet as pq
 
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")

@@ -65,8 +65,6 @@ class Run:
         InputError
             They are missing or damaged.
         """
-        from pipeline.evaluation.compare import read_records
-
         return read_records(self.folder)
 
     @cached_property

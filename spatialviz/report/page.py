@@ -19,6 +19,8 @@ from pipeline.diagnosis.asking import JudgedAnswer
 from pipeline.diagnosis.cases.manifest import PROPOSALS
 from pipeline.diagnosis.cases.opening import OpenedCase
 from pipeline.diagnosis.verdict import Diagnosis
+from pipeline.diagnosis.whatif.edits import Edits, read_edits
+from pipeline.diagnosis.whatif.state import ViewState, encode
 from pipeline.language.lexicon import wording
 from pipeline.system.errors import InputError
 from pipeline.system.whole_files import write_whole
@@ -249,13 +251,6 @@ class Subject:
 
 def view_state(dataset: str, frame: str, text: str, edits: Mapping[str, Any] | None) -> str | None:
     """The view as a string that `spatialviz view --state` takes; None where it cannot be written."""
-    from importlib.util import find_spec
-
-    if find_spec("pipeline.diagnosis.whatif") is None:
-        return None
-    from pipeline.diagnosis.whatif.edits import Edits, read_edits
-    from pipeline.diagnosis.whatif.state import ViewState, encode
-
     try:
         return encode(ViewState(dataset, frame, text, edits=read_edits(dict(edits)) if edits else Edits()))
     except InputError:

@@ -17,6 +17,7 @@ from pipeline.diagnosis.cases.kept_proposals import KeptDetector, read_proposals
 from pipeline.diagnosis.cases.manifest import NETWORK, PROPOSALS, Expected, Manifest, checked_manifest, read_truth
 from pipeline.labels.cases import Case, FrameCases
 from pipeline.language.naming import Synonyms
+from pipeline.proposals import make_detector
 from pipeline.relations import RelationScorer, make_scorer, shipped_network
 from pipeline.system.errors import InputError
 
@@ -72,8 +73,6 @@ class OpenedCase:
         InputError
             No such detector, or it needs a model.
         """
-        from pipeline.proposals import make_detector
-
         name = self.manifest.detector.name if name == "live" else name
         if "+" in name or "&" in name:
             what = "a detector with a segmenter" if "+" in name else "fused detectors"
