@@ -142,11 +142,11 @@ def _expression(answered: JudgedAnswer) -> str:
 
 def _views(answered: JudgedAnswer, context: PreparedFrame, cast: AnswerRoles, scene: str | None) -> str:
     keys = _key("target", "target") + _key("reference", "reference")
-    truth = _key("truth", "true", " dashed") if cast.true_masks else ""
+    truth = _key("truth", "true", " dashed") if cast.truth else ""
     picture = f'<figure>{picture_svg(context.frame, cast)}<figcaption>{keys}{truth}</figcaption></figure>'
     if scene is None:
         return f'<div class="views one">{picture}</div>'
-    ghost = _key("truth", "true box") if cast.true_boxes else ""
+    ghost = _key("truth", "true box") if any(o.lifted.box is not None for _, o in cast.truth.values()) else ""
     frame = (
         '<figure class="scene"><iframe title="The scene in 3D" sandbox="allow-scripts" '
         f'srcdoc="{escape(scene)}"></iframe>'

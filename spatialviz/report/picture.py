@@ -10,6 +10,7 @@ import numpy as np
 
 from pipeline.answering.ask import Trace
 from pipeline.answering.objects import SceneObject
+from pipeline.answering.pair_table import ScoredPair
 from pipeline.answering.told_answer import best_pair, told
 from pipeline.geometry.boxes import EDGES, Box3D
 from pipeline.geometry.camera import Camera, project
@@ -63,15 +64,15 @@ def box_edges_2d(box: Box3D, camera: Camera, near: float = 0.05) -> np.ndarray:
     return np.stack([project(a, camera), project(b, camera)], axis=1)
 
 
+def roles_of(pair: ScoredPair) -> dict[int, Role]:
+    """Index -> target or reference, for the objects of an answer."""
+    roles: dict[int, Role] = {k: "reference" for k in (pair.second_reference, pair.reference) if k is not None}
+    return roles | {pair.target: "target"}
+
+
 def answer_picture(trace: Trace) -> np.ndarray:
     """The answer of a trace drawn over its frame: (H + caption, W, 3) uint8."""
-    roles: dict[int, Role] = {}
-    if trace.ranking is not None and trace.ranking.pairs:
-        best = trace.ranking.pairs[0]
-        for other in (best.reference, best.second_reference):
-            if other is not None:
-                roles[other] = "reference"
-        roles[best.target] = "target"
+    roles = roles_of(trace.ranking.pairs[0]) if trace.ranking is not None and trace.ranking.pairs else {}
     image = tinted(trace.frame.rgb, trace.objects, roles)
     scale = max(1.0, trace.frame.width / 640)
     for index, role in roles.items():

@@ -14,8 +14,9 @@ from pipeline.diagnosis.asking import JudgedAnswer
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.camera import Camera
 from pipeline.geometry.frame import Frame
+from pipeline.geometry.mask_crop import MaskCrop
 from pipeline.geometry.palette import Role
-from spatialviz.report.picture import box_edges_2d
+from spatialviz.report.picture import box_edges_2d, roles_of
 
 WIDEST = 1280
 QUALITY = 86
@@ -34,8 +35,8 @@ def picture_svg(frame: Frame, cast: AnswerRoles) -> str:
         f'<image href="{_jpeg(frame.rgb)}" width="{width}" height="{height}"/>',
         f'<g style="--u:{unit:.3f}">',
     ]
-    for _, role, mask in cast.true_masks:
-        parts.append(f'<path class="true {role}" d="{_outline(mask)}"/>')
+    for role, entry in cast.truth.values():
+        parts.append(f'<path class="true {role}" d="{_outline(entry.mask)}"/>')
     for index, role in cast.roles.items():
         parts.append(f'<path class="mask {role}" d="{_outline(cast.objects[index].mask)}"/>')
     for index, role in cast.roles.items():
@@ -47,17 +48,11 @@ def picture_svg(frame: Frame, cast: AnswerRoles) -> str:
         entry = cast.objects[index]
         parts.append(_tag(f"{entry.label} {entry.score:.2f}", role, entry.bbox, frame, taken))
     shown = {cast.labelled.get(index) for index in cast.roles}
-    for (label, role, mask), k in zip(cast.true_masks, _true_places(cast), strict=True):
-        if k not in shown:
-            rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
-            if len(rows):
-                bbox = np.array([columns[0], rows[0], columns[-1] + 1, rows[-1] + 1], np.float64)
-                parts.append(_tag(f"true {role}: {label}", "truth", bbox, frame, taken))
+    for k, (role, entry) in cast.truth.items():
+        if k not in shown and entry.mask.any():
+            bbox = np.array(MaskCrop(0, 0, entry.mask).box, np.float64)
+            parts.append(_tag(f"true {role}: {entry.label}", "truth", bbox, frame, taken))
     return "".join([*parts, "</g></svg>"])
-
-
-def _true_places(cast: AnswerRoles) -> tuple[int | None, ...]:
-    return cast.true_index if len(cast.true_index) == len(cast.true_masks) else (None,) * len(cast.true_masks)
 
 
 def _jpeg(rgb: np.ndarray) -> str:
@@ -121,19 +116,15 @@ class AnswerRoles:
     objects : tuple of SceneObject
         As detected.
     target, reference : int or None
-        Places of the answer's objects.
+        Indices of the answer's objects.
     roles : dict of int to Role
-        Place -> target or reference, for the answer's objects.
+        Index -> target or reference, for the answer's objects.
     right : (int, int) or None
-        Places of the best right pair among the detections.
+        Indices of the best right pair among the detections.
     labelled : dict of int to int
-        Place -> the labelled object that it is.
-    true_boxes : tuple of (str, Box3D)
-        Label and box of the labelled target and reference, where they are known.
-    true_index : tuple of int
-        Which labelled objects those are.
-    true_masks : tuple of (str, Role, (H, W) bool)
-        Label, role and pixels of the same.
+        Index -> the labelled object that it is.
+    truth : dict of int to (Role, SceneObject)
+        Index of a labelled object -> its role and itself: the labelled target and reference, where they are known.
     exact : bool
         The detections are the dataset's own.
     """
@@ -144,9 +135,7 @@ class AnswerRoles:
     roles: dict[int, Role]
     right: tuple[int, int] | None
     labelled: dict[int, int]
-    true_boxes: tuple[tuple[str, Box3D], ...]
-    true_index: tuple[int, ...]
-    true_masks: tuple[tuple[str, Role, np.ndarray], ...]
+    truth: dict[int, tuple[Role, SceneObject]]
     exact: bool
 
     def name(self, index: int) -> str:
@@ -159,20 +148,10 @@ def answer_roles(answered: JudgedAnswer) -> AnswerRoles:
     """The roles of an answer."""
     trace, judged = answered.trace, answered.diagnosis
     objects: tuple[SceneObject, ...] = () if trace is None else trace.objects
-    target = reference = None
-    roles: dict[int, Role] = {}
-    if trace is not None and trace.ranking is not None and trace.ranking.pairs:
-        best = trace.ranking.pairs[0]
-        target, reference = best.target, best.reference
-        for other in (best.second_reference, reference):
-            if other is not None:
-                roles[other] = "reference"
-        roles[target] = "target"
+    best = None if trace is None or trace.ranking is None else next(iter(trace.ranking.pairs), None)
     right = None
     labelled: dict[int, int] = {}
-    boxes: list[tuple[str, Box3D]] = []
-    indices: list[int] = []
-    masks: list[tuple[str, Role, np.ndarray]] = []
+    truth: dict[int, tuple[Role, SceneObject]] = {}
     if judged is not None:
         evidence, case = judged.evidence, judged.case
         # Another parse than the gold triple is judged by detections of its own.
@@ -181,15 +160,9 @@ def answer_roles(answered: JudgedAnswer) -> AnswerRoles:
             right = None if pair is None or pair.reference is None else (pair.target, pair.reference)
             labelled = {index: int(k) for index, k in enumerate(evidence.match) if k >= 0}
         ends: tuple[tuple[Role, int], ...] = (("target", case.target_object), ("reference", case.reference_object))
-        for role, k in ends:
-            entry = evidence.objects.get(k, points=True)
-            if entry is None:
-                continue
-            masks.append((judged.truth.labels[k], role, entry.mask))
-            if entry.lifted.box is not None:
-                boxes.append((judged.truth.labels[k], entry.lifted.box))
-                indices.append(k)
+        known = ((k, role, evidence.objects.get(k, points=True)) for role, k in ends)
+        truth = {k: (role, entry) for k, role, entry in known if entry is not None}
     return AnswerRoles(
-        objects, target, reference, roles, right, labelled, tuple(boxes), tuple(indices), tuple(masks),
-        trace is not None and trace.exact,
+        objects, None if best is None else best.target, None if best is None else best.reference,
+        {} if best is None else roles_of(best), right, labelled, truth, trace is not None and trace.exact,
     )  # fmt: skip

@@ -81,7 +81,8 @@ def _draw_boxes(scene: viser.SceneApi, cast: AnswerRoles, to_show: np.ndarray) -
     for index, entry in enumerate(cast.objects):
         if entry.lifted.box is not None:
             by_role.setdefault(cast.roles.get(index, "other"), []).append(_shown(entry.lifted.box, to_show))
-    by_role["truth"] = [_shown(box, to_show) for _, box in cast.true_boxes]
+    truth = {k: _shown(o.lifted.box, to_show) for k, (_, o) in cast.truth.items() if o.lifted.box is not None}
+    by_role["truth"] = list(truth.values())
     opacity: Mapping[Role, float] = {**FACE_OPACITY, "truth": GHOST_OPACITY}
     for role, boxes in by_role.items():
         if boxes:
@@ -90,9 +91,8 @@ def _draw_boxes(scene: viser.SceneApi, cast: AnswerRoles, to_show: np.ndarray) -
         box = cast.objects[index].lifted.box
         if box is not None:
             _add_label(scene, f"/names/{index}", f"{role}: {cast.objects[index].label}", _shown(box, to_show), 0.05)
-    for k, (label, box) in enumerate(cast.true_boxes):
-        if not any(cast.labelled.get(index) == cast.true_index[k] for index in cast.roles):
-            _add_label(scene, f"/names/true/{k}", f"truth: {label}", _shown(box, to_show), 0.14)
+    for k in truth.keys() - {cast.labelled.get(index) for index in cast.roles}:
+        _add_label(scene, f"/names/true/{k}", f"truth: {cast.truth[k][1].label}", truth[k], 0.14)
     pair = [cast.objects[p].lifted.box for p in (cast.target, cast.reference) if p is not None]
     ends = [box.center @ to_show.T for box in pair if box is not None]
     if len(ends) == 2:
