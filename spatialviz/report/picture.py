@@ -67,7 +67,8 @@ def box_edges_2d(box: Box3D, camera: Camera, near: float = 0.05) -> np.ndarray:
 def roles_of(pair: ScoredPair) -> dict[int, Role]:
     """Index -> target or reference, for the objects of an answer."""
     roles: dict[int, Role] = {k: "reference" for k in (pair.second_reference, pair.reference) if k is not None}
-    return roles | {pair.target: "target"}
+    roles[pair.target] = "target"
+    return roles
 
 
 def answer_picture(trace: Trace) -> np.ndarray:

@@ -160,8 +160,10 @@ def answer_roles(answered: JudgedAnswer) -> AnswerRoles:
             right = None if pair is None or pair.reference is None else (pair.target, pair.reference)
             labelled = {index: int(k) for index, k in enumerate(evidence.match) if k >= 0}
         ends: tuple[tuple[Role, int], ...] = (("target", case.target_object), ("reference", case.reference_object))
-        known = ((k, role, evidence.objects.get(k, points=True)) for role, k in ends)
-        truth = {k: (role, entry) for k, role, entry in known if entry is not None}
+        for role, k in ends:
+            entry = evidence.objects.get(k, points=True)
+            if entry is not None:
+                truth[k] = role, entry
     return AnswerRoles(
         objects, None if best is None else best.target, None if best is None else best.reference,
         {} if best is None else roles_of(best), right, labelled, truth, trace is not None and trace.exact,

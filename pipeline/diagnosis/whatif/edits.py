@@ -19,11 +19,10 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, fields, replace
 from functools import cache
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, GetPydanticSchema, TypeAdapter, ValidationError
-from pydantic_core.core_schema import no_info_after_validator_function
+from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from pipeline.diagnosis.whatif.settings_check import checked_lift, checked_profile, checked_rank
 from pipeline.geometry.boxes import Box3D
@@ -274,9 +273,7 @@ class EditsModel(_Strict):
         )
 
 
-EditsField = Annotated[
-    Edits, GetPydanticSchema(lambda _, read: no_info_after_validator_function(EditsModel.edits, read(EditsModel)))
-]
+EditsField = Edits if TYPE_CHECKING else Annotated[EditsModel, AfterValidator(EditsModel.edits)]
 """Edits as a field of a model, read from `EditsModel`."""
 
 
