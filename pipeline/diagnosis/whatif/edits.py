@@ -273,8 +273,11 @@ class EditsModel(_Strict):
         )
 
 
-EditsField = Edits if TYPE_CHECKING else Annotated[EditsModel, AfterValidator(EditsModel.edits)]
-"""Edits as a field of a model, read from `EditsModel`."""
+if TYPE_CHECKING:
+    EditsField = Edits
+    """Edits as a field of a model, read from `EditsModel`."""
+else:
+    EditsField = Annotated[EditsModel, AfterValidator(EditsModel.edits)]
 
 
 def edits_record(edits: Edits) -> Record:
