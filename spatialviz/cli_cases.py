@@ -106,7 +106,7 @@ class Replay:
 
     def run(self) -> int:
         from pipeline.diagnosis.cases import find_cases
-        from pipeline.diagnosis.cases.suite import replay_all
+        from pipeline.diagnosis.cases.replay import replay_all
         from spatialviz.printing_cases import print_replay, print_totals, replay_record, totals_record
 
         if not self.cases:
@@ -184,7 +184,7 @@ class Report:
             answered, source, context, subject, scene_html(answered, context) if self.scene else None
         )
         write_page(page, self.out)
-        verdict = None if answered.judgement is None else answered.judgement.diagnosis.verdict
+        verdict = None if answered.diagnosis is None else answered.diagnosis.verdict
         if self.json:
             print_json({"report": str(self.out), "bytes": len(page.encode()), "verdict": verdict})
         else:

@@ -16,7 +16,7 @@ from spatialviz.options import print_json
 from spatialviz.source_options import SourceOptions
 
 if TYPE_CHECKING:
-    from pipeline.evaluation.relation_systems import RelationSpec
+    from pipeline.evaluation.relation_cases import RelationSpec
 
 
 @dataclass(frozen=True)
@@ -78,7 +78,7 @@ class Eval:
     """Print one JSON object."""
 
     def run(self) -> int:
-        from pipeline.diagnosis.marks import read_marks
+        from pipeline.diagnosis.verdict import read_marks
         from pipeline.evaluation.job import evaluate_dataset
         from pipeline.evaluation.run import EvalSpec
         from pipeline.evaluation.whole_expression import VlmOptions
@@ -146,7 +146,7 @@ class Eval:
 
     def _relations(self, options: dict[str, Any]) -> RelationSpec:
         """How relations are measured; `options` lose the vectors that the run's own scorer has no use for."""
-        from pipeline.evaluation.relation_systems import RelationSpec, uses_language
+        from pipeline.evaluation.relation_cases import RelationSpec, uses_language
 
         vectors = options["vectors"]
         if vectors is not None and self.relations_of and not uses_language(str(options["srm"])):

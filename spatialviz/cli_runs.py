@@ -102,7 +102,7 @@ class Tables:
     """Print one JSON object."""
 
     def run(self) -> int:
-        from pipeline.evaluation.paper_run import tables_of_run
+        from pipeline.evaluation.paper_tables import tables_of_run
         from pipeline.metrics.tables import latex, markdown
         from spatialviz.printing_eval import print_table, rows_record, table_record
 

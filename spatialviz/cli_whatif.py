@@ -77,8 +77,7 @@ class WhatIf:
         return FINE if holds(after.trace) else NO
 
     def _map(self, baseline: Baseline, after: Outcome, edits: Edits) -> dict[str, Any]:
-        from pipeline.diagnosis.whatif.decision_map import decision_map, map_record
-        from pipeline.diagnosis.whatif.map_picture import map_picture
+        from pipeline.diagnosis.whatif.decision_map import decision_map, map_picture, map_record
         from spatialviz.report.picture import write_picture
 
         assert self.decision_map is not None

@@ -117,11 +117,11 @@ def _warn_assumed(console: Console, viewer: ViewerAxes) -> None:
 
 def print_verdict(answer: JudgedAnswer) -> None:
     """What the frame's truth says of the answer: a line, or nothing where no truth is known."""
-    if answer.judgement is not None:
-        found = answer.judgement.diagnosis
+    if answer.diagnosis is not None:
+        found = answer.diagnosis
         name = " ".join(word for word in (found.verdict, found.detail, "LUCKY" if found.lucky else None) if word)
         style = "bold green" if found.correct else "bold yellow"
-        make_console().print(Text.assemble(("verdict ", "dim"), (name, style), f"  {answer.judgement.said}"))
+        make_console().print(Text.assemble(("verdict ", "dim"), (name, style), f"  {answer.diagnosis.text}"))
     elif answer.unjudged is not None:
         make_console().print(Text(f"no verdict: {answer.unjudged}", "dim"))
 

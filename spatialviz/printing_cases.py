@@ -8,20 +8,20 @@ from typing import Any
 from rich.text import Text
 
 from pipeline.answering.told_answer import NO_SUCH_PAIR
-from pipeline.diagnosis.cases.answered import Answered
+from pipeline.diagnosis.asking import JudgedAnswer
 from pipeline.diagnosis.cases.manifest import Expected
-from pipeline.diagnosis.cases.suite import Result
+from pipeline.diagnosis.cases.replay import Result
 from pipeline.language.counted import counted
 from spatialviz.printing import make_console
 
 _STYLE = {"same": "green", "updated": "yellow", "changed": "red", "damaged": "red"}
 
 
-def print_saved(now: Answered, folder: Path) -> None:
+def print_saved(now: JudgedAnswer, folder: Path) -> None:
     """What was kept, and how it is run again."""
     console = make_console()
-    if now.judgement is not None:
-        console.print(Text.assemble((now.judgement.diagnosis.verdict, "bold"), "  ", now.judgement.said))
+    if now.diagnosis is not None:
+        console.print(Text.assemble((now.diagnosis.verdict, "bold"), "  ", now.diagnosis.text))
     elif now.problem or now.unjudged:
         console.print(Text(now.problem or now.unjudged or "", "yellow"))
     console.print(f"kept -> {folder}   run it again: spatialviz replay {folder}", markup=False)

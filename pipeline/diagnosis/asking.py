@@ -1,20 +1,42 @@
-"""Questions on frames with the verdict on each answer, where the truth of the frame is known."""
+"""Expressions answered and judged, on frames whose truth is known: as asked, with edits, or as a case keeps them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any
 
+import numpy as np
+
+from pipeline.answering.answering import FrameAnswers
 from pipeline.answering.ask import Trace
 from pipeline.answering.json_records import trace_record
-from pipeline.answering.objects import PreparedFrame
+from pipeline.answering.objects import PreparedFrame, all_objects
 from pipeline.answering.opening import FrameUnusable, Pipeline, Skipped, contexts, skip_or_raise
+from pipeline.answering.pair_table import ScoredPair
 from pipeline.answering.ranking import RankConfig
-from pipeline.diagnosis.live import Judgement, annotated_truth, judge_trace, judgement_record, labelled_truth
-from pipeline.labels.cases import FrameCases
+from pipeline.datasets.base import scene_of
+from pipeline.diagnosis.decision import diagnose
+from pipeline.diagnosis.frame_evidence import DEFAULT_CONFIDENCE, FrameEvidence
+from pipeline.diagnosis.substitution import names_of
+from pipeline.diagnosis.verdict import Diagnosis
+from pipeline.diagnosis.whatif import Baseline, apply, read_edits
+from pipeline.geometry.boxes import iou_2d
+from pipeline.labels.cases import HIT, Case, FrameCases, frame_cases, is_gold, read_cases, read_query
+from pipeline.labels.config import LabelConfig
+from pipeline.labels.labelling import label_objects
 from pipeline.labels.reading import Labels
+from pipeline.labels.second_opinion import open_second_opinion
+from pipeline.language.expression import Query
+from pipeline.language.naming import match
+from pipeline.proposals.annotations import AnnotationDetector
+from pipeline.relations.model import OnnxScorer
+from pipeline.relations.relations import T, U
 from pipeline.system.errors import InputError
+
+Edited = Mapping[str, Any]
+"""Edits as JSON; see `pipeline.diagnosis.whatif`."""
 
 
 @dataclass(frozen=True)
@@ -23,16 +45,27 @@ class JudgedAnswer:
 
     Attributes
     ----------
-    trace : Trace
-    judgement : Judgement or None
+    text : str
+    trace : Trace or None
+        None where the expression cannot be read or asked.
+    problem : str or None
+        Why not.
+    diagnosis : Diagnosis or None
         None where there is no verdict.
     unjudged : str or None
         Why there is a truth and no verdict on this answer; None also where no truth is known at all.
     """
 
-    trace: Trace
-    judgement: Judgement | None = None
+    text: str
+    trace: Trace | None = None
+    problem: str | None = None
+    diagnosis: Diagnosis | None = None
     unjudged: str | None = None
+
+    @property
+    def verdict(self) -> str | None:
+        """None where there is none."""
+        return None if self.diagnosis is None else self.diagnosis.verdict
 
 
 def known_truth(source: Pipeline, context: PreparedFrame, labels: Labels | None = None) -> FrameCases | None:
@@ -104,15 +137,19 @@ def _judged(
     truth: FrameCases | str | None,
     rank: RankConfig | None = None,
 ) -> JudgedAnswer:
-    if truth is None:
-        return JudgedAnswer(trace)
-    if isinstance(truth, str):
-        return JudgedAnswer(trace, unjudged=truth)
-    try:
-        judged = judge_trace(trace, source, context, truth, rank=rank)
-    except InputError as error:
-        judged = str(error)
-    return JudgedAnswer(trace, unjudged=judged) if isinstance(judged, str) else JudgedAnswer(trace, judged)
+    judged: Diagnosis | str | None = None if isinstance(truth, FrameCases) else truth
+    if isinstance(truth, FrameCases):
+        try:
+            judged = judge_trace(trace, source, context, truth, rank=rank)
+        except InputError as error:
+            judged = str(error)
+    return _with_verdict(trace.query.text, trace, judged)
+
+
+def _with_verdict(text: str, trace: Trace, judged: Diagnosis | str | None) -> JudgedAnswer:
+    if isinstance(judged, str):
+        return JudgedAnswer(text, trace, unjudged=judged)
+    return JudgedAnswer(text, trace, diagnosis=judged)
 
 
 def edited_verdicts(
@@ -131,22 +168,272 @@ def edited_verdicts(
         The weights that `after` was ranked with.
     """
     truth = _truth_or_reason(source, context, labels)
-    if truth is None or isinstance(truth, str):
-        return None, None
-    first = _judged(before, source, context, truth)
-    last = _judged(after, source, context, truth, rank)
-    return _verdict(first), _verdict(last)
+    first, last = _judged(before, source, context, truth), _judged(after, source, context, truth, rank)
+    return first.verdict, last.verdict
 
 
-def _verdict(answer: JudgedAnswer) -> str | None:
-    return None if answer.judgement is None else answer.judgement.diagnosis.verdict
+def answer(
+    source: Pipeline,
+    context: PreparedFrame,
+    text: str,
+    *,
+    truth: FrameCases | None = None,
+    case: Case | None = None,
+    mark: str | None = None,
+    confidence: float | None = None,
+    edits: Edited | None = None,
+) -> JudgedAnswer:
+    """Answer an expression, and judge the answer where the truth is known.
+
+    Parameters
+    ----------
+    source : Pipeline
+    context : PreparedFrame
+    text : str
+    truth : FrameCases, optional
+    case, mark, confidence
+        As for `pipeline.diagnosis.asking.judge_trace`.
+    edits : mapping, optional
+        Edits as JSON.
+
+    Raises
+    ------
+    InputError
+        Edits that cannot be applied.
+    """
+    source.needed_detector()
+    rank: RankConfig | None = None
+    try:
+        trace = source.ask(context, text)
+    except InputError as error:
+        judged = None
+        if truth is not None and case is not None:
+            query, unread = read_query(case, source.dataset.class_names)
+            answers = FrameAnswers(source, context, (case.target, case.reference), (case.relation,))
+            judged = judge_answers(answers, truth, case, query, mark=mark, problem=unread or str(error))
+        return JudgedAnswer(text, problem=str(error), diagnosis=judged)
+    if edits:
+        trace, rank = edited_trace(source, context, text, edits)
+    if truth is None:
+        return JudgedAnswer(text, trace)
+    judged = judge_trace(trace, source, context, truth, case=case, mark=mark, confidence=confidence, rank=rank)
+    return _with_verdict(text, trace, judged)
+
+
+def edited_trace(source: Pipeline, context: PreparedFrame, text: str, edits: Edited) -> tuple[Trace, RankConfig]:
+    """The answer under edits, and the weights it was ranked with.
+
+    Raises
+    ------
+    InputError
+        Edits that cannot be read, or ones that name a file.
+    """
+    read = read_edits(dict(edits))
+    if read.scorer not in (None, "rule", "trained"):
+        raise InputError("the edits name a relation network by its path", got=read.scorer, expected="--srm FILE")
+    return apply(Baseline(source, context, text), read), replace(source.config.rank, **read.rank)
 
 
 def judged_record(answer: JudgedAnswer) -> dict[str, Any]:
     """The whole of `ask --json`: `trace_record`, and where truth is known "verdict", or null with "verdict_reason"."""
+    assert answer.trace is not None
     record = trace_record(answer.trace)
-    if answer.judgement is not None:
-        record["verdict"] = judgement_record(answer.judgement)
+    if answer.diagnosis is not None:
+        record["verdict"] = diagnosis_record(answer.diagnosis)
     elif answer.unjudged is not None:
         record |= {"verdict": None, "verdict_reason": answer.unjudged}
     return record
+
+
+def answer_record(answered: JudgedAnswer) -> dict[str, Any]:
+    """What a case keeps: the answer as in `ask --json`, without times; "judgement" as in `diagnosis_record`."""
+    if answered.trace is None:
+        record: dict[str, Any] = {"expression": {"text": answered.text}, "answer": None, "reason": answered.problem}
+    else:
+        record = trace_record(answered.trace)
+        del record["timings_ms"]
+    record["judgement"] = None if answered.diagnosis is None else diagnosis_record(answered.diagnosis)
+    return record
+
+
+@lru_cache(maxsize=1)
+def _second_opinion() -> OnnxScorer | None:
+    return open_second_opinion(LabelConfig().second_opinion)
+
+
+def annotated_truth(context: PreparedFrame, source: Pipeline) -> FrameCases | None:
+    """The truth of an annotated frame, labelled now by the default profile; None where nothing is annotated."""
+    if not context.frame.annotations:
+        return None
+    config = LabelConfig(vocabulary="all", lift=context.config)
+    objects = all_objects(context, AnnotationDetector())
+    frame_id = context.frame.id
+    ids = source.dataset.frame_ids
+    rows = label_objects(
+        context,
+        objects,
+        config,
+        frame_index=ids.index(frame_id) if frame_id in ids else 0,
+        scene=scene_of(source.dataset, frame_id),
+        exact=True,
+        network=_second_opinion(),
+    )
+    index, scene = int(rows.frames["frame_index"][0]), str(rows.frames["scene"][0])
+    return frame_cases(frame_id, index, scene, rows.objects, rows.relations, {}, config.relations)
+
+
+def labelled_truth(frame_id: str, source: Pipeline, labels: Labels) -> FrameCases | None:
+    """The truth of a frame as labels have it, with their expressions; None where they have none of it."""
+    if frame_id not in source.dataset.frame_ids:
+        return None
+    index = source.dataset.frame_ids.index(frame_id)
+    return next((truth for truth in read_cases(labels, index, index + 1) if truth.frame == frame_id), None)
+
+
+def labelled_case(truth: FrameCases, text: str) -> Case | None:
+    """The expression of the labels that has these words, if there is one."""
+    wanted = " ".join(text.casefold().split())
+    return next((c for c in truth.cases if " ".join(c.text.casefold().split()) == wanted), None)
+
+
+def case_of(truth: FrameCases, trace: Trace, source: Pipeline) -> tuple[FrameCases, Case] | str:
+    """A typed expression with its truth by the relations of the frame, or why there is none.
+
+    Nobody has labelled one pair as meant: of those of which it is true beyond doubt, it is the one that was answered,
+    else the one with the answered target, else with the answered reference, else the first in the order of the objects.
+    """
+    query = trace.query
+    e = query.expression
+    if len(query.readings) > 1 or len(query.labels) > 2 or e.second_reference is not None or e.inverse:
+        return "the truth of expressions with several relations, or of “holding”, is not worked out"
+    if e.relation not in truth.states:
+        return f"the truth of {e.relation!r} is not known"
+    known = tuple(dict.fromkeys([*truth.labels, *source.dataset.class_names]))
+    meant = [match(name, known, source.synonyms) for name in (e.target, e.reference)]
+    ends = [np.array([label in names for label in truth.labels], np.bool_) for names in meant]
+    states = np.where(ends[0][:, None] & ends[1][None, :] & truth.judged, truth.states[e.relation], -1)
+    np.fill_diagonal(states, -1)
+    sure = np.argwhere(states == T)
+    if not len(sure):
+        return "in this frame the expression is true of nothing beyond doubt"
+    a, b = (int(x) for x in sure[_closest(sure, trace, truth)])
+    # Only the rows of the two ends are read: whatever the names mean here is of the asked class.
+    alike = np.eye(len(truth.labels), dtype=np.bool_)
+    alike[a], alike[b] = ends
+    strict, acceptable = (np.flatnonzero((states >= least).any(axis=1)) for least in (T, U))
+    case = Case(
+        id="typed", text=query.text, target=e.target, relation=e.relation, reference=e.reference, target_object=a,
+        reference_object=b, strict=strict, acceptable=acceptable, ambiguous=len(acceptable) > 1, margin=float("nan"),
+    )  # fmt: skip
+    return replace(truth, alike=alike, cases=(case,)), case
+
+
+def _closest(pairs: np.ndarray, trace: Trace, truth: FrameCases) -> int:
+    """Which of the pairs was answered: by the overlap with the target, and of equal ones with the reference."""
+    if trace.ranking is None or not trace.ranking.pairs:
+        return 0
+    best = trace.ranking.pairs[0]
+    indices = (best.target, best.target if best.reference is None else best.reference)
+    overlap = iou_2d(np.array([trace.objects[k].bbox for k in indices], np.float64), truth.boxes)
+    overlap[overlap < HIT] = 0
+    return int(np.lexsort((-overlap[1, pairs[:, 1]], -overlap[0, pairs[:, 0]]))[0])
+
+
+def judge_trace(
+    trace: Trace,
+    source: Pipeline,
+    context: PreparedFrame,
+    truth: FrameCases,
+    *,
+    case: Case | None = None,
+    mark: str | None = None,
+    confidence: float | None = None,
+    rank: RankConfig | None = None,
+) -> Diagnosis | str:
+    """The verdict on a trace, or why there can be none.
+
+    Parameters
+    ----------
+    trace : Trace
+        Edited or not.
+    source : Pipeline
+    context : PreparedFrame
+        Of the trace's frame.
+    truth : FrameCases
+    case : Case, optional
+        The labelled expression; by default the one whose words were asked, else one made of the frame's relations.
+    mark : str, optional
+        BAD_LABEL or BAD_BOX.
+    confidence : float, optional
+        Score of an object that RECALL adds.
+    rank : RankConfig, optional
+        The weights the trace was ranked with, where they are not the source's.
+    """
+    case = case or labelled_case(truth, trace.query.text)
+    if case is None:
+        made = case_of(truth, trace, source)
+        if isinstance(made, str):
+            return made
+        truth, case = made
+    if rank is not None:
+        source = replace(source, config=replace(source.config, rank=rank))
+    names = (case.target, case.reference)
+    if is_gold(trace.query, case) and all(name in trace.candidates for name in names):
+        answers = FrameAnswers.of_trace(source, context, trace)
+    else:
+        answers = FrameAnswers(source, context, names, (case.relation,))
+    return judge_answers(answers, truth, case, trace.query, mark=mark, confidence=confidence)
+
+
+def judge_answers(
+    answers: FrameAnswers,
+    truth: FrameCases,
+    case: Case,
+    query: Query | None,
+    *,
+    mark: str | None = None,
+    confidence: float | None = None,
+    problem: str | None = None,
+) -> Diagnosis:
+    """The verdict on one expression by what was detected; `problem` says why it could not be read or asked."""
+    evidence = FrameEvidence(truth, answers, DEFAULT_CONFIDENCE if confidence is None else confidence, (case,))
+    gold = query is not None and is_gold(query, case)
+    return diagnose(evidence, case, parse_ok=gold, mark=mark, query=query, problem=problem)
+
+
+def diagnosis_record(d: Diagnosis) -> dict[str, Any]:
+    """As in `ask --json`: objects are indices of "proposals", those of `truth` the numbers of the labels."""
+    case, numbers = d.case, d.truth.numbers
+    record: dict[str, Any] = {
+        "verdict": d.verdict, "detail": d.detail, "lucky": d.lucky, "said": d.text, "repair": list(d.repair),
+        "mends": list(d.mends),
+        "truth": {
+            "target": int(numbers[case.target_object]), "reference": int(numbers[case.reference_object]),
+            "targets": numbers[case.strict].tolist(), "acceptable": numbers[case.acceptable].tolist(),
+        },
+        "winner": _pair_record(d.winner), "right": _pair_record(d.right),
+        "contributions": None if d.contributions is None else {k: round(v, 6) for k, v in d.contributions.items()},
+        "margins": {"+".join(names_of(s)) or "none": _rounded(d.margins[s]) for s in (0, 2, 4, 8, 14, 15)},
+        "needed": [
+            {"factor": n.factor, "right": round(n.right, 6), "winner": round(n.winner, 6),
+             "right_above": _rounded(n.right_above), "winner_below": _rounded(n.winner_below)}
+            for n in d.needed
+        ],
+    }  # fmt: skip
+    if d.missed is not None:
+        record["missed"] = {
+            "name": d.missed_name, "kind": d.missed.kind, "overlap": round(d.missed.overlap, 4),
+            "score": _rounded(d.missed.score), "rank": d.missed.rank, "suppressed": d.missed.suppressed,
+        }  # fmt: skip
+    return record
+
+
+def _pair_record(pair: ScoredPair | None) -> dict[str, Any] | None:
+    if pair is None:
+        return None
+    factors = {name: round(getattr(pair, name), 6) for name in ("p_target", "p_reference", "p_relation", "log_score")}
+    return {"target": pair.target, "reference": pair.reference, **factors}
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None or not np.isfinite(value) else round(float(value), 6)
