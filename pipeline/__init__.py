@@ -17,7 +17,7 @@ TYPE_CHECKING = False
 # Type checkers take it for that of `typing`, whose import would be most of what importing this package costs.
 if TYPE_CHECKING:
     from pipeline.datasets.base import Dataset, DatasetFormat
-    from pipeline.diagnosis.asking import Answer
+    from pipeline.diagnosis.answer import Answer
     from pipeline.diagnosis.opened import Opened, ask, open
     from pipeline.evaluation.job import evaluate
     from pipeline.evaluation.run_folder import Run, open_run
@@ -61,7 +61,7 @@ __all__ = [
 
 _ROOMS = {
     "datasets.base": "Dataset DatasetFormat",
-    "diagnosis.asking": "Answer",
+    "diagnosis.answer": "Answer",
     "diagnosis.opened": "Opened ask open",
     "evaluation.job": "evaluate",
     "evaluation.run_folder": "Run open_run",

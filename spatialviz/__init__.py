@@ -107,7 +107,7 @@ def _in_notebook() -> None:
         return notebook_html(shown)
 
     formatter = shell.display_formatter.formatters["text/html"]
-    formatter.for_type_by_name("pipeline.diagnosis.asking", "Answer", html)
+    formatter.for_type_by_name("pipeline.diagnosis.answer", "Answer", html)
     formatter.for_type_by_name("pipeline.evaluation.run_folder", "Run", html)
 
 

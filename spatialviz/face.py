@@ -12,10 +12,9 @@ import numpy as np
 from pipeline.answering.opening import Pipeline
 from pipeline.datasets.frames import InMemoryDataset
 from pipeline.diagnosis import opened as core
-from pipeline.diagnosis.asking import Answer
+from pipeline.diagnosis.answer import Answer
 from pipeline.diagnosis.opened import Opened, Source
-from pipeline.diagnosis.whatif.edits import Edits
-from pipeline.diagnosis.whatif.edits_json import read_edits
+from pipeline.diagnosis.whatif.edits import Edits, read_edits
 from pipeline.diagnosis.whatif.state import ViewState
 from pipeline.evaluation.run_folder import Run
 from pipeline.geometry.frame import Frame

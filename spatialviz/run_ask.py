@@ -16,7 +16,8 @@ from pipeline.datasets.given_up import told_up
 from pipeline.datasets.scene_mesh import export_mesh, fuse_context
 from pipeline.datasets.synthetic import render_dataset
 from pipeline.datasets.up_text import ASSUMED, DECLARE
-from pipeline.diagnosis.asking import Answer, ask_and_judge
+from pipeline.diagnosis.answer import Answer
+from pipeline.diagnosis.asking import ask_and_judge
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.labels.reading import open_labels
 from pipeline.language.counted import counted

@@ -10,14 +10,13 @@ from pipeline.answering.objects import PreparedFrame, prepare_frame
 from pipeline.answering.opening import Pipeline
 from pipeline.answering.told_answer import NO_SUCH_PAIR, holds, probability
 from pipeline.datasets.saved_case import MANIFEST
+from pipeline.diagnosis.answer import Answer
 from pipeline.diagnosis.asking import edited_verdicts, known_truth
 from pipeline.diagnosis.cases import answer, answer_record, find_cases, open_case, save_case
-from pipeline.diagnosis.cases.answered import Answered
 from pipeline.diagnosis.cases.manifest import Expected
-from pipeline.diagnosis.cases.suite import Result, replay_all
+from pipeline.diagnosis.cases.replay import Result, replay_all
 from pipeline.diagnosis.whatif import Baseline, Edits, Outcome, edits_record, load_edits, rerun, what_changed
-from pipeline.diagnosis.whatif.decision_map import decision_map, map_record
-from pipeline.diagnosis.whatif.map_picture import map_picture
+from pipeline.diagnosis.whatif.decision_map import decision_map, map_picture, map_record
 from pipeline.diagnosis.whatif.placement import place_in_region
 from pipeline.diagnosis.whatif.rerun import foreign_keys
 from pipeline.labels.reading import open_labels
@@ -218,7 +217,7 @@ def _object(entry: dict[str, str] | None) -> str:
     return "" if entry is None else f"{entry['label']} {entry['key']}"
 
 
-def print_saved(now: Answered, folder: Path) -> None:
+def print_saved(now: Answer, folder: Path) -> None:
     """What was kept, and how it is run again."""
     if now.judgement is not None:
         say((now.judgement.diagnosis.verdict, "bold"), "  ", now.judgement.said)

@@ -12,12 +12,11 @@ from typing import TYPE_CHECKING, Any, Literal
 
 from rich.text import Text
 
-from pipeline.diagnosis.marks import read_marks
-from pipeline.diagnosis.verdict import VERDICTS
+from pipeline.diagnosis.verdict import VERDICTS, read_marks
 from pipeline.evaluation.compare import Comparison, read_records
 from pipeline.evaluation.job import RunReport, evaluate_dataset
-from pipeline.evaluation.paper_run import tables_of_run
-from pipeline.evaluation.relation_systems import RelationSpec, uses_language
+from pipeline.evaluation.paper_tables import tables_of_run
+from pipeline.evaluation.relation_cases import RelationSpec, uses_language
 from pipeline.evaluation.run import EvalSpec
 from pipeline.evaluation.run_database import Answer, labels_of, manifest_of, open_run
 from pipeline.evaluation.search import find_failures

@@ -68,6 +68,7 @@ def world(seed: int, rank: RankConfig | None = None) -> tuple[FrameEvidence, Cas
     source = SimpleNamespace(
         config=SimpleNamespace(rank=rank or RankConfig(), k=10, score_calibration=None),
         needed_detector=lambda: detector,
+        unfiltered_detector=lambda: detector,
     )
     answers.source, answers.context = source, SimpleNamespace(frame=None)
     answers.objects = tuple(SimpleNamespace(id=-1) for _ in range(d))

@@ -31,7 +31,7 @@ from pipeline.geometry.boxes import iou_2d
 from pipeline.proposals.detector_setup import DetectorSetup
 from pipeline.proposals.simulated import SimulatedDetector, SimulationOptions
 from pipeline.system.errors import InputError
-from spatialviz.report.dashes import dashed
+from spatialviz.report.picture import dashed
 
 WORDS = ("mug", "trash can", "bin", "lamp")
 

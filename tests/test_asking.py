@@ -12,8 +12,8 @@ import pytest
 from pipeline.answering.opening import Pipeline, open_pipeline
 from pipeline.answering.ranking import RankConfig
 from pipeline.diagnosis import asking
-from pipeline.diagnosis.asking import ask_and_judge, edited_verdicts, judged_record
-from pipeline.diagnosis.live import case_of
+from pipeline.diagnosis.answer import judged_record
+from pipeline.diagnosis.asking import ask_and_judge, case_of, edited_verdicts
 from pipeline.diagnosis.whatif import Baseline, Edits, rerun
 from pipeline.geometry.frame import Frame
 from pipeline.labels.job import label_dataset
@@ -82,10 +82,10 @@ def test_a_wrong_answer_is_blamed_as_in_a_run(demo: Pipeline, labels: Labels) ->
     row = next(r for r in labels.expressions.to_pylist() if r["frame"] == demo.dataset.frame_ids[0])
     (answer,) = ask_and_judge(weak, row["frame"], [row["text"]], labels)
     record = judged_record(answer)
-    assert answer.judgement is not None
-    assert answer.judgement.case.id == row["id"]
+    assert answer.diagnosis is not None
+    assert answer.diagnosis.case.id == row["id"]
     assert record["verdict"]["truth"]["acceptable"] == row["acceptable"]
-    assert record["verdict"]["said"] == answer.judgement.said
+    assert record["verdict"]["said"] == answer.diagnosis.text
 
 
 def test_without_annotations_nothing_is_said(demo: Pipeline) -> None:

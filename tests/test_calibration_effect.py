@@ -17,8 +17,7 @@ from pipeline.answering.calibrating import calibrate_scores
 from pipeline.answering.opening import open_pipeline
 from pipeline.evaluation.calibration_tables import calibration_table, ece_estimate, held_out_warning
 from pipeline.evaluation.job import evaluate_dataset
-from pipeline.evaluation.raw_scores import detector_scores, is_calibrated, raw_records
-from pipeline.evaluation.records import RAW
+from pipeline.evaluation.records import RAW, detector_scores, is_calibrated, raw_records
 from pipeline.evaluation.run import EvalSpec, evaluate_labels
 from pipeline.geometry.boxes import iou_2d
 from pipeline.labels.cases import read_cases

@@ -19,7 +19,8 @@ from pipeline.corrections.journal.field_refs import FieldRef
 from pipeline.corrections.journal.journal import Journal
 from pipeline.corrections.journal.undo import undo
 from pipeline.corrections.truth import answered_case, effective_mark, effective_truth, withdrawn_by
-from pipeline.diagnosis.live import Judgement, judge_trace, labelled_truth
+from pipeline.diagnosis.asking import judge_trace, labelled_truth
+from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.labels.cases import Case, FrameCases
 from pipeline.labels.reading import Labels
 from pipeline.relations.relations import F, T
@@ -72,7 +73,7 @@ def a_right_answer(frame: EffectiveFrame, source: Pipeline, context: PreparedFra
     for case in truth.cases:
         trace = source.ask(context, case.text)
         judged = judge_trace(trace, source, context, truth, case=case)
-        if isinstance(judged, Judgement) and judged.diagnosis.correct and truth.acceptable_pairs(case).sum() == 1:
+        if isinstance(judged, Diagnosis) and judged.correct and truth.acceptable_pairs(case).sum() == 1:
             return frame.expressions[case.id], trace
     raise AssertionError("the demo has none")
 
@@ -82,7 +83,7 @@ def judged(frame: EffectiveFrame, name: str, trace: Trace, source: Pipeline, con
     case = next((c for c in truth.cases if c.id == name), None)
     case = None if case is None else answered_case(frame, truth, case, trace)
     found = judge_trace(trace, source, context, truth, case=case, mark=effective_mark(frame, name, None))
-    return found.diagnosis.verdict if isinstance(found, Judgement) else found
+    return found.verdict if isinstance(found, Diagnosis) else found
 
 
 def test_a_wrong_label_fails_a_right_answer_and_correcting_it_mends_that(

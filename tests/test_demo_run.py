@@ -10,8 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from pipeline.datasets.demo import demo_detector, demo_labels, demo_run
-from pipeline.diagnosis.marks import read_marks
-from pipeline.diagnosis.verdict import VERDICTS
+from pipeline.diagnosis.verdict import VERDICTS, read_marks
 from pipeline.evaluation.records import COLUMNS
 from pipeline.evaluation.run import Evaluator, table_of
 from pipeline.evaluation.run_folder import open_run

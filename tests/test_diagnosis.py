@@ -10,13 +10,24 @@ from hypothesis import strategies as st
 
 from pipeline.answering.pair_table import PairTable, RankConfig, ScoredPair, pair_table, side
 from pipeline.answering.ranking import alone, rank
+from pipeline.diagnosis.decision import diagnose
 from pipeline.diagnosis.frame_evidence import FrameEvidence
-from pipeline.diagnosis.oracles import CONF, LIFT, RECALL, SRM, STATE_PROBABILITY, SUBSETS, names_of, size, subset_of
-from pipeline.diagnosis.substitution import given_scores, substitute
-from pipeline.diagnosis.verdict import MARKS, VERDICTS, Diagnosis, diagnose
-from pipeline.diagnosis.words import explain
+from pipeline.diagnosis.substitution import (
+    CONF,
+    LIFT,
+    ORACLES,
+    RECALL,
+    SRM,
+    STATE_PROBABILITY,
+    SUBSETS,
+    given_scores,
+    names_of,
+    size,
+    substitute,
+)
+from pipeline.diagnosis.verdict import MARKS, VERDICTS, Diagnosis, explain
 from pipeline.evaluation.records import record
-from pipeline.evaluation.shapley import oracle_deltas
+from pipeline.evaluation.summary import oracle_deltas
 from pipeline.labels.cases import HIT, Case
 from pipeline.language.expression import parse
 from pipeline.relations.relations import U
@@ -30,6 +41,11 @@ WEIGHTS = st.builds(
     aggregate=st.sampled_from(["max", "marginal"]),
 )
 QUERY = parse("mug left of the box", class_names=("mug", "box"))
+
+
+def subset_of(names: tuple[str, ...]) -> int:
+    """The subset that holds these oracles."""
+    return sum(1 << ORACLES.index(name) for name in set(names))
 
 
 @given(SEEDS, WEIGHTS)
@@ -56,10 +72,10 @@ def test_without_oracles_it_is_the_ranking(seed: int, weights: RankConfig) -> No
         assert pair is None
         at = found.alone()
         assert at is not None
-        assert int(found.target.places[at]) == best.target == alone(answers.candidates["mug"])
+        assert int(found.target.index[at]) == best.target == alone(answers.candidates["mug"])
         return
     assert pair is not None
-    assert (int(found.target.places[pair[0]]), int(found.reference.places[pair[1]])) == (best.target, best.reference)
+    assert (int(found.target.index[pair[0]]), int(found.reference.index[pair[1]])) == (best.target, best.reference)
     assert found.log_score[0][pair] == best.log_score
     scored = answers.score("mug", "left", "box")
     assert scored is not None
@@ -76,8 +92,8 @@ def test_each_oracle_replaces_one_thing(seed: int) -> None:
     np.testing.assert_array_equal(plain[stay], lifted[stay])
     for lift in (0, 1):
         before, after = found.p_relation[lift]
-        for i, a in enumerate(evidence.match_at(found.target.places)):
-            for j, b in enumerate(evidence.match_at(found.reference.places)):
+        for i, a in enumerate(evidence.match_at(found.target.index)):
+            for j, b in enumerate(evidence.match_at(found.reference.index)):
                 if a < 0 or b < 0 or (a != b and not truth.judged[a, b]):
                     assert after[i, j] == before[i, j]
                 else:
@@ -85,11 +101,11 @@ def test_each_oracle_replaces_one_thing(seed: int) -> None:
                     assert after[i, j] == STATE_PROBABILITY[state]
     for role, name, example in ((found.target, "mug", 0), (found.reference, "box", 1)):
         candidates = evidence.answers.candidates[name]
-        np.testing.assert_array_equal(role.places[: role.found], candidates.index)
+        np.testing.assert_array_equal(role.index[: role.found], candidates.index)
         overlap = evidence.overlap[candidates.index]
         covered = (overlap >= HIT).any(axis=0) if len(overlap) else np.zeros(evidence.labelled, np.bool_)
         missing = np.flatnonzero(truth.alike[example] & ~covered & evidence.known)
-        np.testing.assert_array_equal(role.places[role.found :], evidence.detections + missing)
+        np.testing.assert_array_equal(role.index[role.found :], evidence.detections + missing)
         is_one = (overlap[:, truth.alike[example]] >= HIT).any(axis=1)
         np.testing.assert_array_equal(given_scores(role)[: role.found], np.where(is_one, 0.99, 0.01))
     missing = np.isneginf(found.log_score)

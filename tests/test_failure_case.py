@@ -18,11 +18,12 @@ from pipeline.answering.objects import PreparedFrame
 from pipeline.answering.opening import Pipeline
 from pipeline.datasets import open_dataset
 from pipeline.datasets.saved_case import MANIFEST
+from pipeline.diagnosis.asking import annotated_truth
 from pipeline.diagnosis.cases import answer_record, find_cases, open_case, replay_case, save_case
-from pipeline.diagnosis.cases.suite import replay_all
-from pipeline.diagnosis.live import annotated_truth
+from pipeline.diagnosis.cases.replay import replay_all
 from pipeline.diagnosis.whatif import Edits, edits_record
 from pipeline.geometry.camera import Camera
+from pipeline.proposals.score_calibration import FittedFrame, ScoreCalibration
 from pipeline.system.errors import InputError
 
 TEXT = "mug left of the laptop"
@@ -75,6 +76,16 @@ def test_a_case_of_an_earlier_release_replays_and_another_standing_is_a_change(s
     assert "there is no such pair" in change
 
 
+def test_a_case_of_calibrated_scores_comes_back(tmp_path: Path) -> None:
+    fitted = (FittedFrame("room/000001", "room", "0" * 16),)
+    calibration = ScoreCalibration(None, 0.8, -0.3, 60, 70, 10, "rooms", fitted)
+    used = made(ScoringDetector(), score_calibration=calibration)
+    kept = save_case(tmp_path / "case", used, context_of(), TEXT)
+    opened = open_case(tmp_path / "case")
+    assert opened.source.config.score_calibration == calibration
+    assert answer_record(opened.answer()) == answer_record(kept)
+
+
 def test_a_missing_network_damages_no_case(scored: Path, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no relation network"):
         list(replay_all([scored], srm=tmp_path / "none.onnx"))
@@ -90,13 +101,13 @@ def test_the_folder_gives_the_answer_to_the_last_digit(tmp_path: Path, detector:
     assert answer_record(again) == answer_record(kept)
     assert kept.trace is not None
     assert again.trace is not None
-    assert kept.judgement is not None
-    assert again.judgement is not None
+    assert kept.diagnosis is not None
+    assert again.diagnosis is not None
     np.testing.assert_array_equal(again.trace.scores.probabilities, kept.trace.scores.probabilities)
     for a, b in zip(again.trace.objects, kept.trace.objects, strict=True):
         np.testing.assert_array_equal(a.lifted.points, b.lifted.points)
         np.testing.assert_array_equal(a.mask, b.mask)
-    np.testing.assert_array_equal(again.judgement.diagnosis.margins, kept.judgement.diagnosis.margins)
+    np.testing.assert_array_equal(again.diagnosis.margins, kept.diagnosis.margins)
     replayed = replay_case(open_case(tmp_path / "case"), tolerance=0.0)
     assert replayed.same
     assert not replayed.warnings
@@ -248,8 +259,8 @@ def test_a_case_that_cannot_be_asked_is_kept_with_its_verdict(tmp_path: Path) ->
     assert case is not None
     odd = "mug abov the laptop"
     now = save_case(tmp_path / "odd", used, context, odd, truth=truth, case=replace(case, text=odd))
-    assert now.judgement is not None
-    assert now.judgement.diagnosis.verdict == "PARSE"
+    assert now.diagnosis is not None
+    assert now.diagnosis.verdict == "PARSE"
     assert replay_case(open_case(tmp_path / "odd")).same
 
 

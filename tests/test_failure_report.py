@@ -13,13 +13,13 @@ from test_failure_case import TEXT, NamedDataset, keep, made
 from whatif_scenes import ScoringDetector, context_of, row
 
 from pipeline.answering.objects import PreparedFrame
+from pipeline.diagnosis.asking import annotated_truth
 from pipeline.diagnosis.cases import answer, open_case
-from pipeline.diagnosis.live import annotated_truth
 from pipeline.evaluation.shared_makers import PERFECT
 from pipeline.proposals import AnnotationDetector
 from pipeline.system.errors import InputError
 from spatialviz.report import Subject, failure_page, write_page
-from spatialviz.report.answer_roles import answer_roles
+from spatialviz.report.picture_svg import answer_roles
 
 HOSTILE = "<script>alert(1)</script> \"'&<img src=x onerror=alert(1)> mug"
 
@@ -55,10 +55,10 @@ def test_a_page_holds_verdict_numbers_and_commands(tmp_path: Path) -> None:
     now = open_case(folder).answer()
     page = page_of_case(folder)
     text = " ".join(parsed(page).text)
-    assert now.judgement is not None
+    assert now.diagnosis is not None
     assert now.trace is not None
     assert now.trace.ranking is not None
-    assert now.judgement.diagnosis.verdict in text
+    assert now.diagnosis.verdict in text
     best = now.trace.ranking.pairs[0]
     for number in (best.p_target, best.p_relation, best.probability):
         assert f"{number:.3f}" in text

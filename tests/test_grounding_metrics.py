@@ -6,11 +6,11 @@ import warnings
 
 import numpy as np
 import pytest
+from benchmarks.grounding_figures import SWEEP, grounding_outcomes, largest_iou, mean_iou, threshold_sweep
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.geometry.boxes import iou_2d, paired_iou_2d
-from pipeline.metrics.grounding_metrics import SWEEP, grounding_outcomes, largest_iou, mean_iou, threshold_sweep
 from pipeline.system.errors import InputError
 
 SEEDS = st.integers(0, 2**32 - 1)

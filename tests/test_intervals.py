@@ -9,26 +9,32 @@ from dataclasses import astuple
 
 import numpy as np
 import pytest
+from benchmarks.grounding_figures import GroundingOutcomes, grounding_estimates, grounding_outcomes, mean_iou
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pipeline.language.relation_names import DIRECTIONAL
-from pipeline.metrics.grounding_intervals import grounding_estimates
-from pipeline.metrics.grounding_metrics import GroundingOutcomes, grounding_outcomes, mean_iou
+from pipeline.metrics.counts import f1_of
 from pipeline.metrics.intervals import (
     BootstrapConfig,
     Estimate,
-    f1_estimate,
+    bootstrap,
     mean_estimate,
     ratio_estimate,
     resample_weights,
 )
-from pipeline.metrics.relation_intervals import relation_estimates
-from pipeline.metrics.relation_metrics import cell_outcomes, multi_label_metrics
+from pipeline.metrics.relation_metrics import cell_outcomes, multi_label_metrics, relation_estimates
 from pipeline.system.errors import InputError
 
 SEEDS = st.integers(0, 2**32 - 1)
 FEW = BootstrapConfig(resamples=200)
+
+
+def f1_estimate(tp, fp, fn, clusters, *, other=None, config: BootstrapConfig | None = None) -> Estimate:
+    """F1 of counts a row; with `other`, the difference of two systems."""
+    rows, second = (None if c is None else np.stack(c, axis=1).astype(np.float64) for c in ((tp, fp, fn), other))
+    assert rows is not None
+    return bootstrap(rows, clusters, lambda s: f1_of(s[:, :1], s[:, 1:2], s[:, 2:]), other=second, config=config)[0]
 
 
 def slow_interval(figure, clusters: list, config: BootstrapConfig) -> tuple[float, float]:

@@ -20,7 +20,7 @@ from pipeline.corrections.journal.effective import Corrector, effective_tables
 from pipeline.corrections.journal.field_refs import FieldRef
 from pipeline.corrections.journal.journal import Journal
 from pipeline.evaluation.job import RunReport, evaluate_dataset
-from pipeline.evaluation.relation_systems import RelationSpec, open_systems
+from pipeline.evaluation.relation_cases import RelationSpec, open_systems
 from pipeline.evaluation.run import EvalSpec
 from pipeline.evaluation.run_folder import open_run
 from pipeline.evaluation.shared_makers import (
@@ -32,9 +32,9 @@ from pipeline.evaluation.shared_makers import (
     SIMULATED,
     Measured,
     rank,
+    relation_share,
     shared_makers,
     shares_of_run,
-    shares_rule_and_cloud,
     title_of,
 )
 from pipeline.labels.job import label_dataset
@@ -95,7 +95,7 @@ def test_what_people_decided_is_theirs() -> None:
     measured = Measured(mask_makers(YOLO), "net", A)
     some = shared_makers(made(YOLO, Decided((3, 9), (0, 40), (0, 5))), measured)
     assert title_of(some) == REPEATED
-    assert "but for 3 of 9 objects that people decided" in some[0].said
+    assert "but for 3 of 9 objects that people decided" in some[0].text
     every = shared_makers(made(YOLO, Decided((9, 9), (0, 40), (0, 5))), measured)
     assert title_of(every) == CHECKED
     assert rank(CHECKED) < rank(REPEATED), "it says more, and stands above"
@@ -226,11 +226,11 @@ def test_makers_of_the_demo(demo_labels: Labels) -> None:
     assert makers.masks is not None
     assert makers.masks.detectors == (Model("annotations"),)
     spec = RelationSpec(others=("rule",))
-    assert all(shares_rule_and_cloud(demo_labels, s) for s in open_systems({}, spec, demo_labels))
+    assert all(relation_share(makers, s) is not None for s in open_systems({}, spec, demo_labels))
     silent = demo_labels.manifest.model_copy(update={"models": {**demo_labels.manifest.models, "second_opinion": NONE}})
     own, rule = open_systems({}, spec, demo_labels)
-    assert not shares_rule_and_cloud(Labels(demo_labels.root, silent), own)
-    assert shares_rule_and_cloud(Labels(demo_labels.root, silent), rule)
+    assert relation_share(makers_of(silent), own) is None
+    assert relation_share(makers_of(silent), rule) is not None
 
 
 def test_what_people_decided_is_counted(demo_labels: Labels, bare_corrector: Corrector, journal: Journal) -> None:

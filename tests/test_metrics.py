@@ -20,7 +20,6 @@ from pipeline.metrics.calibration_metrics import (
 )
 from pipeline.metrics.relation_metrics import (
     RelationMetrics,
-    all_negative_row,
     average_precision,
     cell_outcomes,
     multi_label_metrics,
@@ -69,7 +68,7 @@ def test_relation_metrics_are_those_of_scikit_learn(seed: int, grain: int | None
             assert [found.fp[k], found.fn[k], found.tp[k]] == confusion.ravel()[1:].tolist()
             assert found.positives[k] == holds.sum()
             assert found.negatives[k] == (~holds).sum()
-            assert found.doubtful[k] == (~known).sum()
+            assert found.undecided[k] == (~known).sum()
         known = truth != 0
         holds, said = (truth > 0)[known], (p > cut)[known]
         assert found.micro_f1 == pytest.approx(oracle.f1_score(holds, said), abs=1e-9)
@@ -141,7 +140,7 @@ def test_order_of_pairs_and_masked_cells_do_not_matter(seed: int) -> None:
 @given(seed=SEEDS)
 def test_always_saying_no_scores_the_share_of_negatives(seed: int) -> None:
     p, truth = random_cells(seed, pairs=30)
-    row = all_negative_row(truth)
+    row = multi_label_metrics(np.zeros(truth.shape), truth)
     assert row.element_accuracy == row.all_negative_accuracy == (truth < 0).sum() / (truth != 0).sum()
     assert row.all_negative_accuracy == multi_label_metrics(p, truth).all_negative_accuracy
     assert row.micro_f1 == 0

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from pipeline.answering.pair_table import MIN_RELATION, MIN_SCORE, TIE, RankConfig
 from pipeline.answering.ranking import rank
+from pipeline.diagnosis.decision import diagnose
 from pipeline.diagnosis.substitution import substitute
-from pipeline.diagnosis.verdict import diagnose
 from pipeline.diagnosis.whatif.decision_map import _vectorised
 from pipeline.evaluation.records import record
 from pipeline.language.expression import parse

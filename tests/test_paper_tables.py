@@ -15,12 +15,11 @@ from run_records import random_records
 
 from pipeline.datasets import given_expressions, open_dataset
 from pipeline.datasets.semantic_abstraction_splits import SUBSETS, subsets_of
+from pipeline.evaluation.grounding_tables import read_reported
 from pipeline.evaluation.job import RunReport, evaluate_dataset
-from pipeline.evaluation.paper_run import tables_of_run
-from pipeline.evaluation.paper_tables import ALL_NEGATIVE, AVD, IMITATION, SA, Evaluated, paper_tables
+from pipeline.evaluation.paper_tables import ALL_NEGATIVE, AVD, IMITATION, SA, Evaluated, paper_tables, tables_of_run
+from pipeline.evaluation.relation_cases import RelationSpec
 from pipeline.evaluation.relation_records import RelationRecords, SystemRecords
-from pipeline.evaluation.relation_systems import RelationSpec
-from pipeline.evaluation.reported import read_reported
 from pipeline.evaluation.run import EvalSpec
 from pipeline.evaluation.shared_makers import AGREEMENT, PERFECT
 from pipeline.labels.check import check_labels

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.evaluation.compare import read_records
-from pipeline.evaluation.gain_tables import relation_gain
+from pipeline.evaluation.grounding_tables import relation_gain
 from pipeline.evaluation.job import evaluate_dataset
 from pipeline.evaluation.run import EvalSpec, evaluate_labels
 from pipeline.labels.job import label_dataset

@@ -6,11 +6,11 @@ from collections import Counter
 
 import numpy as np
 import pytest
+from benchmarks.planted import KINDS, Outcome, Planted, clean_source, confusion, judge, planted_failures
 
 from pipeline.answering.objects import PreparedFrame
 from pipeline.answering.opening import Pipeline, open_pipeline
 from pipeline.datasets.demo import demo_labels
-from pipeline.evaluation.planted import KINDS, Outcome, Planted, clean_source, confusion, judge, planted_failures
 from pipeline.evaluation.run import class_names_of
 from pipeline.labels.cases import read_cases
 from pipeline.labels.reading import open_labels
@@ -54,7 +54,7 @@ def test_the_clean_pipeline_is_right(source: Pipeline) -> None:
 def test_details_of_planted_misses(source: Pipeline) -> None:
     wanted = {"absent": "ABSENT", "threshold": "THRESHOLD", "rank": "RANK", "localisation": "LOCALISATION"}
     found = outcomes(source, ("OPM-TARGET",), 60)
-    right = np.array([wanted[o.kind] == o.diagnosis.detail for o in found])
+    right = np.array([wanted[o.kind] == o.detail for o in found])
     assert {o.kind for o in found} == set(wanted)
     assert right.mean() >= NAMED
 
@@ -65,6 +65,6 @@ def test_what_is_planted_follows_from_the_seed(source: Pipeline) -> None:
     def failures(seed: int) -> list[tuple[str, str, str, str]]:
         kinds = {"SRM": ("opposite",), "LIFT": ("shift",)}
         found = planted_failures(source, labels, kinds=kinds, every=15, stop=2, seed=seed)
-        return [(o.kind, o.frame, o.id, o.diagnosis.verdict) for o in found]
+        return [(o.kind, o.frame, o.id, o.verdict) for o in found]
 
     assert failures(1) == failures(1) != failures(2)

@@ -13,9 +13,9 @@ import pytest
 from label_worlds import label_worlds
 
 from pipeline.evaluation.job import RunReport, evaluate_dataset
+from pipeline.evaluation.relation_cases import RelationSpec
 from pipeline.evaluation.relation_records import read_relation_records
 from pipeline.evaluation.relation_report import BY_RELATION, MEASURES, all_systems, counted_pairs
-from pipeline.evaluation.relation_systems import RelationSpec
 from pipeline.evaluation.run import EvalSpec
 from pipeline.evaluation.shared_makers import AGREEMENT
 from pipeline.evaluation.whole_expression import VlmOptions

@@ -40,7 +40,7 @@ def held_out(demo_labels: Labels) -> set[str]:
     """The frames that no network learns from."""
     keys = [f.key for f in read_label_data(demo_labels, "rel14", DIRECTIONAL).frames]
     plan = split_frames(keys, "scene", CONFIG.train.seed)
-    return {keys[k].frame for k in plan.places(TEST)}
+    return {keys[k].frame for k in plan.indices(TEST)}
 
 
 @pytest.fixture(scope="module")

@@ -26,9 +26,8 @@ from pipeline.evaluation.run import EvalSpec
 from pipeline.evaluation.run_database import open_run
 from pipeline.evaluation.search import find_rows
 from pipeline.evaluation.search_words import quote
-from pipeline.evaluation.shapley import oracle_deltas
 from pipeline.evaluation.slices import DIMENSIONS, slice_by, slice_table
-from pipeline.evaluation.summary import oracle_table, summarise_run, verdict_table
+from pipeline.evaluation.summary import oracle_deltas, oracle_table, summarise_run, verdict_table
 from pipeline.labels.job import label_dataset
 from pipeline.labels.plan import SourceSpec
 from pipeline.labels.reading import open_labels

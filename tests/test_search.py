@@ -13,11 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from run_records import CLASSES, RELATIONS, random_records
 
-from pipeline.diagnosis.oracles import ORACLES
+from pipeline.diagnosis.substitution import ORACLES
 from pipeline.diagnosis.verdict import VERDICTS
-from pipeline.evaluation.completion import complete, completions
 from pipeline.evaluation.records import records_schema
-from pipeline.evaluation.search import compile_search, find, find_failures, find_rows
+from pipeline.evaluation.search import compile_search, complete, completions, find, find_failures, find_rows
 from pipeline.evaluation.search_words import quote, read_terms
 from pipeline.system.errors import InputError
 

@@ -65,7 +65,7 @@ def test_one_scene_is_cut_into_blocks_with_a_metre_between_them() -> None:
     assert plan.gaps == {"s": 1.0}
     assert "same scene" in str(plan.warning)
     assert "random frames" in str(plan.warning)
-    blocks = [plan.places(part) for part in (TRAIN, VALIDATION, TEST)]
+    blocks = [plan.indices(part) for part in (TRAIN, VALIDATION, TEST)]
     assert all((np.diff(b) == 1).all() for b in blocks), "contiguous"
     assert 18 <= (plan.part == DROPPED).sum() <= 20
     near = split_frames([replace(f, position=(0.001 * k, 0.0, 0.0)) for k, f in enumerate(path)])

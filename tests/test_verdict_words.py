@@ -11,19 +11,19 @@ import pytest
 from diagnosis_worlds import world
 
 from pipeline.answering.pair_table import ScoredPair
-from pipeline.diagnosis.misses import Missed
+from pipeline.diagnosis.decision import diagnose
 from pipeline.diagnosis.substitution import substitute
-from pipeline.diagnosis.verdict import Diagnosis, diagnose
-from pipeline.diagnosis.words import explain
+from pipeline.diagnosis.verdict import Diagnosis, Missed, explain
 from pipeline.labels.cases import Case
 
 CASE = Case("1", "book on a book", "book", "on", "shelf", 0, 1, np.array([0]), np.array([0]), False, 0.1)
 WINNER = ScoredPair(0, 3, 0.6, 0.5, 0.9, log_score=-1.3, product=0.27, probability=0.6)
+EVIDENCE, _ = world(0)
 RIGHT = ScoredPair(1, 2, 0.4, 0.3, 0.8, log_score=-2.3, product=0.096, probability=0.2)
 
 
 def said(verdict: str, winner: ScoredPair | None, right: ScoredPair | None, **more: object) -> str:
-    plain = Diagnosis(verdict, None, False, (), 0, np.full(16, np.nan), winner, right)
+    plain = Diagnosis(verdict, None, False, (), 0, np.full(16, np.nan), winner, right, case=CASE, evidence=EVIDENCE)
     return explain(replace(plain, **more), CASE)  # pyright: ignore[reportArgumentType]
 
 
@@ -64,8 +64,9 @@ def test_luck_says_no_more_than_that_the_reference_matches_none() -> None:
 
 
 def test_a_name_that_the_detector_does_not_know_is_not_called_unseen() -> None:
-    plain = Diagnosis("OPM-TARGET", "ABSENT", False, ("RECALL",), 0, np.full(16, np.nan), None, None)
-    found = replace(plain, missed=Missed("ABSENT", 0.0), missed_name="book")
+    plain = Diagnosis("", None, False, (), 0, np.full(16, np.nan), None, None, case=CASE, evidence=EVIDENCE)
+    missed = {"missed": Missed("ABSENT", 0.0), "missed_name": "book"}
+    found = replace(plain, verdict="OPM-TARGET", detail="ABSENT", repair=("RECALL",), **missed)
     assert explain(found, CASE, unknown={"book": "?"}) == "The detector does not know the name “book”."
     assert explain(found, CASE, unknown={"shelf": "?"}).startswith("The detector did not see the right")
 

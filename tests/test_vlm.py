@@ -18,7 +18,7 @@ from chat_server import MODELS, ChatServer, Clock, CutOff, Make, Raw, Script, Sl
 from waiting import LONG_S
 
 from pipeline.evaluation.vlm import KEY_VARIABLE, Prices, Question, ServerError, Usage
-from pipeline.evaluation.vlm.cost import money
+from pipeline.evaluation.vlm.protocol import money
 from pipeline.evaluation.vlm.transport import wait_asked
 from pipeline.evaluation.vlm.view import Picture
 from pipeline.system.errors import InputError

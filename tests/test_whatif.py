@@ -17,7 +17,7 @@ from pipeline.answering.ask import AskConfig, Trace, ask
 from pipeline.answering.objects import PreparedFrame, SceneObject, appearance_of
 from pipeline.answering.ranking import RankConfig
 from pipeline.diagnosis.whatif import Baseline, Edits, apply, edits_record, load_edits, read_edits, rerun, what_changed
-from pipeline.diagnosis.whatif.keys import object_keys
+from pipeline.diagnosis.whatif.pair_tables import object_keys
 from pipeline.diagnosis.whatif.rerun import foreign_keys
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.lifting import LiftConfig

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from pipeline.diagnosis.whatif import Edits
 from pipeline.diagnosis.whatif.box_numbers import SMALLEST_SIDE, box_numbers, with_numbers
-from pipeline.diagnosis.whatif.edit_list import each_edit, without_edit
+from pipeline.diagnosis.whatif.changes import each_edit, without_edit
 from pipeline.diagnosis.whatif.masks import MOST_PIXELS, grown, labelled_mask, rectangle
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.masks import encode_run_length
@@ -140,7 +140,7 @@ def test_every_edit_is_listed_once_and_can_be_taken_back_alone() -> None:
     listed = each_edit(edits, named=lambda key: f"<{key}>")
     assert len(listed) == 13
     assert len({edit.id for edit in listed}) == 13
-    assert "P(<#1> left of <#2>) = 0.50" in [edit.said for edit in listed]
+    assert "P(<#1> left of <#2>) = 0.50" in [edit.text for edit in listed]
     left = edits
     for n, edit in enumerate(listed, start=1):
         alone = without_edit(edits, edit.id)
@@ -159,6 +159,6 @@ def test_what_is_no_edit_cannot_be_taken_back() -> None:
 
 def test_a_threshold_that_others_lean_on_stays() -> None:
     edits = Edits().with_profile(doubtful_cone=80.0, cone=75.0)
-    doubtful = next(e.id for e in each_edit(edits) if "doubtful" in e.said)
+    doubtful = next(e.id for e in each_edit(edits) if "undecided" in e.text)
     with pytest.raises(InputError, match="doubtful_cone"):
         without_edit(edits, doubtful)

@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 from whatif_scenes import ScoringDetector, context_of, row, source
 
 from pipeline.diagnosis.whatif import Baseline, Edits, rerun
-from pipeline.diagnosis.whatif.decision_map import decision_map, map_record
-from pipeline.diagnosis.whatif.map_picture import map_picture
+from pipeline.diagnosis.whatif.decision_map import decision_map, map_picture, map_record
 from pipeline.diagnosis.whatif.placement import place_in_region
 from pipeline.diagnosis.whatif.region import region_of
 from pipeline.geometry.boxes import Box3D

@@ -2,5 +2,6 @@
 
 `frame_evidence` joins what was detected in a frame with what is true of it,
 `substitution` ranks again with parts of the pipeline replaced by the truth,
-`verdict` names the module, `shapley` shares the loss of a run among them.
+`decision` names the module, `verdict` says it in words, `asking` answers and
+judges, `cases` keeps answers, `whatif` edits them.
 """

@@ -1,138 +1,36 @@
-"""Questions on frames with the verdict on each answer, where the truth of the frame is known."""
+"""Expressions answered and judged, on frames whose truth is known: as asked, with edits, or as a case keeps them."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
-from typing import Any, Protocol
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from functools import lru_cache
 
+import numpy as np
+
+from pipeline.answering.answering import FrameAnswers
 from pipeline.answering.ask import Trace
-from pipeline.answering.json_records import trace_record, why_no_answer
-from pipeline.answering.objects import PreparedFrame, SceneObject
+from pipeline.answering.objects import PreparedFrame, all_objects
 from pipeline.answering.opening import FrameUnusable, Pipeline, Skipped, contexts, skip_or_raise
-from pipeline.answering.pair_table import ScoredPair
 from pipeline.answering.ranking import RankConfig
-from pipeline.answering.told_answer import holds, told
-from pipeline.diagnosis.live import Judgement, annotated_truth, judge_trace, judgement_record, labelled_truth
-from pipeline.labels.cases import FrameCases
+from pipeline.datasets.base import scene_of
+from pipeline.diagnosis.answer import Answer, Edited
+from pipeline.diagnosis.decision import diagnose
+from pipeline.diagnosis.frame_evidence import DEFAULT_CONFIDENCE, FrameEvidence
+from pipeline.diagnosis.verdict import Diagnosis
+from pipeline.diagnosis.whatif import Baseline, apply, read_edits
+from pipeline.geometry.boxes import iou_2d
+from pipeline.labels.cases import HIT, Case, FrameCases, frame_cases, is_gold, read_cases, read_query
+from pipeline.labels.config import LabelConfig
+from pipeline.labels.labelling import label_objects
 from pipeline.labels.reading import Labels
-from pipeline.language.lexicon import wording
+from pipeline.labels.second_opinion import open_second_opinion
+from pipeline.language.expression import Query
+from pipeline.language.naming import match
+from pipeline.proposals.annotations import AnnotationDetector
+from pipeline.relations.model import OnnxScorer
+from pipeline.relations.relations import T, U
 from pipeline.system.errors import InputError
-
-
-class Origin(Protocol):
-    """What answered: it can answer under edits, and may have a screen."""
-
-    def what_if(self, answer: Answer, edits: Mapping[str, Any]) -> Answer: ...
-
-    def view(self, what: Any, **options: Any) -> Any: ...
-
-
-@dataclass(frozen=True)
-class Answer:
-    """An answer, with what is known of it; positions in `pairs` are those in `objects`.
-
-    Attributes
-    ----------
-    trace : Trace
-        Every stage's input and output.
-    judgement : Judgement or None
-        None where there is no verdict.
-    unjudged : str or None
-        Why there is a truth and no verdict on this answer; None also where no truth is known at all.
-    origin : Origin or None
-        What answered it, where one is asked from Python: edits and the page need it.
-    edits : mapping or None
-        What it was answered under, as JSON; None for none.
-    """
-
-    trace: Trace
-    judgement: Judgement | None = None
-    unjudged: str | None = None
-    origin: Origin | None = None
-    edits: Mapping[str, Any] | None = None
-
-    def __repr__(self) -> str:
-        return f"<Answer {self.text!r} on {self.trace.frame.id!r}: {self.sentence}; {self.verdict or 'no verdict'}>"
-
-    @property
-    def text(self) -> str:
-        """The expression as it was asked."""
-        return self.trace.query.text
-
-    @property
-    def objects(self) -> tuple[SceneObject, ...]:
-        """All that was detected for the names of the expression, lifted."""
-        return self.trace.objects
-
-    @property
-    def pairs(self) -> tuple[ScoredPair, ...]:
-        """All candidate pairs, the best first; empty where a name was not found."""
-        return () if self.trace.ranking is None or self.trace.ranking.degenerate else self.trace.ranking.pairs
-
-    @property
-    def target(self) -> SceneObject | None:
-        """What the answer is; None where there is none."""
-        return self.objects[self.pairs[0].target] if self.pairs else None
-
-    @property
-    def reference(self) -> SceneObject | None:
-        """What it stands in relation to; of "between" the first end."""
-        number = self.pairs[0].reference if self.pairs else None
-        return None if number is None else self.objects[number]
-
-    @property
-    def holds(self) -> bool:
-        """There is an answer, and it stands in every relation that was asked."""
-        return holds(self.trace)
-
-    @property
-    def relation_probability(self) -> float | None:
-        """That the best pair stands in what was asked, of several relations in the weakest; None without a pair."""
-        return self.pairs[0].relation_probability if self.pairs else None
-
-    @property
-    def sentence(self) -> str:
-        """The answer in words, or why there is none."""
-        if not self.pairs:
-            return why_no_answer(self.trace) or "no answer"
-        best, asked = self.pairs[0], self.trace.asked
-        ends = " and ".join(self.trace.name(k) for k in (best.reference, best.second_reference) if k is not None)
-        phrase = wording(asked.relation, inverse=asked.inverse)
-        return told(self.trace, self.trace.name).sentence(f"{self.trace.name(best.target)} {phrase} {ends}")
-
-    @property
-    def verdict(self) -> str | None:
-        """CORRECT, or the module that failed; None where nothing says what is true."""
-        return None if self.judgement is None else self.judgement.diagnosis.verdict
-
-    @property
-    def why(self) -> str | None:
-        """The verdict in words with the smallest change that would mend it; else why there is none, if it is known."""
-        return self.unjudged if self.judgement is None else self.judgement.said
-
-    def record(self) -> dict[str, Any]:
-        """The whole of `ask --json` as plain values."""
-        return judged_record(self)
-
-    def what_if(self, edits: Mapping[str, Any]) -> Answer:
-        """The answer under edits, written as for `whatif --edits`; its verdict is by the same truth.
-
-        Raises
-        ------
-        InputError
-            Edits that cannot be read, or an answer of another origin than `open`.
-        """
-        return self._origin().what_if(self, edits)
-
-    def show(self, **options: Any) -> Any:
-        """Open this answer in the page; `options` as for `spatialviz.show`."""
-        return self._origin().view(self, **options)
-
-    def _origin(self) -> Origin:
-        if self.origin is None:
-            raise InputError("this answer does not know what answered it", expected="one that `ask` of `open` gave")
-        return self.origin
 
 
 def known_truth(source: Pipeline, context: PreparedFrame, labels: Labels | None = None) -> FrameCases | None:
@@ -206,15 +104,19 @@ def judged(
     rank: RankConfig | None = None,
 ) -> Answer:
     """A trace as an answer with its verdict, or the reason for none; `rank` are the weights of an edited one."""
-    if truth is None:
-        return Answer(trace)
-    if isinstance(truth, str):
-        return Answer(trace, unjudged=truth)
-    try:
-        judged = judge_trace(trace, source, context, truth, rank=rank)
-    except InputError as error:
-        judged = str(error)
-    return Answer(trace, unjudged=judged) if isinstance(judged, str) else Answer(trace, judged)
+    found: Diagnosis | str | None = None if isinstance(truth, FrameCases) else truth
+    if isinstance(truth, FrameCases):
+        try:
+            found = judge_trace(trace, source, context, truth, rank=rank)
+        except InputError as error:
+            found = str(error)
+    return _with_verdict(trace.query.text, trace, found)
+
+
+def _with_verdict(text: str, trace: Trace, found: Diagnosis | str | None) -> Answer:
+    if isinstance(found, str):
+        return Answer(text, trace, unjudged=found)
+    return Answer(text, trace, diagnosis=found)
 
 
 def edited_verdicts(
@@ -233,22 +135,212 @@ def edited_verdicts(
         The weights that `after` was ranked with.
     """
     truth = truth_or_reason(source, context, labels)
-    if truth is None or isinstance(truth, str):
-        return None, None
-    first = judged(before, source, context, truth)
-    last = judged(after, source, context, truth, rank)
-    return _verdict(first), _verdict(last)
+    first, last = judged(before, source, context, truth), judged(after, source, context, truth, rank)
+    return first.verdict, last.verdict
 
 
-def _verdict(answer: Answer) -> str | None:
-    return None if answer.judgement is None else answer.judgement.diagnosis.verdict
+def answer(
+    source: Pipeline,
+    context: PreparedFrame,
+    text: str,
+    *,
+    truth: FrameCases | None = None,
+    case: Case | None = None,
+    mark: str | None = None,
+    confidence: float | None = None,
+    edits: Edited | None = None,
+) -> Answer:
+    """Answer an expression, and judge the answer where the truth is known.
+
+    Parameters
+    ----------
+    source : Pipeline
+    context : PreparedFrame
+    text : str
+    truth : FrameCases, optional
+    case, mark, confidence
+        As for `pipeline.diagnosis.asking.judge_trace`.
+    edits : mapping, optional
+        Edits as JSON.
+
+    Raises
+    ------
+    InputError
+        Edits that cannot be applied.
+    """
+    source.needed_detector()
+    rank: RankConfig | None = None
+    try:
+        trace = source.ask(context, text)
+    except InputError as error:
+        found = None
+        if truth is not None and case is not None:
+            query, unread = read_query(case, source.dataset.class_names)
+            answers = FrameAnswers(source, context, (case.target, case.reference), (case.relation,))
+            found = judge_answers(answers, truth, case, query, mark=mark, problem=unread or str(error))
+        return Answer(text, problem=str(error), diagnosis=found)
+    if edits:
+        trace, rank = edited_trace(source, context, text, edits)
+    if truth is None:
+        return Answer(text, trace)
+    found = judge_trace(trace, source, context, truth, case=case, mark=mark, confidence=confidence, rank=rank)
+    return _with_verdict(text, trace, found)
 
 
-def judged_record(answer: Answer) -> dict[str, Any]:
-    """The whole of `ask --json`: `trace_record`, and where truth is known "verdict", or null with "verdict_reason"."""
-    record = trace_record(answer.trace)
-    if answer.judgement is not None:
-        record["verdict"] = judgement_record(answer.judgement)
-    elif answer.unjudged is not None:
-        record |= {"verdict": None, "verdict_reason": answer.unjudged}
-    return record
+def edited_trace(source: Pipeline, context: PreparedFrame, text: str, edits: Edited) -> tuple[Trace, RankConfig]:
+    """The answer under edits, and the weights it was ranked with.
+
+    Raises
+    ------
+    InputError
+        Edits that cannot be read, or ones that name a file.
+    """
+    read = read_edits(dict(edits))
+    if read.scorer not in (None, "rule", "trained"):
+        raise InputError("the edits name a relation network by its path", got=read.scorer, expected="--srm FILE")
+    return apply(Baseline(source, context, text), read), replace(source.config.rank, **read.rank)
+
+
+@lru_cache(maxsize=1)
+def _second_opinion() -> OnnxScorer | None:
+    return open_second_opinion(LabelConfig().second_opinion)
+
+
+def annotated_truth(context: PreparedFrame, source: Pipeline) -> FrameCases | None:
+    """The truth of an annotated frame, labelled now by the default profile; None where nothing is annotated."""
+    if not context.frame.annotations:
+        return None
+    config = LabelConfig(vocabulary="all", lift=context.config)
+    objects = all_objects(context, AnnotationDetector())
+    frame_id = context.frame.id
+    ids = source.dataset.frame_ids
+    rows = label_objects(
+        context,
+        objects,
+        config,
+        frame_index=ids.index(frame_id) if frame_id in ids else 0,
+        scene=scene_of(source.dataset, frame_id),
+        exact=True,
+        network=_second_opinion(),
+    )
+    index, scene = int(rows.frames["frame_index"][0]), str(rows.frames["scene"][0])
+    return frame_cases(frame_id, index, scene, rows.objects, rows.relations, {}, config.relations)
+
+
+def labelled_truth(frame_id: str, source: Pipeline, labels: Labels) -> FrameCases | None:
+    """The truth of a frame as labels have it, with their expressions; None where they have none of it."""
+    if frame_id not in source.dataset.frame_ids:
+        return None
+    index = source.dataset.frame_ids.index(frame_id)
+    return next((truth for truth in read_cases(labels, index, index + 1) if truth.frame == frame_id), None)
+
+
+def labelled_case(truth: FrameCases, text: str) -> Case | None:
+    """The expression of the labels that has these words, if there is one."""
+    wanted = " ".join(text.casefold().split())
+    return next((c for c in truth.cases if " ".join(c.text.casefold().split()) == wanted), None)
+
+
+def case_of(truth: FrameCases, trace: Trace, source: Pipeline) -> tuple[FrameCases, Case] | str:
+    """A typed expression with its truth by the relations of the frame, or why there is none.
+
+    Nobody has labelled one pair as meant: of those of which it is true beyond doubt, it is the one that was answered,
+    else the one with the answered target, else with the answered reference, else the first in the order of the objects.
+    """
+    query = trace.query
+    e = query.expression
+    if len(query.readings) > 1 or len(query.labels) > 2 or e.second_reference is not None or e.inverse:
+        return "the truth of expressions with several relations, or of “holding”, is not worked out"
+    if e.relation not in truth.states:
+        return f"the truth of {e.relation!r} is not known"
+    known = tuple(dict.fromkeys([*truth.labels, *source.dataset.class_names]))
+    meant = [match(name, known, source.synonyms) for name in (e.target, e.reference)]
+    ends = [np.array([label in names for label in truth.labels], np.bool_) for names in meant]
+    states = np.where(ends[0][:, None] & ends[1][None, :] & truth.judged, truth.states[e.relation], -1)
+    np.fill_diagonal(states, -1)
+    sure = np.argwhere(states == T)
+    if not len(sure):
+        return "in this frame the expression is true of nothing beyond doubt"
+    a, b = (int(x) for x in sure[_closest(sure, trace, truth)])
+    # Only the rows of the two ends are read: whatever the names mean here is of the asked class.
+    alike = np.eye(len(truth.labels), dtype=np.bool_)
+    alike[a], alike[b] = ends
+    strict, acceptable = (np.flatnonzero((states >= least).any(axis=1)) for least in (T, U))
+    case = Case(
+        id="typed", text=query.text, target=e.target, relation=e.relation, reference=e.reference, target_object=a,
+        reference_object=b, strict=strict, acceptable=acceptable, ambiguous=len(acceptable) > 1, margin=float("nan"),
+    )  # fmt: skip
+    return replace(truth, alike=alike, cases=(case,)), case
+
+
+def _closest(pairs: np.ndarray, trace: Trace, truth: FrameCases) -> int:
+    """Which of the pairs was answered: by the overlap with the target, and of equal ones with the reference."""
+    if trace.ranking is None or not trace.ranking.pairs:
+        return 0
+    best = trace.ranking.pairs[0]
+    indices = (best.target, best.target if best.reference is None else best.reference)
+    overlap = iou_2d(np.array([trace.objects[k].bbox for k in indices], np.float64), truth.boxes)
+    overlap[overlap < HIT] = 0
+    return int(np.lexsort((-overlap[1, pairs[:, 1]], -overlap[0, pairs[:, 0]]))[0])
+
+
+def judge_trace(
+    trace: Trace,
+    source: Pipeline,
+    context: PreparedFrame,
+    truth: FrameCases,
+    *,
+    case: Case | None = None,
+    mark: str | None = None,
+    confidence: float | None = None,
+    rank: RankConfig | None = None,
+) -> Diagnosis | str:
+    """The verdict on a trace, or why there can be none.
+
+    Parameters
+    ----------
+    trace : Trace
+        Edited or not.
+    source : Pipeline
+    context : PreparedFrame
+        Of the trace's frame.
+    truth : FrameCases
+    case : Case, optional
+        The labelled expression; by default the one whose words were asked, else one made of the frame's relations.
+    mark : str, optional
+        BAD_LABEL or BAD_BOX.
+    confidence : float, optional
+        Score of an object that RECALL adds.
+    rank : RankConfig, optional
+        The weights the trace was ranked with, where they are not the source's.
+    """
+    case = case or labelled_case(truth, trace.query.text)
+    if case is None:
+        made = case_of(truth, trace, source)
+        if isinstance(made, str):
+            return made
+        truth, case = made
+    if rank is not None:
+        source = replace(source, config=replace(source.config, rank=rank))
+    names = (case.target, case.reference)
+    if is_gold(trace.query, case) and all(name in trace.candidates for name in names):
+        answers = FrameAnswers.of_trace(source, context, trace)
+    else:
+        answers = FrameAnswers(source, context, names, (case.relation,))
+    return judge_answers(answers, truth, case, trace.query, mark=mark, confidence=confidence)
+
+
+def judge_answers(
+    answers: FrameAnswers,
+    truth: FrameCases,
+    case: Case,
+    query: Query | None,
+    *,
+    mark: str | None = None,
+    confidence: float | None = None,
+    problem: str | None = None,
+) -> Diagnosis:
+    """The verdict on one expression by what was detected; `problem` says why it could not be read or asked."""
+    evidence = FrameEvidence(truth, answers, DEFAULT_CONFIDENCE if confidence is None else confidence, (case,))
+    gold = query is not None and is_gold(query, case)
+    return diagnose(evidence, case, parse_ok=gold, mark=mark, query=query, problem=problem)

@@ -8,11 +8,18 @@ from typing import Any
 import numpy as np
 
 from pipeline.answering.answering import FrameAnswers
-from pipeline.answering.objects import SAME_BOX_IOU
-from pipeline.diagnosis.true_objects import TrueObjects, needs_points
-from pipeline.geometry.boxes import iou_2d
+from pipeline.answering.objects import SAME_BOX_IOU, PreparedFrame, SceneObject
+from pipeline.geometry.boxes import Box3D, iou_2d
+from pipeline.geometry.lifting import LiftedObject, Quality, lift
+from pipeline.geometry.masks import decode_run_length
 from pipeline.labels.cases import HIT, Case, FrameCases
 from pipeline.language.relation_names import DIRECTIONAL
+from pipeline.proposals.annotations import box_mask
+from pipeline.relations.model import OnnxScorer
+from pipeline.relations.scorer import RelationScorer, RuleScorer
+from pipeline.system.errors import InputError
+
+_POINTED = ("paper30", "canon30")
 
 DEFAULT_CONFIDENCE = 0.5
 """Confidence of a recalled object where no right detection is known to take it from."""
@@ -87,9 +94,9 @@ class FrameEvidence:
         """(N,) bool: labelled objects whose true geometry is known."""
         return self.objects.known
 
-    def match_at(self, places: np.ndarray) -> np.ndarray:
+    def match_at(self, indices: np.ndarray) -> np.ndarray:
         """(K,) int64: the labelled object, of whatever class, at each place of the list; -1 for none."""
-        return np.asarray(np.concatenate([self.match, np.arange(self.labelled)])[places], np.int64)
+        return np.asarray(np.concatenate([self.match, np.arange(self.labelled)])[indices], np.int64)
 
     def probabilities(self, relation: str) -> np.ndarray:
         """(D + N, D + N) float64: the scorer's word on every pair that the cases of this relation are about.
@@ -106,16 +113,16 @@ class FrameEvidence:
     def _score(self, relations: Sequence[str]) -> None:
         source, d = self.answers.source, self.detections
         points = any(needs_points(source.scorer, relation) for relation in relations)
-        places = self._involved(relations)
-        true = {k: self.objects.get(k, points) for k in (places[places >= d] - d).tolist()}
-        places = np.array([p for p in places.tolist() if p < d or true[p - d] is not None], np.int64)
-        objects = [self.answers.objects[p] if p < d else true[p - d] for p in places.tolist()]
+        indices = self._involved(relations)
+        true = {k: self.objects.get(k, points) for k in (indices[indices >= d] - d).tolist()}
+        indices = np.array([p for p in indices.tolist() if p < d or true[p - d] is not None], np.int64)
+        objects = [self.answers.objects[p] if p < d else true[p - d] for p in indices.tolist()]
         present = [o for o in objects if o is not None]
         scores = source.score(self.answers.context, present, relations) if present else None
         for relation in relations:
             table = np.full((d + self.labelled, d + self.labelled), np.nan)
             if scores is not None:
-                table[np.ix_(places, places)] = scores.of(relation)
+                table[np.ix_(indices, indices)] = scores.of(relation)
             own = self.answers.probabilities(relation)
             if own is not None:
                 table[:d, :d] = own
@@ -132,7 +139,79 @@ class FrameEvidence:
                 index = self.answers.candidates[name].index
                 candidates.append(index)
                 labelled |= self.truth.alike[example]
-        places = np.unique(np.concatenate(candidates))
-        matched = self.match[places]
+        indices = np.unique(np.concatenate(candidates))
+        matched = self.match[indices]
         labelled[matched[matched >= 0]] = True
-        return np.concatenate([places, self.detections + np.flatnonzero(labelled)])
+        return np.concatenate([indices, self.detections + np.flatnonzero(labelled)])
+
+
+class TrueObjects:
+    """What LIFT and RECALL put in place of detections; each object is made when it is first needed.
+
+    Parameters
+    ----------
+    truth : FrameCases
+    context : PreparedFrame
+
+    Attributes
+    ----------
+    known : (N,) bool
+        Objects whose geometry is known.
+    pseudo : (N,) bool
+        Those of which the label has a box and no pixels: points are not to be had.
+    """
+
+    def __init__(self, truth: FrameCases, context: PreparedFrame) -> None:
+        self._truth, self._context = truth, context
+        described = np.concatenate([truth.geometry["lo"], truth.geometry["size"]], axis=1)
+        self.known: np.ndarray = np.asarray(np.isfinite(described).all(axis=1))
+        self.pseudo = self.known & np.array([m is None for m in truth.masks], np.bool_)
+        self._described: dict[int, SceneObject] = {}
+        self._lifted: dict[int, SceneObject] = {}
+
+    def get(self, k: int, points: bool) -> SceneObject | None:
+        """An object, with its points where they are asked for; None where its geometry is not known."""
+        if not self.known[k]:
+            return None
+        if not points or self.pseudo[k]:
+            return self._described.setdefault(k, self._described.get(k) or self._describe(k))
+        return self._lifted.setdefault(k, self._lifted.get(k) or self._lift(k))
+
+    def _mask(self, k: int) -> np.ndarray:
+        """(H, W) bool: the labelled pixels; all of the 2D box where there are none."""
+        frame, code = self._context.frame, self._truth.masks[k]
+        if code is None:
+            return box_mask(self._truth.boxes[k], frame.height, frame.width)
+        where = f"labelled object {self._truth.numbers[k]} of frame {frame.id}"
+        return decode_run_length((frame.height, frame.width), code, where)
+
+    def _describe(self, k: int) -> SceneObject:
+        truth = self._truth
+        row = {name: values[k] for name, values in truth.geometry.items()}
+        try:
+            box = Box3D(row["center"], row["R"].reshape(3, 3), row["size"])
+        except InputError:
+            box = None
+        quality = Quality(int(truth.facts["mask_pixels"][k]), 0, 0.0, 0.0, False, float("nan"), False, "annotation")
+        lifted = LiftedObject(np.empty((0, 3), np.float32), box, 1.0, row["lo"], row["hi"], "box", None, quality)
+        return self._entry(k, np.zeros((0, 0), np.bool_), lifted)
+
+    def _lift(self, k: int) -> SceneObject:
+        context, mask = self._context, self._mask(k)
+        (lifted,) = lift(
+            context.frame.depth, context.frame.camera, [mask], context.viewer, config=context.config,
+            edges=context.edges, boxes=context.boxes,
+        )  # fmt: skip
+        return self._entry(k, mask, lifted) if np.isfinite(lifted.lo).all() else self._describe(k)
+
+    def _entry(self, k: int, mask: np.ndarray, lifted: LiftedObject) -> SceneObject:
+        return SceneObject(-1, self._truth.labels[k], 1.0, self._truth.boxes[k].astype(np.float32), mask, lifted)
+
+
+def needs_points(scorer: RelationScorer, relation: str) -> bool:
+    """Whether a scorer looks at the points of objects for a relation, and not only at their extents."""
+    if relation not in DIRECTIONAL:
+        return True
+    if isinstance(scorer, OnnxScorer):
+        return scorer.name.partition("+")[0] in _POINTED
+    return not isinstance(scorer, RuleScorer)

@@ -12,8 +12,8 @@ from pipeline.answering.objects import PreparedFrame
 from pipeline.answering.opening import Pipeline, open_pipeline
 from pipeline.datasets import Dataset, resolve_frame
 from pipeline.datasets.frames import Frames, InMemoryDataset
-from pipeline.diagnosis.asking import Answer, judged, truth_or_reason
-from pipeline.diagnosis.cases.answered import edited_trace
+from pipeline.diagnosis.answer import Answer
+from pipeline.diagnosis.asking import edited_trace, judged, truth_or_reason
 from pipeline.geometry.frame import Frame
 from pipeline.labels.cases import FrameCases
 from pipeline.labels.pictures import labelled_up

@@ -1,27 +1,54 @@
-"""One expression ranked sixteen times: with every subset of the oracles in place of what the modules gave."""
+"""One expression ranked sixteen times: with every subset of the oracles in place of what the modules gave.
+
+Each oracle replaces what one module gave by the truth, and nothing else.
+
+RECALL
+    Every labelled object of an asked class that no candidate overlaps by half
+    joins the candidates, with its own pixels lifted and with the median
+    confidence of the run's right detections.
+LIFT
+    Every candidate that is an object gets that object's true geometry; the
+    relation scorer then scores it anew. Two of them that are different objects
+    no longer count as one thing because their masks are alike, only because
+    their 2D boxes are. What is no object stays as it is.
+SRM
+    The relation of two candidates that are both objects is .99, .50 or .01, as
+    the label says T, U or F. Where one is no object, or the pair was not
+    judged, it stays.
+CONF
+    A candidate that is an object of the asked class is given .99, every other one .01.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from math import exp, inf, log
 
 import numpy as np
 
-from pipeline.answering.pair_table import HOLDS, MIN_RELATION, PairTable, Side, one_object_twice, pair_table, side
+from pipeline.answering.pair_table import (
+    HOLDS,
+    MIN_RELATION,
+    MIN_SCORE,
+    PairTable,
+    Side,
+    one_object_twice,
+    pair_table,
+    side,
+)
 from pipeline.answering.ranking import Candidates
 from pipeline.diagnosis.frame_evidence import FrameEvidence
-from pipeline.diagnosis.oracles import (
-    CONF,
-    LIFT,
-    RECALL,
-    RIGHT_SCORE,
-    SRM,
-    STATE_PROBABILITY,
-    SUBSETS,
-    WRONG_SCORE,
-)
 from pipeline.geometry.boxes import iou_2d
 from pipeline.labels.cases import HIT, Case
+
+FACTORS = ("target", "reference", "relation")
+
+ORACLES = ("RECALL", "LIFT", "SRM", "CONF")
+RECALL, LIFT, SRM, CONF = (1 << k for k in range(4))
+SUBSETS = 16
+STATE_PROBABILITY = {1: 0.99, 0: 0.50, -1: 0.01}
+RIGHT_SCORE, WRONG_SCORE = 0.99, 0.01
 
 _ALL = np.arange(SUBSETS)
 
@@ -32,7 +59,7 @@ class CandidateSet:
 
     Attributes
     ----------
-    places : (K,) int64
+    index : (K,) int64
         In the list of the frame's evidence.
     found : int
         How many of them are candidates.
@@ -45,7 +72,7 @@ class CandidateSet:
         With every labelled object.
     """
 
-    places: np.ndarray
+    index: np.ndarray
     found: int
     scores: np.ndarray
     object: np.ndarray
@@ -123,7 +150,7 @@ class OracleScores:
 
     def alone(self, subset: int = 0) -> int | None:
         """The target that answers where all pairs are one thing; None where a role has no candidate at all."""
-        t, r = ((len(x.places) if subset & RECALL else x.found) for x in (self.target, self.reference))
+        t, r = ((len(x.index) if subset & RECALL else x.found) for x in (self.target, self.reference))
         if self.winners[subset] >= 0 or not t or not r:
             return None
         return int(np.argmax(self.table.target.scores[subset, :t]))
@@ -190,7 +217,7 @@ def role_of(evidence: FrameEvidence, candidates: Candidates, asked: np.ndarray) 
     everyone = np.concatenate([objects, missing]).astype(np.int64)
     truth = evidence.truth.boxes
     return CandidateSet(
-        places=np.concatenate([candidates.index, evidence.detections + missing]).astype(np.int64),
+        index=np.concatenate([candidates.index, evidence.detections + missing]).astype(np.int64),
         found=len(candidates.index),
         scores=np.concatenate([candidates.scores, np.full(len(missing), evidence.confidence)]),
         object=everyone,
@@ -219,7 +246,7 @@ def substitute(evidence: FrameEvidence, case: Case) -> OracleScores:
     lift, srm, conf = (((_ALL & bit) > 0).astype(int) for bit in (LIFT, SRM, CONF))
     unseen = (_ALL & RECALL) == 0
     same, same_box = (
-        one_object_twice((target.places, reference.places), table) for table in (evidence.same, evidence.same_box)
+        one_object_twice((target.index, reference.index), table) for table in (evidence.same, evidence.same_box)
     )
     a, b = target.shape_of[:, None], reference.shape_of[None, :]
     # LIFT also gives the true masks, and those of two objects are never alike.
@@ -247,16 +274,16 @@ def substitute(evidence: FrameEvidence, case: Case) -> OracleScores:
 
 def _side(role: CandidateSet, conf: np.ndarray, weight: float) -> Side:
     """A role under every subset; `conf` says which of them give true confidences."""
-    both = side(role.places, np.stack([role.scores, given_scores(role)]), weight)
+    both = side(role.index, np.stack([role.scores, given_scores(role)]), weight)
     return Side(both.index, both.scores[conf], both.log[conf])
 
 
 def _relation(evidence: FrameEvidence, relation: str, target: CandidateSet, reference: CandidateSet) -> np.ndarray:
     """(2, 2, T, R): without and with LIFT, without and with SRM."""
     table = evidence.probabilities(relation)
-    base = table[target.places[:, None], reference.places]
+    base = table[target.index[:, None], reference.index]
     shaped = [
-        np.where(role.shape_of >= 0, evidence.detections + role.shape_of, role.places) for role in (target, reference)
+        np.where(role.shape_of >= 0, evidence.detections + role.shape_of, role.index) for role in (target, reference)
     ]
     lifted = table[shaped[0][:, None], shaped[1]]
     # Two candidates that are one object stand in no relation to each other.
@@ -264,7 +291,7 @@ def _relation(evidence: FrameEvidence, relation: str, target: CandidateSet, refe
     moved = (target.shape_of >= 0)[:, None] | (reference.shape_of >= 0)[None, :]
     lifted = np.where(moved & np.isfinite(lifted), lifted, base)
     a, b = (
-        np.where(role.object >= 0, role.object, evidence.match_at(role.places)) for role in (target, reference)
+        np.where(role.object >= 0, role.object, evidence.match_at(role.index)) for role in (target, reference)
     )
     if evidence.labelled:
         known = np.array([STATE_PROBABILITY[k] for k in (-1, 0, 1)])
@@ -278,3 +305,122 @@ def _relation(evidence: FrameEvidence, relation: str, target: CandidateSet, refe
         judged, told = np.zeros(base.shape, np.bool_), base
     found = np.array([[p, np.where(judged, told, p)] for p in (base, lifted)])
     return np.where(np.isfinite(found), found, MIN_RELATION)
+
+
+def names_of(subset: int) -> tuple[str, ...]:
+    """The oracles of a subset, which is a number with one bit for each."""
+    return tuple(name for k, name in enumerate(ORACLES) if subset >> k & 1)
+
+
+def size(subset: int) -> int:
+    """How many oracles a subset holds."""
+    return subset.bit_count()
+
+
+@dataclass(frozen=True)
+class Needed:
+    """What one factor would have to be, all else as it is.
+
+    Attributes
+    ----------
+    factor : str
+        target, reference or relation.
+    right, winner : float
+        The factor of the best acceptable pair and of the answer now.
+    right_above : float or None
+        The right pair wins as soon as its factor is above this; None where no probability is enough.
+    winner_below : float or None
+        The right pair wins as soon as the answer's factor is below this; None where none is low enough, or it is
+        shared by both pairs, so that it cannot be lowered for one alone.
+    """
+
+    factor: str
+    right: float
+    winner: float
+    right_above: float | None
+    winner_below: float | None
+
+
+def needed_changes(table: PairTable, winner: int, right: int) -> tuple[Needed, ...]:
+    """For each factor of weight above 0 the change that alone would put the right pair first, the smallest first.
+
+    Parameters
+    ----------
+    table : PairTable
+        Of one scene, with one reference.
+    winner, right : int
+        The pair that comes first, and the one that should.
+    """
+    config, ours, theirs = table.config, table.pair(right), table.pair(winner)
+    weights = (config.target_weight, config.reference_weight, config.relation_weight)
+    order = table.order()
+    ahead = np.zeros(table.flat.shape[1], np.bool_)
+    ahead[order[: int(np.flatnonzero(order == right)[0])]] = True
+    found = []
+    for factor, weight in zip(FACTORS, weights, strict=True):
+        if weight <= 0:
+            continue
+        low, high = (MIN_RELATION, 1.0) if factor == "relation" else (MIN_SCORE, 1 - MIN_SCORE)
+        mine, other = (max(getattr(pair, f"p_{factor}"), low) for pair in (ours, theirs))
+        up, down = _least_rise(table, factor, right, ahead), _least_fall(table, factor, winner, right, ahead)
+        above, below = mine * exp(min(up / weight, 700.0)), other * exp(-min(down / weight, 700.0))
+        found.append(Needed(factor, mine, other, above if above < high else None, below if below >= low else None))
+    return tuple(sorted(found, key=lambda n: inf if n.right_above is None else n.right_above - n.right))
+
+
+def _touched(table: PairTable, factor: str, pair: int) -> np.ndarray:
+    """(P,) bool: the pairs of which a pair's factor is a factor."""
+    columns = table.shape[1]
+    at = np.arange(table.flat.shape[1])
+    if factor == "relation":
+        return at == pair
+    return at // columns == pair // columns if factor == "target" else at % columns == pair % columns
+
+
+def _least_rise(table: PairTable, factor: str, right: int, ahead: np.ndarray) -> float:
+    """By how much the weighted log factor of the right pair has to rise; inf where that cannot put it first."""
+    low, _ = _bounds(table, _touched(table, factor, right), right, ahead)
+    return log(low) if low < inf else inf
+
+
+def _least_fall(table: PairTable, factor: str, winner: int, right: int, ahead: np.ndarray) -> float:
+    """By how much the weighted log factor of the answer has to fall; inf where that cannot put the right pair first."""
+    touched = _touched(table, factor, winner)
+    if touched[right]:
+        return inf
+    _, high = _bounds(table, touched, right, ahead, rising=False)
+    return -log(high) if high > 0 else inf
+
+
+def _bounds(
+    table: PairTable, touched: np.ndarray, right: int, ahead: np.ndarray, rising: bool = True
+) -> tuple[float, float]:
+    """Between which factors on the weights (e to the S) of the touched pairs the right pair comes first.
+
+    `ahead`, (P,) bool, are the pairs that now come before it. Rising from 1 the least such factor comes first, inf for
+    none; falling from 1 the greatest comes second, 0 for none.
+    """
+    scores = table.flat[0]
+    weight = np.exp(np.minimum(scores - scores[right], 700.0))
+    moving, fixed = np.where(touched, weight, 0.0), np.where(touched, 0.0, weight)
+    others = np.isfinite(scores) & (np.arange(len(scores)) != right)
+    rows = np.arange(len(scores)) // table.shape[1]
+    if table.config.aggregate == "marginal":
+        # Of the pairs only those of its own target are compared with it; targets by the sums of their pairs.
+        others &= rows == rows[right]
+    sides = [(moving[others], fixed[others], moving[right], fixed[right], ahead[others])]
+    if table.config.aggregate == "marginal":
+        a, b = (np.bincount(rows, weights=w, minlength=table.shape[0]) for w in (moving, fixed))
+        away = np.arange(len(a)) != rows[right]
+        before = np.bincount(rows, weights=ahead, minlength=table.shape[0]) > 0
+        sides.append((a[away], b[away], a[rows[right]], b[rows[right]], before[away]))
+    low, high = (1.0, inf) if rising else (0.0, 1.0)
+    for theirs, rest, ours, base, before in sides:
+        # ours * y + base > theirs * y + rest
+        slope, gap = ours - theirs, rest - base
+        bound = gap / np.where(slope == 0, 1.0, slope)
+        low = max(low, float(bound[slope > 0].max(initial=0.0)))
+        high = min(high, float(bound[slope < 0].min(initial=inf)))
+        if ((slope == 0) & ((gap > 0) | ((gap == 0) & before))).any():
+            low = inf
+    return (low, high) if low <= high else (inf, 0.0)

@@ -1,42 +1,30 @@
-"""The verdict on one expression: exclusive, exhaustive, decided in a fixed order.
-
-CORRECT      the answer's target overlaps the labelled one by half (LUCKY where the pair is not an acceptable one)
-PARSE        the parsed triple is not the gold triple
-LABEL        AMBIGUOUS: the answer is another acceptable target; BAD_LABEL, BAD_BOX: a person marked the label;
-             SUSPECT: the labels' own relations say of the answer that it is, or may be, right, and the expression does
-             not list it
-OPM-TARGET   no candidate overlaps an acceptable target: RANK, THRESHOLD, LOCALISATION or ABSENT (`misses`)
-OPM-REF      no candidate pair is an acceptable one
-LIFT, SRM, OPM-CONF, PRM, COMPOUND
-             an acceptable pair stood among the candidates and lost. Each oracle is applied alone and the pairs are
-             ranked again. Exactly one makes an acceptable pair win: it names the verdict; CONF is OPM-CONF where a
-             false positive won, and PRM where two real objects did, whose confidences overruled the relation. Several
-             do: the one with the largest margin of the best acceptable over the best other pair; within 1e-6 the
-             earlier stage. None does: COMPOUND, with the smallest subset of the three that does. Not even all three:
-             PRM, DEGENERATE: the right pair is excluded as one thing, or lost by a rule for ties.
-
-When several oracles are compared, relations count by what the network decides: above .5 as .99, below as .01, as the
-truth has it. Else the truth, which is never less sure than a network, would go farther than any true geometry and any
-true confidence, and a relation that the network had right, only not to .99, would be blamed for a broken box or for
-confidences that overruled it. Where the network decides wrongly, the truth still goes farther, and SRM is named.
-(With planted faults: see `planted`.)
-"""
+"""What a verdict is, and how it is told in one or two plain sentences; `decision` says how it is found."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+import json
+from collections.abc import Collection
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Literal
 
 import numpy as np
 
-from pipeline.answering.pair_table import ScoredPair
+from pipeline.answering.pair_table import HOLDS, ScoredPair, one_object_twice
 from pipeline.diagnosis.frame_evidence import FrameEvidence
-from pipeline.diagnosis.misses import Missed, why_missed
-from pipeline.diagnosis.oracles import CONF, LIFT, SRM, SUBSETS, names_of, size
-from pipeline.diagnosis.repair import Needed, needed_changes
-from pipeline.diagnosis.substitution import CandidateSet, OracleScores, substitute
-from pipeline.labels.cases import HIT, Case
-from pipeline.proposals.base import Detector
+from pipeline.diagnosis.substitution import Needed, substitute
+from pipeline.geometry.boxes import Box3D
+from pipeline.labels.cases import Case, FrameCases
+from pipeline.language.expression import Query
+from pipeline.language.relation_names import PHRASE
+from pipeline.system.errors import InputError
+
+_KEYS = ("frame", "id", "mark")
+
+Miss = Literal["RANK", "THRESHOLD", "LOCALISATION", "ABSENT"]
+ORACLE_WORDS = {
+    "RECALL": "the missing objects", "LIFT": "true geometry", "SRM": "true relations", "CONF": "true confidences",
+}  # fmt: skip
 
 VERDICTS = (
     "CORRECT", "PARSE", "LABEL", "OPM-TARGET", "OPM-REF", "LIFT", "SRM", "OPM-CONF", "PRM", "COMPOUND",
@@ -48,14 +36,11 @@ MODULE_OF = {
 }  # fmt: skip
 """The module that a verdict blames; COMPOUND blames those of its repair."""
 MARKS = ("BAD_LABEL", "BAD_BOX")
-_FLIPS = (LIFT, SRM, CONF)
-_ALL_FLIPS = LIFT | SRM | CONF
-SAME_MARGIN = 1e-6
 
 
 @dataclass(frozen=True)
 class Diagnosis:
-    """What failed and what would mend it.
+    """What failed and what would mend it, with all that it was judged by.
 
     Attributes
     ----------
@@ -86,6 +71,12 @@ class Diagnosis:
         What one factor alone would have to be for the best acceptable pair to win; empty where one wins.
     pseudo : bool
         LIFT's truth was the box of the label for an object of either pair: the dataset has no pixels of it.
+    text : str
+        The verdict in words.
+    gold : bool
+        The expression was read as meant; else the evidence is that of the gold names, not the trace's own.
+    case : Case
+    evidence : FrameEvidence
     """
 
     verdict: str
@@ -103,6 +94,15 @@ class Diagnosis:
     pseudo: bool = False
     mends: tuple[str, ...] = ()
     needed: tuple[Needed, ...] = ()
+    text: str = ""
+    gold: bool = True
+    case: Case = field(kw_only=True)
+    evidence: FrameEvidence = field(kw_only=True, repr=False)
+
+    @property
+    def truth(self) -> FrameCases:
+        """What is true of the frame."""
+        return self.evidence.truth
 
     @property
     def correct(self) -> bool:
@@ -119,116 +119,293 @@ class Diagnosis:
             for name, f in (("target", "p_target"), ("reference", "p_reference"), ("relation", "p_relation"))
         }
 
+    def acceptable_pairs(self) -> set[tuple[int, int]]:
+        """Candidate pairs that are acceptable, as indices of the trace's objects."""
+        if not self.gold:
+            return set()
+        found = substitute(self.evidence, self.case)
+        targets, references = (role.index[: role.found] for role in (found.target, found.reference))
+        covered = found.covered[: len(targets), : len(references)]
+        here = np.argwhere(covered & ~one_object_twice((targets, references), self.evidence.same))
+        return {(int(targets[i]), int(references[j])) for i, j in here}
 
-def diagnose(
-    evidence: FrameEvidence,
+    def labelled_boxes(self) -> dict[str, Box3D]:
+        """The labelled target and reference in 3D, as far as their geometry is known."""
+        ends = (("target", self.case.target_object), ("reference", self.case.reference_object))
+        found = ((name, self.evidence.objects.get(k, points=False)) for name, k in ends)
+        return {name: o.lifted.box for name, o in found if o is not None and o.lifted.box is not None}
+
+
+@dataclass(frozen=True)
+class Missed:
+    """Why a thing is not among the candidates.
+
+    Attributes
+    ----------
+    kind : str
+        RANK: the detector gave it, but others stood before it (K) or over it (suppression of overlapping boxes).
+        THRESHOLD: it gave it with less than the minimum score.
+        LOCALISATION: the best box overlaps it by .1 to .5.
+        ABSENT: nothing overlaps it by .1.
+    overlap : float
+        The best IoU of all boxes seen.
+    score : float or None
+        Of the box that was cut off, or of the best overlapping one.
+    rank : int or None
+        With RANK: its place from 1 by score, before suppression.
+    suppressed : bool
+        With RANK: a better-scored box overlapped it too much.
+    """
+
+    kind: Miss
+    overlap: float
+    score: float | None = None
+    rank: int | None = None
+    suppressed: bool = False
+
+
+def explain(
+    diagnosis: Diagnosis,
     case: Case,
     *,
-    parse_ok: bool,
-    mark: str | None = None,
-    unfiltered: Callable[[], Detector] | None = None,
-) -> Diagnosis:
-    """Name the module that failed on one expression.
+    query: Query | None = None,
+    problem: str | None = None,
+    unknown: Collection[str] = (),
+) -> str:
+    """Why the answer is what it is, and the smallest change that would mend it.
 
     Parameters
     ----------
-    evidence : FrameEvidence
+    diagnosis : Diagnosis
     case : Case
-    parse_ok : bool
-        The parser read the gold triple.
-    mark : str, optional
-        What a person said of the label: BAD_LABEL or BAD_BOX.
-    unfiltered : callable, optional
-        Gives the detector without a minimum score, to tell THRESHOLD from ABSENT.
+    query : Query, optional
+        What the parser read.
+    problem : str, optional
+        Why it could not be read, or could not be asked.
+    unknown : collection of str
+        Names that the detector does not know.
     """
-    found = substitute(evidence, case)
-    pair, alone = found.pair(), found.alone()
-    winner = None if pair is None else found.plain.pair(int(found.winners[0]))
-    place = found.best_acceptable
-    target = pair[0] if pair is not None else alone
-    overlap = 0.0 if target is None or not parse_ok else float(found.target.overlap[target, case.target_object])
-    flip = _smallest(found, range(1, SUBSETS))
-    right = None if place is None else place[0] * found.covered.shape[1] + place[1]
-    lost = pair is not None and right is not None and not found.covered[pair]
-    diagnosis = Diagnosis(
-        verdict="",
-        detail=None,
-        lucky=False,
-        repair=() if flip is None else names_of(flip),
-        right_with=int((found.right_target << np.arange(SUBSETS)).sum()),
-        margins=found.margins,
-        winner=winner if parse_ok else None,
-        right=None if right is None else found.plain.pair(right),
-        false_target=target is not None and bool(found.target.object[target] < 0),
-        false_reference=pair is not None and bool(found.reference.object[pair[1]] < 0),
-        needed=needed_changes(found.plain, int(found.winners[0]), right) if lost and right is not None else (),
-        pseudo=_pseudo(evidence, found, [p for p in (pair, place) if p is not None]),
-    )
-    if overlap >= HIT:
-        lucky = pair is None or not found.covered[pair]
-        return replace(diagnosis, verdict="CORRECT", lucky=lucky, repair=())
-    if not parse_ok:
-        return replace(diagnosis, verdict="PARSE", repair=())
-    if target is not None and found.right[target]:
-        return replace(diagnosis, verdict="LABEL", detail="AMBIGUOUS", repair=())
-    if mark is not None:
-        return replace(diagnosis, verdict="LABEL", detail=mark, repair=())
-    if pair is not None and found.covered[pair]:
-        return replace(diagnosis, verdict="LABEL", detail="SUSPECT", repair=())
-    if not found.right[: found.target.found].any():
-        missed = _missed(evidence, case.target, case.acceptable, unfiltered)
-        return replace(diagnosis, verdict="OPM-TARGET", detail=missed.kind, missed=missed, missed_name=case.target)
-    if not found.covered[: found.target.found, : found.reference.found].any():
-        pairs = evidence.truth.acceptable_pairs(case)
-        shown = found.target.overlap[: found.target.found] >= HIT
-        wanted = pairs[np.asarray((shown & np.asarray(pairs.any(axis=1))[None]).any(axis=0))].any(axis=0)
-        missed = _missed(evidence, case.reference, np.flatnonzero(wanted), unfiltered)
-        return replace(
-            diagnosis, verdict="OPM-REF", detail=missed.kind, missed=missed, missed_name=case.reference
+    if diagnosis.verdict == "CORRECT":
+        return _correct(diagnosis, case)
+    if diagnosis.verdict == "PARSE":
+        return _parse(case, query, problem)
+    if diagnosis.verdict == "LABEL":
+        return _label(diagnosis, case)
+    if diagnosis.verdict in ("OPM-TARGET", "OPM-REF"):
+        return _missed(diagnosis, unknown)
+    return " ".join(filter(None, (_flipped(diagnosis, case), _others(diagnosis), _smallest_change(diagnosis))))
+
+
+def _correct(d: Diagnosis, case: Case) -> str:
+    if not d.lucky:
+        return "Right." if d.winner is None else f"Right: relation {_p(d.winner.p_relation)}.{_nearest(d.winner)}"
+    if d.winner is None:
+        return f"The right {case.target}, but alone: all candidates of the two names count as one thing. Luck."
+    return f"The right {case.target}, but its {case.reference} matches none of which the expression is true: luck."
+
+
+def _parse(case: Case, query: Query | None, problem: str | None) -> str:
+    meant = f"meant was ({case.target}, {PHRASE[case.relation]}, {case.reference})"
+    if query is None:
+        return f"The expression cannot be read: {problem}; {meant}."
+    e = query.expression
+    if len(query.readings) > 1:
+        return f"The expression has {len(query.readings)} readings; {meant}."
+    return f"Read as ({e.target}, {PHRASE.get(e.relation, e.relation)}, {e.reference}); {meant}."
+
+
+def _label(d: Diagnosis, case: Case) -> str:
+    if d.detail == "AMBIGUOUS":
+        return (
+            f"The answer is another {case.target} of which the expression is, or may be, true; "
+            f"it has {len(case.acceptable)} right answers, and the label names one."
         )
-    flips = [bit for bit in _FLIPS if found.accepted[bit]]
-    verdict, detail, repair = _flipped(found, diagnosis, flips)
-    mends = tuple(name for bit in flips for name in names_of(bit))
-    return replace(diagnosis, verdict=verdict, detail=detail, repair=names_of(repair), mends=mends)
+    if d.detail == "SUSPECT":
+        relation = PHRASE[case.relation]
+        return (
+            f"The labels' own relations say of the answer that it is, or may be, a {case.target} {relation} the "
+            f"{case.reference}, and the expression does not list it: the label is suspect."
+        )
+    what = "its box" if d.detail == "BAD_BOX" else "what it says"
+    return f"A person marked this label as wrong in {what}; the answer may well be right."
 
 
-def _flipped(found: OracleScores, diagnosis: Diagnosis, flips: list[int]) -> tuple[str, str | None, int]:
-    """Verdict, detail and repair where an acceptable pair lost; `flips` are the oracles that alone mend it."""
-    if not flips:
-        several = [s for s in range(SUBSETS) if not s & ~_ALL_FLIPS and size(s) > 1]
-        smallest = _smallest(found, several)
-        if smallest is None:
-            return "PRM", "DEGENERATE", 0
-        return "COMPOUND", "+".join(names_of(smallest)), smallest
-    chosen = flips[0]
-    if len(flips) > 1:
-        margin = {bit: found.decided_margin(bit) for bit in flips}
-        farthest = max(margin.values())
-        chosen = next(bit for bit in flips if margin[bit] >= farthest - SAME_MARGIN)
-    if chosen == CONF:
-        real = not (diagnosis.false_target or diagnosis.false_reference)
-        return ("PRM" if real else "OPM-CONF"), None, CONF
-    return ("LIFT" if chosen == LIFT else "SRM"), None, chosen
+def _missed(d: Diagnosis, unknown: Collection[str]) -> str:
+    missed, name = d.missed, d.missed_name
+    assert missed is not None
+    after = f" {_repaired(d)}" if d.repair and d.repair != ("RECALL",) else ""
+    if name in unknown:
+        return f"The detector does not know the name “{name}”.{after}"
+    if missed.kind == "RANK":
+        if missed.suppressed:
+            return f"A better-scored box lies over the right {name} ({_p(missed.score)}) and suppressed it.{after}"
+        return f"The right {name} has {_p(missed.score)}, place {missed.rank} by score: K cuts it off.{after}"
+    if missed.kind == "THRESHOLD":
+        return f"The detector gave the right {name} {_p(missed.score)}, below the minimum score.{after}"
+    if missed.kind == "LOCALISATION":
+        score = "" if missed.score is None else f" (score {_p(missed.score)})"
+        return f"The best box of the right {name} overlaps it by {_p(missed.overlap)}{score}; .50 is asked.{after}"
+    return f"The detector did not see the right {name} at all (best overlap {_p(missed.overlap)}).{after}"
 
 
-def _smallest(found: OracleScores, subsets: range | list[int]) -> int | None:
-    """The smallest of these subsets with which an acceptable pair wins; of equal ones that with the largest margin."""
-    able = [s for s in subsets if found.accepted[s]]
-    return min(able, key=lambda s: (size(s), -found.margins[s], s)) if able else None
+def _flipped(d: Diagnosis, case: Case) -> str:
+    winner, right = d.winner, d.right
+    if winner is None or right is None:
+        # No right pair was allowed; what else can be said depends on whether true masks tell its two things apart.
+        first = (
+            f"The masks of the right {case.target} and {case.reference} are so alike that they"
+            if "LIFT" in d.repair
+            else f"All candidates of the two names, of which the best {case.target} answered alone,"
+            if winner is None
+            else f"The right {case.target} and {case.reference}"
+        )
+        return f"{first} count as one thing. {_repaired(d) if d.repair else ''}".strip() + f" Verdict: {d.verdict}."
+    text = _relation(winner.p_relation, right.p_relation, case)
+    if d.verdict == "LIFT":
+        boxed = " (of some objects the label's box)" if d.pseudo else ""
+        return f"A 3D box is off: {text}. With true geometry{boxed} the right pair wins. Verdict: LIFT."
+    if d.verdict == "SRM":
+        return f"{text[0].upper()}{text[1:]}. With the labelled relations the right pair wins. Verdict: SRM."
+    if d.verdict in ("OPM-CONF", "PRM") and d.detail != "DEGENERATE":
+        return _confidences(d, winner, right, case)
+    if d.verdict == "COMPOUND":
+        return f"No module alone is to blame. {_repaired(d)}"
+    return "No true geometry, relation or confidence puts the right pair first: it lost a tie. Verdict: PRM."
 
 
-def _pseudo(evidence: FrameEvidence, found: OracleScores, pairs: list[tuple[int, int]]) -> bool:
-    def boxed(role: CandidateSet, k: int) -> bool:
-        return role.shape_of[k] >= 0 and bool(evidence.objects.pseudo[role.shape_of[k]])
+def _confidences(d: Diagnosis, winner: ScoredPair, right: ScoredPair, case: Case) -> str:
+    if d.verdict == "OPM-CONF":
+        false = [
+            f"{name} ({_p(p)})"
+            for name, wrong, p in (
+                (case.target, d.false_target, winner.p_target),
+                (case.reference, d.false_reference, winner.p_reference),
+            )
+            if wrong
+        ]
+        what = "are false positives" if len(false) > 1 else "is a false positive"
+        return (
+            f"The answer's {' and '.join(false)} {what}; the right pair had {_p(right.p_target)} and "
+            f"{_p(right.p_reference)}. With true confidences the right pair wins.{_nearest(right)} Verdict: OPM-CONF."
+        )
+    parts = []
+    for name, mine, other, ours, theirs in (
+        (case.target, winner.target, right.target, winner.p_target, right.p_target),
+        (case.reference, winner.reference, right.reference, winner.p_reference, right.p_reference),
+    ):
+        if mine != other:
+            wrong, good = apart(ours, theirs)
+            parts.append(f"the wrong {name} {wrong} and the right one {good}")
+    first, second = apart(*sorted((winner.p_relation, right.p_relation), reverse=True))
+    favoured = "the right pair" if right.p_relation >= winner.p_relation else "the answer"
+    relation = (
+        f"for the relation they are equal ({first})"
+        if first == second
+        else f"the relation favoured {favoured} {first} to {second}"
+    )
+    text = "; ".join([*(f"the detector gave {' and '.join(parts)}" for _ in parts[:1]), relation])
+    return f"{text[0].upper()}{text[1:]}. With equal confidences the answer is right.{_nearest(right)} Verdict: PRM."
 
-    return any(boxed(found.target, i) or boxed(found.reference, j) for i, j in pairs)
+
+def _relation(winner: float, right: float, case: Case) -> str:
+    """What the relation gave to the answer and to the right pair, and whether either stands in it."""
+    ours, theirs = apart(winner, right)
+    both = f"both the answer and the right pair {ours}"
+    given = both if ours == theirs else f"the answer {ours} and the right pair {theirs}"
+    neither = ", so that neither stands in it" if max(winner, right) < HOLDS else ""
+    return f"“{PHRASE[case.relation]}” gave {given}{neither}"
 
 
-def _missed(
-    evidence: FrameEvidence, name: str, objects: np.ndarray, unfiltered: Callable[[], Detector] | None
-) -> Missed:
-    source = evidence.answers.source
-    detector = source.needed_detector()
-    loose = unfiltered or (lambda: detector)
-    frame = evidence.answers.context.frame
-    return why_missed(frame, name, evidence.truth.boxes[objects], source.config.k, detector, loose)
+def _nearest(pair: ScoredPair) -> str:
+    """How a right pair is told whose relation is not believed; empty where it is."""
+    return "" if pair.p_relation >= HOLDS else f" Below {HOLDS:.2f} it is told as the nearest pair only."
+
+
+def apart(*values: float) -> tuple[str, ...]:
+    """Probabilities with two digits, or with as many more as tell them apart."""
+    for digits in range(2, 10):
+        shown = tuple(f"{value:.{digits}f}" for value in values)
+        if len(set(shown)) == len(set(values)):
+            return shown
+    return tuple(f"{value:.2f}" for value in values)
+
+
+def threshold(value: float, now: float) -> tuple[str, str]:
+    """What a factor has to pass, with so many digits that it is another number than it is now, and neither 0 nor 1."""
+    shown = is_now = ""
+    for digits in range(2, 10):
+        shown, is_now = f"{value:.{digits}f}", f"{now:.{digits}f}"
+        if shown != is_now and 0 < float(shown) < 1:
+            break
+    return shown, f"{now:.2f}" if abs(now - value) >= 0.01 else is_now
+
+
+def _repaired(d: Diagnosis) -> str:
+    if not d.repair:
+        return "No correction of the modules mends it."
+    together = " together" if len(d.repair) > 1 else ""
+    return f"It takes {' and '.join(ORACLE_WORDS[name] for name in d.repair)}{together}."
+
+
+def _others(d: Diagnosis) -> str:
+    """The other oracles that alone would have done as well."""
+    others = [name for name in d.mends if name not in d.repair]
+    if not others:
+        return ""
+    words = " or ".join(ORACLE_WORDS[name] for name in others)
+    return f"{words[0].upper()}{words[1:]} alone would do too."
+
+
+def _smallest_change(d: Diagnosis) -> str:
+    """The smallest change of one factor that would put the right pair first, or that there is none."""
+    names = {"relation": "relation", "target": "target score", "reference": "reference score"}
+    for change in d.needed:
+        if change.right_above is None:
+            continue
+        above, now = threshold(change.right_above, change.right)
+        if change.right_above < 0.01 and change.right < 0.005 and change.factor != "reference":
+            # Two pairs that are both next to 0: what is enough says more than what is just enough.
+            return f"A {names[change.factor]} of 0.01 instead of {change.right:.2f} would put the right pair first."
+        return f"Smallest change: its {names[change.factor]} above " + (
+            f"{above}, which is a tie." if above == now else f"{above} instead of {now}."
+        )
+    if not d.needed:
+        return ""
+    falls = [n for n in d.needed if n.winner_below is not None]
+    if not falls:
+        return "No change of one factor alone would put the right pair first."
+    least = min(falls, key=lambda n: n.winner - (n.winner_below or 0.0))
+    below, now = threshold(least.winner_below or 0.0, least.winner)
+    what = f"Smallest change: the answer's {names[least.factor]} below {below}"
+    return f"{what}, which is a tie." if below == now else f"{what} instead of {now}."
+
+
+def _p(value: float | None) -> str:
+    return "–" if value is None else f"{value:.2f}"
+
+
+def read_marks(path: Path) -> dict[tuple[str, str], str]:
+    """Marks by (frame, id of the expression), from JSON: a list of {"frame", "id", "mark"} and whatever else.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, a mark is not one of MARKS, or an expression is marked twice.
+    """
+    try:
+        entries: Any = json.loads(Path(path).read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError) as error:
+        raise InputError("the marks cannot be read", got=str(error), path=path) from error
+    if not isinstance(entries, list):
+        raise InputError("marks must be a list", got=type(entries).__name__, path=path)
+    found: dict[tuple[str, str], str] = {}
+    for n, entry in enumerate(entries):
+        if not isinstance(entry, dict) or not all(isinstance(entry.get(key), str) for key in _KEYS):
+            raise InputError(f"mark {n} must have the texts {', '.join(_KEYS)}", got=repr(entry)[:80], path=path)
+        frame, expression, mark = (entry[key] for key in _KEYS)
+        if mark not in MARKS:
+            raise InputError(f"mark {n} is not known", got=mark, expected=" or ".join(MARKS), path=path)
+        if (frame, expression) in found:
+            raise InputError("an expression is marked twice", got=f"{frame} {expression}", path=path)
+        found[frame, expression] = mark
+    return found

@@ -19,13 +19,13 @@ import numpy as np
 from pipeline.answering.opening import open_pipeline
 from pipeline.answering.recording import record_detections
 from pipeline.evaluation.job import make_tables
+from pipeline.evaluation.relation_cases import frames_in, spread
 from pipeline.evaluation.run import (
     FRAMES_A_BLOCK,
     EvalSpec,
     Evaluator,
     blocks_of,
     evaluate_labels,
-    frames_with_expressions,
 )
 from pipeline.labels.engines import one_thread
 from pipeline.labels.job import label_dataset
@@ -139,7 +139,7 @@ def _by_stages(spec: EvalSpec) -> tuple[Evaluator, dict[str, float], pa.Table]:
     import pyarrow as pa
 
     evaluator = Evaluator(spec)
-    blocks = blocks_of(frames_with_expressions(evaluator.labels))
+    blocks = blocks_of(frames_in(evaluator.labels, "expressions"))
     if not blocks:
         raise InputError("these labels have no expressions", path=evaluator.labels.root)
     # The first frame pays for imports and for the network's own preparations.
@@ -170,7 +170,7 @@ def _asked_singly(evaluator: Evaluator, records: pa.Table, count: int) -> dict[s
     """
     source = evaluator.source
     read = records.filter(records.column("parse_ok"))
-    chosen = read.take(np.unique(np.linspace(0, read.num_rows - 1, min(count, read.num_rows)).astype(int))).to_pylist()
+    chosen = read.take(spread(read.num_rows, count)).to_pylist()
     if not chosen:
         raise InputError("none of the expressions can be read", path=evaluator.labels.root)
     seconds, differ = 0.0, []
@@ -201,7 +201,7 @@ def _same_answer(row: dict[str, Any], trace: Any) -> bool:
 
 def _job(spec: EvalSpec, workers: int) -> dict[str, Any]:
     """The whole evaluation by so many processes, on the wall clock, with the memory of all of them."""
-    frames = len(frames_with_expressions(open_labels(spec.labels)))
+    frames = len(frames_in(open_labels(spec.labels), "expressions"))
     workers = max(1, min(workers, frames))
     # A small dataset is cut into smaller blocks, so that each process has some.
     a_block = max(1, min(FRAMES_A_BLOCK, frames // (2 * workers)))

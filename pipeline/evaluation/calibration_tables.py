@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.evaluation.grounding_tables import clusters_of, column
-from pipeline.evaluation.raw_scores import DetectorScores, detector_scores, is_calibrated
+from pipeline.evaluation.records import DetectorScores, detector_scores, is_calibrated
 from pipeline.labels.reading import Labels
 from pipeline.labels.tables import read_table
 from pipeline.metrics.calibration_metrics import ECE_BINS

@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pipeline.diagnosis.verdict import VERDICTS
 from pipeline.evaluation.grounding_tables import clusters_of, column
+from pipeline.evaluation.summary import has_verdicts
 from pipeline.metrics.intervals import Estimate, mean_estimate
 from pipeline.metrics.significance import McNemar, mcnemar
 from pipeline.system.errors import InputError
@@ -109,8 +111,8 @@ def compare(before: pa.Table, after: pa.Table, measure: str = "set_correct") -> 
         They have no expression in common.
     """
     keys = [list(zip(t.column("frame").to_pylist(), t.column("id").to_pylist(), strict=True)) for t in (before, after)]
-    place = {key: k for k, key in enumerate(keys[0])}
-    shared = [(place[key], k) for k, key in enumerate(keys[1]) if key in place]
+    index = {key: k for k, key in enumerate(keys[0])}
+    shared = [(index[key], k) for k, key in enumerate(keys[1]) if key in index]
     if not shared:
         raise InputError("the two runs have no expression in common", cause="were they made with other labels?")
     first, second = (rows.take([pair[k] for pair in shared]) for k, rows in enumerate((before, after)))
@@ -144,9 +146,6 @@ def compare(before: pa.Table, after: pa.Table, measure: str = "set_correct") -> 
 
 def verdict_transitions(before: pa.Table, after: pa.Table) -> dict[str, dict[str, int]] | None:
     """How many of the same expressions, row by row, went from which verdict to which; None without verdicts."""
-    from pipeline.diagnosis.verdict import VERDICTS
-    from pipeline.evaluation.summary import has_verdicts
-
     if not (has_verdicts(before) and has_verdicts(after)):
         return None
     pairs = zip(before.column("verdict").to_pylist(), after.column("verdict").to_pylist(), strict=True)

@@ -100,7 +100,7 @@ def answer_standings(records: pa.Table, labels: Labels, content_hash: str | None
     unknown = sorted(set(asked.tolist()) - set(names))
     if unknown:
         raise InputError("the run asks for a relation that the labels do not have", got=unknown[0], path=labels.root)
-    place, states, margins = _pairs_of_answers(records, labels, names)
+    index, states, margins = _pairs_of_answers(records, labels, names)
     answered = records.column("box").is_valid().to_numpy(zero_copy_only=False)
     matched = np.ones(len(asked), np.bool_)
     for name in ("matched_target", "matched_reference"):
@@ -110,7 +110,7 @@ def answer_standings(records: pa.Table, labels: Labels, content_hash: str | None
     cell = np.full(len(asked), other[NO_ANSWER], np.int64)
     cell[answered] = other[UNLABELLED]
     cell[answered & matched] = other[UNJUDGED]
-    cell[place] = stands_in(states, margins, meant[place], other[DOUBT], other[NOTHING])
+    cell[index] = stands_in(states, margins, meant[index], other[DOUBT], other[NOTHING])
     return Standings(names, meant, cell)
 
 
@@ -240,8 +240,8 @@ def network_confusion(path: Path) -> list[Confusion]:
             raise InputError("not a file of relation records", path=path)
         relations = tuple(field.name for field in schema.field("state").type)
         for field in schema.field("p").type:
-            said = {inner.name for inner in field.type}
-            asked[field.name] = tuple(r for r in relations if r in said)
+            text = {inner.name for inner in field.type}
+            asked[field.name] = tuple(r for r in relations if r in text)
             counts[field.name] = np.zeros((len(asked[field.name]),) * 2, np.int64)
         for batch in file.iter_batches(columns=["state", "p"]):
             for system, names in asked.items():
@@ -262,10 +262,10 @@ def network_confusion(path: Path) -> list[Confusion]:
     ]
 
 
-def _taken_for(state: Any, said: Any, names: tuple[str, ...]) -> np.ndarray:
+def _taken_for(state: Any, text: Any, names: tuple[str, ...]) -> np.ndarray:
     """(R, R) counts of a batch: a relation that holds against the most probable one where that one does not hold."""
     holds = np.stack([state.field(n).fill_null(F).to_numpy(zero_copy_only=False) == T for n in names], axis=1)
-    p = np.stack([said.field(n).to_numpy(zero_copy_only=False) for n in names], axis=1).astype(np.float64)
+    p = np.stack([text.field(n).to_numpy(zero_copy_only=False) for n in names], axis=1).astype(np.float64)
     known = np.isfinite(p).any(axis=1)
     top = np.where(np.isfinite(p), p, -np.inf).argmax(axis=1)
     pair, relation = np.nonzero(holds & np.asarray(known)[:, None])

@@ -3,17 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from pipeline.labels.cases import HIT
 from pipeline.language.relation_names import PAIRWISE, PHRASE
 from pipeline.metrics.intervals import BootstrapConfig, Estimate, mean_estimate
+from pipeline.metrics.significance import McNemar, mcnemar
 from pipeline.metrics.tables import NOTHING_SHARED, Row, Table, in_blocks
+from pipeline.system.errors import InputError
 
 if TYPE_CHECKING:
     import pyarrow as pa
+
+FIGURES = Path(__file__).with_name("reported.json")
+
+ACCURACIES = {"Acc@0.5 single truth": "iou", "strict set": "strict_iou", "set-valued": "set_iou"}
+COLUMNS = (*ACCURACIES, "only with the relation", "only by OPM alone", "McNemar p", "n")
 
 MEASURES = (
     "Acc@0.5 single truth", "strict set", "set-valued", "mean IoU", "mean IoU over set", "reference", "pair", "n",
@@ -45,23 +54,24 @@ def clusters_of(records: pa.Table) -> tuple[np.ndarray, str]:
 
 def full_row(name: str, records: pa.Table, config: BootstrapConfig | None = None) -> Row:
     """The pipeline's line of the table of systems."""
-    clusters, _ = clusters_of(records)
     names = ("correct", "strict_correct", "set_correct", "iou", "set_iou", "reference_correct", "pair_correct")
-    cells = []
-    for measure in names:
-        values = column(records, measure)
-        # A system that gives one box has no reference to be measured by.
-        cells.append(None if np.isnan(values).all() else mean_estimate(values, clusters, config=config))
-    return Row(name, (*cells, records.num_rows))
+    return _row(name, records, [column(records, measure) for measure in names], config)
 
 
 def opm_row(name: str, records: pa.Table, config: BootstrapConfig | None = None) -> Row:
     """The line of the detector's best target alone: it has no reference."""
+    single, strict, lenient = (column(records, f"opm_{n}") for n in ("iou", "strict_iou", "set_iou"))
+    hits = [(overlap >= HIT).astype(np.float64) for overlap in (single, strict, lenient)]
+    return _row(name, records, [*hits, single, lenient, None, None], config)
+
+
+def _row(
+    name: str, records: pa.Table, measures: Sequence[np.ndarray | None], config: BootstrapConfig | None
+) -> Row:
     clusters, _ = clusters_of(records)
-    overlaps = [column(records, f"opm_{n}") for n in ("iou", "strict_iou", "set_iou")]
-    found = [mean_estimate((o >= HIT).astype(np.float64), clusters, config=config) for o in overlaps]
-    means = [mean_estimate(o, clusters, config=config) for o in (overlaps[0], overlaps[2])]
-    return Row(name, (*found, *means, None, None, records.num_rows))
+    # A system that gives one box has no reference to be measured by.
+    cells = (None if m is None or np.isnan(m).all() else mean_estimate(m, clusters, config=config) for m in measures)
+    return Row(name, (*cells, records.num_rows))
 
 
 def systems_table(systems: Sequence[Row], unit: str, shares: Mapping[str, str] = NOTHING_SHARED) -> Table:
@@ -142,3 +152,85 @@ def problem_warnings(records: pa.Table) -> tuple[str, ...]:
         return ()
     first = next(reason.as_py() for reason in problems if reason.is_valid)
     return (f"{unasked} of {len(problems)} expressions have no answer that the system could give; the first: {first}",)
+
+
+def relation_gain(
+    records: pa.Table, overlap: str = "iou", config: BootstrapConfig | None = None
+) -> tuple[Estimate, McNemar]:
+    """Accuracy of OPM+SRM+PRM less that of OPM alone, paired, with a clustered interval, and McNemar's exact test.
+
+    `overlap` is "iou" (single truth), "strict_iou" or "set_iou".
+    """
+    clusters, _ = clusters_of(records)
+    own, alone = (column(records, name) >= HIT for name in (overlap, f"opm_{overlap}"))
+    difference = mean_estimate(own.astype(np.float64), clusters, other=alone.astype(np.float64), config=config)
+    return difference, mcnemar(own, alone)
+
+
+def gain_table(
+    systems: Mapping[str, pa.Table], config: BootstrapConfig | None = None, shares: Mapping[str, str] = NOTHING_SHARED
+) -> Table | None:
+    """The gain of every system that has both; None where none has. `shares` as in `systems_table`."""
+    rows = []
+    for name, records in systems.items():
+        if has_opm(records):
+            found = [relation_gain(records, overlap, config) for overlap in ACCURACIES.values()]
+            test = found[0][1]
+            cells = (*(d for d, _ in found), test.b, test.c, f"{test.p_value:.2g}", test.n)
+            rows.append(Row(name, cells, shares=shares.get(name, "")))
+    if not rows:
+        return None
+    return Table(
+        "gain",
+        "What the relation adds to OPM only",
+        COLUMNS,
+        in_blocks(rows, shares.values()),
+        "Points of accuracy, paired, with 95 % bootstrap intervals as above; right only with the relation, right only "
+        "by the detector's best target, and McNemar's exact test are of the single truth.",
+    )
+
+
+class Reported(BaseModel):
+    """One published line: figures by the measure's name, as shares, and where they stand."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    table: str
+    name: str
+    source: str = Field(min_length=1)
+    figures: dict[str, float]
+
+
+class Publications(BaseModel):
+    """The file."""
+
+    model_config = ConfigDict(extra="forbid")
+
+    rows: list[Reported]
+
+
+def read_reported(path: Path = FIGURES) -> tuple[Reported, ...]:
+    """All published lines of a file.
+
+    Raises
+    ------
+    InputError
+        It is missing or of another shape.
+    """
+    try:
+        return tuple(Publications.model_validate_json(path.read_bytes()).rows)
+    except FileNotFoundError as error:
+        raise InputError("there is no such file of published figures", path=path) from error
+    except ValidationError as error:
+        first = error.errors()[0]
+        where = ".".join(str(p) for p in first["loc"])
+        raise InputError(f"published figures: {where}: {first['msg']}", path=path) from error
+
+
+def reported_rows(table: str = "grounding", columns: tuple[str, ...] = MEASURES, path: Path = FIGURES) -> list[Row]:
+    """The published lines of a table; a measure that was not published is left blank."""
+    return [
+        Row(f"{line.name}, {line.source}", tuple(line.figures.get(c) for c in columns), "reported")
+        for line in read_reported(path)
+        if line.table == table
+    ]

@@ -12,30 +12,27 @@ from typing import TYPE_CHECKING, Any
 
 from pipeline.evaluation.calibration_tables import calibration_table, calibration_warnings, recorded_config
 from pipeline.evaluation.compare import Comparison, compare, read_records
-from pipeline.evaluation.confidence import median_confidence
-from pipeline.evaluation.gain_tables import gain_table
 from pipeline.evaluation.grounding_tables import (
     OPM_ONLY,
     clusters_of,
     full_row,
+    gain_table,
     has_opm,
     opm_row,
     problem_warnings,
     relation_table,
+    reported_rows,
     stages_table,
     systems_table,
 )
-from pipeline.evaluation.other_runs import other_systems
-from pipeline.evaluation.paper_run import tables_of_folder
-from pipeline.evaluation.raw_scores import is_calibrated, raw_records
-from pipeline.evaluation.relation_cases import labelled_detector
+from pipeline.evaluation.paper_tables import tables_of_folder
+from pipeline.evaluation.records import is_calibrated, raw_records
+from pipeline.evaluation.relation_cases import RelationSpec, labelled_detector
 from pipeline.evaluation.relation_job import measure_relations, relation_sink
 from pipeline.evaluation.relation_report import shares_by_title
-from pipeline.evaluation.relation_systems import RelationSpec
 from pipeline.evaluation.report import diagnose_run
-from pipeline.evaluation.reported import reported_rows
-from pipeline.evaluation.run import EvalSpec, Progress, evaluate_labels, write_records
-from pipeline.evaluation.run_folder import RUN_FILE, Run, open_run, spec_record
+from pipeline.evaluation.run import EvalSpec, Progress, evaluate_labels, median_confidence, write_records
+from pipeline.evaluation.run_folder import RUN_FILE, Run, open_run, other_systems, spec_record
 from pipeline.evaluation.shared_makers import Share, measured_of, rank, shared_makers, title_of, titles_of, with_caveats
 from pipeline.labels.makers import makers_of
 from pipeline.labels.merge import environment
@@ -189,8 +186,7 @@ def evaluate_dataset(
         if comparison is not None:
             write_json(folder / "comparison.json", comparison.record())
         if plots:
-            from pipeline.evaluation.plots import draw
-            from pipeline.evaluation.relation_plots import draw_relations
+            from pipeline.evaluation.plots import draw, draw_relations
 
             if spec.grounding:
                 draw(systems, tables, folder / "plots", titles_of(shares))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from html import escape
 from pathlib import Path
 from typing import Any
 
@@ -10,11 +11,26 @@ import numpy as np
 
 from pipeline.diagnosis.verdict import VERDICTS
 from pipeline.evaluation.confusion import Confusion
-from pipeline.evaluation.plot_parts import ADDS_UP, LOSS_COLORS, VERDICT_COLORS, interval, shares_of_rows, waterfall
+from pipeline.evaluation.plot_parts import (
+    ADDS_UP,
+    LOSS_COLORS,
+    VERDICT_COLORS,
+    interval,
+    moving_figure,
+    plain,
+    shares_of_rows,
+    waterfall,
+    write_figures,
+)
 from pipeline.evaluation.slices import Slices
-from pipeline.evaluation.summary import RunSummary
-from pipeline.labels.report.style import FULL, INK, QUIET, new_figure, save_figure, short
+from pipeline.evaluation.summary import RunSummary, residual_words
+from pipeline.labels.report.style import FULL, INK, QUIET, house_style, new_figure, save_figure, short
 from pipeline.language.relation_names import PHRASE
+from pipeline.metrics.intervals import Estimate
+
+_STYLE = (
+    "<style>body{font-family:Arial,sans-serif;max-width:1100px;margin:auto}p{color:#5b6470;font-size:13px}</style>"
+)
 
 SHOWN = ("relation", "class", "distance", "size", "occlusion", "same_class", "label_margin")
 MOST_SHOWN = 12
@@ -44,9 +60,6 @@ def draw_diagnosis(
     caveat : str
         What the figures are where truth and systems have a maker in common: before what stands below each title.
     """
-    from pipeline.evaluation.loss_plots_page import write_page
-    from pipeline.labels.report.style import house_style
-
     out.mkdir(parents=True, exist_ok=True)
     written = []
     above = f"{caveat[0].upper()}{caveat[1:]}. " if caveat else ""
@@ -81,10 +94,10 @@ def _verdicts(summaries: Mapping[str, RunSummary], above: str, path: Path) -> Pa
         axes.errorbar(
             value, at, xerr=np.array([interval(s.estimate) for s in shares]).T, fmt="none", ecolor=INK, elinewidth=0.8
         )
-        for place, share in zip(at, shares, strict=True):
-            said = f"{short(name)}: {share.count}" if len(summaries) > 1 else f"{share.count}"
+        for index, share in zip(at, shares, strict=True):
+            text = f"{short(name)}: {share.count}" if len(summaries) > 1 else f"{share.count}"
             end = 100 * share.estimate.value + interval(share.estimate)[1]
-            axes.text(end + 0.8, place, said, va="center", fontsize=8.5, color=QUIET)
+            axes.text(end + 0.8, index, text, va="center", fontsize=8.5, color=QUIET)
     axes.set_yticks(y, VERDICTS)
     axes.invert_yaxis()
     axes.set_xlim(0, 105)
@@ -139,8 +152,8 @@ def _slices(system: str, slices: Sequence[Slices], above: str, path: Path) -> Pa
         "another right answer.",
     )  # fmt: skip
     seen: dict[str, Any] = {}
-    for place, cut in enumerate(chosen):
-        axes = figure.add_subplot((len(chosen) + 1) // 2, 2, place + 1)
+    for index, cut in enumerate(chosen):
+        axes = figure.add_subplot((len(chosen) + 1) // 2, 2, index + 1)
         rows = [s for s in cut.slices if s.system == system][:MOST_SHOWN]
         left = np.zeros(len(rows))
         for verdict in VERDICTS:
@@ -176,3 +189,105 @@ def _confusion(found: Confusion, above: str, path: Path) -> Path:
     axes.spines[:].set_visible(False)
     save_figure(figure, path)
     return path
+
+
+def write_page(
+    summaries: Mapping[str, RunSummary],
+    slices: Sequence[Slices],
+    confusions: Sequence[Confusion],
+    path: Path,
+    caveats: str = "",
+) -> Path:
+    """Write `diagnosis.html`, the `caveats` at its top; every bar says the search that finds its expressions."""
+    parts: list[Any] = []
+    if summaries:
+        parts.append(_verdicts_figure(summaries))
+        for name, summary in summaries.items():
+            parts += [_oracles_figure(name, summary), _paragraph(f"{ADDS_UP} {name}: {residual_words(summary)}.")]
+    for cut in slices:
+        parts += [_slices_figure(system, cut) for system in dict.fromkeys(s.system for s in cut.slices if s.verdicts)]
+    for found in confusions:
+        parts += [_confusion_figure(found), _paragraph(found.note)]
+    return write_figures(parts, "Diagnosis", path, caveats, _STYLE)
+
+
+def _paragraph(text: str) -> str:
+    return f"<p>{escape(text)}</p>"
+
+
+def _errors(estimates: Sequence[Estimate]) -> dict[str, Any]:
+    reach = [interval(e) for e in estimates]
+    return {"type": "data", "array": [above for _, above in reach], "arrayminus": [below for below, _ in reach]}
+
+
+def _verdicts_figure(summaries: Mapping[str, RunSummary]) -> Any:
+    figure = moving_figure()
+    for name, summary in summaries.items():
+        shares = [summary.verdicts[v] for v in VERDICTS]
+        figure.add_bar(
+            x=list(VERDICTS), y=[100 * s.estimate.value for s in shares], name=plain(name),
+            marker_color=[VERDICT_COLORS[v] for v in VERDICTS], error_y=_errors([s.estimate for s in shares]),
+            customdata=[[s.count, f"verdict:{v}"] for v, s in zip(VERDICTS, shares, strict=True)],
+            hovertemplate="%{x}: %{y:.1f} %<br>%{customdata[0]} expressions<br>search: %{customdata[1]}",
+        )  # fmt: skip
+    figure.update_layout(title="Verdicts", yaxis_title="share of expressions (%)", barmode="group", showlegend=False)
+    return figure
+
+
+def _oracles_figure(name: str, summary: RunSummary) -> Any:
+    bars = waterfall(summary)
+    figure = moving_figure()
+    figure.add_bar(
+        x=[k for k, _, _ in bars], y=[100 * e.value for _, _, e in bars], base=[100 * s for _, s, _ in bars],
+        marker_color=[LOSS_COLORS[k] for k, _, _ in bars], error_y=_errors([e for _, _, e in bars]),
+        name="Shapley: adds up", offsetgroup="0", customdata=[e.formatted() for _, _, e in bars],
+        hovertemplate="%{x}: %{customdata}",
+    )  # fmt: skip
+    single = summary.deltas.single
+    figure.add_bar(
+        x=list(single), y=[100 * e.value for e in single.values()], base=100 * float(summary.deltas.value[0]),
+        marker={"color": "rgba(0,0,0,0)", "line": {"color": [LOSS_COLORS[k] for k in single], "width": 2}},
+        error_y=_errors(list(single.values())), name="alone: does not add up", offsetgroup="1",
+        customdata=[e.formatted(signed=True) for e in single.values()], hovertemplate="%{x} alone: %{customdata}",
+    )  # fmt: skip
+    figure.update_layout(
+        title=f"What each module costs: {plain(name)}", yaxis_title="set-valued accuracy (%)", barmode="group"
+    )
+    return figure
+
+
+def _slices_figure(system: str, cut: Slices) -> Any:
+    rows = [s for s in cut.slices if s.system == system]
+    figure = moving_figure()
+    for verdict in VERDICTS:
+        if not any(s.counts[verdict] for s in rows):
+            continue
+        search = [
+            "–" if s.query is None else " ".join([*([s.query] if s.query else []), f"verdict:{verdict}"]) for s in rows
+        ]
+        figure.add_bar(
+            x=[plain(s.name) for s in rows], y=[100 * s.verdicts[verdict].value for s in rows], name=verdict,
+            marker_color=VERDICT_COLORS[verdict],
+            customdata=[
+                [s.counts[verdict], s.n, plain(q), s.set_correct.formatted()]
+                for s, q in zip(rows, search, strict=True)
+            ],
+            hovertemplate="%{x}: %{y:.1f} % " + verdict + "<br>%{customdata[0]} of %{customdata[1]} expressions"
+            "<br>set-valued accuracy %{customdata[3]}<br>search: %{customdata[2]}",
+        )  # fmt: skip
+    figure.update_layout(
+        title=f"Verdicts by {cut.dimension.title}: {plain(system)}", yaxis_title="share (%)", barmode="stack",
+        xaxis={"type": "category"},
+    )  # fmt: skip
+    return figure
+
+
+def _confusion_figure(found: Confusion) -> Any:
+    figure = moving_figure()
+    figure.add_heatmap(
+        z=100 * shares_of_rows(found), x=[PHRASE.get(c, c) for c in found.columns],
+        y=[PHRASE.get(r, r) for r in found.rows], text=found.counts, texttemplate="%{text}", colorscale="Blues",
+        zmin=0, zmax=100, hovertemplate="%{y} → %{x}: %{text} (%{z:.1f} %)<extra></extra>",
+    )  # fmt: skip
+    figure.update_layout(title=plain(found.title), yaxis={"autorange": "reversed"})
+    return figure

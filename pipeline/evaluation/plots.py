@@ -8,9 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.evaluation.calibration_plots import draw_reliability, reliability_figures, score_diagrams
 from pipeline.evaluation.grounding_tables import OPM_ONLY, column, has_opm
-from pipeline.labels.report.style import house_style, need_matplotlib, with_caveat
+from pipeline.evaluation.plot_parts import Bars, bar_figure, draw_bars, drawing, moving_figure, plain, write_figures
+from pipeline.evaluation.records import detector_scores, is_calibrated
+from pipeline.evaluation.relation_report import SystemFigures
+from pipeline.labels.report.style import INK, QUIET, need_matplotlib, with_caveat
+from pipeline.language.relation_names import PAIRWISE, PHRASE
+from pipeline.metrics.calibration_metrics import ECE_BINS, ReliabilityDiagram, reliability_diagram
 from pipeline.metrics.intervals import Estimate
 from pipeline.metrics.tables import Table, caveats_html
 from pipeline.system.errors import MissingExtra
@@ -18,10 +22,18 @@ from pipeline.system.errors import MissingExtra
 if TYPE_CHECKING:
     import pyarrow as pa
 
+SCORE_TONES = {"raw scores": "#ee7733", "calibrated": "#0077bb"}
+Diagrams = dict[str, dict[str, ReliabilityDiagram]]
+"""By system, then by kind of score."""
+
+Lines = tuple[np.ndarray, dict[str, np.ndarray]]
+"""x, and curves by name."""
+
 SWEEP = np.linspace(0.05, 0.95, 19)
 TONES = ("#0077bb", "#ee7733", "#009988", "#cc3311", "#33bbee", "#ee3377")
 """Paul Tol's vibrant scheme, which people with any colour vision can tell apart."""
 PALE_TONE = "#b4bdca"
+ACCURACY = "set-valued accuracy (%)"
 
 
 def need_plots() -> None:
@@ -51,34 +63,32 @@ def draw(systems: Mapping[str, pa.Table], tables: Sequence[Table], out: Path, ca
     bars = relation_bars(next(t for t in tables if t.key == "relations"))
     sweeps = {name: overlap_sweep(records) for name, records in systems.items()}
     rivals = {name: by_rivals(records) for name, records in systems.items()}
-    written = [
-        _draw_bars(bars, caveat, out / "relations.png"),
-        _draw_lines(
-            sweeps, with_caveat("Accuracy by the overlap that is asked for", caveat),
-            "overlap (IoU)", "set-valued accuracy (%)", out / "overlap.png",
-        ),
-        _draw_lines(
-            rivals, with_caveat("Accuracy by how many objects share the target's class", caveat),
-            "objects of the class", "set-valued accuracy (%)", out / "classes.png",
-        ),
-    ]  # fmt: skip
+    tones = _tones(bars[1])
     diagrams = score_diagrams(systems)
+    title = "Accuracy by relation"
+    shown = with_caveat(f"{title}, with 95 % intervals", caveat)
+    written = [draw_bars(bars, tones, shown, ACCURACY, out / "relations.png", 3.4)]
+    figures = [bar_figure(bars, tones, title, ACCURACY)]
+    for curves, title, x_label, file in (
+        (sweeps, "Accuracy by the overlap that is asked for", "overlap (IoU)", "overlap.png"),
+        (rivals, "Accuracy by how many objects share the target's class", "objects of the class", "classes.png"),
+    ):
+        written.append(_draw_lines(curves, with_caveat(title, caveat), x_label, out / file))
+        figures.append(_line_figure(curves, title, x_label))
     if diagrams:
         written.append(draw_reliability(diagrams, caveat, out / "calibration.png"))
-    written.append(_page(bars, sweeps, rivals, reliability_figures(diagrams), caveats_html(tables), out / "plots.html"))
-    return written
-
-
-Bars = tuple[tuple[str, ...], dict[str, list[Estimate]]]
-"""Relations, and each system's figures of them."""
-Lines = tuple[np.ndarray, dict[str, np.ndarray]]
-"""x, and curves by name."""
+    figures += reliability_figures(diagrams)
+    return [*written, write_figures(figures, "Evaluation", out / "plots.html", caveats_html(tables))]
 
 
 def relation_bars(table: Table) -> Bars:
     """The relation table as bars."""
     found = {row.name: [c for c in row.cells if isinstance(c, Estimate)] for row in table.rows}
-    return table.columns, {name: cells for name, cells in found.items() if cells}
+    return table.columns, {
+        name: 100 * np.array([[getattr(c, end) for c in cells] for end in ("value", "low", "high")])
+        for name, cells in found.items()
+        if cells
+    }
 
 
 def overlap_sweep(records: pa.Table) -> Lines:
@@ -110,99 +120,164 @@ def _tones(rows: Mapping[str, Any]) -> dict[str, str]:
     return {name: own.get(name, PALE_TONE) for name in rows}
 
 
-def _draw_bars(bars: Bars, caveat: str, path: Path) -> Path:
-    import matplotlib.pyplot as plt
-
-    relations, systems = bars
-    with house_style():
-        figure, axes = plt.subplots(figsize=(8, 3.4), dpi=200, layout="constrained")
-        width = 0.8 / max(len(systems), 1)
-        tones = _tones(systems)
-        for k, (name, cells) in enumerate(systems.items()):
-            x = np.arange(len(relations)) + (k - (len(systems) - 1) / 2) * width
-            value = np.array([100 * c.value for c in cells])
-            axes.bar(x, value, width * 0.92, label=name, color=tones[name])
-            low, high = (np.array([100 * getattr(c, n) for c in cells]) for n in ("low", "high"))
-            known = np.isfinite(low)
-            if known.any():
-                error = np.stack([value - low, high - value])[:, known].clip(0)
-                axes.errorbar(x[known], value[known], error, fmt="none", ecolor="#1f2630", elinewidth=0.8)
-        axes.set_xticks(np.arange(len(relations)), relations)
-        axes.set_ylim(0, 105)
-        axes.set_ylabel("set-valued accuracy (%)")
-        axes.set_title(with_caveat("Accuracy by relation, with 95 % intervals", caveat))
-        axes.grid(axis="y")
-        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=2)
-        figure.savefig(path)
-        plt.close(figure)
-    return path
-
-
-def _draw_lines(curves: Mapping[str, Lines], title: str, x_label: str, y_label: str, path: Path) -> Path:
-    import matplotlib.pyplot as plt
-
-    with house_style():
-        figure, axes = plt.subplots(figsize=(6, 3.4), dpi=200, layout="constrained")
+def _draw_lines(curves: Mapping[str, Lines], title: str, x_label: str, path: Path) -> Path:
+    with drawing(path, figsize=(6, 3.4)) as axes:
         for k, (system, (x, lines)) in enumerate(curves.items()):
             for label, y in lines.items():
                 style = "--" if label == "OPM only" else "-"
                 axes.plot(x, 100 * y, style, color=TONES[k % len(TONES)], label=f"{system}, {label}", marker=".")
         axes.set_ylim(0, 105)
         axes.set_xlabel(x_label)
-        axes.set_ylabel(y_label)
+        axes.set_ylabel(ACCURACY)
         axes.set_title(title)
         axes.grid(axis="y")
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.18), ncols=2)
-        figure.savefig(path)
-        plt.close(figure)
     return path
 
 
-def _page(
-    bars: Bars,
-    sweeps: Mapping[str, Lines],
-    rivals: Mapping[str, Lines],
-    more: Sequence[Any],
-    caveats: str,
-    path: Path,
-) -> Path:
-    """One page that needs no network: the library stands in it."""
-    import plotly.graph_objects as go
-    from plotly.offline import get_plotlyjs
+def _line_figure(curves: Mapping[str, Lines], title: str, x_label: str) -> Any:
+    figure = moving_figure()
+    for k, (system, (x, lines)) in enumerate(curves.items()):
+        for label, y in lines.items():
+            line = {"color": TONES[k % len(TONES)], "dash": "dash" if label == "OPM only" else "solid"}
+            figure.add_scatter(x=x, y=100 * y, name=plain(f"{system}, {label}"), line=line)
+    return figure.update_layout(title=title, xaxis_title=x_label, yaxis_title=ACCURACY)
 
-    relations, systems = bars
-    figures: list[Any] = [go.Figure()]
-    tones = _tones(systems)
-    for name, cells in systems.items():
-        value = [100 * c.value for c in cells]
-        figures[0].add_bar(
-            x=list(relations), y=value, name=name,
-            marker_color=tones[name],
-            error_y={"type": "data", "array": [100 * c.high - v for c, v in zip(cells, value, strict=True)],
-                     "arrayminus": [v - 100 * c.low for c, v in zip(cells, value, strict=True)]},
+
+def draw_relations(
+    figures: Sequence[SystemFigures], tables: Sequence[Table], out: Path, caveat: str = ""
+) -> list[Path]:
+    """Write `srm_reliability.png`, `srm_relations.png` and `srm.html` into a folder, which is made if it is missing.
+
+    What the tables of the same figures warn of stands on the page too; `caveat`, what the figures are where truth and
+    scorers have a maker in common, below the titles.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    bars, title = _f1_bars(figures), "F1 of each relation, with 95 % intervals"
+    tones = {f.title: TONES[k % len(TONES)] for k, f in enumerate(figures)}
+    parts = [_curves(figures), bar_figure(bars, tones, title, "F1 (%)")]
+    return [
+        _draw_reliability(figures, caveat, out / "srm_reliability.png"),
+        draw_bars(bars, tones, with_caveat(title, caveat), "F1 (%)", out / "srm_relations.png"),
+        write_figures(parts, "Relations alone", out / "srm.html", caveats_html(tables)),
+    ]
+
+
+def reliability_lines(figures: Sequence[SystemFigures]) -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """By scorer: mean probability, frequency and number of cells of the bins that are not empty."""
+    found = {}
+    for system in figures:
+        diagram = system.calibration.pooled
+        some = diagram.count > 0
+        found[system.title] = (diagram.confidence[some], diagram.frequency[some], diagram.count[some])
+    return found
+
+
+def _f1_bars(figures: Sequence[SystemFigures]) -> Bars:
+    """NaN where a scorer does not judge a relation."""
+    relations = [r for r in PAIRWISE if any(r in f.metrics.relations for f in figures)]
+    rows = {}
+    for system in figures:
+        own = dict(zip(system.metrics.relations, system.estimates.f1, strict=True))
+        ends = [[getattr(own[r], k) if r in own else np.nan for r in relations] for k in ("value", "low", "high")]
+        rows[system.title] = 100 * np.array(ends, np.float64)
+    return [PHRASE[r] for r in relations], rows
+
+
+def _draw_reliability(figures: Sequence[SystemFigures], caveat: str, path: Path) -> Path:
+    with drawing(path, figsize=(5, 5)) as axes:
+        axes.plot([0, 100], [0, 100], color=PALE_TONE, linestyle="--", linewidth=1)
+        for k, (title, (confidence, frequency, _)) in enumerate(reliability_lines(figures).items()):
+            ece = 100 * figures[k].calibration.pooled_ece
+            axes.plot(
+                100 * confidence, 100 * frequency, color=TONES[k % len(TONES)], marker=".",
+                label=f"{title} (ECE {ece:.1f})",
+            )  # fmt: skip
+        axes.set_xlim(0, 100)
+        axes.set_ylim(0, 100)
+        axes.set_aspect("equal")
+        axes.set_xlabel("probability that is given (%)")
+        axes.set_ylabel("share that holds (%)")
+        axes.set_title(with_caveat("Do probabilities of relations mean what they say?", caveat))
+        axes.grid()
+        axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=1)
+    return path
+
+
+def _curves(figures: Sequence[SystemFigures]) -> Any:
+    curves = moving_figure()
+    curves.add_scatter(x=[0, 100], y=[0, 100], name="exact", line={"color": PALE_TONE, "dash": "dash"})
+    for k, (title, (confidence, frequency, count)) in enumerate(reliability_lines(figures).items()):
+        curves.add_scatter(
+            x=100 * confidence, y=100 * frequency, name=plain(title), mode="lines+markers",
+            line={"color": TONES[k % len(TONES)]}, customdata=count,
+            hovertemplate="given %{x:.1f} %, holds %{y:.1f} %, %{customdata} cells",
         )  # fmt: skip
-    figures[0].update_layout(title="Accuracy by relation", yaxis_title="set-valued accuracy (%)", barmode="group")
-    for curves, title, x_label in (
-        (sweeps, "Accuracy by the overlap that is asked for", "overlap (IoU)"),
-        (rivals, "Accuracy by how many objects share the target's class", "objects of the class"),
-    ):
-        figure = go.Figure()
-        for k, (system, (x, lines)) in enumerate(curves.items()):
-            for label, y in lines.items():
-                dash = "dash" if label == "OPM only" else "solid"
-                figure.add_scatter(
-                    x=x, y=100 * y, name=f"{system}, {label}", line={"color": TONES[k % len(TONES)], "dash": dash}
-                )
-        figure.update_layout(title=title, xaxis_title=x_label, yaxis_title="set-valued accuracy (%)")
-        figures.append(figure)
-    figures += more
-    parts = []
-    for figure in figures:
-        figure.update_layout(template="plotly_white", font={"family": "Arial, sans-serif", "size": 13})
-        parts.append(figure.to_html(full_html=False, include_plotlyjs=False))
-    path.write_text(
-        "<!doctype html><html><head><meta charset='utf-8'><title>Evaluation</title>"
-        f"<script>{get_plotlyjs()}</script></head><body>{caveats}{''.join(parts)}</body></html>",
-        encoding="utf-8",
-    )
+    return curves.update_layout(
+        title="Do probabilities of relations mean what they say?", xaxis_title="probability that is given (%)",
+        yaxis_title="share that holds (%)", width=760, height=700,
+    )  # fmt: skip
+
+
+def score_diagrams(systems: Mapping[str, pa.Table]) -> Diagrams:
+    """Reliability by raw and by calibrated scores, of every system whose scores are calibrated."""
+    found: Diagrams = {}
+    for name, records in systems.items():
+        if is_calibrated(records):
+            scores = detector_scores(records)
+            pairs = zip(SCORE_TONES, (scores.raw, scores.calibrated), strict=True)
+            found[name] = {kind: reliability_diagram(p, scores.hits, ECE_BINS) for kind, p in pairs}
+    return found
+
+
+def draw_reliability(diagrams: Diagrams, caveat: str, path: Path) -> Path:
+    """One panel a system: the share of hits by score, and below how many detections have it."""
+    wide = 4.2 * len(diagrams) + 0.6
+    with drawing(
+        path, nrows=2, ncols=len(diagrams), figsize=(wide, 4.6), squeeze=False, sharex=True, height_ratios=(3, 1)
+    ) as axes:
+        for k, (system, kinds) in enumerate(diagrams.items()):
+            upper, lower = axes[:, k]
+            upper.plot([0, 1], [0, 100], color=QUIET, linewidth=0.8, linestyle=":", label="as likely as it says")
+            for n, (kind, diagram) in enumerate(kinds.items()):
+                there = diagram.count > 0
+                text, happened = diagram.confidence[there], 100 * diagram.frequency[there]
+                upper.plot(text, happened, marker="o", markersize=3.5, color=SCORE_TONES[kind],
+                           label=f"{kind}, ECE {diagram.ece:.3f}")  # fmt: skip
+                middle = (diagram.edges[:-1] + diagram.edges[1:]) / 2 + (n - 0.5) * 0.4 / ECE_BINS
+                lower.bar(middle, diagram.count, 0.36 / ECE_BINS, color=SCORE_TONES[kind])
+            upper.set_title(system, color=INK)
+            upper.set_xlim(0, 1)
+            upper.set_ylim(0, 105)
+            upper.set_ylabel("hits, IoU of at least 0.5 (%)")
+            upper.grid(axis="y")
+            upper.legend(loc="lower right")
+            lower.set_xlabel("score")
+            lower.set_ylabel("detections")
+        if caveat:
+            title = with_caveat("Reliability of the detector's scores", caveat)
+            axes[0, 0].figure.suptitle(title, fontsize=9, color=INK)
     return path
+
+
+def reliability_figures(diagrams: Diagrams) -> list[Any]:
+    """The same to move about in."""
+    figures = []
+    for system, kinds in diagrams.items():
+        figure = moving_figure()
+        figure.add_scatter(
+            x=[0, 1], y=[0, 100], mode="lines", name="as likely as it says", line={"color": QUIET, "dash": "dot"}
+        )
+        for kind, diagram in kinds.items():
+            there = diagram.count > 0
+            figure.add_scatter(
+                x=diagram.confidence[there], y=100 * diagram.frequency[there], name=f"{kind}, ECE {diagram.ece:.3f}",
+                mode="lines+markers", line={"color": SCORE_TONES[kind]}, customdata=np.array(diagram.count[there]),
+                hovertemplate="score %{x:.3f}<br>hits %{y:.1f} %<br>%{customdata} detections",
+            )  # fmt: skip
+        figure.update_layout(
+            title=f"Reliability of the detector's scores: {system}", xaxis_title="score",
+            yaxis_title="hits, IoU of at least 0.5 (%)",
+        )  # fmt: skip
+        figures.append(figure)
+    return figures

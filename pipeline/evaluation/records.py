@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -9,13 +11,29 @@ import numpy as np
 from pipeline.answering.answering import FrameAnswers
 from pipeline.answering.pair_table import PairTable, ScoredPair
 from pipeline.answering.ranking import alone
-from pipeline.diagnosis.columns import DIAGNOSIS_COLUMNS
+from pipeline.diagnosis.substitution import CONF, LIFT, SRM
 from pipeline.geometry.boxes import iou_2d
 from pipeline.labels.cases import HIT, Case, FrameCases, is_gold
 from pipeline.language.expression import Query
 
 if TYPE_CHECKING:
     import pyarrow as pa
+
+    from pipeline.diagnosis.verdict import Diagnosis
+
+DIAGNOSIS_COLUMNS: dict[str, str] = {
+    "verdict": "string", "detail": "string", "lucky": "bool", "said": "string", "repair": "strings",
+    "mends": "strings", "right_with": "int32",
+    "margin": "float32", "margin_lift": "float32", "margin_srm": "float32", "margin_conf": "float32",
+    "false_target": "bool", "false_reference": "bool",
+    "missed_name": "string", "missed_overlap": "float32", "missed_score": "float32", "missed_rank": "int32",
+    "object_size": "float32", "object_distance": "float32", "object_occluded": "float32", "object_pixels": "int32",
+}  # fmt: skip
+"""`verdict` and the rest of `pipeline.diagnosis.verdict.Diagnosis`; `said` is it in words; `mends` names each oracle
+that alone would do. `right_with` has bit s set where the target is right with subset s of the oracles (RECALL 1, LIFT
+2, SRM 4, CONF 8). `margin…` is S of the best acceptable pair less S of the best other one, as it is and with one
+oracle. `object_…` is the labelled target: longest edge of its box and distance in metres, occluded share of its border,
+pixels of its mask."""
 
 
 RAW = (
@@ -53,7 +71,7 @@ COLUMNS |= {f"{end}_{what}": kind for end in ("target", "reference") for what, k
 """The columns of `records.parquet`. Places of objects are those of the labels, ranks count from 1 and are null where
 nothing fits; `right_…` is the best-scoring acceptable pair among the candidates; overlaps are 0 without an answer.
 `degenerate` is set where all pairs are one thing, so that the detector's best target answers alone, as in `ask`.
-`raw_…`, `target_scores` and so on are null where scores are not calibrated: see `pipeline.evaluation.raw_scores`; the
+`raw_…`, `target_scores` and so on are null where scores are not calibrated: see `raw_columns`; the
 columns of the diagnosis for systems that are not the pipeline."""
 
 
@@ -232,3 +250,123 @@ def _winner(
         "matched_reference": None if b < 0 else int(b),
         "label_state": None if a < 0 or b < 0 else int(truth.states[case.relation][a, b]),
     }  # fmt: skip
+
+
+def diagnosis_columns(d: Diagnosis) -> dict[str, Any]:
+    """The cells of one expression."""
+    missed, truth, k = d.missed, d.truth, d.case.target_object
+    return {
+        "verdict": d.verdict, "detail": d.detail, "lucky": d.lucky, "said": d.text, "repair": list(d.repair),
+        "mends": list(d.mends), "right_with": d.right_with,
+        "margin": _finite(d.margins[0]), "margin_lift": _finite(d.margins[LIFT]), "margin_srm": _finite(d.margins[SRM]),
+        "margin_conf": _finite(d.margins[CONF]),
+        "false_target": d.false_target, "false_reference": d.false_reference,
+        "missed_name": d.missed_name,
+        "missed_overlap": None if missed is None else missed.overlap,
+        "missed_score": None if missed is None else missed.score,
+        "missed_rank": None if missed is None else missed.rank,
+        "object_size": _finite(truth.geometry["size"][k].max()),
+        "object_distance": _finite(truth.facts["distance"][k]), "object_occluded": _finite(truth.facts["occluded"][k]),
+        "object_pixels": int(truth.facts["mask_pixels"][k]),
+    }  # fmt: skip
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def by_raw_scores(answers: FrameAnswers) -> FrameAnswers | None:
+    """The same frame with the detector's own scores; None where they are not calibrated.
+
+    Detections, boxes and relations are those of the first answer; only the ranking differs.
+    """
+    if answers.source.config.score_calibration is None or answers.source.needed_detector().exact:
+        return None
+    raw = copy.copy(answers)
+    raw.candidates = {
+        name: found if found.raw_scores is None else replace(found, scores=found.raw_scores)
+        for name, found in answers.candidates.items()
+    }
+    return raw
+
+
+def raw_columns(
+    case: Case,
+    truth: FrameCases,
+    answers: FrameAnswers,
+    raw: FrameAnswers,
+    parsed: tuple[Query | None, str | None],
+    overlap: np.ndarray,
+) -> dict[str, Any]:
+    """What an expression's row says of the raw scores: the answer by them, and which detections are hits.
+
+    A hit has an IoU of at least 0.5 with a labelled object of the class that was asked for; `overlap` is that of each
+    detection with each labelled object, (D, N) float64.
+    """
+    second = record(case, truth, raw, parsed, overlap)
+    found: dict[str, Any] = {f"raw_{name}": second[name] for name in RAW}
+    ends = (("target", case.target, case.target_object), ("reference", case.reference, case.reference_object))
+    for end, name, labelled in ends:
+        own, plain = answers.candidates[name], raw.candidates[name]
+        alike = np.broadcast_to(truth.alike[labelled], (len(own.index), len(truth.labels)))
+        hits = matched(overlap[own.index], alike) >= 0
+        lists = (plain.scores.tolist(), own.scores.tolist(), hits.tolist())
+        found |= {f"{end}_{what}": values for what, values in zip(DETECTIONS, lists, strict=True)}
+    return found
+
+
+def is_calibrated(records: pa.Table) -> bool:
+    """Whether the records hold the answers by raw scores too; those of earlier releases do not."""
+    return "raw_iou" in records.column_names and records.column("raw_iou").null_count < records.num_rows
+
+
+def raw_records(records: pa.Table) -> pa.Table:
+    """The records with the answers by the detector's own scores in place of those that were given.
+
+    Columns of the ranking itself (probabilities, margins) stay those of the calibrated one.
+    """
+    for name in RAW:
+        index = records.column_names.index(name)
+        records = records.set_column(index, records.schema.field(name), records.column(f"raw_{name}"))
+    return records
+
+
+@dataclass(frozen=True)
+class DetectorScores:
+    """All detections of a run, each once: a name is asked once of a frame.
+
+    Attributes
+    ----------
+    raw, calibrated : (D,) float64
+    hits : (D,) bool
+    frames, scenes : (D,) str
+        Of each.
+    """
+
+    raw: np.ndarray
+    calibrated: np.ndarray
+    hits: np.ndarray
+    frames: np.ndarray
+    scenes: np.ndarray
+
+    @property
+    def clusters(self) -> np.ndarray:
+        """(D,) what resembles each other: the scene; the frame where there is one scene only."""
+        return self.scenes if len(np.unique(self.scenes)) > 1 else self.frames
+
+
+def detector_scores(records: pa.Table) -> DetectorScores:
+    """The detections that calibrated records tell of."""
+    parts: dict[tuple[str, str], tuple[Any, Any, Any, str]] = {}
+    for end in ("target", "reference"):
+        columns = ("frame", end, *(f"{end}_{what}" for what in DETECTIONS), "scene")
+        for frame, name, *rest in zip(*(records.column(c).to_pylist() for c in columns), strict=True):
+            if rest[0] is not None:
+                parts.setdefault((frame, name), tuple(rest))
+    lengths = [len(part[0]) for part in parts.values()]
+    raw, calibrated = (
+        np.array([x for part in parts.values() for x in part[k]], np.float64) for k in (0, 1)
+    )
+    hits = np.array([x for part in parts.values() for x in part[2]], np.bool_)
+    frames = np.repeat(np.array([frame for frame, _ in parts], np.str_), lengths)
+    return DetectorScores(raw, calibrated, hits, frames, np.repeat(np.array([p[3] for p in parts.values()]), lengths))

@@ -13,11 +13,20 @@ import numpy as np
 
 from pipeline.answering.objects import PreparedFrame
 from pipeline.answering.opening import Pipeline
-from pipeline.evaluation.relation_cases import FramePairs, read_pairs, score_lifted, score_stored
-from pipeline.evaluation.relation_systems import RelationSpec, RelationSystem, geometry_of_labels, open_systems
+from pipeline.evaluation.relation_cases import (
+    FramePairs,
+    RelationSpec,
+    RelationSystem,
+    geometry_of_labels,
+    open_systems,
+    read_pairs,
+    score_lifted,
+    score_stored,
+)
 from pipeline.labels.reading import Labels
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.metrics.splits import DROPPED, PARTS
+from pipeline.relations.model import OnnxScorer
 from pipeline.system.errors import InputError
 from pipeline.training.label_data import parts_seen
 
@@ -127,7 +136,7 @@ def relation_schema(systems: Sequence[RelationSystem], labels: Labels) -> pa.Sch
     import pyarrow as pa
 
     relations = [r for r in PAIRWISE if r in labels.relation_names]
-    said = [pa.field(s.name, pa.struct([pa.field(r, pa.float32()) for r in s.relations])) for s in systems]
+    text = [pa.field(s.name, pa.struct([pa.field(r, pa.float32()) for r in s.relations])) for s in systems]
     about = [
         {"name": s.name, "title": s.title, "relations": s.relations, "prior": _prior_of(s)} for s in systems
     ]
@@ -141,7 +150,7 @@ def relation_schema(systems: Sequence[RelationSystem], labels: Labels) -> pa.Sch
             pa.field("label_a", pa.string()),
             pa.field("label_b", pa.string()),
             pa.field("state", pa.struct([pa.field(r, pa.int8()) for r in relations])),
-            pa.field("p", pa.struct(said)),
+            pa.field("p", pa.struct(text)),
             pa.field("learnt_from", pa.struct([pa.field(s.name, pa.string()) for s in systems])),
         ],
         metadata={SYSTEMS_KEY: json.dumps(about).encode()},
@@ -149,8 +158,6 @@ def relation_schema(systems: Sequence[RelationSystem], labels: Labels) -> pa.Sch
 
 
 def _prior_of(system: RelationSystem) -> list[float]:
-    from pipeline.relations.model import OnnxScorer
-
     if not system.single_label or not isinstance(system.scorer, OnnxScorer):
         return []
     shares = dict(zip(system.scorer.contract.vocabulary, system.prior, strict=True))
@@ -168,7 +175,7 @@ def _rows(
         return pa.StructArray.from_arrays(values, names=list(names))
 
     names = [np.array(pairs.labels, object)[end].tolist() for end in (pairs.a, pairs.b)]
-    said = [
+    text = [
         struct([pa.array(p[:, k], pa.float32()) for k in range(len(s.relations))], s.relations)
         for s, p in zip(systems, found, strict=True)
     ]
@@ -181,7 +188,7 @@ def _rows(
         pa.array(pairs.numbers[pairs.b].astype(np.int32)),
         *(pa.array(n, pa.string()) for n in names),
         struct([pa.array(pairs.states[:, k]) for k in range(len(pairs.relations))], pairs.relations),
-        struct(said, [s.name for s in systems]),
+        struct(text, [s.name for s in systems]),
         struct([pa.array([part] * count, pa.string()) for part in learnt], [s.name for s in systems]),
     ]
     return pa.Table.from_arrays(columns, schema=schema)
@@ -263,9 +270,9 @@ def read_relation_records(path: Path) -> RelationRecords:
             for k, relation in enumerate(relations):
                 states[part, k] = batch.column("state").field(relation).to_numpy()
             for s, system in enumerate(about):
-                said = batch.column("p").field(system["name"])
+                text = batch.column("p").field(system["name"])
                 for k, relation in enumerate(system["relations"]):
-                    p[s][part, k] = said.field(relation).to_numpy()
+                    p[s][part, k] = text.field(relation).to_numpy()
                 learnt = batch.column("learnt_from").field(system["name"]).to_pylist()
                 parts[s][part] = [numbers[name] for name in learnt]
             start = part.stop

@@ -8,15 +8,21 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pipeline.evaluation.grounding_tables import reported_rows
+from pipeline.evaluation.relation_cases import RelationSystem
 from pipeline.evaluation.relation_records import RelationRecords, SystemRecords
-from pipeline.evaluation.relation_systems import RelationSystem
-from pipeline.evaluation.reported import reported_rows
 from pipeline.evaluation.shared_makers import Share, with_caveats
 from pipeline.language.relation_names import PHRASE
 from pipeline.metrics.calibration_metrics import CalibrationMetrics, calibration_metrics
 from pipeline.metrics.intervals import BootstrapConfig, Estimate, mean_estimate
-from pipeline.metrics.relation_intervals import RelationEstimates, relation_estimates
-from pipeline.metrics.relation_metrics import RelationMetrics, cell_outcomes, multi_label_metrics, tuned_thresholds
+from pipeline.metrics.relation_metrics import (
+    RelationEstimates,
+    RelationMetrics,
+    cell_outcomes,
+    multi_label_metrics,
+    relation_estimates,
+    tuned_thresholds,
+)
 from pipeline.metrics.single_label_metrics import true_ranks
 from pipeline.metrics.splits import DROPPED, TRAIN, VALIDATION
 from pipeline.metrics.tables import NOTHING_SHARED, Cell, Row, Table, in_blocks
@@ -170,7 +176,7 @@ def _rest(
 ) -> tuple[Cell, ...]:
     return (
         metrics.mean_average_precision, calibration.pooled_brier, calibration.pooled_ece, top1, top2,
-        len(metrics.relations), metrics.pairs, int(metrics.doubtful.sum()),
+        len(metrics.relations), metrics.pairs, int(metrics.undecided.sum()),
     )  # fmt: skip
 
 
@@ -188,7 +194,7 @@ def relation_rows(found: SystemFigures, shares: str = "") -> list[Row]:
     rows = []
     for k, relation in enumerate(m.relations):
         figures = (e.precision[k], e.recall[k], e.f1[k], float(found.tuned[k]), float(m.average_precision[k]))
-        cells = (*figures, int(m.positives[k]), int(m.doubtful[k]))
+        cells = (*figures, int(m.positives[k]), int(m.undecided[k]))
         rows.append(Row(f"{found.title}: {PHRASE[relation]}", cells, shares=shares))
     return rows
 
@@ -214,7 +220,7 @@ def relation_tables(
     shares : mapping of str to Share
         What scorers have in common with what made the labels, by their titles.
     """
-    said = " ".join(notes)
+    text = " ".join(notes)
     titles = {f.title: shares[f.title].title if f.title in shares else "" for f in figures}
     rows = (*(system_row(f, titles[f.title]) for f in figures), *no_rows, *reported_rows("srm", MEASURES))
     tables = [
@@ -227,7 +233,7 @@ def relation_tables(
             "the relations that it judges and that were labelled: only rows with the same relations can be compared, "
             "and beside each stands what always saying no gets. U cells count neither way. Top-1 and Top-2: of the "
             "pairs of which exactly one relation holds, for networks that choose one. Brackets: 95 % bootstrap "
-            f"intervals over {unit}s. {said}".strip(),
+            f"intervals over {unit}s. {text}".strip(),
         ),
         Table(
             "srm_relations",
@@ -262,7 +268,7 @@ def leak_warnings(
         Pairs that were learnt from are left out.
     """
     found: dict[str, list[str]] = {}
-    for said, system in zip(records.systems, systems, strict=True):
+    for own, system in zip(records.systems, systems, strict=True):
         if system.unlabelled:
             text = f"measured without {', '.join(system.unlabelled)}, which were not labelled"
             found.setdefault(text + ("; hence no Top-1" if system.prior else ""), []).append(system.name)
@@ -272,10 +278,10 @@ def leak_warnings(
         learnt = system.trained_on
         if learnt is None or not same_dataset(learnt, labels):
             continue
-        seen = said.part != DROPPED
+        seen = own.part != DROPPED
         shared = sorted(set(records.scenes) & set(learnt.scenes))
         if seen.any() and not held_out:
-            train = int((said.part == TRAIN).sum())
+            train = int((own.part == TRAIN).sum())
             text = (
                 f"{train} of {len(seen)} pairs are ones it was trained on and {int(seen.sum()) - train} "
                 f"ones it was calibrated on, in {len(shared)} of {len(records.scenes)} scenes "

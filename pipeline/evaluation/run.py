@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
+import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -13,22 +15,20 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 
 from pipeline.answering.answering import FrameAnswers, StageClock
+from pipeline.answering.ask import propose
 from pipeline.answering.objects import PreparedFrame, prepare_frame
 from pipeline.answering.opening import Pipeline, open_pipeline
 from pipeline.datasets.capabilities import load_picture
-from pipeline.diagnosis.columns import diagnosis_columns
+from pipeline.diagnosis.decision import diagnose
 from pipeline.diagnosis.frame_evidence import DEFAULT_CONFIDENCE, FrameEvidence
-from pipeline.diagnosis.verdict import diagnose
-from pipeline.diagnosis.words import explain
-from pipeline.evaluation.raw_scores import by_raw_scores, raw_columns
-from pipeline.evaluation.records import COLUMNS, record, records_schema
-from pipeline.evaluation.relation_cases import frames_with_pairs
+from pipeline.evaluation.records import COLUMNS, by_raw_scores, diagnosis_columns, raw_columns, record, records_schema
+from pipeline.evaluation.relation_cases import RelationSpec, frames_in, spread
 from pipeline.evaluation.relation_records import RelationPass
-from pipeline.evaluation.relation_systems import RelationSpec
 from pipeline.evaluation.whole_expression import Referring, Vlm, VlmOptions, WholeExpression, record_whole
 from pipeline.geometry.boxes import iou_2d
-from pipeline.labels.cases import Case, FrameCases, read_cases, read_query
+from pipeline.labels.cases import HIT, Case, FrameCases, read_cases, read_query
 from pipeline.labels.reading import Labels, open_labels
+from pipeline.labels.tables import read_table
 from pipeline.language.expression import Query
 from pipeline.proposals.base import reads_annotations
 from pipeline.system.errors import InputError
@@ -36,6 +36,11 @@ from pipeline.system.threads import one_thread, threads_in_children
 
 if TYPE_CHECKING:
     import pyarrow as pa
+
+    from pipeline.labels.reading import Labels
+
+LOOKED_AT = 64
+"""Frames that are looked at, spread evenly over those with expressions: to detect in all would double the cost."""
 
 FRAMES_A_BLOCK = 24
 System = Literal["pipeline", "referring", "vlm"]
@@ -112,9 +117,8 @@ class Evaluator:
         self.clock = StageClock()
         self.relations: RelationPass | None = None
         if spec.relations is not None:
-            chosen = frames_with_pairs(self.labels, spec.relations.frames)
+            chosen = frames_in(self.labels, "relations", spec.relations.frames)
             self.relations = RelationPass(spec.relations, spec.options, self.labels, chosen.tolist())
-        self._grounding = spec.grounding
         self._chosen = chosen_ids(self.labels, spec.limit)
         self._parsed: dict[str, tuple[Query | None, str | None]] = {}
 
@@ -175,28 +179,17 @@ class Evaluator:
         self._parsed.clear()
 
     def _diagnosis(self, evidence: FrameEvidence, case: Case, row: dict[str, Any]) -> dict[str, Any]:
-        diagnosis = diagnose(
-            evidence,
-            case,
-            parse_ok=row["parse_ok"],
-            mark=self.spec.marks.get((row["frame"], case.id)),
-            unfiltered=self.source.unfiltered_detector,
+        mark, query = self.spec.marks.get((row["frame"], case.id)), self._parsed[case.text][0]
+        return diagnosis_columns(
+            diagnose(evidence, case, parse_ok=row["parse_ok"], mark=mark, query=query, problem=row["problem"])
         )
-        said = explain(
-            diagnosis,
-            case,
-            query=self._parsed[case.text][0],
-            problem=row["problem"],
-            unknown=evidence.answers.unknown,
-        )
-        return diagnosis_columns(diagnosis, said, evidence, case)
 
     def block(self, first: int, stop: int) -> tuple[pa.Table, pa.Table | None]:
         """The records of the frames from index `first` up to `stop`: of expressions, and of pairs where asked for."""
         import pyarrow as pa
 
         with self.clock.stage("read"):
-            cases = {t.frame_index: t for t in read_cases(self.labels, first, stop)} if self._grounding else {}
+            cases = {t.frame_index: t for t in read_cases(self.labels, first, stop)} if self.spec.grounding else {}
             pairs = {} if self.relations is None else self.relations.cases(first, stop)
         rows: list[dict[str, Any]] = []
         tables = []
@@ -215,21 +208,16 @@ class Evaluator:
 
 def class_names_of(labels: Labels) -> tuple[str, ...]:
     """The class names of the labelled objects, in order."""
-    import pyarrow.parquet as pq
-
-    column = pq.read_table(labels.root / "objects.parquet", columns=["label"]).column("label")
+    column = read_table(labels.root / "objects.parquet", "objects", ["label"]).column("label")
     return tuple(sorted(column.unique().to_pylist()))
 
 
 def chosen_ids(labels: Labels, limit: int | None) -> set[tuple[int, str]] | None:
     """Which expressions are asked under a limit, evenly over all of them; None for all."""
-    import pyarrow.parquet as pq
-
     if limit is None:
         return None
-    rows = pq.read_table(labels.root / "expressions.parquet", columns=["frame_index", "id"])
-    at = np.unique(np.linspace(0, rows.num_rows - 1, min(limit, rows.num_rows)).astype(int))
-    chosen = rows.take(at)
+    rows = read_table(labels.root / "expressions.parquet", "expressions", ["frame_index", "id"])
+    chosen = rows.take(spread(rows.num_rows, limit))
     return set(zip(chosen.column("frame_index").to_pylist(), chosen.column("id").to_pylist(), strict=True))
 
 
@@ -238,14 +226,6 @@ def table_of(rows: Sequence[dict[str, Any]]) -> pa.Table:
     import pyarrow as pa
 
     return pa.table({name: [row[name] for row in rows] for name in COLUMNS}, records_schema())
-
-
-def frames_with_expressions(labels: Labels) -> np.ndarray:
-    """Indices of the frames that are asked something, in order."""
-    import pyarrow.parquet as pq
-
-    column = pq.read_table(labels.root / "expressions.parquet", columns=["frame_index"]).column("frame_index")
-    return np.unique(column.to_numpy())
 
 
 def blocks_of(index: np.ndarray, frames: int = FRAMES_A_BLOCK) -> tuple[tuple[int, int], ...]:
@@ -282,12 +262,12 @@ def evaluate_labels(
     """
     spec = spec if relations is not None else replace(spec, relations=None)
     _, labels = spec.open()
-    asked = frames_with_expressions(labels) if spec.grounding else np.zeros(0, np.int64)
+    asked = frames_in(labels, "expressions") if spec.grounding else np.zeros(0, np.int64)
     if spec.grounding and not len(asked):
         raise InputError("these labels have no expressions", path=labels.root)
     paired = np.zeros(0, np.int64)
     if spec.relations is not None:
-        paired = frames_with_pairs(labels, spec.relations.frames)
+        paired = frames_in(labels, "relations", spec.relations.frames)
         if not len(paired):
             raise InputError("these labels have no pairs of objects", path=labels.root)
     index = np.union1d(asked, paired)
@@ -334,8 +314,6 @@ _evaluator: Evaluator | None = None
 
 def _start(spec: EvalSpec) -> None:
     global _evaluator
-    import signal
-
     import cv2
 
     signal.signal(signal.SIGINT, signal.SIG_IGN)
@@ -350,8 +328,6 @@ def _block(block: tuple[int, int]) -> tuple[pa.Table, pa.Table | None]:
 
 def write_records(tables: Iterator[pa.Table], path: Path) -> int:
     """Write records as they come, whole or not at all; how many."""
-    import os
-
     import pyarrow.parquet as pq
 
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
@@ -365,3 +341,43 @@ def write_records(tables: Iterator[pa.Table], path: Path) -> int:
     finally:
         temporary.unlink(missing_ok=True)
     return rows
+
+
+def right_scores(source: Pipeline, context: PreparedFrame, truth: FrameCases) -> np.ndarray:
+    """(M,) float64: scores of all candidates that are objects of the class that was asked for, over a frame's names."""
+    detector = source.needed_detector()
+    calibration = None if detector.exact else source.config.score_calibration
+    asked = {case.target: case.target_object for case in truth.cases}
+    asked |= {case.reference: case.reference_object for case in truth.cases}
+    found = [np.zeros(0)]
+    for name, example in asked.items():
+        try:
+            proposals = propose(context, detector, name, source.config.k)
+        except InputError:
+            continue
+        hit = (iou_2d(proposals.boxes, truth.boxes[truth.alike[example]]) >= HIT).any(axis=1)
+        scores = proposals.scores[hit].astype(np.float64)
+        found.append(scores if calibration is None else calibration.apply(scores))
+    return np.concatenate(found)
+
+
+def median_confidence(source: Pipeline, labels: Labels, looked_at: int = LOOKED_AT) -> tuple[float | None, int]:
+    """The median score of right candidates and how many there were; None where there was none.
+
+    Parameters
+    ----------
+    source : Pipeline
+    labels : Labels
+    looked_at : int
+        Frames that are looked at, spread evenly.
+    """
+    found = [np.zeros(0)]
+    for index in frames_in(labels, "expressions", looked_at).tolist():
+        for truth in read_cases(labels, index, index + 1):
+            try:
+                context = prepare_frame(source.dataset, source.dataset.load(truth.frame), source.config.lift)
+                found.append(right_scores(source, context, truth))
+            except InputError:
+                continue
+    scores = np.concatenate(found)
+    return (float(np.median(scores)) if len(scores) else None), len(scores)

@@ -6,7 +6,7 @@ import csv
 import json
 import os
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -18,8 +18,10 @@ from pipeline.answering.ask import AskConfig
 from pipeline.answering.opening import Pipeline, open_pipeline
 from pipeline.datasets.demo import DEMO_NAME
 from pipeline.diagnosis.verdict import VERDICTS
+from pipeline.evaluation.compare import read_records
 from pipeline.evaluation.run import EvalSpec
-from pipeline.evaluation.shared_makers import Share, shares_of_run
+from pipeline.evaluation.shared_makers import Share, measured_of_run, shared_makers, shares_of_run
+from pipeline.labels.makers import Makers
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.proposals.registry import with_model
 from pipeline.system.errors import InputError
@@ -83,8 +85,6 @@ class Run:
         InputError
             They are missing or damaged.
         """
-        from pipeline.evaluation.compare import read_records
-
         return read_records(self.folder)
 
     @cached_property
@@ -175,6 +175,26 @@ def _files(options: Mapping[str, Any]) -> tuple[str, ...]:
     return tuple(k for k in _PATHS if options.get(k) is not None and str(options[k]) not in _WORDS)
 
 
+def read_manifest(folder: Path) -> dict[str, Any]:
+    """The whole of `run.json`.
+
+    Raises
+    ------
+    InputError
+        No run there, or a manifest that cannot be read.
+    """
+    path = folder / RUN_FILE
+    try:
+        manifest = json.loads(path.read_text(encoding="utf-8"))
+        if not isinstance(manifest["name"], str) or not isinstance(manifest.get("labels", {}), dict):
+            raise ValueError("no name of a system, or no labels")
+    except (FileNotFoundError, NotADirectoryError) as error:
+        raise InputError("no evaluation run here", expected="a folder that `eval` wrote", path=folder) from error
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError("the run's manifest cannot be read", got=str(error), path=path) from error
+    return manifest
+
+
 def open_run(folder: str | Path, *, dataset: str | None = None, labels: str | None = None) -> Run:
     """Open a run folder.
 
@@ -190,14 +210,7 @@ def open_run(folder: str | Path, *, dataset: str | None = None, labels: str | No
         No run there, a manifest that cannot be read, or one of an earlier release.
     """
     folder = Path(folder)
-    path = folder / RUN_FILE
-    try:
-        manifest = json.loads(path.read_text(encoding="utf-8"))
-        name = str(manifest["name"])
-    except (FileNotFoundError, NotADirectoryError) as error:
-        raise InputError("no evaluation run here", expected="a folder that `eval` wrote", path=folder) from error
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError("the run's manifest cannot be read", got=str(error), path=path) from error
+    path, manifest = folder / RUN_FILE, read_manifest(folder)
     if not isinstance(manifest.get("spec"), dict):
         raise InputError(
             "the run does not say what it was made of", cause="made by an earlier release? run `eval` again", path=path
@@ -211,7 +224,7 @@ def open_run(folder: str | Path, *, dataset: str | None = None, labels: str | No
         spec = replace(spec, dataset=dataset)
     if labels is not None:
         spec = replace(spec, labels=labels)
-    return Run(folder, name, manifest, spec)
+    return Run(folder, manifest["name"], manifest, spec)
 
 
 def _read_spec(record: Mapping[str, Any], folder: Path) -> EvalSpec:
@@ -235,3 +248,57 @@ def _read_spec(record: Mapping[str, Any], folder: Path) -> EvalSpec:
         confidence=record["confidence"],
         marks={(frame, expression): mark for frame, expression, mark in record["marks"]},
     )
+
+
+@dataclass(frozen=True)
+class OtherSystem:
+    """The system of another run.
+
+    Attributes
+    ----------
+    records : pyarrow.Table
+    shares : tuple of Share
+        What it has in common with what made the labels.
+    """
+
+    records: pa.Table
+    shares: tuple[Share, ...]
+
+
+def other_systems(runs: Sequence[Path], name: str, content_hash: str, makers: Makers) -> dict[str, OtherSystem]:
+    """The systems of other runs by their names.
+
+    A name that is taken is told apart by its run's folder, and by a number where that is not enough.
+
+    Parameters
+    ----------
+    runs : sequence of Path
+    name : str
+        Of the run that they stand beside.
+    content_hash : str
+        Of the expressions that were asked.
+    makers : Makers
+        Of the labels.
+
+    Raises
+    ------
+    InputError
+        There is no run, or it is of other labels.
+    """
+    found: dict[str, OtherSystem] = {}
+    taken = {name}
+    for run in map(Path, runs):
+        manifest = read_manifest(run)
+        asked = manifest.get("labels", {}).get("content_hash")
+        if asked != content_hash:
+            raise InputError(
+                "a run on other labels cannot be a row beside this one", got=f"expressions {asked}",
+                expected=f"expressions {content_hash}", path=run,
+            )  # fmt: skip
+        own = str(manifest["name"])
+        choices = [own, f"{own} ({run.resolve().name})"]
+        choices += [f"{own} ({run.resolve().name}, {k})" for k in range(2, len(runs) + 2)]
+        own = next(n for n in choices if n not in taken)
+        taken.add(own)
+        found[own] = OtherSystem(read_records(run), shared_makers(makers, measured_of_run(manifest)))
+    return found

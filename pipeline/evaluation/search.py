@@ -1,4 +1,4 @@
-"""Failures by words: a search compiled to a condition of DuckDB, with every value as a parameter.
+"""Failures by words, as they may be typed: a search compiled to a condition of DuckDB, every value a parameter.
 
     verdict:SRM relation:behind class:chair margin<0.1 -lucky frame:000002/* "trash can" repair:LIFT,SRM sort:margin
 
@@ -13,7 +13,8 @@ from __future__ import annotations
 
 import atexit
 import difflib
-from collections.abc import Callable
+import re
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -21,11 +22,11 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from pipeline.diagnosis.columns import DIAGNOSIS_COLUMNS
-from pipeline.diagnosis.oracles import ORACLES
+from pipeline.diagnosis.substitution import ORACLES
 from pipeline.diagnosis.verdict import MODULE_OF, VERDICTS
 from pipeline.evaluation.compare import read_records
-from pipeline.evaluation.search_words import Term, Value, read_terms
+from pipeline.evaluation.records import DIAGNOSIS_COLUMNS
+from pipeline.evaluation.search_words import Term, Value, quote, read_terms
 from pipeline.evaluation.summary import need_verdicts
 from pipeline.labels.database import quoted
 from pipeline.language.relation_names import PAIRWISE, PHRASE
@@ -34,6 +35,11 @@ from pipeline.system.errors import InputError
 if TYPE_CHECKING:
     import duckdb
     import pyarrow as pa
+
+Condition = tuple[str, list[Any]]
+_YES, _NO = ("yes", "true", "1"), ("no", "false", "0")
+_WORD = re.compile(r'(?:[^\s"]|"(?:[^"\\]|\\.)*(?:"|$))+')
+"""A quote that is open or closed belongs to its word, blanks included."""
 
 Kind = Literal["text", "words", "number", "flag", "names"]
 
@@ -205,10 +211,10 @@ def _rows(records: pa.Table, search: Search) -> np.ndarray:
 
     if not search.columns:
         return np.arange(records.num_rows)
-    place = "row of the run"
-    rows = records.select(list(search.columns)).append_column(place, pa.array(np.arange(records.num_rows)))
+    index = "row of the run"
+    rows = records.select(list(search.columns)).append_column(index, pa.array(np.arange(records.num_rows)))
     order = [f"{_defined(n, rows.schema)} {'DESC' if down else 'ASC'} NULLS LAST" for n, down in search.order]
-    sql = f"SELECT {quoted(place)} AS place FROM run WHERE {search.where} ORDER BY {', '.join([*order, quoted(place)])}"
+    sql = f"SELECT {quoted(index)} AS place FROM run WHERE {search.where} ORDER BY {', '.join([*order, quoted(index)])}"
     with _database().cursor() as connection:
         connection.register("run", rows)
         found = connection.execute(sql, list(search.parameters)).fetchnumpy()
@@ -273,9 +279,6 @@ def _equality_only(field: Field, term: Term) -> None:
         raise InputError(f"{field.name} has no order", got=repr(term.operator), expected=f"{field.name}:VALUE")
 
 
-Condition = tuple[str, list[Any]]
-
-
 def _text(field: Field, term: Term, _single: bool) -> Condition:
     _equality_only(field, term)
     column, parts, values = quoted(field.column), [], []
@@ -303,16 +306,16 @@ def _named(field: Field, value: Value) -> tuple[Value, ...]:
     known = {"verdict": VERDICTS, "relation": PAIRWISE}.get(field.column)
     if known is None or _none(value) or ("*" in value.text and not value.quoted):
         return (value,)
-    said = value.text.lower()
-    if field.column == "verdict" and said == "opm":
+    text = value.text.lower()
+    if field.column == "verdict" and text == "opm":
         return tuple(Value(v) for v, module in MODULE_OF.items() if module == "OPM")
     phrases = {phrase: name for name, phrase in PHRASE.items()} if field.column == "relation" else {}
     names = {name.lower(): name for name in known} | phrases
-    if said not in names:
-        near = difflib.get_close_matches(said, names, 1, 0.5)
+    if text not in names:
+        near = difflib.get_close_matches(text, names, 1, 0.5)
         expected = repr(names[near[0]]) if near else f"one of {', '.join(known)}"
         raise InputError(f"no such {field.column}", got=repr(value.text), expected=expected)
-    return (Value(names[said], True),)
+    return (Value(names[text], True),)
 
 
 def _number(field: Field, term: Term, single: bool) -> Condition:
@@ -336,18 +339,15 @@ def _number(field: Field, term: Term, single: bool) -> Condition:
     return _any(parts), values
 
 
-_YES, _NO = ("yes", "true", "1"), ("no", "false", "0")
-
-
 def _flag(field: Field, term: Term, _single: bool) -> Condition:
     _equality_only(field, term)
     column, parts = quoted(field.column), []
     for value in term.values:
-        said = value.text.lower()
+        text = value.text.lower()
         if _none(value):
             parts.append(f"{column} IS NULL")
-        elif said in (*_YES, *_NO):
-            parts.append(column if said in _YES else f"NOT {column}")
+        elif text in (*_YES, *_NO):
+            parts.append(column if text in _YES else f"NOT {column}")
         else:
             raise InputError(f"{field.name} is yes or no", got=repr(value.text), expected=f"{field.name}:yes")
     return _any(parts), []
@@ -375,3 +375,59 @@ def _names(field: Field, term: Term, _single: bool) -> Condition:
 _CONDITIONS: dict[Kind, Callable[[Field, Term, bool], Condition]] = {
     "text": _text, "words": _text, "number": _number, "flag": _flag, "names": _names,
 }  # fmt: skip
+
+
+def completions(source: str | Path | pa.Table, most: int = 200) -> tuple[Field, ...]:
+    """All fields of a run with the values that occur, for a field that completes what is typed."""
+    import pyarrow.compute as pc
+
+    records = records_of(source)
+    found = []
+    for field in fields_of(records.schema).values():
+        column = records.column(field.column)
+        values: tuple[str, ...] = ()
+        if field.kind == "text":
+            # Ids are not chosen from a list.
+            if field.column != "id":
+                counts = column.drop_null().value_counts()
+                by_count = sorted(counts.to_pylist(), key=lambda c: (-c["counts"], c["values"]))
+                values = tuple(quote(c["values"]) for c in by_count[:most])
+        elif field.kind == "flag":
+            values = ("yes", "no")
+        elif field.kind == "names":
+            flat = column.drop_null().combine_chunks().flatten()
+            values = tuple(sorted(str(v) for v in flat.unique().to_pylist() if v is not None))
+        elif field.kind == "number" and column.null_count < len(column):
+            ends = pc.min_max(column).as_py()  # pyright: ignore[reportAttributeAccessIssue]
+            values = (f"{ends['min']:.6g}", f"{ends['max']:.6g}")
+        found.append(Field(field.name, field.column, field.kind, values))
+    return tuple(found)
+
+
+def complete(typed: str, fields: Sequence[Field], most: int = 20) -> list[str]:
+    """What the last word of a search may become, each as the whole word.
+
+    Parameters
+    ----------
+    typed : str
+    fields : sequence of Field
+        From `completions`.
+    most : int
+    """
+    words = list(_WORD.finditer(typed))
+    word = words[-1][0] if words and words[-1].end() == len(typed) else ""
+    minus, bare = ("-", word[1:]) if word.startswith("-") else ("", word)
+    name, colon, value = bare.partition(":")
+    if not colon:
+        ends = {"flag": "", "number": "<"}
+        offered = [f"{minus}{f.name}{ends.get(f.kind, ':')}" for f in fields if f.name.startswith(bare.lower())]
+        return [*offered, *([f"{SORT}:"] if SORT.startswith(bare.lower()) else [])][:most]
+    if name.lower() == SORT:
+        down = "-" if value.startswith("-") else ""
+        return [f"{SORT}:{down}{f.name}" for f in fields if f.name.startswith(value.removeprefix("-").lower())][:most]
+    before, comma, last = value.rpartition(",")
+    start = last.lstrip('"').lower()
+    chosen = [f for f in fields if f.name == name.lower() and f.kind not in ("number", "words")]
+    return [
+        f"{minus}{name}:{before}{comma}{v}" for f in chosen for v in f.values if v.lstrip('"').lower().startswith(start)
+    ][:most]

@@ -30,7 +30,7 @@ from pipeline.system.version import __version__
 
 if TYPE_CHECKING:
     from pipeline.answering.opening import Pipeline
-    from pipeline.evaluation.relation_systems import RelationSystem
+    from pipeline.evaluation.relation_cases import RelationSystem
     from pipeline.metrics.tables import Table
 
 AGREEMENT = "shares rule and cloud with the labels: agreement, not accuracy"
@@ -60,23 +60,23 @@ class Share:
         One of Kind.
     title : str
         In a few words what the figures are then; empty where accuracy stays accuracy.
-    said : str
+    text : str
         What the figures can show and cannot.
     """
 
     about: Literal["masks", "relations", "boxes"]
     kind: Kind
     title: str
-    said: str
+    text: str
 
     @property
     def sentence(self) -> str:
         """For people."""
-        return f"{self.about}: {self.said}"
+        return f"{self.about}: {self.text}"
 
     def record(self) -> dict[str, str]:
         """As JSON: an entry of `shares` of a run."""
-        return {"about": self.about, "kind": self.kind, "title": self.title, "said": self.said}
+        return {"about": self.about, "kind": self.kind, "title": self.title, "said": self.text}
 
 
 @dataclass(frozen=True)
@@ -136,10 +136,10 @@ def measured_of_run(manifest: Mapping[str, Any]) -> Measured:
     if system == "vlm":
         return Measured(None, None)
     masks = mask_makers(str(manifest.get("detector", "")))
-    said = manifest.get("measured")
-    if isinstance(said, dict):
-        rest = tuple(str(r) for r in said.get("rule_too") or ())
-        return Measured(masks, said.get("scorer"), said.get("network"), rest)
+    text = manifest.get("measured")
+    if isinstance(text, dict):
+        rest = tuple(str(r) for r in text.get("rule_too") or ())
+        return Measured(masks, text.get("scorer"), text.get("network"), rest)
     spec = manifest.get("spec")
     options = spec.get("options", {}) if isinstance(spec, dict) else {}
     scorer = str(options.get("srm", TRAINED)) if isinstance(options, dict) else None
@@ -170,17 +170,17 @@ def shares_of_run(manifest: Mapping[str, Any], labels: str | Path | None) -> tup
     labels : str, Path or None
         Where the run's labels are, as far as that is known.
     """
-    said = manifest.get("shares")
-    if isinstance(said, list):
+    text = manifest.get("shares")
+    if isinstance(text, list):
         with suppress(KeyError, TypeError):
-            return tuple(Share(s["about"], s["kind"], str(s["title"]), str(s["said"])) for s in said)
+            return tuple(Share(s["about"], s["kind"], str(s["title"]), str(s["said"])) for s in text)
     try:
         if labels is None:
             raise InputError("the run does not say where its labels are")
         makers = makers_of(open_labels(labels).manifest)
     except InputError:
-        said = "the run was made by an earlier release and its labels are not at hand: who made its truth is not known"
-        return (Share("masks", "unknown maker", "", said),)
+        text = "the run was made by an earlier release and its labels are not at hand: who made its truth is not known"
+        return (Share("masks", "unknown maker", "", text),)
     return shared_makers(makers, measured_of_run(manifest))
 
 
@@ -198,8 +198,8 @@ def _masks(makers: Makers, measured: MaskMakers | None) -> list[Share]:
         who = "the labels do not say what made their masks" if truth is None else (
             "a recording does not say which detector made it"
         )  # fmt: skip
-        said = f"{who}: where it is the one that is measured, accuracy only says that the pipeline repeats itself"
-        return [Share("masks", "unknown maker", "", said)]
+        text = f"{who}: where it is the one that is measured, accuracy only says that the pipeline repeats itself"
+        return [Share("masks", "unknown maker", "", text)]
     common = [m for m in measured.detectors if m in truth.detectors]
     derived = [m for m in measured.detectors if m.name in OF_ANNOTATIONS]
     if makers.annotated and measured.detectors == truth.detectors:
@@ -214,11 +214,11 @@ def _masks(makers: Makers, measured: MaskMakers | None) -> list[Share]:
         names = " & ".join(map(str, common))
         alone = len(common) == len(measured.detectors) == len(truth.detectors)
         if alone and _all_decided(makers):
-            said = (
+            text = (
                 f"{names} proposed the truth's objects and is measured by it; people decided each, so that wrong names "
                 "count, and what it missed only where somebody added it"
             )
-            return [Share("masks", "same detector", CHECKED, said)]
+            return [Share("masks", "same detector", CHECKED, text)]
         return [
             Share(
                 "masks", "same detector" if alone else "shared detector", REPEATED if alone else HAD_A_PART,
@@ -238,8 +238,8 @@ def _masks(makers: Makers, measured: MaskMakers | None) -> list[Share]:
     theirs = (*truth.detectors, *truth.segmenters)
     alike = [m for m in (*measured.detectors, *measured.segmenters) if m in theirs]
     if alike:
-        said = f"{alike[0]} may make masks on both sides, where boxes have none: what it cuts wrong alike costs nothing"
-        return [Share("masks", "same segmenter", "", said)]
+        text = f"{alike[0]} may make masks on both sides, where boxes have none: what it cuts wrong alike costs nothing"
+        return [Share("masks", "same segmenter", "", text)]
     return []
 
 
@@ -252,13 +252,13 @@ def _relations(makers: Makers, measured: Measured) -> list[Share]:
             Share(
                 "relations", "second opinion", "",
                 f"the network {measured.scorer} had a vote in the labels: where it and the rule differ they are "
-                "doubtful and make no expression, so that SRM seems better than it is",
+                "undecided and make no expression, so that SRM seems better than it is",
             )
         )  # fmt: skip
     if makers.rule == PROFILE and (measured.scorer == RULE or measured.rule_too):
         too = "" if measured.scorer == RULE else f", which scores {', '.join(measured.rule_too)},"
-        said = f"the rule{too} made the labels: where it is wrong costs nothing; SRM costs what other masks change"
-        found.append(Share("relations", "same rule" if measured.scorer == RULE else "rule elsewhere", "", said))
+        text = f"the rule{too} made the labels: where it is wrong costs nothing; SRM costs what other masks change"
+        found.append(Share("relations", "same rule" if measured.scorer == RULE else "rule elsewhere", "", text))
     return found
 
 
@@ -275,20 +275,15 @@ def scorer_share(makers: Makers, name: str, scorer: RelationScorer) -> Share | N
     """
     if isinstance(scorer, RuleScorer) and makers.rule == PROFILE:
         other = "" if makers.rule_hash == profile_of(PROFILE).hash else ", as it was in an earlier release"
-        said = f"the scorer is the rule that made the labels{other}, on the same cloud: near 100 by construction"
-        return Share("relations", "same rule", AGREEMENT, f"{said}{_but(makers, 'relations')}")
+        text = f"the scorer is the rule that made the labels{other}, on the same cloud: near 100 by construction"
+        return Share("relations", "same rule", AGREEMENT, f"{text}{_but(makers, 'relations')}")
     if _had_vote(makers, measured_scorer(name, scorer)):
-        said = (
+        text = (
             "the scorer was the labels' second opinion, on the same cloud: cells where it and the rule differ became U "
             "and do not count, near 100 by construction; label with --second-opinion none to measure it"
         )
-        return Share("relations", "second opinion", AGREEMENT, f"{said}{_but(makers, 'relations')}")
+        return Share("relations", "second opinion", AGREEMENT, f"{text}{_but(makers, 'relations')}")
     return None
-
-
-def shares_rule_and_cloud(labels: Labels, system: RelationSystem) -> bool:
-    """Whether a row of relations alone is agreement with the labels' makers, and belongs below those that are not."""
-    return relation_share(makers_of(labels.manifest), system) is not None
 
 
 def title_of(shares: Sequence[Share]) -> str:
@@ -320,12 +315,12 @@ def with_caveats(table: Table, shares: Mapping[str, Sequence[Share]]) -> Table:
     shares : mapping of str to sequence of Share
         By the systems that it is of.
     """
-    said: dict[str, list[str]] = {}
+    named: dict[str, list[str]] = {}
     for name, found in shares.items():
         for share in found:
-            said.setdefault(share.sentence, []).append(name)
+            named.setdefault(share.sentence, []).append(name)
     caveats = tuple(
-        text if len(names) == len(shares) else f"{', '.join(names)}: {text}" for text, names in said.items()
+        text if len(names) == len(shares) else f"{', '.join(names)}: {text}" for text, names in named.items()
     )
     titles = titles_of(shares)
     title = f"{table.title} ({titles})" if titles else table.title

@@ -227,9 +227,9 @@ def _sums(
     import duckdb
     import pyarrow as pa
 
-    _, place = np.unique(clusters, return_inverse=True)
+    _, index = np.unique(clusters, return_inverse=True)
     columns = ["set_correct", "correct", *(["lucky", "verdict"] if judged else [])]
-    rows = records.select(columns).append_column("cluster", pa.array(place.astype(np.int32)))
+    rows = records.select(columns).append_column("cluster", pa.array(index.astype(np.int32)))
     value, parameters = "''", []
     if cut.column:
         rows = rows.append_column("value", records.column(cut.column))
@@ -250,7 +250,7 @@ def _sums(
         found = connection.execute(sql, parameters).fetchall()
     keys = sorted({row[1] for row in found}, key=lambda k: (k is None, k))
     at = {key: k for k, key in enumerate(keys)}
-    sums = np.zeros((int(place.max()) + 1, len(keys), 1 + len(flags)))
+    sums = np.zeros((int(index.max()) + 1, len(keys), 1 + len(flags)))
     for cluster, key, *numbers in found:
         sums[cluster, at[key]] = numbers
     return keys, [_name(cut, k, system) for k in keys], [_query(cut, k) for k in keys], sums
@@ -289,15 +289,15 @@ def _query(cut: Dimension, key: Any) -> str | None:
 
 def _order(cut: Dimension, keys: Sequence[Any], names: Sequence[str], counts: np.ndarray) -> list[int]:
     """Places of the values as they are shown; the unknown one comes last."""
-    places = list(range(len(keys)))
+    indices = list(range(len(keys)))
     if cut.edges:
-        return sorted(places, key=lambda k: keys[k] if keys[k] >= 0 else len(cut.edges) + 1)
+        return sorted(indices, key=lambda k: keys[k] if keys[k] >= 0 else len(cut.edges) + 1)
     if cut.order == "relation":
         rank = {r: k for k, r in enumerate(PAIRWISE)}
-        return sorted(places, key=lambda k: (keys[k] is None, rank.get(keys[k], len(rank)), names[k]))
+        return sorted(indices, key=lambda k: (keys[k] is None, rank.get(keys[k], len(rank)), names[k]))
     if cut.order == "name":
-        return sorted(places, key=lambda k: (keys[k] is None, names[k]))
-    return sorted(places, key=lambda k: (keys[k] is None, -counts[k], names[k]))
+        return sorted(indices, key=lambda k: (keys[k] is None, names[k]))
+    return sorted(indices, key=lambda k: (keys[k] is None, -counts[k], names[k]))
 
 
 def _estimates(sums: np.ndarray, config: BootstrapConfig | None) -> list[Estimate]:

@@ -83,7 +83,7 @@ class VlmOptions:
     workers : int
         Questions in flight at once.
     box_scale : str or float
-        See `pipeline.evaluation.vlm.box_answers.parse_box`.
+        See `pipeline.evaluation.vlm.answers.parse_box`.
     """
 
     url: str
@@ -109,7 +109,7 @@ class Vlm:
 
     def __init__(self, options: VlmOptions) -> None:
         from pipeline.evaluation.vlm.client import ChatClient
-        from pipeline.evaluation.vlm.grounding import GroundingConfig
+        from pipeline.evaluation.vlm.questions import GroundingConfig
 
         self.client = ChatClient(
             options.url,
@@ -121,7 +121,7 @@ class Vlm:
         self._config = GroundingConfig(box_scale=options.box_scale, workers=options.workers, keep_going=True)
 
     def point(self, frame: Frame, texts: Sequence[str]) -> list[Pointed]:
-        from pipeline.evaluation.vlm.grounding import ground_many
+        from pipeline.evaluation.vlm.questions import ground_many
 
         found = ground_many(self.client, frame, texts, config=self._config)
         return [Pointed(g.box, problem=g.reason if g.box is None else None) for g in found]
@@ -144,6 +144,6 @@ def record_whole(case: Case, truth: FrameCases, pointed: Pointed) -> dict[str, A
         "correct": iou >= HIT, "strict_correct": strict >= HIT, "set_correct": lenient >= HIT,
     }  # fmt: skip
     if box is not None:
-        place = int(matched(iou_2d(box[None], truth.boxes), truth.alike[[case.target_object]])[0])
-        row |= {"box": box.tolist(), "p_target": pointed.score, "matched_target": None if place < 0 else place}
+        index = int(matched(iou_2d(box[None], truth.boxes), truth.alike[[case.target_object]])[0])
+        row |= {"box": box.tolist(), "p_target": pointed.score, "matched_target": None if index < 0 else index}
     return row

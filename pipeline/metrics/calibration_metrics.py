@@ -87,10 +87,10 @@ def reliability_diagram(p: Any, holds: Any, bins: int = ECE_BINS) -> Reliability
     p, holds = _checked(p, holds)
     if bins < 1:
         raise InputError("a reliability diagram needs at least one bin", got=bins)
-    place = np.minimum((p * bins).astype(np.int64), bins - 1)
-    count = np.bincount(place, minlength=bins)
-    confidence = ratio(np.bincount(place, p, bins), count)
-    frequency = ratio(np.bincount(place, holds.astype(np.float64), bins), count)
+    index = np.minimum((p * bins).astype(np.int64), bins - 1)
+    count = np.bincount(index, minlength=bins)
+    confidence = ratio(np.bincount(index, p, bins), count)
+    frequency = ratio(np.bincount(index, holds.astype(np.float64), bins), count)
     return ReliabilityDiagram(np.linspace(0.0, 1.0, bins + 1), count, confidence, frequency)
 
 

@@ -109,8 +109,8 @@ def checked_clusters(clusters: Any, rows: int) -> tuple[np.ndarray, int]:
         ids = ids.astype(np.str_)
     if rows and ids.dtype.kind not in "iubU":
         raise InputError("ids of clusters must be texts or integers", got=ids.dtype, cause="is one missing?")
-    names, place = np.unique(ids, return_inverse=True)
-    return place.astype(np.int64), len(names)
+    names, index = np.unique(ids, return_inverse=True)
+    return index.astype(np.int64), len(names)
 
 
 def checked_boxes(boxes: Any, what: str, may_miss: bool = False) -> np.ndarray:

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.metrics.counts import f1_of, ratio
+from pipeline.metrics.counts import ratio
 from pipeline.metrics.inputs import checked_clusters, checked_numbers
 from pipeline.system.errors import InputError
 
@@ -166,8 +166,8 @@ def bootstrap(
     config = config or BootstrapConfig()
     rows = checked_numbers(rows, "rows", np.shape(rows))
     systems = [rows] if other is None else [rows, checked_numbers(other, "rows of the other system", rows.shape)]
-    place, count = checked_clusters(clusters, len(rows))
-    sums = [_cluster_sums(system.reshape(len(rows), math.prod(rows.shape[1:])), place, count) for system in systems]
+    index, count = checked_clusters(clusters, len(rows))
+    sums = [_cluster_sums(system.reshape(len(rows), math.prod(rows.shape[1:])), index, count) for system in systems]
 
     def figures(of: list[np.ndarray]) -> np.ndarray:
         found = [statistic(s.reshape(len(s), *rows.shape[1:])) for s in of]
@@ -175,7 +175,7 @@ def bootstrap(
 
     values = figures([s.sum(axis=0, keepdims=True) for s in sums])[0]
     counted = np.ones((len(rows), len(values)), np.bool_) if counted is None else counted
-    per_cluster = _cluster_sums(counted.astype(np.float64), place, count)
+    per_cluster = _cluster_sums(counted.astype(np.float64), index, count)
     n, held = per_cluster.sum(axis=0).astype(int), (per_cluster > 0).sum(axis=0)
     if count < 2:
         drawn = np.full((1, len(values)), np.nan)
@@ -188,12 +188,12 @@ def bootstrap(
     ]
 
 
-def _cluster_sums(rows: np.ndarray, place: np.ndarray, count: int) -> np.ndarray:
+def _cluster_sums(rows: np.ndarray, index: np.ndarray, count: int) -> np.ndarray:
     """(C, m) float64 sums of (N, m) rows by cluster."""
     if not len(rows):
         return np.zeros((0, rows.shape[1]))
-    order = np.argsort(place, kind="stable")
-    starts = np.searchsorted(place[order], np.arange(count))
+    order = np.argsort(index, kind="stable")
+    starts = np.searchsorted(index[order], np.arange(count))
     return np.add.reduceat(rows[order], starts, axis=0)
 
 
@@ -244,25 +244,6 @@ def mean_estimate(
     return ratio_estimate(values, np.ones(np.shape(values)), clusters, other=second, config=config)
 
 
-def f1_estimate(
-    tp: Any,
-    fp: Any,
-    fn: Any,
-    clusters: Any,
-    *,
-    other: tuple[Any, Any, Any] | None = None,
-    config: BootstrapConfig | None = None,
-) -> Estimate:
-    """F1 of (N,) counts a row: true positives, false positives, false negatives.
-
-    With `other`, the (tp, fp, fn) of another system on the same rows, the
-    difference of the two. Every row counts in `n`. For F1 of relations see
-    `pipeline.metrics.relation_intervals`.
-    """
-    second = None if other is None else _columns(other)
-    return bootstrap(_columns((tp, fp, fn)), clusters, _f1, other=second, config=config)[0]
-
-
 def _columns(columns: tuple[Any, ...]) -> np.ndarray:
     shape = (len(np.atleast_1d(columns[0])),)
     return np.stack([checked_numbers(c, "counts and values", shape) for c in columns], axis=1)
@@ -270,7 +251,3 @@ def _columns(columns: tuple[Any, ...]) -> np.ndarray:
 
 def _ratio(sums: np.ndarray) -> np.ndarray:
     return ratio(sums[:, :1], sums[:, 1:])
-
-
-def _f1(sums: np.ndarray) -> np.ndarray:
-    return f1_of(sums[:, :1], sums[:, 1:2], sums[:, 2:])

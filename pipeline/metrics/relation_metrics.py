@@ -6,14 +6,16 @@ Cells whose true state is U are neither right nor wrong: they are masked, and co
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from pipeline.language.relation_names import DIRECTIONAL
 from pipeline.metrics.counts import f1_of, mean_of_defined, ratio
-from pipeline.metrics.inputs import checked_cells, checked_names, checked_thresholds
+from pipeline.metrics.inputs import checked_cells, checked_clusters, checked_names, checked_thresholds
+from pipeline.metrics.intervals import BootstrapConfig, Estimate, bootstrap
+from pipeline.system.errors import InputError
 
 THRESHOLD = 0.5
 """A relation is said to hold where its probability is greater, so that a doubt of exactly one half is a no."""
@@ -47,7 +49,7 @@ class RelationMetrics:
     relations : tuple of str
         The order of everything with shape (R,).
     pairs : int
-    positives, negatives, doubtful : (R,) int64
+    positives, negatives, undecided : (R,) int64
         Cells whose truth is T, F, U.
     tp, fp, fn : (R,) int64
     thresholds : (R,) float64
@@ -70,7 +72,7 @@ class RelationMetrics:
     pairs: int
     positives: np.ndarray
     negatives: np.ndarray
-    doubtful: np.ndarray
+    undecided: np.ndarray
     tp: np.ndarray
     fp: np.ndarray
     fn: np.ndarray
@@ -105,9 +107,9 @@ def cell_outcomes(p: Any, truth: Any, thresholds: Any = THRESHOLD) -> CellOutcom
         Shapes differ, probabilities are NaN or outside 0..1, or a state is none.
     """
     p, truth = checked_cells(p, truth)
-    said = p > checked_thresholds(thresholds, p.shape[1])
+    text = p > checked_thresholds(thresholds, p.shape[1])
     holds, fails = truth > 0, truth < 0
-    return CellOutcomes(said & holds, said & fails, ~said & holds, ~said & fails)
+    return CellOutcomes(text & holds, text & fails, ~text & holds, ~text & fails)
 
 
 def multi_label_metrics(
@@ -143,7 +145,7 @@ def multi_label_metrics(
         pairs=len(p),
         positives=positives,
         negatives=negatives,
-        doubtful=len(p) - known,
+        undecided=len(p) - known,
         tp=tp,
         fp=fp,
         fn=fn,
@@ -159,12 +161,6 @@ def multi_label_metrics(
         mean_average_precision=float(mean_of_defined(ap)),
         undefined=_reasons(names, known, positives, tp + fp),
     )
-
-
-def all_negative_row(truth: Any, relations: Sequence[str] = DIRECTIONAL) -> RelationMetrics:
-    """The figures of a scorer that always says no, to print beside every other (see `multi_label_metrics`)."""
-    states = np.asarray(truth)
-    return multi_label_metrics(np.zeros(states.shape), states, relations=relations)
 
 
 def average_precision(p: Any, truth: Any) -> np.ndarray:
@@ -185,9 +181,9 @@ def average_precision(p: Any, truth: Any) -> np.ndarray:
     p, truth = checked_cells(p, truth)
     found = np.full(p.shape[1], np.nan)
     for k in range(p.shape[1]):
-        _, tp, said, positives = _ranked(p[:, k], truth[:, k])
+        _, tp, text, positives = _ranked(p[:, k], truth[:, k])
         if positives:
-            found[k] = (np.diff(tp, prepend=0) * (tp / said)).sum() / positives
+            found[k] = (np.diff(tp, prepend=0) * (tp / text)).sum() / positives
     return found
 
 
@@ -211,10 +207,10 @@ def tuned_thresholds(p_validation: Any, truth_validation: Any) -> np.ndarray:
     p, truth = checked_cells(p_validation, truth_validation)
     found = np.full(p.shape[1], THRESHOLD)
     for k in range(p.shape[1]):
-        values, tp, said, positives = _ranked(p[:, k], truth[:, k])
+        values, tp, text, positives = _ranked(p[:, k], truth[:, k])
         if not positives:
             continue
-        f1 = 2 * tp / (said + positives)
+        f1 = 2 * tp / (text + positives)
         below = np.append(values[1:], 0.0 if values[-1] > 0 else -1.0)
         middle = below + (values - below) / 2
         # Between neighbouring floats the middle is rounded to one of them.
@@ -234,9 +230,9 @@ def _ranked(p: np.ndarray, truth: np.ndarray) -> tuple[np.ndarray, np.ndarray, n
     return p[last], np.cumsum(holds)[last], last + 1, int(holds.sum())
 
 
-def _reasons(names: tuple[str, ...], known: np.ndarray, positives: np.ndarray, said: np.ndarray) -> dict[str, str]:
+def _reasons(names: tuple[str, ...], known: np.ndarray, positives: np.ndarray, text: np.ndarray) -> dict[str, str]:
     found = {}
-    for name, cells, hold, claimed in zip(names, known.tolist(), positives.tolist(), said.tolist(), strict=True):
+    for name, cells, hold, claimed in zip(names, known.tolist(), positives.tolist(), text.tolist(), strict=True):
         if not cells:
             found[name] = "no cell is known (all are U, or there is none)"
         elif not hold:
@@ -244,3 +240,100 @@ def _reasons(names: tuple[str, ...], known: np.ndarray, positives: np.ndarray, s
         elif not claimed:
             found[name] = "it was never said to hold: no precision"
     return found
+
+
+@dataclass(frozen=True)
+class RelationEstimates:
+    """Figures of `RelationMetrics` with intervals, or differences of two scorers.
+
+    Attributes
+    ----------
+    relations : tuple of str
+    precision, recall, f1 : tuple of Estimate
+        R each.
+    micro_f1, macro_f1, element_accuracy : Estimate
+        A resample without a relation takes its macro mean over the others.
+    """
+
+    relations: tuple[str, ...]
+    precision: tuple[Estimate, ...]
+    recall: tuple[Estimate, ...]
+    f1: tuple[Estimate, ...]
+    micro_f1: Estimate
+    macro_f1: Estimate
+    element_accuracy: Estimate
+
+
+def relation_estimates(
+    cells: CellOutcomes,
+    clusters: Any,
+    *,
+    other: CellOutcomes | None = None,
+    relations: Sequence[str] = DIRECTIONAL,
+    config: BootstrapConfig | None = None,
+) -> RelationEstimates:
+    """Intervals of all figures from one set of resamples.
+
+    Parameters
+    ----------
+    cells : CellOutcomes
+        Of P pairs and R relations, from `cell_outcomes`.
+    clusters : (P,) int or str
+        Scene of each pair, or frame where there is one scene.
+    other : CellOutcomes, optional
+        Another scorer's on the same pairs and the same truth: the estimates are
+        then the figures of `cells` less those of `other`.
+    relations : sequence of str
+    config : BootstrapConfig, optional
+
+    Raises
+    ------
+    InputError
+        Not one cluster a pair, or a scorer that was measured against another truth.
+    """
+    shape = cells.tp.shape
+    names = checked_names(relations, shape[1])
+    if other is not None and not (
+        shape == other.tp.shape
+        and np.array_equal(cells.tp | cells.fn, other.tp | other.fn)
+        and np.array_equal(cells.fp | cells.tn, other.fp | other.tn)
+    ):
+        raise InputError("two scorers can only be compared on the same pairs and the same truth")
+    # Sums by cluster first: a million pairs with four numbers for each relation would be hundreds of megabytes.
+    index, count = checked_clusters(clusters, shape[0])
+    known = cells.tp | cells.fp | cells.fn | cells.tn
+    by_relation = np.stack([_sums(known[..., k], index, count) for k in range(shape[1])], axis=1)
+    some = np.repeat(_sums(np.asarray(known.any(axis=1)), index, count)[:, None], 3, axis=1)
+    rows = np.concatenate([by_relation] * 3 + [some], axis=1)
+    found = bootstrap(
+        _by_cluster(cells, index, count),
+        np.arange(count),
+        _figures,
+        counted=rows > 0,
+        other=None if other is None else _by_cluster(other, index, count),
+        config=config,
+    )
+    found = [replace(e, n=int(n)) for e, n in zip(found, rows.sum(axis=0), strict=True)]
+    r = len(names)
+    precision, recall, f1 = (tuple(found[k * r : (k + 1) * r]) for k in range(3))
+    return RelationEstimates(names, precision, recall, f1, *found[3 * r :])
+
+
+def _by_cluster(cells: CellOutcomes, index: np.ndarray, count: int) -> np.ndarray:
+    """(C, R, 4) float64: how many of tp, fp, fn, tn each cluster has."""
+    kinds = (cells.tp, cells.fp, cells.fn, cells.tn)
+    columns = [np.stack([_sums(kind[:, k], index, count) for kind in kinds], axis=1) for k in range(cells.tp.shape[1])]
+    return np.stack(columns, axis=1)
+
+
+def _sums(flags: np.ndarray, index: np.ndarray, count: int) -> np.ndarray:
+    return np.bincount(index[flags], minlength=count).astype(np.float64)
+
+
+def _figures(sums: np.ndarray) -> np.ndarray:
+    """(S, 3 R + 3) from sums (S, R, 4): precision, recall, F1 of each relation, micro-F1, macro-F1, accuracy."""
+    tp, fp, fn, _ = np.moveaxis(sums, -1, 0)
+    f1 = f1_of(tp, fp, fn)
+    pooled = sums.sum(axis=1)
+    overall = (f1_of(*pooled.T[:3]), mean_of_defined(f1), ratio(pooled[:, 0] + pooled[:, 3], pooled.sum(axis=1)))
+    return np.concatenate([ratio(tp, tp + fp), ratio(tp, tp + fn), f1, np.stack(overall, axis=1)], axis=1)

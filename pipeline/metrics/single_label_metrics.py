@@ -80,16 +80,16 @@ def single_label_metrics(p: Any, truth: Any, relations: Sequence[str]) -> Single
     names = checked_names(relations, count)
     known = truth >= 0
     ranks = true_ranks(p, truth)[known]
-    place = truth[known] * count + p[known].argmax(axis=1)
-    confusion = np.bincount(place, minlength=count * count).reshape(count, count)
-    right, said, holds = np.diag(confusion), confusion.sum(axis=0), confusion.sum(axis=1)
-    f1 = f1_of(right, said - right, holds - right)
+    index = truth[known] * count + p[known].argmax(axis=1)
+    confusion = np.bincount(index, minlength=count * count).reshape(count, count)
+    right, text, holds = np.diag(confusion), confusion.sum(axis=0), confusion.sum(axis=1)
+    f1 = f1_of(right, text - right, holds - right)
     return SingleLabelMetrics(
         relations=names,
         pairs=len(ranks),
         unknown=int((~known).sum()),
         confusion=confusion,
-        precision=ratio(right, said),
+        precision=ratio(right, text),
         recall=ratio(right, holds),
         f1=f1,
         top1=float(ratio((ranks == 0).sum(), len(ranks))),

@@ -75,8 +75,8 @@ class SplitPlan:
     gaps: dict[str, float | int]
     warning: str | None
 
-    def places(self, part: int) -> np.ndarray:
-        """Places of the frames of a part."""
+    def indices(self, part: int) -> np.ndarray:
+        """Indices of the frames of a part."""
         return np.flatnonzero(self.part == part)
 
     def for_frames(self, frames: Sequence[FrameKey]) -> SplitPlan:
@@ -97,7 +97,7 @@ class SplitPlan:
         if self.gaps:
             found["gaps"] = self.gaps
         for k, name in enumerate(PARTS):
-            inside = [self.frames[i] for i in self.places(k)]
+            inside = [self.frames[i] for i in self.indices(k)]
             if self.kind == "scene":
                 found[f"{name}_scenes"] = sorted({f.scene for f in inside})
             else:
@@ -163,20 +163,20 @@ def _blocks(frames: Sequence[FrameKey], scenes: Sequence[str], seed: int) -> Spl
     part = np.full(len(frames), DROPPED, np.int8)
     gaps: dict[str, float | int] = {}
     for scene in scenes:
-        places = np.array([k for k, f in enumerate(frames) if f.scene == scene])
-        if len(places) < len(PARTS):
+        indices = np.array([k for k, f in enumerate(frames) if f.scene == scene])
+        if len(indices) < len(PARTS):
             # Too few to cut: where the same scene is not measured on, they may be learnt from.
-            part[places], gaps[scene] = TRAIN, 0
+            part[indices], gaps[scene] = TRAIN, 0
             continue
-        positions = [frames[k].position for k in places]
+        positions = [frames[k].position for k in indices]
         cut = None
         if all(p is not None for p in positions):
             cut = position_blocks(np.array(positions, np.float64), GAP_M)
         if cut is None:
-            order = np.argsort([frames[k].index for k in places], kind="stable")
-            part[places[order]], gaps[scene] = _index_blocks(len(places))
+            order = np.argsort([frames[k].index for k in indices], kind="stable")
+            part[indices[order]], gaps[scene] = _index_blocks(len(indices))
         else:
-            part[places], gaps[scene] = cut
+            part[indices], gaps[scene] = cut
     if not ((part == VALIDATION).any() and (part == TEST).any()):
         raise InputError(
             "no scene has the three frames that blocks need", got=f"{len(frames)} frames in {len(scenes)} scenes"
@@ -186,14 +186,14 @@ def _blocks(frames: Sequence[FrameKey], scenes: Sequence[str], seed: int) -> Spl
 
 def _blocks_warning(scenes: int, gaps: dict[str, float | int]) -> str:
     metres = [g for g in gaps.values() if isinstance(g, float)]
-    said = f"learnt and measured on the same {'scene' if scenes == 1 else f'{scenes} scenes'}, in blocks of "
+    text = f"learnt and measured on the same {'scene' if scenes == 1 else f'{scenes} scenes'}, in blocks of "
     apart = f"camera positions at least {min(metres):.2g} m apart" if metres else ""
     if len(metres) < len(gaps):
         apart += (" or of " if metres else "") + "neighbouring frames, as poses are missing or do not differ"
     if metres and min(metres) < GAP_M:
         apart += " (the cameras stand too close together for 1 m)"
     return (
-        said + apart + ": the figures say how it does from other places in known rooms, not in new ones; random frames "
+        text + apart + ": the figures say how it does from other places in known rooms, not in new ones; random frames "
         "would say even less, as neighbouring frames are almost the same picture"
     )
 

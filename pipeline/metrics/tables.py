@@ -96,8 +96,8 @@ def with_heads(rows: Sequence[Row]) -> Iterator[tuple[str, Row]]:
 
 def caveats_html(tables: Iterable[Table]) -> str:
     """The caveats of tables as paragraphs, for pages of plots of the same figures."""
-    said = dict.fromkeys(caveat for table in tables for caveat in table.caveats)
-    return "".join(f'<p style="color:#a85b00;font:13px Arial,sans-serif">{escape(text)}</p>' for text in said)
+    message = dict.fromkeys(caveat for table in tables for caveat in table.caveats)
+    return "".join(f'<p style="color:#a85b00;font:13px Arial,sans-serif">{escape(text)}</p>' for text in message)
 
 
 def shown(cell: Cell, decimals: int = 1, fraction: bool = False) -> str:

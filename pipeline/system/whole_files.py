@@ -7,8 +7,11 @@ import re
 import shutil
 import socket
 import time
+from contextlib import suppress
 from pathlib import Path
 from uuid import uuid4
+
+from pipeline.system.errors import InputError
 
 _TEMPORARY = re.compile(r"\..*\.(?P<host>[^.]*)\.(?P<pid>\d+)\.[0-9a-f]{8}\.tmp")
 _ABANDONED_S = 86_400
@@ -48,6 +51,26 @@ def is_abandoned(temporary: Path) -> bool:
         return time.time() - temporary.stat().st_mtime > _ABANDONED_S
     except OSError:
         return False
+
+
+def write_whole(path: Path, data: bytes, what: str) -> None:
+    """Write a file whole or not at all; its folder is made where it is missing.
+
+    Raises
+    ------
+    InputError
+        `what` cannot be written.
+    """
+    temporary = temporary_beside(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_synced(temporary, data)
+        os.replace(temporary, path)
+    except OSError as error:
+        raise InputError(f"{what} cannot be written", got=error.strerror, path=path) from error
+    finally:
+        with suppress(OSError):
+            temporary.unlink(missing_ok=True)
 
 
 def write_synced(path: Path, data: bytes) -> None:

@@ -65,7 +65,7 @@ def evaluate(
         "element_accuracy": _defined(metrics.element_accuracy),
         "all_negative_accuracy": _defined(metrics.all_negative_accuracy),
         "positives_per_pair": _defined(ratio(metrics.positives.sum(), len(t))),
-        "doubtful_share": _defined(ratio(metrics.doubtful.sum(), t.size)),
+        "doubtful_share": _defined(ratio(metrics.undecided.sum(), t.size)),
         "brier": _defined(calibration.pooled_brier),
         "ece": _defined(calibration.pooled_ece),
     }

@@ -299,7 +299,7 @@ def identity(labels: Labels) -> tuple[str, str, str]:
 def trained_on(labels: Labels, plan: SplitPlan) -> TrainedOn:
     """What a network of these labels and this split learns from."""
     name, input_hash, content = identity(labels)
-    inside = {part: [plan.frames[k] for k in plan.places(part)] for part in (TRAIN, VALIDATION)}
+    inside = {part: [plan.frames[k] for k in plan.indices(part)] for part in (TRAIN, VALIDATION)}
     whole = plan.kind == "scene"
     names = {part: tuple(dict.fromkeys(f.scene if whole else f.frame for f in frames))
              for part, frames in inside.items()}  # fmt: skip

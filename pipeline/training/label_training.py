@@ -124,7 +124,7 @@ def train_on_labels(
     vectors, language = _language(job, data)
     keys = [f.key for f in data.frames]
     plan = split_frames(keys, job.split, config.seed) if plan is None else plan.for_frames(keys)
-    train, validation, test = ([data.frames[k] for k in plan.places(part)] for part in (TRAIN, VALIDATION, TEST))
+    train, validation, test = ([data.frames[k] for k in plan.indices(part)] for part in (TRAIN, VALIDATION, TEST))
     learnt = pair_set(
         train, data.features, config.output, vectors=vectors, limit=job.pairs, seed=config.seed
     )

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pipeline.answering.json_records import why_no_answer
 from pipeline.answering.told_answer import probability, told
-from pipeline.diagnosis.live import Judgement
-from pipeline.diagnosis.whatif.edit_list import each_edit
+from pipeline.diagnosis.verdict import Diagnosis
+from pipeline.diagnosis.whatif.changes import each_edit
 from pipeline.geometry.palette import hex_color, palette
 from pipeline.language.counted import counted
 from spatialviz.app.failures import verdict_chip
@@ -35,8 +35,8 @@ def before_html(state: State) -> str:
         said = f'<span class="dim">{lead.strip()}</span> {said}' if lead else said
         p = f'<b title="P(relation)">{probability(best.relation_probability)}</b>'
     verdict = ""
-    if isinstance(edited.judged, Judgement):
-        verdict = verdict_chip(edited.judged.diagnosis.verdict)
+    if isinstance(edited.judged, Diagnosis):
+        verdict = verdict_chip(edited.judged.verdict)
     count = len(each_edit(state.edits))
     hint = f"{counted(count, 'edit')}; 0 takes {'it' if count == 1 else 'them'} back"
     return (

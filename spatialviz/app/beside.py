@@ -16,7 +16,7 @@ from spatialviz.app.beside_html import chosen_row, second_name
 from spatialviz.app.bridge import Tag
 from spatialviz.app.scene import GHOST_GROWTH, SceneView
 from spatialviz.app.state import Layers, State
-from spatialviz.report.dashes import dashed
+from spatialviz.report.picture import dashed
 
 LAYERS: tuple[Layers, ...] = ("both", "a", "b")
 DASH = 0.055

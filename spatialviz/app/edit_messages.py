@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.answering.objects import SceneObject
 from pipeline.answering.opening import Pipeline
-from pipeline.diagnosis.live import Judgement
+from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.diagnosis.whatif import Edits
 from pipeline.diagnosis.whatif.box_numbers import box_numbers, with_numbers
 from pipeline.diagnosis.whatif.masks import grown, labelled_mask, rectangle
@@ -137,7 +137,7 @@ def _mask(state: State, source: Pipeline, keys: tuple[str, ...], rest: list[str]
             raise InputError("a rectangle has four numbers", got=rest[1])
         mask = rectangle(frame.height, frame.width, (corners[0], corners[1], corners[2], corners[3]))
     elif rest[0] == "label":
-        truth = state.judged.truth if isinstance(state.judged, Judgement) else None
+        truth = state.judged.truth if isinstance(state.judged, Diagnosis) else None
         found = None if truth is None else labelled_mask(truth, entry.bbox, frame.height, frame.width)
         if found is None:
             raise InputError("no labelled object with a mask is where the selected one is")

@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 
 from pipeline.answering.opening import Pipeline
-from pipeline.diagnosis.live import Judgement
+from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.diagnosis.whatif.box_numbers import box_numbers
+from pipeline.diagnosis.whatif.changes import each_edit
 from pipeline.diagnosis.whatif.decision_map import DecisionMap
-from pipeline.diagnosis.whatif.edit_list import each_edit
 from pipeline.geometry.palette import hex_color, palette
 from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE
@@ -125,7 +125,7 @@ def _mask_row(state: State, mask: np.ndarray) -> str:
         button(f"{pixels:+d} px".replace("-", "−"), f"sv('edit:mask:grow:{pixels}')", "grow or shrink its pixels")
         for pixels in GROWTHS
     ]
-    if isinstance(state.judged, Judgement):
+    if isinstance(state.judged, Diagnosis):
         buttons.append(button("labelled", "sv('edit:mask:label')", "the pixels of the label in place of its own"))
     if state.pair is not None and state.selected is not None and len(set(state.pair[:2]) - {state.selected}):
         other = state.shown.names[partners(state)[1]]
@@ -218,7 +218,7 @@ def _list(state: State) -> str:
         return ""
     color = hex_color(palette(state.dark)["edited"])
     rows = "".join(
-        f'<div class="edit" style="--c:{color}"><span title="{safe(edit.said)}">{safe(edit.said)}</span>'
+        f'<div class="edit" style="--c:{color}"><span title="{safe(edit.text)}">{safe(edit.text)}</span>'
         f'<span class="try" data-id="{safe(edit.id)}" onclick="sv(\'edit-remove:\'+this.dataset.id)" '
         f'title="take this edit back">×</span></div>'
         for edit in found

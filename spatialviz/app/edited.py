@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import cached_property
 
 from pipeline.answering.pair_table import ScoredPair
-from pipeline.diagnosis.live import Judgement
+from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.diagnosis.whatif import Outcome
 
 _Names = tuple[str | None, ...]
@@ -19,7 +19,7 @@ class Edited:
     Attributes
     ----------
     before, after : Outcome
-    judged : Judgement or str or None
+    judged : Diagnosis or str or None
         The verdict on the one before.
     seconds : float
         What answering again took the core.
@@ -27,7 +27,7 @@ class Edited:
 
     before: Outcome
     after: Outcome
-    judged: Judgement | str | None
+    judged: Diagnosis | str | None
     seconds: float
 
     def rank_before(self, pair: ScoredPair) -> int | None:

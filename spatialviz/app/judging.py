@@ -11,7 +11,8 @@ from pipeline.answering.opening import Pipeline
 from pipeline.answering.ranking import RankConfig
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.truth import answered_case, effective_mark, effective_truth, withdrawn_by
-from pipeline.diagnosis.live import Judgement, annotated_truth, judge_trace, labelled_case, labelled_truth
+from pipeline.diagnosis.asking import annotated_truth, judge_trace, labelled_case, labelled_truth
+from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.evaluation.run_folder import Run
 from pipeline.labels.cases import FrameCases
 from pipeline.labels.reading import Labels
@@ -81,7 +82,7 @@ class Judge:
         trace: Trace,
         expression: str | None = None,
         rank: RankConfig | None = None,
-    ) -> Judgement | str | None:
+    ) -> Diagnosis | str | None:
         """The verdict, why there can be none, or None where nothing is known of the frame.
 
         `expression` is the id of the labelled expression that was asked, `rank` the weights of an edited trace.

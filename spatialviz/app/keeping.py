@@ -12,7 +12,7 @@ import viser
 
 from pipeline.answering.objects import PreparedFrame
 from pipeline.answering.opening import Pipeline
-from pipeline.diagnosis.cases import Answered, answer, save_case
+from pipeline.diagnosis.cases import Answer, answer, save_case
 from pipeline.diagnosis.whatif import edits_record
 from pipeline.diagnosis.whatif.state import ViewState, encode
 from pipeline.evaluation.run_folder import Run
@@ -153,7 +153,7 @@ class Keeping:
         edits = state.edits
         return source, context, state, {"truth": truth, "edits": edits_record(edits) if edits else None, **known}
 
-    def _subject(self, answered: Answered) -> Subject:
+    def _subject(self, answered: Answer) -> Subject:
         view = self._view()
         try:
             string = encode(view)

@@ -8,8 +8,7 @@ from dataclasses import asdict
 from pipeline.answering.ask import Trace
 from pipeline.answering.json_records import why_no_answer
 from pipeline.answering.pair_table import HOLDS
-from pipeline.diagnosis.live import Judgement
-from pipeline.diagnosis.verdict import MODULE_OF
+from pipeline.diagnosis.verdict import MODULE_OF, Diagnosis
 from pipeline.geometry.palette import DROPPED, VERDICTS, hex_color, palette
 from pipeline.language.counted import counted
 from spatialviz.app.beside_html import layers_html
@@ -181,17 +180,17 @@ def _modules(state: State) -> list[tuple[str, str, str, str]]:
 
 def _blamed(cell: tuple[str, str, str, str], state: State) -> tuple[str, str, str, str]:
     """The cell of a module as the verdict has it: the module that failed stands out, and what did not fail is fine."""
-    if not isinstance(state.judged, Judgement):
+    if not isinstance(state.judged, Diagnosis):
         return cell
     name, _, cost, hint = cell
-    d = state.judged.diagnosis
+    d = state.judged
     blamed = {MODULE_OF[d.verdict]} if d.verdict in MODULE_OF else set()
     if d.verdict == "COMPOUND":
         blamed = {"OPM" if part in ("CONF", "RECALL") else part for part in d.repair}
     if name in blamed:
         said = (d.detail or d.verdict.removeprefix("OPM-")).lower()
         said = "at fault" if said == name.lower() else said
-        return name, hex_color(VERDICTS[d.verdict]), said, f"{state.judged.said} ({cost}; {hint})"
+        return name, hex_color(VERDICTS[d.verdict]), said, f"{state.judged.text} ({cost}; {hint})"
     return (name, GOOD, cost, hint) if d.correct and name != "LABEL" else cell
 
 

@@ -7,7 +7,7 @@ from pipeline.answering.objects import SceneObject
 from pipeline.answering.pair_table import ScoredPair
 from pipeline.answering.ranking import alone
 from pipeline.answering.told_answer import probability, told
-from pipeline.diagnosis.live import Judgement
+from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.geometry.lifting import Pixel
 from pipeline.geometry.palette import DROPPED, RGB, hex_color, palette, second_color
 from pipeline.language.lexicon import wording
@@ -64,7 +64,7 @@ def answer_html(state: State, can_ask: bool = True) -> str:
 def _alone(state: State) -> str:
     """What the verdict is of where there is no pair: as in an evaluation, the best target by its name alone."""
     trace = state.trace
-    if trace is None or trace.missing or not isinstance(state.judged, Judgement):
+    if trace is None or trace.missing or not isinstance(state.judged, Diagnosis):
         return ""
     name = trace.query.expression.target
     candidates = trace.candidates.get(name)

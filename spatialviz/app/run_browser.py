@@ -8,8 +8,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.diagnosis.verdict import VERDICTS
-from pipeline.evaluation.completion import complete
-from pipeline.evaluation.search import find_rows
+from pipeline.evaluation.search import complete, find_rows
 from pipeline.system.errors import InputError
 from spatialviz.app.run_figures import RunFigures
 

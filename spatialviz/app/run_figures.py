@@ -5,11 +5,10 @@ from __future__ import annotations
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING
 
-from pipeline.evaluation.completion import completions
 from pipeline.evaluation.confusion import Confusion, Standings, answer_standings, count_standings
 from pipeline.evaluation.loss_plots import MOST_SHOWN
 from pipeline.evaluation.run_folder import Run
-from pipeline.evaluation.search import Field
+from pipeline.evaluation.search import Field, completions
 from pipeline.evaluation.slices import Slices, slice_by
 from pipeline.evaluation.summary import RunSummary, summarise_run
 from pipeline.system.errors import InputError

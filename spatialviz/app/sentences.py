@@ -10,8 +10,7 @@ from pipeline.corrections.expression_cards import ExpressionCard, set_answer
 from pipeline.corrections.journal.edits import Edits, set_ambiguous, set_mark, set_status, set_text
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.field_refs import FieldRef
-from pipeline.diagnosis.live import Judgement
-from pipeline.diagnosis.verdict import MARKS
+from pipeline.diagnosis.verdict import MARKS, Diagnosis
 from pipeline.system.errors import InputError
 from spatialviz.app.bridge import Bridge
 from spatialviz.app.conflict import Conflicts
@@ -104,7 +103,7 @@ class Sentences:
     def mend(self) -> None:
         """From the answer of the debugger to the labels that it is judged by: the labelled pair and its expression."""
         state = self._state()
-        judged = state.judged if isinstance(state.judged, Judgement) else None
+        judged = state.judged if isinstance(state.judged, Diagnosis) else None
         if state.labels is not None:
             return
         self._correct.show()
@@ -201,7 +200,7 @@ def _remembered(author: str) -> str:
     return f"localStorage.setItem('svAuthor',{json.dumps(author)})"
 
 
-def _of_case(state: State, view: LabelView, judged: Judgement) -> State:
+def _of_case(state: State, view: LabelView, judged: Diagnosis) -> State:
     """The state with the labelled pair of a case chosen, and its expression, as far as they still are there."""
     case, numbers = judged.case, judged.truth.numbers
     ends = [view.place(int(numbers[k])) for k in (case.target_object, case.reference_object)]

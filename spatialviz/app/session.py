@@ -18,7 +18,7 @@ from pipeline.corrections.journal_place import JournalPlace
 from pipeline.datasets import has_moves
 from pipeline.datasets.capabilities import dataset_notes
 from pipeline.datasets.demo import DEMO_EXPRESSION
-from pipeline.diagnosis.live import Judgement
+from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.diagnosis.whatif.state import ViewState
 from pipeline.evaluation.run_folder import Run
 from pipeline.labels.reading import Labels
@@ -349,7 +349,7 @@ class Session:
         self.state = replace(self.state, pair=pair, selected=None if pair is None else pair[0])
         self._what_if.answered()
 
-    def _judged(self, trace: Trace, rank: RankConfig | None) -> Judgement | str | None:
+    def _judged(self, trace: Trace, rank: RankConfig | None) -> Diagnosis | str | None:
         """The verdict on a trace of the frame that is shown."""
         state = self.state
         assert state.loaded is not None

@@ -10,7 +10,7 @@ from pipeline.answering.agreement.frames import Beside
 from pipeline.answering.ask import Trace
 from pipeline.answering.objects import SceneObject
 from pipeline.answering.pair_table import ScoredPair
-from pipeline.diagnosis.live import Judgement
+from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.diagnosis.whatif import Edits
 from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.palette import Role
@@ -58,14 +58,14 @@ class OtherAnswer:
     name : str
         Of its system.
     trace : Trace or None
-    judged : Judgement or str or None
+    judged : Diagnosis or str or None
     error : str
         Why it cannot be asked.
     """
 
     name: str
     trace: Trace | None
-    judged: Judgement | str | None = None
+    judged: Diagnosis | str | None = None
     error: str = ""
 
     @property
@@ -97,7 +97,7 @@ class State:
         The chosen pair (with "between", all three), as places in `shown.objects`; kept by objects, not by rank.
     selected : int or None
         Place in `shown.objects`.
-    judged : Judgement or str or None
+    judged : Diagnosis or str or None
         The verdict on the answer, why there is none, or None where nothing is known of the truth.
     listing : Listing or None
         What is searched of the source's run.
@@ -135,7 +135,7 @@ class State:
     camera: CameraMode = "orbit"
     flags: SceneFlags = field(default_factory=SceneFlags)
     dark: bool = True
-    judged: Judgement | str | None = None
+    judged: Diagnosis | str | None = None
     listing: Listing | None = None
     other: OtherAnswer | None = None
     edits: Edits = field(default_factory=Edits)
@@ -178,7 +178,7 @@ class State:
         return self.beside.partner(self.selected)
 
     def named(self, key: str) -> str:
-        """The name of an object by its key (`pipeline.diagnosis.whatif.keys`)."""
+        """The name of an object by its key (`pipeline.diagnosis.whatif.pair_tables`)."""
         keys = () if self.edited is None else self.edited.after.keys
         if key in keys:
             return self.shown.names[self.shown.place[keys.index(key)]]
@@ -229,7 +229,7 @@ class State:
     def ghosts(self) -> list[Ghost]:
         """The labelled target and reference in 3D, and those of the other run where it answers otherwise."""
         found = []
-        if isinstance(self.judged, Judgement):
+        if isinstance(self.judged, Diagnosis):
             boxes = self.judged.labelled_boxes()
             found += [Ghost(name, f"labelled {name}", box, "truth") for name, box in boxes.items()]
         pair = None if self.other is None else self.other.best

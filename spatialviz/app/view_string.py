@@ -11,7 +11,7 @@ import numpy as np
 
 from pipeline.answering.objects import SceneObject
 from pipeline.answering.opening import Pipeline
-from pipeline.diagnosis.whatif.keys import detection_keys
+from pipeline.diagnosis.whatif.pair_tables import detection_keys
 from pipeline.diagnosis.whatif.state import CameraView, Toggle, ViewState
 from spatialviz.app.scene import SceneFlags
 from spatialviz.app.state import State
@@ -81,7 +81,7 @@ def with_objects(state: State, source: Pipeline, view: ViewState) -> State:
 
 
 def object_key(state: State, source: Pipeline, place: int) -> str | None:
-    """The key of a shown object (`diagnosis.whatif.keys`); None where the detector does not find it as it is shown."""
+    """The key of a shown object (`whatif.pair_tables.detection_keys`); None where the detector does not find it so."""
     entry = state.shown.objects[place]
     if entry.id >= 0:
         return f"#{entry.id}"

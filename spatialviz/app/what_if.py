@@ -13,10 +13,10 @@ import viser
 from pipeline.answering.ask import Trace
 from pipeline.answering.opening import Pipeline
 from pipeline.answering.ranking import RankConfig
-from pipeline.diagnosis.live import Judgement
+from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.diagnosis.whatif import Baseline, Edits, Outcome, rerun
+from pipeline.diagnosis.whatif.changes import each_edit, without_edit
 from pipeline.diagnosis.whatif.decision_map import DecisionMap, decision_map
-from pipeline.diagnosis.whatif.edit_list import each_edit, without_edit
 from pipeline.geometry.boxes import Box3D
 from pipeline.language.counted import counted
 from pipeline.system.errors import InputError
@@ -30,7 +30,7 @@ from spatialviz.app.scene import SceneView
 from spatialviz.app.state import Shown, State, shown_objects
 
 UNDOS = 200
-Judge = Callable[[Trace, RankConfig | None], Judgement | str | None]
+Judge = Callable[[Trace, RankConfig | None], Diagnosis | str | None]
 
 
 class WhatIf:
@@ -74,7 +74,7 @@ class WhatIf:
         self._state, self._take, self._draw, self._judge = state, take, draw, judge
         self._note, self._post = note, post
         self._baseline: Baseline | None = None
-        self._judged: Judgement | str | None = None
+        self._judged: Diagnosis | str | None = None
         self._of: tuple[str, str, str] | None = None
         self._undo: list[Edits] = []
         self._live_since: Edits | None = None
@@ -278,7 +278,7 @@ class WhatIf:
 
 
 def _taken(
-    state: State, edits: Edits, edited: Edited, judged: Judgement | str | None, keys: tuple[str, ...]
+    state: State, edits: Edits, edited: Edited, judged: Diagnosis | str | None, keys: tuple[str, ...]
 ) -> State:
     """The state with an answer under edits.
 

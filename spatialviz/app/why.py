@@ -5,9 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from pipeline.answering.ranking import Candidates
-from pipeline.diagnosis.live import Judgement
-from pipeline.diagnosis.oracles import ORACLES
-from pipeline.diagnosis.words import threshold
+from pipeline.diagnosis.substitution import ORACLES
+from pipeline.diagnosis.verdict import Diagnosis, threshold
 from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.palette import VERDICTS as COLORS
 from pipeline.geometry.palette import hex_color, palette
@@ -29,12 +28,12 @@ ORACLE_WORDS = {
 
 def verdict_line(state: State) -> str:
     """The verdict in one line, for the head of the answer; a click shows why."""
-    if isinstance(state.judged, Judgement):
-        d = state.judged.diagnosis
+    if isinstance(state.judged, Diagnosis):
+        d = state.judged
         detail = "lucky" if d.lucky else d.detail
         return (
-            f'<div class="vline" onclick="svTab(\'Why\')" title="{safe(state.judged.said)}">'
-            f"{verdict_chip(d.verdict, detail)}<span>{safe(state.judged.said)}</span></div>"
+            f'<div class="vline" onclick="svTab(\'Why\')" title="{safe(state.judged.text)}">'
+            f"{verdict_chip(d.verdict, detail)}<span>{safe(state.judged.text)}</span></div>"
         )
     if isinstance(state.judged, str):
         said = safe(f"No verdict: {state.judged}")
@@ -46,7 +45,7 @@ def mend_button(state: State) -> str:
     """A button that leads to the labels of the verdict; it stands out where the label itself is in doubt."""
     if not state.correctable:
         return ""
-    doubted = isinstance(state.judged, Judgement) and state.judged.diagnosis.verdict == "LABEL"
+    doubted = isinstance(state.judged, Diagnosis) and state.judged.verdict == "LABEL"
     click = "event.stopPropagation();sv('mend')"
     return (
         f'<span class="try mend{" go" if doubted else ""}" role="button" onclick="{click}" '
@@ -69,12 +68,11 @@ def why_html(state: State) -> str:
     if isinstance(judged, str):
         said = f'<div class="dim" style="padding:.7em 0">No verdict: {safe(judged)}. {mend_button(state)}</div>'
         return panel(said, _placement(state), _matrix(state))
-    d = judged.diagnosis
-    chip = verdict_chip(d.verdict, "lucky" if d.lucky else d.detail)
+    chip = verdict_chip(judged.verdict, "lucky" if judged.lucky else judged.detail)
     head = f'<div style="padding:.55em 0 .3em;display:flex;align-items:center">{chip}{mend_button(state)}</div>'
     return panel(
         head,
-        f'<div class="said">{safe(judged.said)}</div>',
+        f'<div class="said">{safe(judged.text)}</div>',
         _placement(state),
         _other(state),
         _decomposition(state, judged),
@@ -111,8 +109,8 @@ def _other(state: State) -> str:
     if other.error:
         return heading("The other run", safe(other.name)) + note(other.error)
     verdict = ""
-    if isinstance(other.judged, Judgement):
-        d = other.judged.diagnosis
+    if isinstance(other.judged, Diagnosis):
+        d = other.judged
         verdict = verdict_chip(d.verdict, "lucky" if d.lucky else d.detail)
     rows = []
     for name, pair, trace in (("this", mine, state.trace), ("other", other.best, other.trace)):
@@ -135,17 +133,16 @@ def _other(state: State) -> str:
     )
 
 
-def _decomposition(state: State, judged: Judgement) -> str:
+def _decomposition(state: State, d: Diagnosis) -> str:
     """Winner against the best acceptable pair, factor by factor, as log-contributions."""
-    d = judged.diagnosis
-    if not judged.gold or d.winner is None or d.right is None or d.contributions is None or d.winner == d.right:
+    if not d.gold or d.winner is None or d.right is None or d.contributions is None or d.winner == d.right:
         return ""
     colors = palette(state.dark)
-    config = judged.evidence.answers.source.config.rank
+    config = d.evidence.answers.source.config.rank
     weights = (config.target_weight, config.reference_weight, config.relation_weight)
     shares = {name: w * d.contributions[name] for name, w in zip(d.contributions, weights, strict=True)}
     scale = max(1e-9, *(abs(v) for v in shares.values()))
-    needed = {n.factor: n for n in judged.diagnosis.needed}
+    needed = {n.factor: n for n in d.needed}
     rows = []
     for name, share in shares.items():
         width = 50 * abs(share) / scale
@@ -185,9 +182,8 @@ def _name(state: State, place: int | None) -> str:
     return "?" if at is None else state.shown.names[at]
 
 
-def _oracles(judged: Judgement) -> str:
+def _oracles(d: Diagnosis) -> str:
     """Each oracle alone: is the answer right with it, and by what margin."""
-    d = judged.diagnosis
     rows = []
     for k, name in enumerate(("", *ORACLES)):
         subset = 0 if k == 0 else 1 << (k - 1)
@@ -267,7 +263,7 @@ def _best(candidates: Candidates) -> list[tuple[int, float]]:
 
 def _accepted(state: State) -> set[tuple[int, int]]:
     """Pairs of candidates that are acceptable, as places in the trace's objects."""
-    if not isinstance(state.judged, Judgement):
+    if not isinstance(state.judged, Diagnosis):
         return set()
     return state.judged.acceptable_pairs()
 

@@ -1,10 +1,9 @@
 """One self-contained page of an answer, to attach to an issue: why, the picture, the scene, all numbers.
 
-`cast` says which object plays which role, `picture_svg` draws them over the
-image, `tables` holds the numbers, `page` puts all on a page of the `style`.
+`picture_svg` says which object plays which role and draws them over the image,
+`tables` holds the numbers, `page` puts all on a page of the `style`.
 """
 
-from spatialviz.report.page import failure_page, write_page
-from spatialviz.report.subject import Subject
+from spatialviz.report.page import Subject, failure_page, write_page
 
 __all__ = ["Subject", "failure_page", "write_page"]

@@ -13,7 +13,7 @@ import cv2
 import numpy as np
 
 from pipeline.answering.told_answer import probability
-from pipeline.diagnosis.asking import Answer
+from pipeline.diagnosis.answer import Answer
 from pipeline.evaluation.run_folder import Run
 from spatialviz.report.picture import answer_picture
 

@@ -2,27 +2,32 @@
 
 from __future__ import annotations
 
-import os
 import re
-from contextlib import suppress
+import shlex
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from html import escape
 from pathlib import Path
+from typing import Any
 
 from pipeline import __version__
 from pipeline.answering.json_records import why_no_answer
 from pipeline.answering.objects import PreparedFrame
 from pipeline.answering.opening import Pipeline
 from pipeline.answering.told_answer import best_pair, told
-from pipeline.diagnosis.cases.answered import Answered
-from pipeline.diagnosis.live import Judgement
-from pipeline.evaluation.shared_makers import title_of
+from pipeline.diagnosis.answer import Answer
+from pipeline.diagnosis.cases.manifest import PROPOSALS
+from pipeline.diagnosis.cases.opening import OpenedCase
+from pipeline.diagnosis.verdict import Diagnosis
+from pipeline.diagnosis.whatif.edits import Edits, read_edits
+from pipeline.diagnosis.whatif.state import ViewState, encode
+from pipeline.evaluation.shared_makers import Share, shares_of_answer, title_of
+from pipeline.labels.reading import Labels
 from pipeline.language.lexicon import wording
 from pipeline.system.errors import InputError
-from pipeline.system.whole_files import temporary_beside, write_synced
-from spatialviz.report.answer_roles import AnswerRoles, answer_roles
-from spatialviz.report.picture_svg import picture_svg
+from pipeline.system.whole_files import write_whole
+from spatialviz.report.picture_svg import AnswerRoles, answer_roles, picture_svg
 from spatialviz.report.style import STYLE
-from spatialviz.report.subject import Subject
 from spatialviz.report.tables import decomposition_html, modules_html, pairs_html, relations_html
 
 POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data: blob:; frame-src 'self' data: blob:; " \
@@ -32,13 +37,13 @@ POLICY = "default-src 'none'; style-src 'unsafe-inline'; img-src data: blob:; fr
 
 
 def failure_page(
-    answered: Answered, source: Pipeline, context: PreparedFrame, subject: Subject, scene: str | None = None
+    answered: Answer, source: Pipeline, context: PreparedFrame, subject: Subject, scene: str | None = None
 ) -> str:
     """The page of one answer as HTML.
 
     Parameters
     ----------
-    answered : Answered
+    answered : Answer
     source : Pipeline
         What answered.
     context : PreparedFrame
@@ -47,7 +52,7 @@ def failure_page(
         A self-contained page of the scene in 3D, which is put into a frame of its own.
     """
     cast = answer_roles(answered)
-    judged = answered.judgement
+    judged = answered.diagnosis
     title = f"{answered.text} · {subject.frame}"
     body = [
         _header(answered, subject, cast),
@@ -81,22 +86,13 @@ def write_page(page: str, path: Path) -> None:
     InputError
         The place cannot be written.
     """
-    temporary = temporary_beside(path)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_synced(temporary, page.encode("utf-8", "replace"))
-        os.replace(temporary, path)
-    except OSError as error:
-        raise InputError("the report cannot be written", got=error.strerror, path=path) from error
-    finally:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
+    write_whole(path, page.encode("utf-8", "replace"), "the report")
 
 
-def headline(answered: Answered) -> str:
+def headline(answered: Answer) -> str:
     """Why, in a sentence or two."""
-    if answered.judgement is not None:
-        return answered.judgement.said
+    if answered.diagnosis is not None:
+        return answered.diagnosis.text
     if answered.trace is None:
         return f"The expression cannot be asked: {answered.problem}"
     return why_no_answer(answered.trace) or "An answer without a verdict: " + (
@@ -104,14 +100,13 @@ def headline(answered: Answered) -> str:
     )
 
 
-def _header(answered: Answered, subject: Subject, cast: AnswerRoles) -> str:
-    judged = answered.judgement
-    if judged is None:
+def _header(answered: Answer, subject: Subject, cast: AnswerRoles) -> str:
+    d = answered.diagnosis
+    if d is None:
         chip = '<span class="verdict none">NO VERDICT</span>'
     else:
-        d = judged.diagnosis
-        said = " · ".join(x for x in (d.verdict, d.detail, "LUCKY" if d.lucky else None) if x)
-        chip = f'<span class="verdict{" correct" if d.correct else ""}">{escape(said)}</span>'
+        text = " · ".join(x for x in (d.verdict, d.detail, "LUCKY" if d.lucky else None) if x)
+        chip = f'<span class="verdict{" correct" if d.correct else ""}">{escape(text)}</span>'
     first, *rest = re.split(r"(?<=[.!]) +(?=[A-Z])", headline(answered), maxsplit=1)
     lead = f'<p class="lead">{escape(rest[0])}</p>' if rest else ""
     return (
@@ -121,13 +116,13 @@ def _header(answered: Answered, subject: Subject, cast: AnswerRoles) -> str:
     )
 
 
-def _caveat(answered: Answered, subject: Subject) -> str:
+def _caveat(answered: Answer, subject: Subject) -> str:
     """What the verdict is where answer and truth have a maker in common."""
-    title = title_of(subject.shares) if answered.judgement is not None else ""
+    title = title_of(subject.shares) if answered.diagnosis is not None else ""
     return f'<p class="lead caveat">{escape(title[:1].upper() + title[1:])}.</p>' if title else ""
 
 
-def _answer(answered: Answered, cast: AnswerRoles) -> str:
+def _answer(answered: Answer, cast: AnswerRoles) -> str:
     """The answer in words, with the numbers at its top."""
     trace = answered.trace
     best = None if trace is None else best_pair(trace)
@@ -136,11 +131,11 @@ def _answer(answered: Answered, cast: AnswerRoles) -> str:
     second = "" if best.second_reference is None else f" and {cast.name(best.second_reference)}"
     phrase = wording(trace.asked.relation, inverse=trace.asked.inverse)
     answer = told(trace, cast.name)
-    said = answer.sentence(f"{cast.name(best.target)} {phrase} {cast.name(best.reference)}{second}")
-    return f'<p class="lead">Answer: {escape(said)}. <span class="quiet">{escape(answer.below)}</span></p>'
+    text = answer.sentence(f"{cast.name(best.target)} {phrase} {cast.name(best.reference)}{second}")
+    return f'<p class="lead">Answer: {escape(text)}. <span class="quiet">{escape(answer.below)}</span></p>'
 
 
-def _expression(answered: Answered) -> str:
+def _expression(answered: Answer) -> str:
     """The expression with its two roles in their colours, where it is one of two names."""
     trace = answered.trace
     if trace is None or len(trace.query.readings) > 1 or len(trace.query.labels) > 2:
@@ -153,13 +148,13 @@ def _expression(answered: Answered) -> str:
     )
 
 
-def _views(answered: Answered, context: PreparedFrame, cast: AnswerRoles, scene: str | None) -> str:
+def _views(answered: Answer, context: PreparedFrame, cast: AnswerRoles, scene: str | None) -> str:
     keys = _key("target", "target") + _key("reference", "reference")
-    truth = _key("truth", "true", " dashed") if cast.true_masks else ""
+    truth = _key("truth", "true", " dashed") if cast.truth else ""
     picture = f'<figure>{picture_svg(context.frame, cast)}<figcaption>{keys}{truth}</figcaption></figure>'
     if scene is None:
         return f'<div class="views one">{picture}</div>'
-    ghost = _key("truth", "true box") if cast.true_boxes else ""
+    ghost = _key("truth", "true box") if any(o.lifted.box is not None for _, o in cast.truth.values()) else ""
     frame = (
         '<figure class="scene"><iframe title="The scene in 3D" sandbox="allow-scripts" '
         f'srcdoc="{escape(scene)}"></iframe>'
@@ -184,7 +179,7 @@ def _commands(subject: Subject) -> str:
 
 
 def _facts(
-    answered: Answered, source: Pipeline, context: PreparedFrame, subject: Subject, judged: Judgement | None
+    answered: Answer, source: Pipeline, context: PreparedFrame, subject: Subject, judged: Diagnosis | None
 ) -> str:
     config = source.config
     rank = config.rank
@@ -201,8 +196,76 @@ def _facts(
     if judged is not None:
         case = judged.case
         facts.append(("meant", f"{case.target} {wording(case.relation)} {case.reference}"))
-        facts.append(("right answers", f"{len(case.strict)} beyond doubt, {len(case.acceptable)} with the doubtful"))
+        facts.append(("right answers", f"{len(case.strict)} beyond doubt, {len(case.acceptable)} with the undecided"))
         facts += [("judged by", share.sentence) for share in subject.shares]
     return '<dl class="facts">' + "".join(
         f"<dt>{escape(k)}</dt><dd>{escape(v)}</dd>" for k, v in (*facts, *subject.facts)
     ) + "</dl>"  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Subject:
+    """What the page says besides the answer.
+
+    Attributes
+    ----------
+    dataset : str
+        Its name.
+    frame : str
+    commands : tuple of str
+        To see the same again.
+    state : str or None
+        The view as one string.
+    facts : tuple of (str, str)
+        More about where it is from.
+    shares : tuple of Share
+        What the answer has in common with what made the truth that its verdict is by.
+    """
+
+    dataset: str
+    frame: str
+    commands: tuple[str, ...]
+    state: str | None = None
+    facts: tuple[tuple[str, str], ...] = ()
+    shares: tuple[Share, ...] = ()
+
+    @staticmethod
+    def of_case(opened: OpenedCase) -> Subject:
+        """A kept case."""
+        m = opened.manifest
+        root = str(opened.root)
+        facts = [("case", m.name), ("kept", f"{m.created} by {m.tool}")]
+        facts += [(str(key), str(value)) for key, value in m.run.items()]
+        facts += [("note", note) for note in opened.notes]
+        dataset = m.dataset.get("name", "")
+        recording = str(opened.root / PROPOSALS)
+        commands = (
+            shlex.join(["spatialviz", "replay", root]),
+            shlex.join(["spatialviz", "view", root, "--detector", "recorded", "--model", recording]),
+        )
+        return Subject(
+            dataset, m.frame.id, commands, view_state(dataset, m.frame.id, m.text, m.edits), tuple(facts),
+        )  # fmt: skip
+
+    @staticmethod
+    def of_dataset(
+        path: str, source: Pipeline, context: PreparedFrame, text: str, options: Sequence[str] = (),
+        labels: Labels | None = None,
+    ) -> Subject:
+        """An expression on a frame of a dataset, judged by labels or its annotations; `options` of the command line."""
+        frame = context.frame.id
+        name = source.dataset.root.resolve().name
+        commands = (
+            shlex.join(["spatialviz", "ask", path, frame, text, *options]),
+            shlex.join(["spatialviz", "save-case", path, frame, text, "--out", "CASE", *options]),
+        )
+        shares = shares_of_answer(source, labels)
+        return Subject(name, frame, commands, view_state(name, frame, text, None), shares=shares)
+
+
+def view_state(dataset: str, frame: str, text: str, edits: Mapping[str, Any] | None) -> str | None:
+    """The view as a string that `spatialviz view --state` takes; None where it cannot be written."""
+    try:
+        return encode(ViewState(dataset, frame, text, edits=read_edits(dict(edits)) if edits else Edits()))
+    except InputError:
+        return None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from contextlib import suppress
 from pathlib import Path
 
 import cv2
@@ -11,11 +10,13 @@ import numpy as np
 
 from pipeline.answering.ask import Trace
 from pipeline.answering.objects import SceneObject
+from pipeline.answering.pair_table import ScoredPair
 from pipeline.answering.told_answer import best_pair, told
 from pipeline.geometry.boxes import EDGES, Box3D
 from pipeline.geometry.camera import Camera, project
 from pipeline.geometry.palette import ON_DARK, Role
 from pipeline.system.errors import InputError
+from pipeline.system.whole_files import write_whole
 
 TINT = 0.45
 
@@ -35,8 +36,8 @@ def tinted(rgb: np.ndarray, objects: Sequence[SceneObject], roles: Mapping[int, 
     (H, W, 3) uint8
     """
     image = rgb.copy()
-    for place, role in roles.items():
-        mask, color = objects[place].mask, np.array(ON_DARK[role])
+    for index, role in roles.items():
+        mask, color = objects[index].mask, np.array(ON_DARK[role])
         image[mask] = (image[mask] * (1 - TINT) + color * TINT).astype(np.uint8)
         outline, _ = cv2.findContours(mask.view(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_SIMPLE)
         cv2.drawContours(image, outline, -1, ON_DARK[role], max(1, rgb.shape[1] // 500), cv2.LINE_AA)
@@ -63,24 +64,25 @@ def box_edges_2d(box: Box3D, camera: Camera, near: float = 0.05) -> np.ndarray:
     return np.stack([project(a, camera), project(b, camera)], axis=1)
 
 
+def roles_of(pair: ScoredPair) -> dict[int, Role]:
+    """Index -> target or reference, for the objects of an answer."""
+    roles: dict[int, Role] = {k: "reference" for k in (pair.second_reference, pair.reference) if k is not None}
+    roles[pair.target] = "target"
+    return roles
+
+
 def answer_picture(trace: Trace) -> np.ndarray:
     """The answer of a trace drawn over its frame: (H + caption, W, 3) uint8."""
-    roles: dict[int, Role] = {}
-    if trace.ranking is not None and trace.ranking.pairs:
-        best = trace.ranking.pairs[0]
-        for other in (best.reference, best.second_reference):
-            if other is not None:
-                roles[other] = "reference"
-        roles[best.target] = "target"
+    roles = roles_of(trace.ranking.pairs[0]) if trace.ranking is not None and trace.ranking.pairs else {}
     image = tinted(trace.frame.rgb, trace.objects, roles)
     scale = max(1.0, trace.frame.width / 640)
-    for place, role in roles.items():
-        entry = trace.objects[place]
+    for index, role in roles.items():
+        entry = trace.objects[index]
         if entry.lifted.box is not None:
             for start, end in box_edges_2d(entry.lifted.box, trace.frame.camera):
                 _line(image, start, end, ON_DARK[role], max(1, round(1.5 * scale)))
-    for place, role in roles.items():
-        entry = trace.objects[place]
+    for index, role in roles.items():
+        entry = trace.objects[index]
         _tag(image, f"{entry.label} {entry.score:.2f}", entry.bbox[:2], ON_DARK[role], 0.5 * scale)
     return np.concatenate([image, _caption(trace, image.shape[1], scale)])
 
@@ -106,14 +108,7 @@ def write_picture(image: np.ndarray, path: Path) -> None:
         ok, data = False, np.zeros(0, np.uint8)
     if not ok:
         raise InputError("cannot write a picture of this kind", got=path.suffix, expected=".png or .jpg", path=path)
-    temporary = path.with_name(f".{path.name}.part")
-    try:
-        temporary.write_bytes(data.tobytes())
-        temporary.replace(path)
-    except OSError as error:
-        with suppress(OSError):
-            temporary.unlink(missing_ok=True)
-        raise InputError("the picture cannot be written", got=error.strerror, path=path) from error
+    write_whole(path, data.tobytes(), "the picture")
 
 
 def _line(image: np.ndarray, start: np.ndarray, end: np.ndarray, color: Sequence[int], width: int) -> None:
@@ -138,7 +133,7 @@ def _caption(trace: Trace, width: int, scale: float) -> np.ndarray:
     if best_pair(trace) is None:
         text += ": no answer"
     else:
-        answer = told(trace, lambda place: trace.objects[place].label)
+        answer = told(trace, lambda index: trace.objects[index].label)
         text += f": {answer.numbers if answer.holds else answer.sentence('this pair')} ({trace.scorer})"
     strip = np.full((round(26 * scale), width, 3), 24, np.uint8)
     cv2.putText(
@@ -152,3 +147,32 @@ def _caption(trace: Trace, width: int, scale: float) -> np.ndarray:
         cv2.LINE_AA,
     )
     return strip
+
+
+def dashed(segments: np.ndarray, period: float, share: float = 0.55) -> np.ndarray:
+    """Line segments cut into dashes.
+
+    Parameters
+    ----------
+    segments : (N, 2, D) float
+        Start and end of each.
+    period : float
+        Length of a dash with its gap, about: each segment holds a whole number of dashes, and ends with one.
+    share : float
+        Of the dash in it, 0..1.
+
+    Returns
+    -------
+    (M, 2, D) float32
+        In the order of the segments.
+    """
+    segments = np.asarray(segments, np.float64)
+    length = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1)
+    count = np.maximum(np.ceil(length / period), 1).astype(int)
+    which = np.repeat(np.arange(len(segments)), count)
+    number = np.arange(len(which)) - np.repeat(np.cumsum(count) - count, count)
+    # With the last gap left out, so that every corner is drawn.
+    whole = count[which] - (1 - share)
+    ends = np.stack([number / whole, np.minimum((number + share) / whole, 1.0)], axis=1)
+    start, step = segments[which, 0], segments[which, 1] - segments[which, 0]
+    return (start[:, None] + ends[..., None] * step[:, None]).astype(np.float32)

@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import base64
+from dataclasses import dataclass
 from html import escape
 
 import cv2
 import numpy as np
 
+from pipeline.answering.objects import SceneObject
+from pipeline.diagnosis.answer import Answer
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.camera import Camera
 from pipeline.geometry.frame import Frame
+from pipeline.geometry.masks import MaskCrop
 from pipeline.geometry.palette import Role
-from spatialviz.report.answer_roles import AnswerRoles
-from spatialviz.report.picture import box_edges_2d
+from spatialviz.report.picture import box_edges_2d, roles_of
 
 WIDEST = 1280
 QUALITY = 86
@@ -32,30 +35,24 @@ def picture_svg(frame: Frame, cast: AnswerRoles) -> str:
         f'<image href="{_jpeg(frame.rgb)}" width="{width}" height="{height}"/>',
         f'<g style="--u:{unit:.3f}">',
     ]
-    for _, role, mask in cast.true_masks:
-        parts.append(f'<path class="true {role}" d="{_outline(mask)}"/>')
-    for place, role in cast.roles.items():
-        parts.append(f'<path class="mask {role}" d="{_outline(cast.objects[place].mask)}"/>')
-    for place, role in cast.roles.items():
-        box = cast.objects[place].lifted.box
+    for role, entry in cast.truth.values():
+        parts.append(f'<path class="true {role}" d="{_outline(entry.mask)}"/>')
+    for index, role in cast.roles.items():
+        parts.append(f'<path class="mask {role}" d="{_outline(cast.objects[index].mask)}"/>')
+    for index, role in cast.roles.items():
+        box = cast.objects[index].lifted.box
         if box is not None:
             parts.append(f'<path class="box {role}" d="{_edges(box, frame.camera)}"/>')
     taken: list[tuple[float, float, float, float]] = []
-    for place, role in reversed(cast.roles.items()):
-        entry = cast.objects[place]
+    for index, role in reversed(cast.roles.items()):
+        entry = cast.objects[index]
         parts.append(_tag(f"{entry.label} {entry.score:.2f}", role, entry.bbox, frame, taken))
-    shown = {cast.labelled.get(place) for place in cast.roles}
-    for (label, role, mask), k in zip(cast.true_masks, _true_places(cast), strict=True):
-        if k not in shown:
-            rows, columns = np.flatnonzero(mask.any(axis=1)), np.flatnonzero(mask.any(axis=0))
-            if len(rows):
-                bbox = np.array([columns[0], rows[0], columns[-1] + 1, rows[-1] + 1], np.float64)
-                parts.append(_tag(f"true {role}: {label}", "truth", bbox, frame, taken))
+    shown = {cast.labelled.get(index) for index in cast.roles}
+    for k, (role, entry) in cast.truth.items():
+        if k not in shown and entry.mask.any():
+            bbox = np.array(MaskCrop(0, 0, entry.mask).box, np.float64)
+            parts.append(_tag(f"true {role}: {entry.label}", "truth", bbox, frame, taken))
     return "".join([*parts, "</g></svg>"])
-
-
-def _true_places(cast: AnswerRoles) -> tuple[int | None, ...]:
-    return cast.true_places if len(cast.true_places) == len(cast.true_masks) else (None,) * len(cast.true_masks)
 
 
 def _jpeg(rgb: np.ndarray) -> str:
@@ -108,3 +105,66 @@ def _tag(
         'text-anchor="middle" '
         f'textLength="{wide - 12 * unit:.1f}" lengthAdjust="spacingAndGlyphs">{escape(text)}</text></g>'
     )
+
+
+@dataclass(frozen=True)
+class AnswerRoles:
+    """The roles of one answer.
+
+    Attributes
+    ----------
+    objects : tuple of SceneObject
+        As detected.
+    target, reference : int or None
+        Indices of the answer's objects.
+    roles : dict of int to Role
+        Index -> target or reference, for the answer's objects.
+    right : (int, int) or None
+        Indices of the best right pair among the detections.
+    labelled : dict of int to int
+        Index -> the labelled object that it is.
+    truth : dict of int to (Role, SceneObject)
+        Index of a labelled object -> its role and itself: the labelled target and reference, where they are known.
+    exact : bool
+        The detections are the dataset's own.
+    """
+
+    objects: tuple[SceneObject, ...]
+    target: int | None
+    reference: int | None
+    roles: dict[int, Role]
+    right: tuple[int, int] | None
+    labelled: dict[int, int]
+    truth: dict[int, tuple[Role, SceneObject]]
+    exact: bool
+
+    def name(self, index: int) -> str:
+        """An object as the tables call it."""
+        entry = self.objects[index]
+        return f"{entry.label}·{entry.id if self.exact else index}"
+
+
+def answer_roles(answered: Answer) -> AnswerRoles:
+    """The roles of an answer."""
+    trace, judged = answered.trace, answered.diagnosis
+    objects: tuple[SceneObject, ...] = () if trace is None else trace.objects
+    best = None if trace is None or trace.ranking is None else next(iter(trace.ranking.pairs), None)
+    right = None
+    labelled: dict[int, int] = {}
+    truth: dict[int, tuple[Role, SceneObject]] = {}
+    if judged is not None:
+        evidence, case = judged.evidence, judged.case
+        # Another parse than the gold triple is judged by detections of its own.
+        if evidence.answers.objects is objects:
+            pair = judged.right
+            right = None if pair is None or pair.reference is None else (pair.target, pair.reference)
+            labelled = {index: int(k) for index, k in enumerate(evidence.match) if k >= 0}
+        ends: tuple[tuple[Role, int], ...] = (("target", case.target_object), ("reference", case.reference_object))
+        for role, k in ends:
+            entry = evidence.objects.get(k, points=True)
+            if entry is not None:
+                truth[k] = role, entry
+    return AnswerRoles(
+        objects, None if best is None else best.target, None if best is None else best.reference,
+        {} if best is None else roles_of(best), right, labelled, truth, trace is not None and trace.exact,
+    )  # fmt: skip

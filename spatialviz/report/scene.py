@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pipeline.answering.objects import PreparedFrame
-from pipeline.diagnosis.cases.answered import Answered
+from pipeline.diagnosis.answer import Answer
 from pipeline.geometry.boxes import EDGES, Box3D
 from pipeline.geometry.camera import lift_pixels
 from pipeline.geometry.lifting import flying_pixels
@@ -18,7 +18,7 @@ from pipeline.geometry.palette import RGB, Role, palette
 from spatialviz.app.cloud import BAND_RATIO, FAR
 from spatialviz.app.origin import checked_origins
 from spatialviz.app.scene import CUBE, CUBE_FACES, FACE_OPACITY, LINE_WIDTH
-from spatialviz.report.answer_roles import AnswerRoles, answer_roles
+from spatialviz.report.picture_svg import AnswerRoles, answer_roles
 
 if TYPE_CHECKING:
     import viser
@@ -29,7 +29,7 @@ ASPECT = 1.6
 """Width over height of the part of the page that shows the scene."""
 
 
-def scene_html(answered: Answered, context: PreparedFrame) -> str:
+def scene_html(answered: Answer, context: PreparedFrame) -> str:
     """The scene as one HTML page of about 1.5 MB, drawn in the viewer's level frame, dark."""
     import viser
 
@@ -38,7 +38,7 @@ def scene_html(answered: Answered, context: PreparedFrame) -> str:
         return _with_server(viser.ViserServer(host="127.0.0.1", port=0, verbose=False), answered, context)
 
 
-def _with_server(server: viser.ViserServer, answered: Answered, context: PreparedFrame) -> str:
+def _with_server(server: viser.ViserServer, answered: Answer, context: PreparedFrame) -> str:
     try:
         axes = context.viewer
         to_show = np.stack([axes.right, axes.forward, axes.up])
@@ -78,21 +78,21 @@ def _draw_cloud(scene: viser.SceneApi, context: PreparedFrame, to_show: np.ndarr
 def _draw_boxes(scene: viser.SceneApi, cast: AnswerRoles, to_show: np.ndarray) -> None:
     colors = palette(dark=True)
     by_role: dict[Role, list[Box3D]] = {}
-    for place, entry in enumerate(cast.objects):
+    for index, entry in enumerate(cast.objects):
         if entry.lifted.box is not None:
-            by_role.setdefault(cast.roles.get(place, "other"), []).append(_shown(entry.lifted.box, to_show))
-    by_role["truth"] = [_shown(box, to_show) for _, box in cast.true_boxes]
+            by_role.setdefault(cast.roles.get(index, "other"), []).append(_shown(entry.lifted.box, to_show))
+    truth = {k: _shown(o.lifted.box, to_show) for k, (_, o) in cast.truth.items() if o.lifted.box is not None}
+    by_role["truth"] = list(truth.values())
     opacity: Mapping[Role, float] = {**FACE_OPACITY, "truth": GHOST_OPACITY}
     for role, boxes in by_role.items():
         if boxes:
             _add_boxes(scene, role, boxes, colors[role], LINE_WIDTH[role], opacity[role])
-    for place, role in cast.roles.items():
-        box = cast.objects[place].lifted.box
+    for index, role in cast.roles.items():
+        box = cast.objects[index].lifted.box
         if box is not None:
-            _add_label(scene, f"/names/{place}", f"{role}: {cast.objects[place].label}", _shown(box, to_show), 0.05)
-    for k, (label, box) in enumerate(cast.true_boxes):
-        if not any(cast.labelled.get(place) == cast.true_places[k] for place in cast.roles):
-            _add_label(scene, f"/names/true/{k}", f"truth: {label}", _shown(box, to_show), 0.14)
+            _add_label(scene, f"/names/{index}", f"{role}: {cast.objects[index].label}", _shown(box, to_show), 0.05)
+    for k in truth.keys() - {cast.labelled.get(index) for index in cast.roles}:
+        _add_label(scene, f"/names/true/{k}", f"truth: {cast.truth[k][1].label}", truth[k], 0.14)
     pair = [cast.objects[p].lifted.box for p in (cast.target, cast.reference) if p is not None]
     ends = [box.center @ to_show.T for box in pair if box is not None]
     if len(ends) == 2:

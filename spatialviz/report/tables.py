@@ -5,13 +5,12 @@ from __future__ import annotations
 from html import escape
 from math import log
 
-from pipeline.diagnosis.cases.answered import Answered
-from pipeline.diagnosis.live import Judgement
-from pipeline.diagnosis.verdict import MODULE_OF
+from pipeline.diagnosis.answer import Answer
+from pipeline.diagnosis.verdict import MODULE_OF, ORACLE_WORDS, Diagnosis
 from pipeline.language.lexicon import wording
 from pipeline.language.relation_names import PHRASE
 from pipeline.relations.relations import letter
-from spatialviz.report.answer_roles import AnswerRoles
+from spatialviz.report.picture_svg import AnswerRoles
 
 SHOWN_PAIRS = 8
 _MODULES = (
@@ -19,40 +18,36 @@ _MODULES = (
     ("SRM", "relations", ("srm",)), ("PRM", "ranking", ("prm",)), ("LABEL", "the label", ()),
 )  # fmt: skip
 _ORACLE_MODULE = {"RECALL": "OPM", "LIFT": "LIFT", "SRM": "SRM", "CONF": "PRM"}
-_MODULE_WORDS = {
-    "RECALL": "the missing objects", "LIFT": "true geometry", "SRM": "true relations", "CONF": "true confidences",
-}  # fmt: skip
 _FACTORS = (("target", "p_target"), ("reference", "p_reference"), ("relation", "p_relation"))
 
 
-def modules_html(answered: Answered) -> str:
+def modules_html(answered: Answer) -> str:
     """A strip of the modules with what each took, the blamed one marked."""
-    blamed = blamed_modules(answered.judgement)
+    blamed = blamed_modules(answered.diagnosis)
     times = {} if answered.trace is None else answered.trace.timings
     cells = []
     for name, what, stages in _MODULES:
         took = sum(times.get(s, 0.0) for s in stages) * 1000
         shown = f"{took:.1f} ms" if any(s in times for s in stages) else "–"
         mark = ' class="blamed"' if name in blamed else ""
-        said = ' <span class="sr">blamed</span>' if name in blamed else ""
-        cells.append(f"<li{mark}><b>{name}</b><span>{what}</span><em>{shown}</em>{said}</li>")
+        text = ' <span class="sr">blamed</span>' if name in blamed else ""
+        cells.append(f"<li{mark}><b>{name}</b><span>{what}</span><em>{shown}</em>{text}</li>")
     return f'<ol class="modules">{"".join(cells)}</ol>'
 
 
-def blamed_modules(judged: Judgement | None) -> frozenset[str]:
+def blamed_modules(judged: Diagnosis | None) -> frozenset[str]:
     """The modules that the verdict blames."""
-    if judged is None or judged.diagnosis.correct:
+    if judged is None or judged.correct:
         return frozenset()
-    if judged.diagnosis.verdict == "COMPOUND":
-        return frozenset(_ORACLE_MODULE[name] for name in judged.diagnosis.repair)
-    return frozenset({MODULE_OF[judged.diagnosis.verdict]})
+    if judged.verdict == "COMPOUND":
+        return frozenset(_ORACLE_MODULE[name] for name in judged.repair)
+    return frozenset({MODULE_OF[judged.verdict]})
 
 
-def decomposition_html(judged: Judgement, cast: AnswerRoles) -> str:
+def decomposition_html(d: Diagnosis, cast: AnswerRoles) -> str:
     """The answer against the best right pair, factor by factor, as contributions to the log score."""
-    d = judged.diagnosis
     if d.winner is None or d.right is None or d.contributions is None:
-        return _missed_html(judged)
+        return _missed_html(d)
     if d.winner == d.right:
         return '<p class="quiet">The answer is the best right pair: nothing is lost.</p>'
     widest = max(*(abs(v) for v in d.contributions.values()), 0.1)
@@ -62,7 +57,7 @@ def decomposition_html(judged: Judgement, cast: AnswerRoles) -> str:
         side = "ours" if share >= 0 else "theirs"
         drawn = abs(share) >= 5e-4
         bar = f'<span class="bar {side}" style="width:{50 * abs(share) / widest:.1f}%"></span>' if drawn else ""
-        name = factor if factor != "relation" else f"relation “{escape(PHRASE[judged.case.relation])}”"
+        name = factor if factor != "relation" else f"relation “{escape(PHRASE[d.case.relation])}”"
         rows.append(
             f'<tr><th scope="row">{name}</th><td>{ours:.3f}</td><td>{theirs:.3f}</td>'
             f'<td class="wide"><span class="axis">{bar}</span></td><td>{share:+.2f}</td></tr>'
@@ -80,12 +75,12 @@ def decomposition_html(judged: Judgement, cast: AnswerRoles) -> str:
         '<th scope="col" class="wide hint"><span>← right pair</span><span>answer →</span></th>'
         '<th scope="col">Δ log</th></tr>'
     )
-    return f'<table class="decomposition"><thead>{head}</thead><tbody>{"".join(rows)}</tbody></table>{_needed(judged)}'
+    return f'<table class="decomposition"><thead>{head}</thead><tbody>{"".join(rows)}</tbody></table>{_needed(d)}'
 
 
-def _needed(judged: Judgement) -> str:
+def _needed(d: Diagnosis) -> str:
     lines = []
-    for n in judged.diagnosis.needed:
+    for n in d.needed:
         ways = []
         if n.right_above is not None:
             ways.append(f"of the right pair above <b>{n.right_above:.3g}</b> (is {n.right:.3g})")
@@ -93,17 +88,16 @@ def _needed(judged: Judgement) -> str:
             ways.append(f"of the answer below <b>{n.winner_below:.3g}</b> (is {n.winner:.3g})")
         if ways:
             lines.append(f"<li>{n.factor} {', or '.join(ways)}</li>")
-    d = judged.diagnosis
-    together = " and ".join(_MODULE_WORDS[name] for name in d.repair)
-    repairs = [_MODULE_WORDS[name] for name in d.mends] or ([together] if together else [])
+    together = " and ".join(ORACLE_WORDS[name] for name in d.repair)
+    repairs = [ORACLE_WORDS[name] for name in d.mends] or ([together] if together else [])
     mended = "".join(f"<li>{repair}</li>" for repair in repairs)
     if not lines and not mended:
         return ""
     return f'<h3>Each of these alone makes it right</h3><ul class="needed">{"".join(lines)}{mended}</ul>'
 
 
-def _missed_html(judged: Judgement) -> str:
-    d, missed = judged.diagnosis, judged.diagnosis.missed
+def _missed_html(d: Diagnosis) -> str:
+    missed = d.missed
     if missed is None:
         return '<p class="quiet">No right pair stood among the candidates, or there was no answer.</p>'
     rows = [
@@ -111,23 +105,23 @@ def _missed_html(judged: Judgement) -> str:
         ("best overlap with a right one", f"{missed.overlap:.2f} (.50 is asked)"),
         ("its score", "–" if missed.score is None else f"{missed.score:.3f}"),
         ("its place by score", "–" if missed.rank is None else str(missed.rank)),
-        ("mended by", " and ".join(_MODULE_WORDS[name] for name in d.repair) or "nothing"),
+        ("mended by", " and ".join(ORACLE_WORDS[name] for name in d.repair) or "nothing"),
     ]  # fmt: skip
     return '<dl class="facts">' + "".join(f"<dt>{k}</dt><dd>{v}</dd>" for k, v in rows) + "</dl>"
 
 
-def pairs_html(answered: Answered, cast: AnswerRoles) -> str:
+def pairs_html(answered: Answer, cast: AnswerRoles) -> str:
     """The ranked pairs with their factors; the best right pair too, where it stands lower."""
     trace = answered.trace
     if trace is None or trace.ranking is None or trace.ranking.degenerate:
         return ""
     pairs = trace.ranking.pairs
-    places = list(range(min(SHOWN_PAIRS, len(pairs))))
+    indices = list(range(min(SHOWN_PAIRS, len(pairs))))
     at = next((k for k, p in enumerate(pairs) if (p.target, p.reference) == cast.right), None)
-    if at is not None and at not in places:
-        places.append(at)
+    if at is not None and at not in indices:
+        indices.append(at)
     rows = []
-    for k in places:
+    for k in indices:
         p = pairs[k]
         marks = ("winner " if k == 0 else "") + ("right" if k == at else "")
         if k >= SHOWN_PAIRS:
@@ -149,7 +143,7 @@ def pairs_html(answered: Answered, cast: AnswerRoles) -> str:
             ("#", "target", "reference", "P(target)", "P(reference)", f"P({escape(asked)})", "ln product", "posterior")
         )
     )
-    more = len(pairs) - len(places)
+    more = len(pairs) - len(indices)
     note = f'<p class="quiet">and {more} more pairs</p>' if more > 0 else ""
     return (
         f'<div class="scroll"><table class="pairs"><thead><tr>{head}</tr></thead>'
@@ -157,9 +151,9 @@ def pairs_html(answered: Answered, cast: AnswerRoles) -> str:
     )
 
 
-def relations_html(answered: Answered, cast: AnswerRoles) -> str:
+def relations_html(answered: Answer, cast: AnswerRoles) -> str:
     """Every relation of the answer's pair, and of the best right pair, with the label's word."""
-    trace, judged = answered.trace, answered.judgement
+    trace, judged = answered.trace, answered.diagnosis
     if trace is None or cast.target is None or cast.reference is None:
         return ""
     pairs = [("answer", (cast.target, cast.reference))]
@@ -169,13 +163,13 @@ def relations_html(answered: Answered, cast: AnswerRoles) -> str:
     for n, relation in enumerate(trace.scores.relations):
         cells = []
         for _, (a, b) in pairs:
-            said = ""
+            text = ""
             if judged is not None and relation in judged.truth.states:
                 i, j = cast.labelled.get(a), cast.labelled.get(b)
                 if i is not None and j is not None and judged.truth.judged[i, j]:
-                    said = letter(judged.truth.states[relation][i, j])
+                    text = letter(judged.truth.states[relation][i, j])
             p = float(trace.scores.probabilities[a, b, n])
-            cells.append(f'<td>{_meter(p)}</td><td class="state">{said or "–"}</td>')
+            cells.append(f'<td>{_meter(p)}</td><td class="state">{text or "–"}</td>')
         mark = ' class="asked"' if relation == trace.asked.relation else ""
         rows.append(f'<tr{mark}><th scope="row">{escape(PHRASE[relation])}</th>{"".join(cells)}</tr>')
     head = "".join(
@@ -190,7 +184,7 @@ def relations_html(answered: Answered, cast: AnswerRoles) -> str:
 
 
 def _pair(cast: AnswerRoles, target: int, reference: int | None) -> str:
-    if reference is None or not all(0 <= place < len(cast.objects) for place in (target, reference)):
+    if reference is None or not all(0 <= index < len(cast.objects) for index in (target, reference)):
         return ""
     return f"{escape(cast.name(target))} / {escape(cast.name(reference))}"
 

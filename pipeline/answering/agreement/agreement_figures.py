@@ -156,7 +156,7 @@ def _share(both: int, a: int, b: int) -> float | None:
 
 
 def _name_kappa(frames: Iterable[FrameAgreement], synonyms: Synonyms | None) -> float | None:
-    from pipeline.metrics.kappa import cohen_kappa
+    from pipeline.metrics.significance import cohen_kappa
 
     said = [
         (f.labels_a[i], f.labels_b[j], same)

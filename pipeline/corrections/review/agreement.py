@@ -9,7 +9,7 @@ from typing import Any
 
 from pipeline.corrections.review.items import KINDS, SETTLED, ItemKey
 from pipeline.corrections.review.states import Judgements, Word
-from pipeline.metrics.kappa import Agreement, Key, cohen_kappa
+from pipeline.metrics.significance import Agreement, Key, cohen_kappa
 
 
 def agreement_of(first: Mapping[Key, str], second: Mapping[Key, str]) -> Agreement:

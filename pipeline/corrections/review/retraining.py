@@ -20,8 +20,7 @@ from pipeline.corrections.review.out_of_fold import stacked
 from pipeline.labels.reading import Labels
 from pipeline.language.relation_names import PHRASE, VOCABULARIES
 from pipeline.metrics.intervals import BootstrapConfig
-from pipeline.metrics.relation_intervals import RelationEstimates, relation_estimates
-from pipeline.metrics.relation_metrics import CellOutcomes, cell_outcomes
+from pipeline.metrics.relation_metrics import CellOutcomes, RelationEstimates, cell_outcomes, relation_estimates
 from pipeline.metrics.significance import McNemar, mcnemar
 from pipeline.metrics.splits import PARTS, TEST, SplitKind, SplitPlan, split_frames
 from pipeline.metrics.tables import Row, Table, markdown
@@ -268,7 +267,7 @@ def compare_networks(
     `fed_before` is `now` as the network before is fed it, where that is something else.
     """
     own = plan.for_frames([f.key for f in now.frames])
-    test = [now.frames[k] for k in own.places(TEST)]
+    test = [now.frames[k] for k in own.indices(TEST)]
     truth = stacked([f.states for f in test])
     rows = _rows_of(test, fed_before or now), [f.rows for f in test]
     p = [

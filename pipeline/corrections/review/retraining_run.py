@@ -16,7 +16,7 @@ from typing import Any
 from pipeline.corrections.journal.journal import journal_of
 from pipeline.corrections.journal.materialise import MARKS_FILE, materialise
 from pipeline.corrections.review.retraining import RetrainConfig, Retraining, compare_networks, retrain, shared_split
-from pipeline.diagnosis.marks import read_marks
+from pipeline.diagnosis.verdict import read_marks
 from pipeline.evaluation.compare import Comparison
 from pipeline.evaluation.job import evaluate_dataset
 from pipeline.evaluation.run_folder import Run, open_run

@@ -1,17 +1,17 @@
 """Cases that are kept: a frame, its detections, an expression and the answer, as a folder that can be run again.
 
-`saving` writes one, `opening` reads it back as a source, `answered` answers and
-judges, `replay` runs it again and says what changed, `truth_record` and
-`kept_proposals` are the two larger parts of the folder.
+`saving` writes one, `opening` reads it back as a source, `replay` runs it again
+and says what changed, `manifest` and `kept_proposals` are its two JSON files.
 """
 
-from pipeline.diagnosis.cases.answered import Answered, answer, answer_record
+from pipeline.diagnosis.answer import Answer, answer_record
+from pipeline.diagnosis.asking import answer
 from pipeline.diagnosis.cases.opening import OpenedCase, open_case
 from pipeline.diagnosis.cases.replay import Replay, find_cases, replay_case, update_case
 from pipeline.diagnosis.cases.saving import save_case
 
 __all__ = [
-    "Answered",
+    "Answer",
     "OpenedCase",
     "Replay",
     "answer",

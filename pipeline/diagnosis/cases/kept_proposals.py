@@ -57,7 +57,7 @@ class KeptProposals(BaseModel):
 def keep_proposals(frame: Frame, detector: Detector, unfiltered: Detector, names: Sequence[str]) -> dict[str, Any]:
     """Ask a detector for each name; the file's content."""
     detections: list[dict[str, Any]] = []
-    places: dict[str, int] = {}
+    indices: dict[str, int] = {}
     asked: dict[str, Any] = {}
 
     def keep(found: Proposals) -> list[int]:
@@ -66,10 +66,10 @@ def keep_proposals(frame: Frame, detector: Detector, unfiltered: Detector, names
         for row in rows:
             # Without an identity two equal detections are two things.
             key = json.dumps(row) if "id" in row else f"{len(detections)}"
-            if key not in places:
-                places[key] = len(detections)
+            if key not in indices:
+                indices[key] = len(detections)
                 detections.append(row)
-            index.append(places[key])
+            index.append(indices[key])
         return index
 
     for name in dict.fromkeys(names):

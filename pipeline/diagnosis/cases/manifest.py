@@ -1,25 +1,33 @@
-"""The manifest of a case: what is validated when a case is opened."""
+"""The manifest of a case: what is validated when a case is opened, and what is true of its frame, as JSON."""
 
 from __future__ import annotations
 
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
+import numpy as np
+from pydantic import BaseModel, BeforeValidator, ConfigDict, FiniteFloat, ValidationError
 
 from pipeline.answering.ask import AskConfig
-from pipeline.answering.ranking import RankConfig
-from pipeline.datasets.saved_case import CASE_FORMAT, MANIFEST, Four, SavedFrame, damaged
-from pipeline.geometry.lifting import LiftConfig
+from pipeline.datasets.saved_case import CASE_FORMAT, MANIFEST, Four, SavedFrame, Three, damaged
+from pipeline.labels.cases import Case, FrameCases
+from pipeline.language.relation_names import PAIRWISE
+from pipeline.relations.relations import F, T, U
 from pipeline.system.errors import InputError
+
+_LETTERS = {int(T): "T", int(U): "U", int(F): "F"}
+_STATES = {letter: state for state, letter in _LETTERS.items()}
+NOT_JUDGED = "."
+_GEOMETRY = {"lo": 3, "hi": 3, "center": 3, "R": 9, "size": 3}
+_FACTS = ("distance", "occluded", "mask_pixels")
 
 PROPOSALS, NETWORK = "proposals.json", "relations.onnx"
 FILES = ("rgb.png", "depth.png", "depth.npy", PROPOSALS, NETWORK)
 
 
 class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid")
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False)
 
 
 class DetectorRecord(_Strict):
@@ -41,65 +49,24 @@ class ScorerRecord(_Strict):
     in_case: bool = False
 
 
-class CalibrationRecord(_Strict):
-    """`ScoreCalibration` but for the detector it is of."""
-
-    a: FiniteFloat = Field(gt=0)
-    b: FiniteFloat
-    positives: int = Field(ge=0)
-    negatives: int = Field(ge=0)
-    k: int = Field(ge=1)
-
-
-class LiftRecord(_Strict):
-    """`pipeline.geometry.lifting.LiftConfig`."""
-
-    near: FiniteFloat
-    far: FiniteFloat
-    edge: FiniteFloat
-    edge_relative: FiniteFloat
-    erode: FiniteFloat
-    erode_keep: FiniteFloat
-    part: FiniteFloat
-    min_pixels: int
-    max_points: int
-    box: Literal["gravity", "pca", "pca-raw"]
-
-
-class RankRecord(_Strict):
-    """`pipeline.answering.ranking.RankConfig`."""
-
-    target_weight: FiniteFloat
-    reference_weight: FiniteFloat
-    relation_weight: FiniteFloat
-    aggregate: Literal["max", "marginal"]
-
-
-class ConfigRecord(_Strict):
-    """`pipeline.answering.ask.AskConfig`."""
-
-    k: int = Field(ge=1)
-    lift: LiftRecord
-    rank: RankRecord
-    relations: tuple[str, ...] | None
-    score_calibration: CalibrationRecord | None
-
-    def config(self) -> AskConfig:
-        """The settings themselves."""
-        from pipeline.proposals.score_calibration import ScoreCalibration
-
-        c = self.score_calibration
-        calibration = None if c is None else ScoreCalibration(None, c.a, c.b, c.positives, c.negatives, c.k)
-        lift, rank = LiftConfig(**self.lift.model_dump()), RankConfig(**self.rank.model_dump())
-        return AskConfig(self.k, lift, rank, self.relations, calibration)
-
-
 def config_record(config: AskConfig) -> dict[str, Any]:
     """The settings of an answer as JSON."""
     record = asdict(config)
     if config.score_calibration is not None:
         del record["score_calibration"]["detector"]
     return record
+
+
+def _of_any_detector(record: Any) -> Any:
+    """The calibration of a case is for the detections that are kept in it."""
+    calibration = record.get("score_calibration") if isinstance(record, dict) else None
+    if not isinstance(calibration, dict):
+        return record
+    return {**record, "score_calibration": {**calibration, "detector": None}}
+
+
+Config = Annotated[AskConfig, BeforeValidator(_of_any_detector)]
+"""`config_record`, read again; a setting that an earlier release did not have is as by default."""
 
 
 class SynonymsRecord(_Strict):
@@ -133,7 +100,7 @@ class ExpectedAnswer(BaseModel):
     """None in a case of an earlier release."""
 
 
-class ExpectedJudgement(BaseModel):
+class ExpectedDiagnosis(BaseModel):
     """The kept verdict."""
 
     model_config = ConfigDict(extra="ignore")
@@ -148,7 +115,7 @@ class Expected(BaseModel):
 
     model_config = ConfigDict(extra="ignore")
     answer: ExpectedAnswer | None
-    judgement: ExpectedJudgement | None
+    judgement: ExpectedDiagnosis | None
     reason: str | None = None
 
 
@@ -167,7 +134,7 @@ class Manifest(_Strict):
     synonyms: SynonymsRecord | None
     detector: DetectorRecord
     scorer: ScorerRecord
-    config: ConfigRecord
+    config: Config
     truth: dict[str, Any] | None
     edits: dict[str, Any] | None
     run: dict[str, Any]
@@ -204,3 +171,146 @@ def checked_expected(record: Any, path: Path) -> Expected:
         raise damaged(error, path, "expected") from error
     except RecursionError as error:
         raise InputError("the case is damaged at expected", got="too deep", path=path) from error
+
+
+class TrueObject(_Strict):
+    """One labelled object; geometry in the frames of the labels, metres, null where there is none."""
+
+    number: int
+    label: str
+    bbox: Four
+    mask: str | None = None
+    lo: Three | None
+    hi: Three | None
+    center: Three | None
+    R: tuple[FiniteFloat, ...] | None
+    size: Three | None
+    distance: FiniteFloat | None
+    occluded: FiniteFloat | None
+    mask_pixels: FiniteFloat | None
+
+
+class TrueExpression(_Strict):
+    """`pipeline.labels.cases.Case`; objects by their place."""
+
+    id: str
+    text: str
+    target: str
+    relation: str
+    reference: str
+    target_object: int
+    reference_object: int
+    strict: tuple[int, ...]
+    acceptable: tuple[int, ...]
+    ambiguous: bool
+    margin: FiniteFloat | None
+
+
+class TruthRecord(_Strict):
+    """Rows of letters are tables of ordered pairs: row a, column b; T, U, F, or "." where a pair was not judged."""
+
+    frame_index: int
+    scene: str
+    objects: tuple[TrueObject, ...]
+    alike: tuple[str, ...]
+    judged: tuple[str, ...]
+    states: dict[str, tuple[str, ...]]
+    expression: TrueExpression
+    mark: Literal["BAD_LABEL", "BAD_BOX"] | None = None
+    confidence: FiniteFloat | None = None
+
+
+def truth_record(truth: FrameCases, case: Case, mark: str | None, confidence: float | None) -> dict[str, Any]:
+    """The truth of one expression as JSON; reading it gives the same numbers."""
+    objects = [
+        {"number": int(truth.numbers[k]), "label": label, "bbox": truth.boxes[k].tolist(), "mask": truth.masks[k]}
+        | {name: _row(truth.geometry[name][k]) for name in _GEOMETRY}
+        | {name: _number(truth.facts[name][k]) for name in _FACTS}
+        for k, label in enumerate(truth.labels)
+    ]
+    return {
+        "frame_index": truth.frame_index, "scene": truth.scene, "objects": objects,
+        "alike": _bits(truth.alike), "judged": _bits(truth.judged),
+        "states": {name: _letters(table, truth.judged) for name, table in truth.states.items()},
+        "expression": {
+            "id": case.id, "text": case.text, "target": case.target, "relation": case.relation,
+            "reference": case.reference, "target_object": int(case.target_object),
+            "reference_object": int(case.reference_object), "strict": case.strict.tolist(),
+            "acceptable": case.acceptable.tolist(), "ambiguous": bool(case.ambiguous), "margin": _number(case.margin),
+        },
+        "mark": mark, "confidence": confidence,
+    }  # fmt: skip
+
+
+def read_truth(record: Any, frame_id: str, path: Path) -> tuple[FrameCases, Case, str | None, float | None]:
+    """Truth, expression, a person's mark, and the confidence of recalled objects.
+
+    Raises
+    ------
+    InputError
+        The record is damaged; the message names the place.
+    """
+    try:
+        saved = TruthRecord.model_validate(record)
+    except ValidationError as error:
+        raise damaged(error, path, "truth") from error
+    n, e = len(saved.objects), saved.expression
+    indices = [e.target_object, e.reference_object, *e.strict, *e.acceptable]
+    if not all(0 <= p < n for p in indices):
+        among = f"objects 0 to {n - 1}"
+        raise InputError("the case is damaged at truth.expression", got=indices, expected=among, path=path)
+    if e.relation not in saved.states or not set(saved.states) <= set(PAIRWISE):
+        raise InputError("the case is damaged at truth.states", got=list(saved.states), path=path)
+    if any(o.R is not None and len(o.R) != 9 for o in saved.objects):
+        raise InputError("the case is damaged at truth.objects", expected="R of nine numbers", path=path)
+    case = Case(
+        e.id, e.text, e.target, e.relation, e.reference, e.target_object, e.reference_object,
+        np.array(e.strict, np.int64), np.array(e.acceptable, np.int64), e.ambiguous, _float(e.margin),
+    )  # fmt: skip
+    judged = _table(saved.judged, n, "judged", {"0": 0, "1": 1}, path).astype(np.bool_)
+    known = {**_STATES, NOT_JUDGED: -1}
+    states = {name: _table(rows, n, f"states.{name}", known, path) for name, rows in saved.states.items()}
+    geometry = {
+        name: np.array([[np.nan] * width if (v := getattr(o, name)) is None else v for o in saved.objects], np.float64)
+        .reshape(-1, width)
+        for name, width in _GEOMETRY.items()
+    }  # fmt: skip
+    truth = FrameCases(
+        frame_id, saved.frame_index, saved.scene, tuple(o.label for o in saved.objects),
+        np.array([o.bbox for o in saved.objects], np.float64).reshape(-1, 4),
+        _table(saved.alike, n, "alike", {"0": 0, "1": 1}, path).astype(np.bool_), states, (case,),
+        np.array([o.number for o in saved.objects], np.int64), judged, geometry,
+        {name: np.array([_float(getattr(o, name)) for o in saved.objects], np.float64) for name in _FACTS},
+        tuple(o.mask for o in saved.objects),
+    )  # fmt: skip
+    return truth, case, saved.mark, saved.confidence
+
+
+def _bits(table: np.ndarray) -> list[str]:
+    return ["".join("1" if v else "0" for v in row) for row in table.tolist()]
+
+
+def _letters(table: np.ndarray, judged: np.ndarray) -> list[str]:
+    return [
+        "".join(_LETTERS[v] if j or v >= 0 else NOT_JUDGED for v, j in zip(row, seen, strict=True))
+        for row, seen in zip(table.tolist(), judged.tolist(), strict=True)
+    ]
+
+
+def _table(rows: tuple[str, ...], n: int, what: str, values: dict[str, int], path: Path) -> np.ndarray:
+    """(n, n) int8 of n words of n letters."""
+    if len(rows) != n or any(len(row) != n or not set(row) <= set(values) for row in rows):
+        raise InputError(f"the case is damaged at truth.{what}", expected=f"{n} rows of {n} letters", path=path)
+    return np.array([[values[letter] for letter in row] for row in rows], np.int8).reshape(n, n)
+
+
+def _row(values: np.ndarray) -> list[float] | None:
+    return values.tolist() if np.isfinite(values).all() else None
+
+
+def _number(value: float) -> float | None:
+    return float(value) if np.isfinite(value) else None
+
+
+def _float(value: float | None) -> float:
+    return float("nan") if value is None else value

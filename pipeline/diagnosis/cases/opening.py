@@ -12,12 +12,13 @@ from pipeline.answering.objects import PreparedFrame
 from pipeline.answering.opening import Pipeline
 from pipeline.datasets.saved_case import MANIFEST, SavedCaseDataset, checked_file, read_manifest
 from pipeline.datasets.settings import Settings
-from pipeline.diagnosis.cases.answered import Answered, answer
+from pipeline.diagnosis.answer import Answer
+from pipeline.diagnosis.asking import answer
 from pipeline.diagnosis.cases.kept_proposals import KeptDetector, read_proposals
-from pipeline.diagnosis.cases.manifest import NETWORK, PROPOSALS, Expected, Manifest, checked_manifest
-from pipeline.diagnosis.cases.truth_record import read_truth
+from pipeline.diagnosis.cases.manifest import NETWORK, PROPOSALS, Expected, Manifest, checked_manifest, read_truth
 from pipeline.labels.cases import Case, FrameCases
 from pipeline.language.naming import Synonyms
+from pipeline.proposals import make_detector
 from pipeline.relations import RelationScorer, make_scorer, shipped_network
 from pipeline.system.errors import InputError
 
@@ -58,7 +59,7 @@ class OpenedCase:
         """The frame, ready for questions."""
         return PreparedFrame(self.source.dataset.load(self.manifest.frame.id), self.source.config.lift)
 
-    def answer(self) -> Answered:
+    def answer(self) -> Answer:
         """Answer and judge now."""
         return answer(
             self.source, self.context, self.manifest.text, truth=self.truth, case=self.case, mark=self.mark,
@@ -73,8 +74,6 @@ class OpenedCase:
         InputError
             No such detector, or it needs a model.
         """
-        from pipeline.proposals import make_detector
-
         name = self.manifest.detector.name if name == "live" else name
         if "+" in name or "&" in name:
             what = "a detector with a segmenter" if "+" in name else "fused detectors"
@@ -129,7 +128,6 @@ def open_case(
     notes: tuple[str, ...] = ()
     if scorer is None:
         scorer, notes = _scorer(root, manifest, srm, vectors)
-    config = manifest.config.config()
     truth = case = mark = confidence = None
     if manifest.truth is not None:
         truth, case, mark, confidence = read_truth(manifest.truth, manifest.frame.id, root / MANIFEST)
@@ -139,7 +137,7 @@ def open_case(
             tuple(frozenset(g) for g in manifest.synonyms.groups), frozenset(manifest.synonyms.exceptions)
         )
     source = Pipeline(
-        SavedCaseDataset(root, Settings()), detector, scorer, config, synonyms,
+        SavedCaseDataset(root, Settings()), detector, scorer, manifest.config, synonyms,
         lambda: replace(detector, everything=True, _answers={}),
     )  # fmt: skip
     return OpenedCase(root, manifest, table, expected, source, truth, case, mark, confidence, notes)

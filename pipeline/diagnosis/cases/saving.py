@@ -14,17 +14,24 @@ from typing import Any
 from pipeline.answering.objects import PreparedFrame
 from pipeline.answering.opening import Pipeline
 from pipeline.datasets.saved_case import CASE_FORMAT, MANIFEST, saved_frame
-from pipeline.diagnosis.cases.answered import Answered, Edited, answer, answer_record
+from pipeline.diagnosis.answer import Answer, Edited, answer_record
+from pipeline.diagnosis.asking import answer
 from pipeline.diagnosis.cases.kept_proposals import keep_proposals
-from pipeline.diagnosis.cases.manifest import NETWORK, PROPOSALS, ScorerRecord, checked_expected, config_record
+from pipeline.diagnosis.cases.manifest import (
+    NETWORK,
+    PROPOSALS,
+    ScorerRecord,
+    checked_expected,
+    config_record,
+    truth_record,
+)
 from pipeline.diagnosis.cases.opening import open_case
-from pipeline.diagnosis.cases.truth_record import truth_record
 from pipeline.labels.cases import Case, FrameCases
 from pipeline.language.naming import Synonyms, default_synonyms
 from pipeline.relations import RelationScorer, RuleScorer, shipped_network
 from pipeline.system.errors import InputError
 from pipeline.system.version import __version__
-from pipeline.system.whole_files import temporary_beside, write_synced
+from pipeline.system.whole_files import temporary_beside, write_synced, write_whole
 
 LARGEST_COPY = 16 * 2**20
 """Bytes of a relation network that may be copied into a case."""
@@ -45,7 +52,7 @@ def save_case(
     name: str | None = None,
     expected: Mapping[str, Any] | None = None,
     copy_network: bool = False,
-) -> Answered:
+) -> Answer:
     """Write a case, and run it once from its folder to be sure that it answers as here.
 
     Parameters
@@ -60,7 +67,7 @@ def save_case(
     truth : FrameCases, optional
         What is true of the frame; without it there is no verdict.
     case, mark, confidence
-        As for `pipeline.diagnosis.live.judge_trace`.
+        As for `pipeline.diagnosis.asking.judge_trace`.
     edits : mapping, optional
         Edits as JSON (`pipeline.diagnosis.whatif.edits_record`).
     run : mapping, optional
@@ -74,7 +81,7 @@ def save_case(
 
     Returns
     -------
-    Answered
+    Answer
         The answer now.
 
     Raises
@@ -94,7 +101,7 @@ def save_case(
     scorer, network = _scorer_record(source.scorer, copy_network)
     if network is not None:
         files[NETWORK] = network
-    judged = now.judgement
+    judged = now.diagnosis
     known = None if judged is None else truth_record(judged.truth, judged.case, mark, confidence)
     record = answer_record(now)
     detector = source.needed_detector()
@@ -158,9 +165,9 @@ def _write_whole(folder: Path, files: dict[str, bytes], source: Pipeline, record
         shutil.rmtree(partial, ignore_errors=True)
 
 
-def _proposals(source: Pipeline, context: PreparedFrame, now: Answered, case: Case | None) -> dict[str, Any]:
+def _proposals(source: Pipeline, context: PreparedFrame, now: Answer, case: Case | None) -> dict[str, Any]:
     names: list[str] = [] if now.trace is None else list(now.trace.query.labels)
-    case = now.judgement.case if now.judgement is not None else case
+    case = now.diagnosis.case if now.diagnosis is not None else case
     if case is not None:
         names += [case.target, case.reference]
     return keep_proposals(context.frame, source.needed_detector(), source.unfiltered_detector(), names)
@@ -198,18 +205,6 @@ def _scorer_record(scorer: RelationScorer, copy: bool) -> tuple[ScorerRecord, by
     return record, data
 
 
-def _with_expected(table: dict[str, Any], record: dict[str, Any]) -> bytes:
-    return _json({**table, "expected": record}).encode()
-
-
 def write_expected(root: Path, table: dict[str, Any], record: dict[str, Any]) -> None:
     """Put another expected answer into a case's manifest, whole or not at all."""
-    path = root / MANIFEST
-    temporary = temporary_beside(path)
-    try:
-        write_synced(temporary, _with_expected(table, record))
-        os.replace(temporary, path)
-    except OSError as error:
-        raise InputError("the case cannot be written", got=error.strerror, path=path) from error
-    finally:
-        temporary.unlink(missing_ok=True)
+    write_whole(root / MANIFEST, _json({**table, "expected": record}).encode(), "the case")

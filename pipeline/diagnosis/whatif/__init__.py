@@ -1,14 +1,13 @@
 """What if: an answer under edits, fast enough to follow the mouse.
 
-`keys` names objects so that the name survives a re-run, `edits` says what is
-changed, `rerun` answers again, `changes` says what came of it, `region` and
+`edits` says what is changed, `rerun` answers again with `pair_tables`, which also names objects so that the name
+survives a re-run, `changes` says what came of it, `region` and
 `placement` show where the asked relation holds, `decision_map` which answer
 would win where, `state` writes a view as one string.
 """
 
 from pipeline.diagnosis.whatif.changes import what_changed
-from pipeline.diagnosis.whatif.edits import Edits, PlacedBox, RunLengthMask
-from pipeline.diagnosis.whatif.edits_json import edits_record, load_edits, read_edits
+from pipeline.diagnosis.whatif.edits import Edits, PlacedBox, RunLengthMask, edits_record, load_edits, read_edits
 from pipeline.diagnosis.whatif.rerun import Baseline, Outcome, apply, rerun
 
 __all__ = [

@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 from time import perf_counter
 from typing import Any
 
+import cv2
 import numpy as np
 
 from pipeline.answering.ask import relation_lookup
@@ -19,6 +20,7 @@ from pipeline.answering.ranking import rank
 from pipeline.diagnosis.whatif.edits import Edits
 from pipeline.diagnosis.whatif.pair_tables import combined, describe
 from pipeline.diagnosis.whatif.rerun import Baseline, Outcome, rerun, with_superlatives
+from pipeline.geometry.palette import instance_colors
 from pipeline.language.expression import Node
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.relations.contact import Measured, enclosed_share, surface_heights
@@ -27,6 +29,13 @@ from pipeline.relations.predicates import pair_states, predicates_of
 from pipeline.relations.relations import Profile, measure_pairs
 from pipeline.relations.scorer import RuleScorer, stacked_extents
 from pipeline.system.errors import InputError
+
+_PairTable = dict[int, np.ndarray]
+"""Other object -> (C, 2, 9): P("moved RELATION other") and P("other RELATION moved") at each cell."""
+_Found = tuple[np.ndarray, np.ndarray, np.ndarray]
+CELL_PIXELS = 12
+_INK, _PAPER, _NOTHING = (20, 20, 20), (245, 245, 245), (200, 200, 200)
+_LINE_PIXELS = 22
 
 CELLS = 48
 MOST_CELLS = 256
@@ -151,10 +160,6 @@ def _asked(node: Node) -> set[str]:
     return {a.relation for a in node.attachments} | {r for a in node.attachments for n in a.nodes for r in _asked(n)}
 
 
-_PairTable = dict[int, np.ndarray]
-"""Other object -> (C, 2, 9): P("moved RELATION other") and P("other RELATION moved") at each cell."""
-
-
 def _pair_probabilities(
     baseline: Baseline, edits: Edits, outcome: Outcome, moved: int, shift: np.ndarray
 ) -> _PairTable:
@@ -173,7 +178,7 @@ def _pair_probabilities(
         rows = describe(trace.objects, trace.viewer, trace.frame, scorer)
         moved_rows = _sliding_rows(outcome, moved, shift, scorer)
     cloud = trace.objects[moved].lifted.points @ axes
-    place = {k: at for at, k in enumerate(outcome.keys)}
+    index = {k: at for at, k in enumerate(outcome.keys)}
     found: _PairTable = {}
     for other in range(len(trace.objects)):
         known = np.isfinite(lo[other]).all()
@@ -203,9 +208,9 @@ def _pair_probabilities(
         table = combined(states, network, scorer).probabilities
         found[other] = np.stack([table[:, 0, 1], table[:, 1, 0]], axis=1)
     for (relation, a, b), p in edits.relations.items():
-        if relation in PAIRWISE and outcome.keys[moved] in (a, b) and {a, b} <= place.keys():
-            way = 0 if place[a] == moved else 1
-            found[place[b] if way == 0 else place[a]][:, way, PAIRWISE.index(relation)] = p
+        if relation in PAIRWISE and outcome.keys[moved] in (a, b) and {a, b} <= index.keys():
+            way = 0 if index[a] == moved else 1
+            found[index[b] if way == 0 else index[a]][:, way, PAIRWISE.index(relation)] = p
     return found
 
 
@@ -226,9 +231,6 @@ def _sliding_rows(outcome: Outcome, moved: int, shift: np.ndarray, scorer: OnnxS
     return base + shift[:, :1] * step_right + shift[:, 2:] * step_forward
 
 
-_Found = tuple[np.ndarray, np.ndarray, np.ndarray]
-
-
 def _vectorised(
     baseline: Baseline,
     edits: Edits,
@@ -247,13 +249,13 @@ def _vectorised(
     table = trace.scores.of(attachment.relation)
     if attachment.inverse:
         table = table.T
-    places = targets.index, references.index
-    base = table[np.ix_(*places)]
+    indices = targets.index, references.index
+    base = table[np.ix_(*indices)]
     ends = (
         side(targets.index, targets.scores, config.target_weight),
         side(references.index, references.scores, config.reference_weight),
     )
-    forbidden = one_object_twice(places, baseline.same(trace.objects))
+    forbidden = one_object_twice(indices, baseline.same(trace.objects))
     sizes = np.array([o.lifted.quality.mask_pixels for o in trace.objects])
     forth, back = (1, 0) if attachment.inverse else (0, 1)
     found = []
@@ -332,3 +334,45 @@ def map_record(found: DecisionMap) -> dict[str, Any]:
         },
         "seconds": round(found.seconds, 3),
     }
+
+
+def map_picture(found: DecisionMap, outcome: Outcome) -> np.ndarray:
+    """(H, W, 3) uint8 RGB: each cell in the colour of its winner, paler where the margin is small.
+
+    The outlines are those of the other objects' extents. Below stand the winners with their share of the floor.
+    """
+    colors = instance_colors(len(found.keys)).astype(np.float64)
+    cells = np.where((found.winner >= 0)[..., None], colors[np.maximum(found.winner, 0)], np.array(_NOTHING, float))
+    strength = (0.35 + 0.65 * np.clip(found.margin, 0, 1))[..., None]
+    cells = np.round(cells * strength + 255 * (1 - strength)).astype(np.uint8)
+    # Far is up on the page.
+    image = np.ascontiguousarray(np.kron(cells[::-1], np.ones((CELL_PIXELS, CELL_PIXELS, 1), np.uint8)))
+    lo, hi = stacked_extents([o.lifted for o in outcome.trace.objects])
+    step_r, step_f = (float(axis[1] - axis[0]) for axis in (found.right, found.forward))
+    left, near = found.right[0] - step_r / 2, found.forward[0] - step_f / 2
+    for k, key in enumerate(found.keys):
+        if not np.isfinite(lo[k]).all():
+            continue
+        x0, x1 = (round((v - left) / step_r * CELL_PIXELS) for v in (lo[k, 0], hi[k, 0]))
+        y0, y1 = (image.shape[0] - round((v - near) / step_f * CELL_PIXELS) for v in (hi[k, 2], lo[k, 2]))
+        cv2.rectangle(image, (x0, y0), (x1, y1), _INK, 1 if key != found.key else 2)
+        _write(image, key, (x0 + 2, min(y1 - 3, image.shape[0] - 3)), 0.35)
+    return np.concatenate([image, _legend(found, outcome, image.shape[1], colors)])
+
+
+def _legend(found: DecisionMap, outcome: Outcome, width: int, colors: np.ndarray) -> np.ndarray:
+    winners, counts = np.unique(found.winner, return_counts=True)
+    strip = np.full((_LINE_PIXELS * (len(winners) + 1) + 8, width, 3), _PAPER, np.uint8)
+    _write(strip, f"{outcome.trace.query.text}: who wins where {found.key} stands", (8, _LINE_PIXELS - 4), 0.45)
+    for line, (winner, count) in enumerate(sorted(zip(winners.tolist(), counts.tolist(), strict=True)), start=2):
+        base = line * _LINE_PIXELS - 4
+        color = _NOTHING if winner < 0 else tuple(int(c) for c in colors[winner])
+        cv2.rectangle(strip, (8, base - 12), (22, base + 2), color, -1)
+        label = "no pair" if winner < 0 else f"{outcome.trace.objects[winner].label} {found.keys[winner]}"
+        _write(strip, f"{label}: {count / found.winner.size:.0%} of the floor", (30, base), 0.45)
+    return strip
+
+
+def _write(image: np.ndarray, text: str, at: tuple[int, int], scale: float) -> None:
+    plain = text.encode("ascii", "replace").decode()
+    cv2.putText(image, plain, at, cv2.FONT_HERSHEY_SIMPLEX, scale, _INK, 1, cv2.LINE_AA)

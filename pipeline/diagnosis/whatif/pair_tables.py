@@ -7,21 +7,24 @@ numbers that scoring the whole list gives.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from pipeline.answering.ask import Trace
 from pipeline.answering.objects import SceneObject, appearance_of
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.lifting import LiftedObject
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.language.relation_names import PAIRWISE
+from pipeline.proposals.base import Proposals
 from pipeline.relations.contact import Measured, enclosed_share, points_decide, surface_heights
 from pipeline.relations.model import OnnxScorer
 from pipeline.relations.predicates import pair_states
 from pipeline.relations.relations import Profile, known_extents, measure_pairs, pairwise_states
 from pipeline.relations.scorer import RelationScorer, RelationScores, RuleScorer, rule_probabilities, stacked_extents
+from pipeline.system.errors import InputError
 
 _WHOLE = 0.5
 """From this share of new pairs on everything is scored anew, as one scene."""
@@ -38,8 +41,8 @@ class PairTables:
     Attributes
     ----------
     objects : tuple of SceneObject
-    place : dict
-        Identity of an object -> its place.
+    index : dict
+        Identity of an object -> its index.
     lo, hi : (N, 3) float64
         Extents along (right, up, forward), metres.
     clouds : tuple of (M, 3) float32
@@ -53,7 +56,7 @@ class PairTables:
     """
 
     objects: tuple[SceneObject, ...]
-    place: dict[_Identity, int]
+    index: dict[_Identity, int]
     lo: np.ndarray
     hi: np.ndarray
     clouds: tuple[np.ndarray, ...]
@@ -86,7 +89,7 @@ def score_pairs(
     objects = tuple(objects)
     n = len(objects)
     identities = [identity(o) for o in objects]
-    known = {} if before is None else before.place
+    known = {} if before is None else before.index
     old = np.array([known.get(i, -1) for i in identities], np.int64).reshape(-1)
     fresh = np.flatnonzero(old < 0)
     lo, hi = stacked_extents([o.lifted for o in objects])
@@ -105,8 +108,8 @@ def score_pairs(
         scores = combined(states, scorer.probabilities(rows) if isinstance(scorer, OnnxScorer) else None, scorer)
     else:
         scores = _renewed(old, first, second, (lo, hi), clouds, rows, scorer, profile, before)
-    place = {one: at for at, one in enumerate(identities)}
-    return PairTables(objects, place, lo, hi, clouds, rows, scores, len(first))
+    index = {one: at for at, one in enumerate(identities)}
+    return PairTables(objects, index, lo, hi, clouds, rows, scores, len(first))
 
 
 def _described(
@@ -223,14 +226,14 @@ def of_pairs(
     return combined(states, scorer.probabilities(rows[pair]) if isinstance(scorer, OnnxScorer) else None, scorer)
 
 
-def _grouped(places: np.ndarray, wanted: np.ndarray) -> list[tuple[int, np.ndarray]]:
+def _grouped(indices: np.ndarray, wanted: np.ndarray) -> list[tuple[int, np.ndarray]]:
     """Each object ((P,) places) with those of the wanted pairs ((P,) bool) in which it stands."""
     order = np.flatnonzero(wanted)
-    order = order[np.argsort(places[order], kind="stable")]
+    order = order[np.argsort(indices[order], kind="stable")]
     if not len(order):
         return []
-    cuts = np.flatnonzero(np.diff(places[order])) + 1
-    return [(int(places[group[0]]), group) for group in np.split(order, cuts)]
+    cuts = np.flatnonzero(np.diff(indices[order])) + 1
+    return [(int(indices[group[0]]), group) for group in np.split(order, cuts)]
 
 
 def _by_any(
@@ -251,3 +254,57 @@ def _by_any(
     ruled = np.array([found.scored_by.get(r) == RuleScorer.name for r in PAIRWISE])
     probabilities = np.where(ruled, rule_probabilities(states), found.probabilities)
     return RelationScores(PAIRWISE, states, probabilities, found.scored_by)
+
+
+def detection_keys(name: str, found: Proposals) -> tuple[str, ...]:
+    """The key of each detection of a run for one class name, in the run's order.
+
+    A key means the same detection after a change of K, of a threshold, of an edit. "#12" is the detection with the
+    detector's own identity 12. Where the detector has none, "chair/3" is the third best by score of all it found when
+    asked for "chair", before anything is suppressed or cut off. The first kind has no slash and the second always has
+    one, so that no key can be mistaken for another.
+
+    Parameters
+    ----------
+    name : str
+        As it was asked.
+    found : Proposals
+        All of the run.
+    """
+    index = np.empty(len(found), np.int64)
+    index[np.argsort(-found.scores, kind="stable")] = np.arange(1, len(found) + 1)
+    return tuple(
+        f"#{number}" if number >= 0 else f"{name}/{at}" for number, at in zip(found.ids.tolist(), index, strict=True)
+    )
+
+
+def object_keys(trace: Trace, found: Mapping[str, Proposals]) -> tuple[str, ...]:
+    """The key of each object of a trace that was answered without edits, in the order of `trace.objects`.
+
+    Parameters
+    ----------
+    found : mapping of str to Proposals
+        The detector's whole run for each name of the expression.
+
+    Raises
+    ------
+    InputError
+        The trace is of other detections.
+    """
+    keys: list[str | None] = [f"#{o.id}" if o.id >= 0 else None for o in trace.objects]
+    for name, candidates in trace.candidates.items():
+        names, proposals = detection_keys(name, found[name]), found[name]
+        taken: set[int] = set()
+        for at in candidates.index.tolist():
+            if keys[at] is not None:
+                continue
+            entry = trace.objects[at]
+            alike = (proposals.boxes == entry.bbox).all(axis=1) & (proposals.scores == np.float32(entry.score))
+            indices = [k for k in np.flatnonzero(alike).tolist() if k not in taken]
+            if not indices:
+                raise InputError(f"the trace has an object {name!r} that is not among these detections")
+            taken.add(indices[0])
+            keys[at] = names[indices[0]]
+    if any(key is None for key in keys):
+        raise InputError("the trace has an object that is no candidate of any name")
+    return tuple(key for key in keys if key is not None)

@@ -22,8 +22,7 @@ from pipeline.answering.objects import PreparedFrame, SceneObject, same_object
 from pipeline.answering.opening import Pipeline
 from pipeline.answering.ranking import Candidates, RelationLookup, rank
 from pipeline.diagnosis.whatif.edits import Edits, PlacedBox, RunLengthMask
-from pipeline.diagnosis.whatif.keys import detection_keys
-from pipeline.diagnosis.whatif.pair_tables import PairTables, identity, score_pairs
+from pipeline.diagnosis.whatif.pair_tables import PairTables, detection_keys, identity, score_pairs
 from pipeline.geometry.lifting import LiftedObject, lift
 from pipeline.geometry.masks import MaskCrop
 from pipeline.language.expression import Attachment, parse
@@ -178,16 +177,19 @@ def rerun(baseline: Baseline, edits: Edits) -> Outcome:
 
 def _rerun(baseline: Baseline, edits: Edits) -> Outcome:
     config, detector = baseline.source.config, baseline.detector
-    stages = {"parse": baseline.seconds["parse"]}
-    clock = _Clock(stages)
     context = _context(baseline, edits)
-    stages["frame"] = context.seconds
-    clock.start()
-    places = {name: _selected(baseline, edits, name) for name in baseline.found}
-    clock.stop("opm")
+    stages = {"parse": baseline.seconds["parse"], "frame": context.seconds}
+    laps = [perf_counter()]
+
+    def took(stage: str) -> None:
+        laps.append(perf_counter())
+        stages[stage] = laps[-1] - laps[-2]
+
+    indices = {name: _selected(baseline, edits, name) for name in baseline.found}
+    took("opm")
     found = {}
     keys: dict[int, str] = {}
-    for name, at in places.items():
+    for name, at in indices.items():
         entries = [_edited(baseline, context, edits, name, int(k)) for k in at]
         for entry, k in zip(entries, at.tolist(), strict=True):
             keys[id(entry)] = baseline.keys[name][k]
@@ -197,11 +199,11 @@ def _rerun(baseline: Baseline, edits: Edits) -> Outcome:
     objects, candidates = joined(found, calibration)
     object_keys = tuple(keys[id(o)] for o in objects)
     candidates = _with_confidences(candidates, object_keys, edits)
-    clock.stop("lift")
+    took("lift")
     scorer = baseline.scorer(edits.scorer)
     tables = _tables(baseline, context, edits, scorer, objects)
     scores = _with_relations(tables.scores, object_keys, edits)
-    clock.stop("srm")
+    took("srm")
     missing = tuple(name for name in baseline.query.labels if not len(candidates[name].index))
     ranking = None
     if not missing:
@@ -210,7 +212,7 @@ def _rerun(baseline: Baseline, edits: Edits) -> Outcome:
         sizes = np.array([o.lifted.quality.mask_pixels for o in objects])
         rank_config = replace(config.rank, **edits.rank)
         ranking = rank(baseline.query.readings, candidates, lookup, same, sizes, rank_config)
-        clock.stop("prm")
+        took("prm")
     trace = Trace(
         frame=context.frame,
         viewer=context.viewer,
@@ -227,22 +229,6 @@ def _rerun(baseline: Baseline, edits: Edits) -> Outcome:
         score_calibration=calibration,
     )
     return Outcome(trace, object_keys, tables.scored)
-
-
-class _Clock:
-    """Seconds of each stage, one after the other."""
-
-    def __init__(self, stages: dict[str, float]) -> None:
-        self.stages = stages
-        self.start()
-
-    def start(self) -> None:
-        self._since = perf_counter()
-
-    def stop(self, stage: str) -> None:
-        now = perf_counter()
-        self.stages[stage] = self.stages.get(stage, 0.0) + now - self._since
-        self._since = now
 
 
 def _context(baseline: Baseline, edits: Edits) -> PreparedFrame:
@@ -348,8 +334,8 @@ def _tables(
     plain = not edits.boxes and not edits.masks
     kind = (context.config, edits.scorer, profile)
     known = [t for t in (baseline.last("tables", (kind, p)) for p in (False, True)) if t is not None]
-    places = {identity(o) for o in objects}
-    before = max(known, key=lambda t: len(places & t.place.keys()), default=None)
+    indices = {identity(o) for o in objects}
+    before = max(known, key=lambda t: len(indices & t.index.keys()), default=None)
     tables = score_pairs(objects, context.viewer, context.frame, scorer, profile, before)
     widest = baseline.last("tables", (kind, True))
     # What was scored for a larger K serves a smaller one again.
@@ -367,11 +353,11 @@ def _with_relations(scores: RelationScores, keys: tuple[str, ...], edits: Edits)
                 expected=", ".join((*PAIRWISE, "closest", "farthest")),
             )
     known = {r: k for k, r in enumerate(scores.relations)}
-    place = {key: at for at, key in enumerate(keys)}
+    index = {key: at for at, key in enumerate(keys)}
     given = [
-        (place[a], place[b], known[r], p)
+        (index[a], index[b], known[r], p)
         for (r, a, b), p in edits.relations.items()
-        if r in known and a in place and b in place
+        if r in known and a in index and b in index
     ]
     if not given:
         return scores
@@ -386,13 +372,13 @@ def with_superlatives(lookup: RelationLookup, keys: tuple[str, ...], edits: Edit
     given = {k: p for k, p in edits.relations.items() if k[0] in ("closest", "farthest")}
     if not given:
         return lookup
-    place = {key: at for at, key in enumerate(keys)}
+    index = {key: at for at, key in enumerate(keys)}
 
     def edited(attachment: Attachment, heads: np.ndarray, ends: Any) -> np.ndarray:
         found = lookup(attachment, heads, ends)
         for (relation, a, b), p in given.items():
-            if relation == attachment.relation and a in place and b in place:
-                at = np.ix_(np.flatnonzero(heads == place[a]), np.flatnonzero(ends[0] == place[b]))
+            if relation == attachment.relation and a in index and b in index:
+                at = np.ix_(np.flatnonzero(heads == index[a]), np.flatnonzero(ends[0] == index[b]))
                 found[at] = p
         return found
 

@@ -88,9 +88,9 @@ def _checked(kind: type, values: Mapping[str, Any], where: str) -> dict[str, Any
         whole = _adapter(kind).validate_json(json.dumps(dict(values), allow_nan=False), strict=True)
     except ValidationError as error:
         first = error.errors()[0]
-        place = ".".join(str(p) for p in first["loc"])
+        index = ".".join(str(p) for p in first["loc"])
         got = repr(first["input"])[:80]
-        raise InputError(f"{where}: {place} cannot be this", got=got, expected=first["msg"]) from error
+        raise InputError(f"{where}: {index} cannot be this", got=got, expected=first["msg"]) from error
     except (TypeError, ValueError) as error:
         raise InputError(f"{where}: a value is no finite number", got=str(error)) from error
     return {name: getattr(whole, name) for name in values}

@@ -13,13 +13,12 @@ import json
 import re
 import zlib
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from typing import Annotated, Any
 
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import ConfigDict, Field
 
-from pipeline.diagnosis.whatif.edits import Edits, Three
-from pipeline.diagnosis.whatif.edits_json import EditsModel, edits_record, validated
+from pipeline.diagnosis.whatif.edits import Edits, EditsField, edits_record, validated
 from pipeline.system.errors import InputError
 
 VERSION = 1
@@ -28,7 +27,10 @@ LONGEST_STRING = 2 * 2**20
 LARGEST_CONTENT = 16 * 2**20
 """Bytes of JSON; a small string can be made to unpack to any amount."""
 
-Toggle = bool | int | float | str
+Text = Annotated[str, Field(max_length=4096)]
+Number = Annotated[float, Field(ge=-1e6, le=1e6)]
+Vector = tuple[Number, Number, Number]
+Toggle = bool | int | float | Text
 
 
 @dataclass(frozen=True)
@@ -40,9 +42,9 @@ class CameraView:
     position, look_at, up : three floats
     """
 
-    position: Three
-    look_at: Three
-    up: Three
+    position: Vector
+    look_at: Vector
+    up: Vector
 
 
 @dataclass(frozen=True)
@@ -57,7 +59,7 @@ class ViewState:
         Frame id.
     expression : str
     selection : tuple of str
-        Keys of the selected objects (`pipeline.diagnosis.whatif.keys`).
+        Keys of the selected objects (`pipeline.diagnosis.whatif.pair_tables`).
     pair : pair of str or None
         Keys of the pair that is shown; None for the winner.
     camera : CameraView or None
@@ -72,43 +74,16 @@ class ViewState:
         What the points are coloured by.
     """
 
-    dataset: str
-    frame: str
-    expression: str = ""
-    selection: tuple[str, ...] = ()
-    pair: tuple[str, str] | None = None
-    camera: CameraView | None = None
-    toggles: Mapping[str, Toggle] = field(default_factory=dict)
-    edits: Edits = field(default_factory=Edits)
-    run: str | None = None
-    expression_id: str | None = None
-    colors: str | None = None
+    __pydantic_config__ = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
-
-Text = Annotated[str, Field(max_length=4096)]
-Number = Annotated[float, Field(ge=-1e6, le=1e6)]
-Vector = tuple[Number, Number, Number]
-
-
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
-
-
-class _Camera(_Strict):
-    position: Vector
-    look_at: Vector
-    up: Vector
-
-
-class _State(_Strict):
     dataset: Text
     frame: Text
     expression: Text = ""
-    selection: Annotated[list[Text], Field(max_length=2000)] = []
+    selection: Annotated[tuple[Text, ...], Field(max_length=2000)] = ()
     pair: tuple[Text, Text] | None = None
-    camera: _Camera | None = None
-    toggles: Annotated[dict[Text, bool | int | float | Text], Field(max_length=200)] = {}
-    edits: EditsModel = EditsModel()
+    camera: CameraView | None = None
+    toggles: Annotated[Mapping[Text, Toggle], Field(max_length=200)] = field(default_factory=dict)
+    edits: EditsField = field(default_factory=Edits)
     run: Text | None = None
     expression_id: Text | None = None
     colors: Text | None = None
@@ -137,21 +112,7 @@ def state_record(state: ViewState) -> dict[str, Any]:
 
 def read_state(record: dict[str, Any] | str | bytes) -> ViewState:
     """A view from a JSON object; InputError where it is none."""
-    model = validated(_State, record, "the state")
-    camera = model.camera
-    return ViewState(
-        dataset=model.dataset,
-        frame=model.frame,
-        expression=model.expression,
-        selection=tuple(model.selection),
-        pair=model.pair,
-        camera=None if camera is None else CameraView(camera.position, camera.look_at, camera.up),
-        toggles=dict(model.toggles),
-        edits=model.edits.edits(),
-        run=model.run,
-        expression_id=model.expression_id,
-        colors=model.colors,
-    )
+    return validated(ViewState, [f.name for f in fields(ViewState)], record, "the state")
 
 
 def encode(state: ViewState) -> str:

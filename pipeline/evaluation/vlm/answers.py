@@ -1,4 +1,4 @@
-"""What a model's words mean: yes or no."""
+"""What a model's words mean: yes or no, or a box, in one of the many ways in which models write one."""
 
 from __future__ import annotations
 
@@ -7,8 +7,10 @@ import re
 import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 from pipeline.evaluation.vlm.protocol import Alternatives
+from pipeline.system.errors import InputError
 
 _YES = frozenset({"yes", "yeah", "yep", "yup"})
 _NO = frozenset({"nope", "nah"})
@@ -17,11 +19,9 @@ _SAYS_OF = frozenset({"is", "it's", "that's", "is not", "isn't", "be", "are"})
 _NEGATES = frozenset({"not", "never", "neither", "cannot", "can't", "isn't", "wouldn't", "don't", "doesn't", "without"})
 _NO_ANSWERS = frozenset({"idea", "clue", "doubt", "problem", "way", "information", "answer", "comment"})
 """Nouns before which `no` answers nothing: `no idea`."""
-
 _REASONING = re.compile(r"<(/?)(?:think|thinking|reasoning)>", re.IGNORECASE)
 _LONGEST = 4000
 """Characters of an answer that are read: its first and its last half so many."""
-
 _INSTRUCTION = re.compile(r"\b(?:answer|respond|reply)\b[^.:!?\n]*?\byes(?: or |/)no\b(?: only)?")
 _FINAL = re.compile(
     r"\banswer\b(?:\W*(?:is|would be|should be|must be)\b)?\W*(?:that\W+)?"
@@ -29,6 +29,219 @@ _FINAL = re.compile(
 )
 _WORD = re.compile(r"[^\W\d_]+(?:'[^\W\d_]+)*|\d+|[^\w\s]|_|\n")
 _WORD_LIKE = re.compile(r"[^\W_]")
+
+BoxScale = float | Literal["auto", "pixels"]
+"""What the far edge of the picture is in an answer: 1, 100, 1000, its pixels, or to be told from the numbers."""
+
+Corners = tuple[float, float, float, float]
+
+_NUMBER = r"[-+]?(?:\d+(?:\.\d*)?|\.\d+)(?:e[-+]?\d+)?"
+_VALUE = rf"(?:(?<![\w.])(?:{_NUMBER}|[-+]?(?:nan|inf(?:inity)?))(?![a-z\d]|\.\d)(?:\s*(?:%|px\b|pixels?\b))?|" \
+         rf"(?<![\w.]){_NUMBER}(?:px|pixels?)\b)"  # fmt: skip
+_READ = re.compile(rf"({_NUMBER}|[-+]?(?:nan|inf(?:inity)?))\s*(%|px|pixels?)?")
+_COMMA = r"\s*[,;|/]\s*|\s+"
+_GROUP = re.compile(rf"[\[({{<]\s*((?:{_VALUE})(?:(?:{_COMMA})(?:{_VALUE}))*)\s*[,;]?\s*[\])}}>]")
+_POINT = re.compile(rf"[\[({{]\s*x\s*[:=]\s*({_VALUE})(?:{_COMMA})y\s*[:=]\s*({_VALUE})\s*[\])}}]")
+_RUN = re.compile(rf"{_VALUE}(?:(?:{_COMMA}|\s*,?\s*\b(?:to|and)\b\s*){_VALUE})+")
+_NAMED = re.compile(
+    r"(?<![a-z\d])[\"']?([xy][_ ]?(?:min|max|[012])|(?:min|max)[_ ]?[xy]|left|top|right|bottom|width|height|[xywh])"
+    rf"[\"']?\s*[:=]\s*({_VALUE})"
+)
+_SCHEMES = (
+    ("x0", "y0", "x1", "y1"),
+    ("x1", "y1", "x2", "y2"),
+    ("xmin", "ymin", "xmax", "ymax"),
+    ("left", "top", "right", "bottom"),
+)
+_SIZED = ({"x", "y", "w", "h"}, {"x", "y", "width", "height"}, {"left", "top", "width", "height"})
+_PALIGEMMA = re.compile(r"(?:<loc\d{4}>\s*){4}")
+_FLORENCE = re.compile(r"(?:<loc_\d{1,3}>\s*){4}")
+_QWEN = re.compile(r"(?:<box>|<\|box_start\|>)")
+_FARTHEST = 1.0
+"""Picture widths beyond the edge at which a number is no overshoot but another scale."""
+
+
+@dataclass(frozen=True)
+class BoxAnswer:
+    """A box in an answer.
+
+    Attributes
+    ----------
+    box : (x0, y0, x1, y1) or None
+        Shares of the picture's width and height, 0 to 1, of an area above 0.
+    scale : str or None
+        How the numbers were read: "1", "100", "1000", "1024", "pixels".
+    notes : tuple of str
+        What had to be mended or assumed.
+    reason : str or None
+        Why there is no box.
+    """
+
+    box: Corners | None
+    scale: str | None = None
+    notes: tuple[str, ...] = ()
+    reason: str | None = None
+
+
+@dataclass(frozen=True)
+class _Found:
+    """Numbers that stand together, as they were written."""
+
+    values: tuple[float, ...]
+    unit: Literal["", "%", "px"] = ""
+    decimal: bool = False
+    scale: float | None = None
+    boxes: int = 1
+
+
+def parse_box(text: str, size: tuple[int, int] | None = None, scale: BoxScale = "auto") -> BoxAnswer:
+    """Read a box of two corners.
+
+    Brackets of four numbers, or two brackets of two; named corners (`x1=0.1`, JSON keys, `left: ...`); four numbers in
+    a row; per cent; the location tokens of PaliGemma, Florence-2 and Qwen-VL. The first of several boxes is taken.
+    Corners in the wrong order are put right and what lies outside is cut off, both with a note. A corner with width
+    and height is refused.
+
+    Parameters
+    ----------
+    text : str
+    size : (width, height), optional
+        Of the picture as it was sent, pixels.
+    scale : float, "pixels" or "auto"
+        What the far edge is. "auto": numbers up to 1 are shares. Larger ones are pixels where they lie within the
+        picture, else thousandths where they are whole and at most 1000; some models that count in thousandths can so
+        be misread, and need to be told. Signs (%, px, location tokens) and shares with a decimal point count before it.
+
+    Raises
+    ------
+    InputError
+        The scale cannot be used; never for what the model wrote.
+    """
+    if not (scale in ("auto", "pixels") or (isinstance(scale, int | float) and 0 < scale < math.inf)):
+        raise InputError("the scale of boxes", got=repr(scale), expected="auto, pixels, or a number above 0")
+    if scale == "pixels" and size is None:
+        raise InputError("boxes in pixels need the picture's size")
+    text, reason = spoken_part(text)
+    if reason:
+        return BoxAnswer(None, reason=reason)
+    plain = unicodedata.normalize("NFKC", text).lower().replace("−", "-").replace("–", "-").replace("**", "")
+    found = _numbers(plain)
+    if isinstance(found, str):
+        return BoxAnswer(None, reason=found)
+    notes = [f"the first of {found.boxes} boxes"] if found.boxes > 1 else []
+    if not all(map(math.isfinite, found.values)):
+        return BoxAnswer(None, reason="numbers that are not finite")
+    edges = _edges(found, size, scale, notes)
+    if isinstance(edges, str):
+        return BoxAnswer(None, reason=edges)
+    name, width, height = edges
+    x0, y0, x1, y1 = (v / of for v, of in zip(found.values, (width, height, width, height), strict=True))
+    if x0 > x1 or y0 > y1:
+        notes.append("corners put in order")
+        x0, x1, y0, y1 = min(x0, x1), max(x0, x1), min(y0, y1), max(y0, y1)
+    if min(x0, y0) < -_FARTHEST or max(x1, y1) > 1 + _FARTHEST:
+        return BoxAnswer(None, name, reason=f"numbers far outside the picture, read with the scale {name}")
+    cut = tuple(min(max(v, 0.0), 1.0) for v in (x0, y0, x1, y1))
+    if cut != (x0, y0, x1, y1):
+        notes.append("cut at the picture's edge")
+    if cut[0] >= cut[2] or cut[1] >= cut[3]:
+        return BoxAnswer(None, name, tuple(notes), "an empty box")
+    return BoxAnswer((cut[0], cut[1], cut[2], cut[3]), name, tuple(notes))
+
+
+def _edges(
+    found: _Found, size: tuple[int, int] | None, told: BoxScale, notes: list[str]
+) -> tuple[str, float, float] | str:
+    """The scale's name, and what the right and the lower edge of the picture are in it; or why that is not known."""
+    values, most = found.values, max(found.values)
+    if found.scale is not None:
+        return f"{found.scale:g}", found.scale, found.scale
+    if found.unit == "%":
+        return "100", 100, 100
+    if found.unit == "px" or told == "pixels":
+        return ("pixels", *size) if size else "pixels of a picture of unknown size"
+    if isinstance(told, int | float):
+        if not (told > 2 and found.decimal and most <= 1):
+            return f"{told:g}", told, told
+        notes.append(f"shares, not numbers up to {told:g}")
+    # 1.02 is a share that overshoots; 2 of 640 pixels is written without a point.
+    if most <= 1 or (found.decimal and most < 2):
+        return "1", 1, 1
+    if size is None:
+        return "numbers above 1, and neither their scale nor the picture's size is known"
+    if max(values[0], values[2]) <= size[0] and max(values[1], values[3]) <= size[1]:
+        notes.append("read as pixels")
+        return "pixels", *size
+    if most <= 1000 and min(values) >= 0 and all(v == int(v) for v in values):
+        notes.append("read as thousandths: too large for pixels")
+        return "1000", 1000, 1000
+    return "numbers of an unknown scale, outside the picture"
+
+
+def _numbers(text: str) -> _Found | str:
+    """The first box's numbers in the order x0, y0, x1, y1, or why there are none."""
+    if match := _PALIGEMMA.search(text):
+        y0, x0, y1, x1 = (float(n) for n in re.findall(r"\d{4}", match[0]))
+        return _Found((x0, y0, x1, y1), scale=1024, boxes=len(_PALIGEMMA.findall(text)))
+    if match := _FLORENCE.search(text):
+        values = tuple(float(n) for n in re.findall(r"\d{1,3}", match[0]))
+        return _Found(values, scale=1000, boxes=len(_FLORENCE.findall(text)))
+    named = _by_name(text)
+    if named is not None:
+        return named
+    return _in_brackets(text) or _in_a_row(text) or _refused(text)
+
+
+def _by_name(text: str) -> _Found | str | None:
+    rows: dict[str, list[str]] = {}
+    for key, value in _NAMED.findall(text):
+        key = re.sub(r"[_ ]", "", key)
+        key = key[3:] + key[:3] if key[:3] in ("min", "max") else key
+        rows.setdefault(key, []).append(value)
+    for scheme in _SCHEMES:
+        if all(key in rows for key in scheme):
+            return _found([rows[key][0] for key in scheme], boxes=min(len(rows[key]) for key in scheme))
+    if any(keys <= set(rows) for keys in _SIZED):
+        return "a corner with width and height, not two corners"
+    return None
+
+
+def _in_brackets(text: str) -> _Found | None:
+    groups = [(m.start(), m.end(), re.findall(_VALUE, m[1])) for m in _GROUP.finditer(text)]
+    groups += [(m.start(), m.end(), [m[1], m[2]]) for m in _POINT.finditer(text)]
+    groups.sort()
+    boxes: list[list[str]] = []
+    index = 0
+    while index < len(groups):
+        _, end, values = groups[index]
+        following = groups[index + 1] if index + 1 < len(groups) else None
+        if len(values) == 4:
+            boxes.append(values)
+        elif len(values) == 2 and following and len(following[2]) == 2 and following[0] - end <= 60:
+            boxes.append(values + following[2])
+            index += 1
+        index += 1
+    scale = 1000 if _QWEN.search(text) else None
+    return _found(boxes[0], boxes=len(boxes), scale=scale) if boxes else None
+
+
+def _in_a_row(text: str) -> _Found | None:
+    runs = [re.findall(_VALUE, m[0]) for m in _RUN.finditer(text)]
+    fours = [run for run in runs if len(run) == 4]
+    return _found(fours[0], boxes=len(fours)) if fours else None
+
+
+def _refused(text: str) -> str:
+    counts = [len(re.findall(_VALUE, m[0])) for m in _RUN.finditer(text)]
+    return f"{max(counts)} numbers, not the 4 of a box" if counts else "no box"
+
+
+def _found(written: list[str], boxes: int, scale: float | None = None) -> _Found:
+    read = [_READ.match(value) for value in written]
+    units = {match[2] for match in read if match} - {None}
+    values = tuple(float(match[1]) for match in read if match)
+    decimal = any("." in value or "e-" in value for value in written)
+    return _Found(values, "%" if "%" in units else "px" if units else "", decimal, scale, boxes)
 
 
 @dataclass(frozen=True)
@@ -110,11 +323,11 @@ def yes_probability(logprobs: Sequence[Alternatives]) -> float | None:
 
     Spellings ("Yes", " yes", "YES") are summed. One that is not among the alternatives counts as zero.
     """
-    for place in logprobs:
-        if not place or _plain_token(place[0][0]) not in ("yes", "no"):
+    for index in logprobs:
+        if not index or _plain_token(index[0][0]) not in ("yes", "no"):
             continue
         mass = {"yes": 0.0, "no": 0.0}
-        for token, logprob in place:
+        for token, logprob in index:
             word = _plain_token(token)
             if word in mass:
                 mass[word] += math.exp(logprob)

@@ -14,14 +14,16 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from pipeline.evaluation.vlm.cache import AnswerCache, answer_key
-from pipeline.evaluation.vlm.cost import PICTURE_TOKENS, Usage, estimated_tokens
-from pipeline.evaluation.vlm.pace import Pace
 from pipeline.evaluation.vlm.pool import map_ordered
 from pipeline.evaluation.vlm.protocol import (
+    PICTURE_TOKENS,
     Alternatives,
+    AnswerCache,
     Completion,
     Parameters,
+    Usage,
+    answer_key,
+    estimated_tokens,
     read_completion,
     read_models,
     request_body,
@@ -365,3 +367,46 @@ def _check(parameters: Parameters, timeout_s: float, retries: int) -> None:
         raise InputError("the temperature must be 0 or more", got=p.temperature)
     if not 0 <= p.top_logprobs <= 20:
         raise InputError("top_logprobs", got=p.top_logprobs, expected="0 to 20, the most that the protocol allows")
+
+
+class Pace:
+    """A token bucket that holds one token, so that requests are evenly spaced.
+
+    A bucket of a whole minute's tokens would let twice the limit through in its first minute.
+
+    Parameters
+    ----------
+    per_minute : float or None
+        None sets no limit.
+    clock, sleep : callable
+        Seconds, and waiting for some.
+    """
+
+    def __init__(
+        self,
+        per_minute: float | None,
+        clock: Callable[[], float] = time.monotonic,
+        sleep: Callable[[float], None] = time.sleep,
+    ) -> None:
+        if per_minute is not None and not 0 < per_minute < float("inf"):
+            raise InputError("a limit of requests a minute must be above 0", got=per_minute)
+        self.interval = 60.0 / per_minute if per_minute else 0.0
+        self._clock, self._sleep = clock, sleep
+        self._lock = threading.Lock()
+        self._free = clock()
+
+    def wait(self) -> None:
+        """Return when the next request may be made."""
+        while True:
+            with self._lock:
+                now = self._clock()
+                if now >= self._free:
+                    self._free = now + self.interval
+                    return
+                left = self._free - now
+            self._sleep(left)
+
+    def hold(self, seconds: float) -> None:
+        """No request of any worker for so long."""
+        with self._lock:
+            self._free = max(self._free, self._clock() + seconds)

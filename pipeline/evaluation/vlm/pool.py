@@ -43,10 +43,10 @@ def map_ordered(
         try:
             while not stop.is_set():
                 with lock:
-                    place, item = next(source, (-1, None))
-                if place < 0:
+                    index, item = next(source, (-1, None))
+                if index < 0:
                     break
-                results.put((place, function(item, stop)))  # type: ignore[arg-type]
+                results.put((index, function(item, stop)))  # type: ignore[arg-type]
         except BaseException as error:
             results.put(error)
         else:
@@ -72,4 +72,4 @@ def map_ordered(
                 done(len(found))
     finally:
         stop.set()
-    return [found[place] for place in range(len(found))]
+    return [found[index] for index in range(len(found))]

@@ -1,15 +1,28 @@
-"""OpenAI's chat protocol: the body of a question, and the reading of what servers answer."""
+"""OpenAI's chat protocol: the body of a question, the reading of what servers answer, its cost, and its cache."""
 
 from __future__ import annotations
 
+import hashlib
 import http
 import json
 import math
+import os
+import tempfile
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
 from typing import Any
 
 from pipeline.evaluation.vlm.transport import Failure, Reply, wait_asked
+from pipeline.system.errors import InputError
+
+_VERSION = "1"
+"""Part of every key: a change of what is made of a reply must change it."""
+
+CHARACTERS_A_TOKEN = 4
+PICTURE_TOKENS = 576
+"""For a server that does not count: English text has about four characters a token, and LLaVA-1.5 turns a picture into
+24 x 24 tokens. Models that tile large pictures take more."""
 
 Alternatives = tuple[tuple[str, float], ...]
 """Tokens that could stand at one place of an answer, the one that does first, with their log-probabilities."""
@@ -151,9 +164,9 @@ def first_line(body: bytes, limit: int = 200) -> str:
     except (ValueError, RecursionError):
         table = None
     for holder in (table.get("error"), table) if isinstance(table, dict) else ():
-        said = holder.get("message") if isinstance(holder, dict) else holder
-        if isinstance(said, str) and said.strip():
-            text = said
+        message = holder.get("message") if isinstance(holder, dict) else holder
+        if isinstance(message, str) and message.strip():
+            text = message
             break
     line = next((found for found in text.splitlines() if found.strip()), "")
     line = "".join(c if c.isprintable() else " " for c in line).strip()
@@ -225,3 +238,128 @@ def _pair(row: object) -> tuple[str, float] | None:
     token, value = row.get("token"), row.get("logprob")
     good = isinstance(token, str) and isinstance(value, int | float) and not math.isnan(value)
     return (token, min(float(value), 0.0)) if good else None  # type: ignore[arg-type, return-value]
+
+
+@dataclass(frozen=True)
+class Usage:
+    """Counts of one client since it was made.
+
+    Attributes
+    ----------
+    requests : int
+        Questions sent, every try counted.
+    answers : int
+        Answers that came over the wire.
+    cached : int
+        Answers that the cache had.
+    prompt_tokens, completion_tokens : int
+        Of `answers`.
+    cached_prompt_tokens, cached_completion_tokens : int
+        Of `cached`: what they took when they were asked.
+    estimated : int
+        How many of all these answers have estimated tokens, for want of the server's count.
+    """
+
+    requests: int = 0
+    answers: int = 0
+    cached: int = 0
+    prompt_tokens: int = 0
+    completion_tokens: int = 0
+    cached_prompt_tokens: int = 0
+    cached_completion_tokens: int = 0
+    estimated: int = 0
+
+
+@dataclass(frozen=True)
+class Prices:
+    """Money for a million tokens, in any currency."""
+
+    per_million_in: float
+    per_million_out: float
+
+    def __post_init__(self) -> None:
+        if not all(0 <= price < math.inf for price in (self.per_million_in, self.per_million_out)):
+            raise InputError(
+                "a price of a million tokens must be 0 or more", got=f"{self.per_million_in}, {self.per_million_out}"
+            )
+
+
+def money(usage: Usage, prices: Prices, *, with_cached: bool = False) -> float:
+    """What the answers cost; with `with_cached`, what they would cost without a cache.
+
+    Tries that brought no answer are not counted: servers differ in whether they charge for them.
+    """
+    tokens_in = usage.prompt_tokens + (usage.cached_prompt_tokens if with_cached else 0)
+    tokens_out = usage.completion_tokens + (usage.cached_completion_tokens if with_cached else 0)
+    return (tokens_in * prices.per_million_in + tokens_out * prices.per_million_out) / 1e6
+
+
+def estimated_tokens(text: str) -> int:
+    """Tokens of a text, about."""
+    return math.ceil(len(text) / CHARACTERS_A_TOKEN)
+
+
+def answer_key(parameters: Parameters, prompt: str, picture: str) -> str:
+    """SHA-256 of everything that the answer depends on, hexadecimal.
+
+    The server is no part of it: the same model at another address gives the same answer. So a server that takes any
+    name for its one model, as llama.cpp's does, must be given a name that tells its models apart.
+
+    Parameters
+    ----------
+    picture : str
+        Hash of the picture as it is sent.
+    """
+    content = {"version": _VERSION, "request": parameters.fields(), "prompt": prompt, "picture": picture}
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode("ascii")).hexdigest()
+
+
+class AnswerCache:
+    """One JSON file an answer, below a folder.
+
+    A damaged or unreadable file is a miss, never an error; a folder that cannot be written only means that nothing is
+    kept.
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self.folder = folder
+
+    def _path(self, key: str) -> Path:
+        return self.folder / key[:2] / f"{key}.json"
+
+    def load(self, key: str) -> tuple[Completion, float] | None:
+        """The answer, and the seconds that it took; None where it is not known."""
+        try:
+            table = json.loads(self._path(key).read_text(encoding="utf-8"))
+            answer: dict[str, Any] = table["answer"]
+            tokens = [answer[name] for name in ("prompt_tokens", "completion_tokens")]
+            seconds = float(table["seconds"])
+            finish = answer["finish"]
+            sound = isinstance(answer["text"], str) and all(n is None or (type(n) is int and n >= 0) for n in tokens)
+            if table["key"] != key or not sound or not (finish is None or isinstance(finish, str)):
+                return None
+            logprobs = tuple(tuple((str(t), float(p)) for t, p in index) for index in answer["logprobs"])
+            return Completion(answer["text"], finish, tokens[0], tokens[1], logprobs), seconds
+        except (OSError, ValueError, KeyError, TypeError, RecursionError):
+            return None
+
+    def store(self, key: str, prompt: str, parameters: Parameters, answer: Completion, seconds: float) -> None:
+        """Keep an answer; the question stands beside it for people who look into the file."""
+        path = self._path(key)
+        table = {
+            "key": key,
+            "request": parameters.fields(),
+            "prompt": prompt,
+            "answer": asdict(answer),
+            "seconds": seconds,
+        }
+        temporary: Path | None = None
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+            with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".tmp", delete=False) as file:
+                temporary = Path(file.name)
+                file.write(json.dumps(table).encode("ascii"))
+            os.replace(temporary, path)
+        except OSError:
+            if temporary is not None:
+                temporary.unlink(missing_ok=True)

@@ -166,22 +166,22 @@ def _read(response: Any, headers: Mapping[str, str], deadline: float, timeout_s:
 def _failure(error: BaseException, timeout_s: float) -> Failure:
     reason = getattr(error, "reason", None)
     inner = reason if isinstance(error, urllib.error.URLError) and isinstance(reason, BaseException) else error
-    said = " ".join(str(inner).split())[:200] or type(inner).__name__
+    text = " ".join(str(inner).split())[:200] or type(inner).__name__
     if isinstance(inner, TimeoutError):
         return _late(timeout_s)
     if isinstance(inner, ConnectionRefusedError):
         return Failure("no server listens there", cause="is it running, on this port?", again=True, everywhere=True)
     if isinstance(inner, socket.gaierror):
-        return Failure("the host is not known", detail=said, everywhere=True)
+        return Failure("the host is not known", detail=text, everywhere=True)
     if isinstance(inner, ssl.SSLCertVerificationError):
-        return Failure("the server's certificate is not trusted", detail=said, everywhere=True)
+        return Failure("the server's certificate is not trusted", detail=text, everywhere=True)
     if isinstance(inner, ssl.SSLError):
-        return Failure("no secure connection", detail=said, cause="is it http, not https?", everywhere=True)
+        return Failure("no secure connection", detail=text, cause="is it http, not https?", everywhere=True)
     if isinstance(inner, http.client.RemoteDisconnected | http.client.IncompleteRead | ConnectionError):
         return Failure("the connection was closed midway", again=True)
     if isinstance(inner, http.client.HTTPException):
         return Failure("what answers there speaks no HTTP", detail=type(inner).__name__, everywhere=True)
-    return Failure("the connection failed", detail=said, again=True)
+    return Failure("the connection failed", detail=text, again=True)
 
 
 def _late(timeout_s: float) -> Failure:

@@ -34,19 +34,9 @@ import numpy as np
 from pipeline.answering.answering import FrameAnswers
 from pipeline.answering.objects import PreparedFrame, prepare_frame
 from pipeline.answering.opening import Pipeline
+from pipeline.diagnosis.decision import diagnose
 from pipeline.diagnosis.frame_evidence import FrameEvidence
-from pipeline.diagnosis.verdict import Diagnosis, diagnose
-from pipeline.evaluation.planted_parts import (
-    PlantedDetector,
-    ShiftedContext,
-    WrongScorer,
-    dropped,
-    false_positives,
-    leaking,
-    moved_boxes,
-    rescored,
-    share,
-)
+from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.evaluation.records import record
 from pipeline.evaluation.run import class_names_of
 from pipeline.geometry.boxes import iou_2d
@@ -57,6 +47,18 @@ from pipeline.language.relation_names import INVERSE, PHRASE
 from pipeline.proposals.annotations import AnnotationDetector
 from pipeline.proposals.base import Proposals
 from pipeline.relations.relations import U
+
+from .planted_parts import (
+    PlantedDetector,
+    ShiftedContext,
+    WrongScorer,
+    dropped,
+    false_positives,
+    leaking,
+    moved_boxes,
+    rescored,
+    share,
+)
 
 KINDS: dict[str, tuple[str, ...]] = {
     "OPM-TARGET": ("absent", "threshold", "rank", "localisation"),
@@ -101,14 +103,16 @@ class Outcome:
         As in KINDS.
     frame, id : str
         The expression.
-    diagnosis : Diagnosis
+    verdict : str
+    detail : str or None
     """
 
     module: str
     kind: str
     frame: str
     id: str
-    diagnosis: Diagnosis
+    verdict: str
+    detail: str | None
 
 
 def clean_source(source: Pipeline, seed: int = 0) -> Pipeline:
@@ -158,9 +162,7 @@ def judge(planted: Planted, class_names: Sequence[str]) -> tuple[dict[str, Any],
     answers = FrameAnswers(planted.source, planted.context, names, (case.relation,))
     evidence = FrameEvidence(truth, answers, cases=(case,))
     row = record(case, truth, answers, read_query(case, class_names), evidence.overlap)
-    return row, diagnose(
-        evidence, case, parse_ok=row["parse_ok"], mark=planted.mark, unfiltered=planted.source.unfiltered_detector
-    )
+    return row, diagnose(evidence, case, parse_ok=row["parse_ok"], mark=planted.mark)
 
 
 def planted_failures(
@@ -203,14 +205,14 @@ def planted_failures(
                         continue
                     row, diagnosis = judge(planted, class_names)
                     if not row["correct"] and (module == "LABEL" or not row["set_correct"]):
-                        yield Outcome(module, kind, truth.frame, case.id, diagnosis)
+                        yield Outcome(module, kind, truth.frame, case.id, diagnosis.verdict, diagnosis.detail)
 
 
 def confusion(outcomes: Iterable[Outcome]) -> dict[tuple[str, str], Counter[str]]:
     """(module, kind) -> how often each verdict was given."""
     found: dict[tuple[str, str], Counter[str]] = {}
     for o in outcomes:
-        found.setdefault((o.module, o.kind), Counter())[o.diagnosis.verdict] += 1
+        found.setdefault((o.module, o.kind), Counter())[o.verdict] += 1
     return found
 
 

@@ -1,4 +1,4 @@
-"""Relations by a vision-language model: LLaVA's yes/no question about every ordered pair."""
+"""What a vision-language model is asked: for the box of a sentence, and whether the relations of a pair hold."""
 
 from __future__ import annotations
 
@@ -9,15 +9,17 @@ from typing import Protocol
 
 import numpy as np
 
-from pipeline.evaluation.vlm.answers import parse_yes_no, yes_probability
+from pipeline.evaluation.vlm.answers import BoxScale, parse_box, parse_yes_no, yes_probability
 from pipeline.evaluation.vlm.client import Answer, ChatClient, Question
-from pipeline.evaluation.vlm.view import Picture, marked, view_of
+from pipeline.evaluation.vlm.view import Picture, View, marked, view_of
 from pipeline.geometry.frame import Frame
-from pipeline.labels.exports.vqa_wording import BRIEF, ask_relation, can_be_asked
+from pipeline.labels.exports.vqa_wording import BRIEF, ask_grounding, ask_relation, can_be_asked
 from pipeline.language.naming import normal_form
 from pipeline.language.noun_phrase import noun_phrase, readable
 from pipeline.language.relation_names import PAIRWISE, PHRASE
 from pipeline.system.errors import InputError
+
+_Key = tuple[tuple[int, int] | None, str, str, str]
 
 UNKNOWN = 0.5
 _TOP_LOGPROBS = 5
@@ -35,19 +37,13 @@ class Named(Protocol):
 
 
 @dataclass(frozen=True)
-class RelationConfig:
-    """How relations are asked for.
+class AskingConfig:
+    """How a model is asked.
 
     Attributes
     ----------
-    mark : bool
-        Draw the pair's boxes, numbered 1 and 2, and name the numbers in the question ("Is the mug (box 1) ..."), as
-        in Set-of-Mark prompting (Yang et al. 2023). Without it, as in LLaVA, things are told apart by their names only.
     wording : int
-        Which of the house's sentences asks where nothing is marked; 0 is the plainest. See
-        `labels.wording.question_text`.
-    logprobs : bool
-        Ask for log-probabilities, and where the server gives them take P(yes) / (P(yes) + P(no)).
+        Which of the house's sentences asks; 0 is the plainest, LLaVA's.
     square, max_side
         See `view.view_of`.
     max_tokens : int
@@ -56,14 +52,29 @@ class RelationConfig:
         Go on without an answer where one question fails for itself.
     """
 
-    mark: bool = False
     wording: int = 0
-    logprobs: bool = False
     square: bool = True
     max_side: int | None = None
     max_tokens: int = 32
     workers: int = 4
     keep_going: bool = False
+
+
+@dataclass(frozen=True)
+class RelationConfig(AskingConfig):
+    """How relations are asked for; the wording is that of `labels.wording.question_text`, where nothing is marked.
+
+    Attributes
+    ----------
+    mark : bool
+        Draw the pair's boxes, numbered 1 and 2, and name the numbers in the question ("Is the mug (box 1) ..."), as
+        in Set-of-Mark prompting (Yang et al. 2023). Without it, as in LLaVA, things are told apart by their names only.
+    logprobs : bool
+        Ask for log-probabilities, and where the server gives them take P(yes) / (P(yes) + P(no)).
+    """
+
+    mark: bool = False
+    logprobs: bool = False
 
     def __post_init__(self) -> None:
         if not 0 <= self.wording < 2**64:
@@ -131,8 +142,8 @@ def score_pairs(
         The server gives no answer.
     """
     config = config or RelationConfig()
-    places = _checked(pairs, len(objects), relations)
-    asked = _questions(objects, places, relations, config)
+    indices = _checked(pairs, len(objects), relations)
+    asked = _questions(objects, indices, relations, config)
     # Things of one name ask the same without marks, and are asked about once.
     order = {key: n for n, key in enumerate(dict.fromkeys(k for k, text in asked if text is not None))}
     prompts = {key: text for key, text in asked if text is not None}
@@ -142,16 +153,16 @@ def score_pairs(
         progress=lambda done: progress(done, len(order)),
         keep_going=config.keep_going,
     )
-    shape = (len(places), len(relations))
+    shape = (len(indices), len(relations))
     probabilities, known = np.full(shape, UNKNOWN), np.zeros(shape, np.bool_)
-    by_logprobs, reasons, said = np.zeros(shape, np.bool_), Counter[str](), [[""] * shape[1] for _ in range(shape[0])]
+    by_logprobs, reasons, texts = np.zeros(shape, np.bool_), Counter[str](), [[""] * shape[1] for _ in range(shape[0])]
     for cell, (key, text) in enumerate(asked):
         i, j = divmod(cell, shape[1])
         if text is None:
             reasons["a name that cannot stand in a question"] += 1
             continue
         answer = answers[order[key]]
-        said[i][j] = answer.text
+        texts[i][j] = answer.text
         value, exact, reason = _judged(answer)
         if reason is not None:
             reasons[reason] += 1
@@ -162,18 +173,10 @@ def score_pairs(
         probabilities,
         known,
         by_logprobs,
-        _shared_names(objects)[places].reshape(-1, 2).any(axis=1) & np.full(len(places), not config.mark),
-        tuple(map(tuple, said)),
+        _shared_names(objects)[indices].reshape(-1, 2).any(axis=1) & np.full(len(indices), not config.mark),
+        tuple(map(tuple, texts)),
         dict(reasons),
     )
-
-
-_Key = tuple[tuple[int, int] | None, str, str, str]
-
-
-def relation_question(relation: str, a: str, b: str, wording: int = 0) -> str:
-    """LLaVA's yes/no question: "Is the mug left of the laptop?", and the wish for a short answer."""
-    return ask_relation(relation, a, b, wording)
 
 
 def marked_question(relation: str, a: str, b: str) -> str:
@@ -184,11 +187,11 @@ def marked_question(relation: str, a: str, b: str) -> str:
 
 
 def _questions(
-    objects: Sequence[Named], places: np.ndarray, relations: Sequence[str], config: RelationConfig
+    objects: Sequence[Named], indices: np.ndarray, relations: Sequence[str], config: RelationConfig
 ) -> list[tuple[_Key, str | None]]:
     """For every cell what makes its question the same as another's, and its words; None where a name cannot be said."""
     found: list[tuple[_Key, str | None]] = []
-    for a, b in places.tolist():
+    for a, b in indices.tolist():
         names = objects[a].label, objects[b].label
         for relation in relations:
             text = None
@@ -197,7 +200,7 @@ def _questions(
                     text = (
                         marked_question(relation, *names)
                         if config.mark
-                        else relation_question(relation, *names, config.wording)
+                        else ask_relation(relation, *names, config.wording)
                     )
                 except InputError:
                     text = None
@@ -238,15 +241,108 @@ def _shared_names(objects: Sequence[Named]) -> np.ndarray:
 
 
 def _checked(pairs: np.ndarray | Sequence[tuple[int, int]], count: int, relations: Sequence[str]) -> np.ndarray:
-    places = np.asarray(pairs)
-    if not places.size:
-        places = np.zeros((0, 2), np.int64)
-    if places.ndim != 2 or places.shape[1] != 2 or not np.issubdtype(places.dtype, np.integer):
-        raise InputError("pairs must be int (N, 2)", got=f"{places.dtype} {places.shape}")
-    if places.size and (places.min() < 0 or places.max() >= count):
-        raise InputError("a pair names an object that is not there", got=f"{places.min()} to {places.max()}",
+    indices = np.asarray(pairs)
+    if not indices.size:
+        indices = np.zeros((0, 2), np.int64)
+    if indices.ndim != 2 or indices.shape[1] != 2 or not np.issubdtype(indices.dtype, np.integer):
+        raise InputError("pairs must be int (N, 2)", got=f"{indices.dtype} {indices.shape}")
+    if indices.size and (indices.min() < 0 or indices.max() >= count):
+        raise InputError("a pair names an object that is not there", got=f"{indices.min()} to {indices.max()}",
                          expected=f"0 to {count - 1}")  # fmt: skip
     unknown = [r for r in relations if r not in PAIRWISE]
     if unknown:
         raise InputError("no such relation of two things", got=repr(unknown[0]), expected=" | ".join(PAIRWISE))
-    return places
+    return indices
+
+
+@dataclass(frozen=True)
+class GroundingConfig(AskingConfig):
+    """How boxes are asked for.
+
+    Attributes
+    ----------
+    box_scale : float, "pixels" or "auto"
+        See `answers.parse_box`; pixels are those of the picture as it is sent. Models that count in thousandths
+        (Qwen3-VL, InternVL) need 1000.
+    """
+
+    max_tokens: int = 64
+    box_scale: BoxScale = "auto"
+
+
+@dataclass(frozen=True)
+class Grounding:
+    """Where the model says that an expression's target is.
+
+    Attributes
+    ----------
+    box : (4,) float32 or None
+        x0, y0, x1, y1, pixels of the frame.
+    raw : str
+        The answer.
+    reason : str or None
+        Why there is no box.
+    notes : tuple of str
+        What had to be mended or assumed to read it.
+    """
+
+    box: np.ndarray | None
+    raw: str
+    reason: str | None = None
+    notes: tuple[str, ...] = ()
+
+
+def ground(client: ChatClient, frame: Frame, text: str, *, config: GroundingConfig | None = None) -> Grounding:
+    """Ask for the box of one expression.
+
+    Parameters
+    ----------
+    text : str
+        "the mug left of the laptop".
+
+    Raises
+    ------
+    InputError
+        For an expression that cannot be asked.
+    ServerError
+        The server gives no answer.
+    """
+    return ground_many(client, frame, [text], config=config)[0]
+
+
+def ground_many(
+    client: ChatClient,
+    frame: Frame,
+    texts: Sequence[str],
+    *,
+    config: GroundingConfig | None = None,
+    progress: Callable[[int, int], None] = lambda done, total: None,
+) -> list[Grounding]:
+    """Ask for the boxes of many expressions about one frame; in their order. See `ground`."""
+    config = config or GroundingConfig()
+    # An unusable scale is told before the server is asked.
+    parse_box("", (1, 1), config.box_scale)
+    if not all(text.strip() for text in texts):
+        raise InputError("an expression is empty")
+    view = view_of(frame.rgb, square=config.square, max_side=config.max_side)
+    questions = [Question(ask_grounding(text, config.wording), view.picture, config.max_tokens) for text in texts]
+    answers = client.ask_many(
+        questions,
+        workers=config.workers,
+        progress=lambda done: progress(done, len(questions)),
+        keep_going=config.keep_going,
+    )
+    return [_grounding(answer, view, config.box_scale) for answer in answers]
+
+
+def _grounding(answer: Answer, view: View, scale: BoxScale) -> Grounding:
+    if answer.failure is not None:
+        return Grounding(None, "", answer.failure)
+    found = parse_box(answer.text, view.size, scale)
+    if found.box is None:
+        cut = ", cut off by max_tokens" if answer.finish == "length" else ""
+        return Grounding(None, answer.text, f"{found.reason}{cut}", found.notes)
+    box = view.to_frame(found.box)
+    if box is None:
+        return Grounding(None, answer.text, "a box outside the frame, in the padding", found.notes)
+    return Grounding(box, answer.text, None, found.notes)

@@ -1,0 +1,211 @@
+"""An answer with its verdict: what is asked of it from Python, and as JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+
+from pipeline.answering.ask import Trace
+from pipeline.answering.json_records import trace_record, why_no_answer
+from pipeline.answering.objects import SceneObject
+from pipeline.answering.pair_table import ScoredPair
+from pipeline.answering.told_answer import holds, told
+from pipeline.diagnosis.substitution import names_of
+from pipeline.diagnosis.verdict import Diagnosis
+from pipeline.language.lexicon import wording
+from pipeline.system.errors import InputError
+
+Edited = Mapping[str, Any]
+"""Edits as JSON; see `pipeline.diagnosis.whatif`."""
+
+
+class Origin(Protocol):
+    """What answered: it can answer under edits, and may have a screen."""
+
+    def what_if(self, answer: Answer, edits: Edited) -> Answer: ...
+
+    def view(self, what: Any, **options: Any) -> Any: ...
+
+
+@dataclass(frozen=True)
+class Answer:
+    """An answer, with what is known of it; positions in `pairs` are those in `objects`.
+
+    Attributes
+    ----------
+    text : str
+        The expression as it was asked.
+    trace : Trace or None
+        Every stage's input and output; None where the expression cannot be read or asked.
+    problem : str or None
+        Why it cannot.
+    diagnosis : Diagnosis or None
+        None where there is no verdict.
+    unjudged : str or None
+        Why there is a truth and no verdict on this answer; None also where no truth is known at all.
+    origin : Origin or None
+        What answered it, where one is asked from Python: edits and the page need it.
+    edits : mapping or None
+        What it was answered under, as JSON; None for none.
+    """
+
+    text: str
+    trace: Trace | None = None
+    problem: str | None = None
+    diagnosis: Diagnosis | None = None
+    unjudged: str | None = None
+    origin: Origin | None = None
+    edits: Edited | None = None
+
+    def __repr__(self) -> str:
+        frame = "" if self.trace is None else f" on {self.trace.frame.id!r}"
+        return f"<Answer {self.text!r}{frame}: {self.sentence}; {self.verdict or 'no verdict'}>"
+
+    @property
+    def objects(self) -> tuple[SceneObject, ...]:
+        """All that was detected for the names of the expression, lifted."""
+        return () if self.trace is None else self.trace.objects
+
+    @property
+    def pairs(self) -> tuple[ScoredPair, ...]:
+        """All candidate pairs, the best first; empty where a name was not found."""
+        ranking = None if self.trace is None else self.trace.ranking
+        return () if ranking is None or ranking.degenerate else ranking.pairs
+
+    @property
+    def target(self) -> SceneObject | None:
+        """What the answer is; None where there is none."""
+        return self.objects[self.pairs[0].target] if self.pairs else None
+
+    @property
+    def reference(self) -> SceneObject | None:
+        """What it stands in relation to; of "between" the first end."""
+        number = self.pairs[0].reference if self.pairs else None
+        return None if number is None else self.objects[number]
+
+    @property
+    def holds(self) -> bool:
+        """There is an answer, and it stands in every relation that was asked."""
+        return self.trace is not None and holds(self.trace)
+
+    @property
+    def relation_probability(self) -> float | None:
+        """That the best pair stands in what was asked, of several relations in the weakest; None without a pair."""
+        return self.pairs[0].relation_probability if self.pairs else None
+
+    @property
+    def sentence(self) -> str:
+        """The answer in words, or why there is none."""
+        trace = self.trace
+        if trace is None:
+            return self.problem or "no answer"
+        if not self.pairs:
+            return why_no_answer(trace) or "no answer"
+        best, asked = self.pairs[0], trace.asked
+        ends = " and ".join(trace.name(k) for k in (best.reference, best.second_reference) if k is not None)
+        phrase = wording(asked.relation, inverse=asked.inverse)
+        return told(trace, trace.name).sentence(f"{trace.name(best.target)} {phrase} {ends}")
+
+    @property
+    def verdict(self) -> str | None:
+        """CORRECT, or the module that failed; None where nothing says what is true."""
+        return None if self.diagnosis is None else self.diagnosis.verdict
+
+    @property
+    def why(self) -> str | None:
+        """The verdict in words with the smallest change that would mend it; else why there is none, if it is known."""
+        return self.unjudged if self.diagnosis is None else self.diagnosis.text
+
+    def needed_trace(self) -> Trace:
+        """`trace`; InputError where the expression could not be asked."""
+        if self.trace is None:
+            raise InputError(f"there is no trace of {self.text!r}: {self.problem}")
+        return self.trace
+
+    def record(self) -> dict[str, Any]:
+        """The whole of `ask --json` as plain values."""
+        return judged_record(self)
+
+    def what_if(self, edits: Edited) -> Answer:
+        """The answer under edits, written as for `whatif --edits`; its verdict is by the same truth.
+
+        Raises
+        ------
+        InputError
+            Edits that cannot be read, or an answer of another origin than `open`.
+        """
+        return self._origin().what_if(self, edits)
+
+    def show(self, **options: Any) -> Any:
+        """Open this answer in the page; `options` as for `spatialviz.show`."""
+        return self._origin().view(self, **options)
+
+    def _origin(self) -> Origin:
+        if self.origin is None:
+            raise InputError("this answer does not know what answered it", expected="one that `ask` of `open` gave")
+        return self.origin
+
+
+def judged_record(answer: Answer) -> dict[str, Any]:
+    """The whole of `ask --json`: `trace_record`, and where truth is known "verdict", or null with "verdict_reason"."""
+    record = _answer_record(answer)
+    if answer.diagnosis is not None:
+        record["verdict"] = diagnosis_record(answer.diagnosis)
+    elif answer.unjudged is not None:
+        record |= {"verdict": None, "verdict_reason": answer.unjudged}
+    return record
+
+
+def answer_record(answered: Answer) -> dict[str, Any]:
+    """What a case keeps: the answer as in `ask --json`, without times; "judgement" as in `diagnosis_record`."""
+    record = _answer_record(answered)
+    record.pop("timings_ms", None)
+    record["judgement"] = None if answered.diagnosis is None else diagnosis_record(answered.diagnosis)
+    return record
+
+
+def _answer_record(answer: Answer) -> dict[str, Any]:
+    if answer.trace is None:
+        return {"expression": {"text": answer.text}, "answer": None, "reason": answer.problem}
+    return trace_record(answer.trace)
+
+
+def diagnosis_record(d: Diagnosis) -> dict[str, Any]:
+    """As in `ask --json`: objects are indices of "proposals", those of `truth` the numbers of the labels."""
+    case, numbers = d.case, d.truth.numbers
+    record: dict[str, Any] = {
+        "verdict": d.verdict, "detail": d.detail, "lucky": d.lucky, "said": d.text, "repair": list(d.repair),
+        "mends": list(d.mends),
+        "truth": {
+            "target": int(numbers[case.target_object]), "reference": int(numbers[case.reference_object]),
+            "targets": numbers[case.strict].tolist(), "acceptable": numbers[case.acceptable].tolist(),
+        },
+        "winner": _pair_record(d.winner), "right": _pair_record(d.right),
+        "contributions": None if d.contributions is None else {k: round(v, 6) for k, v in d.contributions.items()},
+        "margins": {"+".join(names_of(s)) or "none": _rounded(d.margins[s]) for s in (0, 2, 4, 8, 14, 15)},
+        "needed": [
+            {"factor": n.factor, "right": round(n.right, 6), "winner": round(n.winner, 6),
+             "right_above": _rounded(n.right_above), "winner_below": _rounded(n.winner_below)}
+            for n in d.needed
+        ],
+    }  # fmt: skip
+    if d.missed is not None:
+        record["missed"] = {
+            "name": d.missed_name, "kind": d.missed.kind, "overlap": round(d.missed.overlap, 4),
+            "score": _rounded(d.missed.score), "rank": d.missed.rank, "suppressed": d.missed.suppressed,
+        }  # fmt: skip
+    return record
+
+
+def _pair_record(pair: ScoredPair | None) -> dict[str, Any] | None:
+    if pair is None:
+        return None
+    factors = {name: round(getattr(pair, name), 6) for name in ("p_target", "p_reference", "p_relation", "log_score")}
+    return {"target": pair.target, "reference": pair.reference, **factors}
+
+
+def _rounded(value: float | None) -> float | None:
+    return None if value is None or not np.isfinite(value) else round(float(value), 6)
