@@ -356,10 +356,10 @@ def _append_without_rights(place: str) -> str:
     """In a child: as a user who may read the folder and not write to it."""
     program = f"""
 import os
-from pipeline.errors import InputError
-from pipeline.journal.cells import object_cell
-from pipeline.journal.events import Edit, NotSaved
-from pipeline.journal.journal import open_journal
+from pipeline.system.errors import InputError
+from pipeline.corrections.journal.field_refs import object_cell
+from pipeline.corrections.journal.events import Edit, NotSaved
+from pipeline.corrections.journal.journal import open_journal
 import sqlalchemy.dialects.sqlite.pysqlite, sqlite3
 if os.getuid() == 0:
     os.setgroups([]); os.setgid(65534); os.setuid(65534)

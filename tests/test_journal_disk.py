@@ -135,7 +135,7 @@ def test_a_limit_on_the_size_of_files(tmp_path: Path) -> None:
     program = f"""
 import resource
 from test_journal_disk import _check_refused, _save_again, _until_refused
-from pipeline.journal.journal import open_journal
+from pipeline.corrections.journal.journal import open_journal
 journal = open_journal({str(tmp_path / JOURNAL_FILE)!r})
 hard = resource.getrlimit(resource.RLIMIT_FSIZE)[1]
 resource.setrlimit(resource.RLIMIT_FSIZE, (400_000, hard))
