@@ -110,7 +110,7 @@ def run_render(command: Render) -> None:
 
 def print_answer(answer: Answer) -> None:
     """The answer, the ranked pairs with their factors, the doubts, what each stage cost, and the verdict."""
-    trace = answer.trace
+    trace = answer.needed_trace()
     say(("frame ", "dim"), trace.frame.id, "  ", (trace.query.text, "bold"))
     no_answer = why_no_answer(trace)
     if no_answer is not None:
@@ -121,11 +121,11 @@ def print_answer(answer: Answer) -> None:
     stages = " · ".join(f"{k} {v * 1000:.1f} ms" for k, v in trace.timings.items())
     made = f"detector {trace.detector} · relations by {trace.scorer} · up {trace.viewer.up_source}"
     say(f"{stages} · {made}", style="dim")
-    if answer.judgement is not None:
-        found = answer.judgement.diagnosis
+    if answer.diagnosis is not None:
+        found = answer.diagnosis
         name = " ".join(word for word in (found.verdict, found.detail, "LUCKY" if found.lucky else None) if word)
         style = "bold green" if found.correct else "bold yellow"
-        say(("verdict ", "dim"), (name, style), f"  {answer.judgement.said}")
+        say(("verdict ", "dim"), (name, style), f"  {found.text}")
     elif answer.unjudged is not None:
         say(f"no verdict: {answer.unjudged}", style="dim")
 

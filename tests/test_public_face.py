@@ -94,8 +94,8 @@ def test_labels_that_are_named_give_the_verdict() -> None:
     opened = pipeline.open("demo", labels=demo_labels(), srm="rule")
     text = opened.labels.expressions.column("text")[0].as_py()  # pyright: ignore[reportOptionalMemberAccess]
     answer = opened.ask(0, text)
-    assert answer.judgement is not None
-    assert answer.judgement.case.id == opened.labels.expressions.column("id")[0].as_py()  # pyright: ignore
+    assert answer.diagnosis is not None
+    assert answer.diagnosis.case.id == opened.labels.expressions.column("id")[0].as_py()  # pyright: ignore
 
 
 def test_a_name_that_is_not_there_gives_no_target_and_says_why(opened: pipeline.Opened) -> None:
