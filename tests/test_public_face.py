@@ -127,7 +127,7 @@ def test_an_expression_that_could_not_be_asked_is_an_answer_without_a_trace() ->
     assert answer.record() == {
         "expression": {"text": "mug beyond the laptop"}, "answer": None, "reason": "no relation in it",
     }  # fmt: skip
-    with pytest.raises(pipeline.InputError, match="no trace of .*: no relation in it"):
+    with pytest.raises(pipeline.InputError, match=r"no trace of .*: no relation in it"):
         answer.needed_trace()
 
 
