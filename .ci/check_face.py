@@ -76,7 +76,7 @@ def check_notebook() -> None:
     evil = "<script>alert('&\"')</script>"
     objects = tuple(replace(found, label=evil) for found in answer.objects)
     trace = replace(answer.trace, objects=objects, frame=replace(answer.trace.frame, id=evil))
-    attacked = html(replace(answer, trace=trace, unjudged=evil, judgement=None))
+    attacked = html(replace(answer, trace=trace, unjudged=evil, diagnosis=None))
     assert attacked is not None
     assert Tags(attacked).names == tags.names
     assert Tags(attacked).text.count(evil) > 3

@@ -120,7 +120,7 @@ def _is_of(frame: Frame, opened: Opened) -> bool:
 
 def _of_answer(answer: Answer) -> tuple[Opened, dict[str, Any]]:
     """What an answer was given by, and the view of it; InputError where it does not know."""
-    opened, frame = answer.origin, answer.trace.frame
+    opened, frame = answer.origin, answer.needed_trace().frame
     if not isinstance(opened, Opened):
         raise InputError("this answer does not know what answered it", expected="one that `ask` of `open` gave")
     if not _is_of(frame, opened):

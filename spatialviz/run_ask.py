@@ -10,7 +10,7 @@ from pipeline.answering.ask import Trace
 from pipeline.answering.json_records import frame_record, relation_records, why_no_answer
 from pipeline.answering.missed_names import MissedNames, missed_names
 from pipeline.answering.opening import FrameRelations, open_pipeline, relate_frames
-from pipeline.answering.told_answer import holds, probability, told
+from pipeline.answering.told_answer import probability, told
 from pipeline.datasets import Dataset, FrameReport, SurveyCounts, survey, write_settings
 from pipeline.datasets.given_up import told_up
 from pipeline.datasets.scene_mesh import export_mesh, fuse_context
@@ -43,12 +43,13 @@ def run_ask(command: Ask) -> int:
     answered = 0
     source = command.source.open(command.dataset, command.frame, labels)
     for answer in ask_and_judge(source, command.frame, command.expressions, labels, warn_skipped):
-        answered += holds(answer.trace)
-        command.write(answer.record(), print_answer, answer)
-        if answer.trace.missing and command.frame != ALL_FRAMES and not command.json:
-            print_overlooked(missed_names(source, answer.trace))
+        trace = answer.needed_trace()
+        answered += answer.holds
+        command.write(answer.record(), print_answer, answer, trace)
+        if trace.missing and command.frame != ALL_FRAMES and not command.json:
+            print_overlooked(missed_names(source, trace))
         if command.save is not None:
-            save_picture(answer.trace, command.save)
+            save_picture(trace, command.save)
     return FINE if answered else NO
 
 
@@ -108,9 +109,8 @@ def run_render(command: Render) -> None:
     )
 
 
-def print_answer(answer: Answer) -> None:
+def print_answer(answer: Answer, trace: Trace) -> None:
     """The answer, the ranked pairs with their factors, the doubts, what each stage cost, and the verdict."""
-    trace = answer.trace
     say(("frame ", "dim"), trace.frame.id, "  ", (trace.query.text, "bold"))
     no_answer = why_no_answer(trace)
     if no_answer is not None:
@@ -121,11 +121,11 @@ def print_answer(answer: Answer) -> None:
     stages = " · ".join(f"{k} {v * 1000:.1f} ms" for k, v in trace.timings.items())
     made = f"detector {trace.detector} · relations by {trace.scorer} · up {trace.viewer.up_source}"
     say(f"{stages} · {made}", style="dim")
-    if answer.judgement is not None:
-        found = answer.judgement.diagnosis
+    if answer.diagnosis is not None:
+        found = answer.diagnosis
         name = " ".join(word for word in (found.verdict, found.detail, "LUCKY" if found.lucky else None) if word)
         style = "bold green" if found.correct else "bold yellow"
-        say(("verdict ", "dim"), (name, style), f"  {answer.judgement.said}")
+        say(("verdict ", "dim"), (name, style), f"  {found.text}")
     elif answer.unjudged is not None:
         say(f"no verdict: {answer.unjudged}", style="dim")
 

@@ -125,7 +125,7 @@ def run_report(command: Report) -> None:
         )
     page = failure_page(answered, source, context, subject, scene_html(answered, context) if command.scene else None)
     write_page(page, command.out)
-    verdict = None if answered.judgement is None else answered.judgement.diagnosis.verdict
+    verdict = answered.verdict
     command.write(
         {"report": str(command.out), "bytes": len(page.encode()), "verdict": verdict},
         say,
@@ -219,8 +219,8 @@ def _object(entry: dict[str, str] | None) -> str:
 
 def print_saved(now: Answer, folder: Path) -> None:
     """What was kept, and how it is run again."""
-    if now.judgement is not None:
-        say((now.judgement.diagnosis.verdict, "bold"), "  ", now.judgement.said)
+    if now.diagnosis is not None:
+        say((now.diagnosis.verdict, "bold"), "  ", now.diagnosis.text)
     elif now.problem or now.unjudged:
         say(now.problem or now.unjudged or "", style="yellow")
     say(f"kept -> {folder}   run it again: spatialviz replay {folder}")

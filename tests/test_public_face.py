@@ -94,8 +94,8 @@ def test_labels_that_are_named_give_the_verdict() -> None:
     opened = pipeline.open("demo", labels=demo_labels(), srm="rule")
     text = opened.labels.expressions.column("text")[0].as_py()  # pyright: ignore[reportOptionalMemberAccess]
     answer = opened.ask(0, text)
-    assert answer.judgement is not None
-    assert answer.judgement.case.id == opened.labels.expressions.column("id")[0].as_py()  # pyright: ignore
+    assert answer.diagnosis is not None
+    assert answer.diagnosis.case.id == opened.labels.expressions.column("id")[0].as_py()  # pyright: ignore
 
 
 def test_a_name_that_is_not_there_gives_no_target_and_says_why(opened: pipeline.Opened) -> None:
@@ -116,7 +116,19 @@ def test_what_if_answers_again_under_edits(opened: pipeline.Opened) -> None:
     assert after.target.id != before.target.id
     assert (after.edits, after.verdict == "CORRECT") == (edits, False)
     with pytest.raises(pipeline.InputError, match="does not know what answered it"):
-        pipeline.Answer(before.trace).what_if(edits)
+        pipeline.Answer(before.text, before.trace).what_if(edits)
+
+
+def test_an_expression_that_could_not_be_asked_is_an_answer_without_a_trace() -> None:
+    answer = pipeline.Answer("mug beyond the laptop", problem="no relation in it")
+    assert (answer.objects, answer.pairs, answer.target, answer.reference) == ((), (), None, None)
+    assert (answer.holds, answer.relation_probability, answer.verdict, answer.why) == (False, None, None, None)
+    assert repr(answer) == "<Answer 'mug beyond the laptop': no relation in it; no verdict>"
+    assert answer.record() == {
+        "expression": {"text": "mug beyond the laptop"}, "answer": None, "reason": "no relation in it",
+    }  # fmt: skip
+    with pytest.raises(pipeline.InputError, match=r"no trace of .*: no relation in it"):
+        answer.needed_trace()
 
 
 def test_frames_are_a_sequence_that_decodes_what_is_asked_for(opened: pipeline.Opened) -> None:
@@ -182,7 +194,7 @@ def test_parts_may_be_objects_of_ones_own(opened: pipeline.Opened) -> None:
             return masks, np.ones(len(boxes), np.bool_)
 
     answer = pipeline.ask("demo", 0, QUESTION, srm=Never())
-    assert (answer.holds, answer.relation_probability, answer.trace.scorer) == (False, 0, "never")
+    assert (answer.holds, answer.relation_probability, answer.needed_trace().scorer) == (False, 0, "never")
     frame = opened.frames[0]
     bare = tuple(replace(a, mask=None, box=None) for a in frame.annotations)
     answer = pipeline.ask(replace(frame, annotations=bare), 0, QUESTION, srm="rule", segmenter=Everything())
@@ -199,7 +211,7 @@ def test_the_core_has_no_screen_and_says_so(opened: pipeline.Opened) -> None:
 
 def test_everything_prints_on_one_line(opened: pipeline.Opened) -> None:
     answer = opened.ask(0, QUESTION)
-    trace, frame = answer.trace, opened.frames[0]
+    trace, frame = answer.needed_trace(), opened.frames[0]
     shown = [
         opened, opened.pipeline, opened.frames, opened.ask(0, "mug behind the laptop"), answer, trace, trace.scores,
         trace.ranking, answer.pairs[0], answer.target, answer.objects[0].lifted, frame, frame.camera,

@@ -85,7 +85,7 @@ class Opened:
 
     def what_if(self, answer: Answer, edits: Mapping[str, Any]) -> Answer:
         """An answer of this pipeline under edits; see `Answer.what_if`."""
-        context, truth = self._with_truth(self.pipeline.prepare(answer.trace.frame))
+        context, truth = self._with_truth(self.pipeline.prepare(answer.needed_trace().frame))
         trace, rank = edited_trace(self.pipeline, context, answer.text, edits)
         return replace(judged(trace, self.pipeline, context, truth, rank), origin=self, edits=edits)
 

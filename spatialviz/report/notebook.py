@@ -6,12 +6,13 @@ The elements are built as a tree and written by the standard library, which esca
 from __future__ import annotations
 
 import base64
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from xml.etree.ElementTree import Element, tostring
 
 import cv2
 import numpy as np
 
+from pipeline.answering.pair_table import ScoredPair
 from pipeline.answering.told_answer import probability
 from pipeline.diagnosis.answer import Answer
 from pipeline.evaluation.run_folder import Run
@@ -42,19 +43,20 @@ def element(tag: str, *children: Element | str | None, style: str = "", **attrib
 
 def _answer(answer: Answer) -> Element:
     verdict = None if answer.verdict is None else element("b", f" {answer.verdict}")
-    frame = element("span", f" {answer.trace.frame.id}", style=_QUIET)
+    trace = answer.trace
+    frame = None if trace is None else element("span", f" {trace.frame.id}", style=_QUIET)
+    picture = None if trace is None else _jpeg(answer_picture(trace))
     return element(
         "div",
         element("p", element("b", f"“{answer.text}”"), frame, verdict),
         element("p", answer.sentence),
         None if answer.why is None else element("p", answer.why, style=_QUIET),
-        element("img", src=_jpeg(answer_picture(answer.trace)), style="max-width:100%", alt=answer.sentence),
-        _pairs(answer) if answer.pairs else None,
+        None if picture is None else element("img", src=picture, style="max-width:100%", alt=answer.sentence),
+        None if trace is None or not answer.pairs else _pairs(trace.name, answer.pairs),
     )
 
 
-def _pairs(answer: Answer) -> Element:
-    name = answer.trace.name
+def _pairs(name: Callable[[int], str], pairs: Sequence[ScoredPair]) -> Element:
     rows = [
         (
             str(rank),
@@ -64,10 +66,10 @@ def _pairs(answer: Answer) -> Element:
             probability(pair.product),
             f"{pair.probability:.3f}",
         )
-        for rank, pair in enumerate(answer.pairs[:SHOWN_PAIRS], start=1)
+        for rank, pair in enumerate(pairs[:SHOWN_PAIRS], start=1)
     ]
     head = ("#", "target", "reference", "P(target)", "P(reference)", "P(relation)", "product", "posterior")
-    return element("div", _table(head, rows), _more(len(answer.pairs) - SHOWN_PAIRS, "pairs"))
+    return element("div", _table(head, rows), _more(len(pairs) - SHOWN_PAIRS, "pairs"))
 
 
 def _run(run: Run) -> Element:

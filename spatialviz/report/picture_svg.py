@@ -140,8 +140,7 @@ class AnswerRoles:
 
     def name(self, index: int) -> str:
         """An object as the tables call it."""
-        entry = self.objects[index]
-        return f"{entry.label}·{entry.id if self.exact else index}"
+        return self.objects[index].name(index, self.exact)
 
 
 def answer_roles(answered: Answer) -> AnswerRoles:
