@@ -17,7 +17,7 @@ from pipeline.language.relation_names import PAIRWISE, PHRASE, RELATIONS
 from pipeline.language.tokens import MAX_LENGTH, words_of
 from pipeline.system.errors import InputError
 
-__all__ = ["STYLES", "can_be_said", "expression_text", "question_text"]
+__all__ = ["STYLES", "can_be_worded", "expression_text", "question_text"]
 
 STYLES = ("varied", "plain", "semantic-abstraction")
 

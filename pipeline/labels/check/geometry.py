@@ -198,7 +198,8 @@ def check_geometry(view: FrameView, expected: Expected) -> Iterator[Finding]:
             yield view.finding(
                 "relation/geometry",
                 (view.ids[a], view.ids[b]),
-                f"{view.relation_text(a, relation, b)}: stored {state_letter(states[a, b])}, the extents say {letter(nearest)}",
+                f"{view.relation_text(a, relation, b)}: stored {state_letter(states[a, b])}, "
+                f"the extents say {letter(nearest)}",
                 figures,
                 "error" if opposite else "warning",
             )

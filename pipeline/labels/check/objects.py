@@ -10,7 +10,7 @@ from pipeline.geometry.boxes import CORNER_SIGNS, Box3D, iou_3d
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.labels.check.findings import Finding
 from pipeline.labels.check.rows import rotation_fault
-from pipeline.labels.check.view import FrameView, MaskRuns, pairs_where, indices_where, runs_object
+from pipeline.labels.check.view import FrameView, MaskRuns, indices_where, pairs_where, runs_object
 from pipeline.system.errors import InputError
 
 NEAREST_M = 0.05
