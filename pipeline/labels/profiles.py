@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from pipeline.datasets import GivenExpression
-from pipeline.language.relation_names import DIRECTIONAL, HORIZONTAL, PAIRWISE, RELATIONS, newer
+from pipeline.language.relation_names import DIRECTIONAL, HORIZONTAL, PAIRWISE, RELATIONS, version_numbers
 from pipeline.relations.contact import Measured
 from pipeline.relations.predicates import pair_margins, pair_states
 from pipeline.relations.relations import (
@@ -98,9 +98,11 @@ class RuleProfile:
         """sha256 of name, relations and parameters as canonical JSON."""
         return self.hash_of(self.relations)
 
-    def hash_at(self, version: str) -> str:
-        """The hash that the rules had when the schema of labels was of a version: without relations that came later."""
-        return self.hash_of([name for name in self.relations if not newer(RELATIONS[name].since, version)])
+    @property
+    def hashes(self) -> set[str]:
+        """`hash`, and those that the same rules had before newer relations were declared."""
+        since = {name: version_numbers(RELATIONS[name].since) for name in self.relations}
+        return {self.hash_of([name for name in since if since[name] <= version]) for version in since.values()}
 
     def hash_of(self, relations: Sequence[str]) -> str:
         return canonical_hash({"name": self.name, "relations": relations, "parameters": self.parameters})

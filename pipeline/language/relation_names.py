@@ -13,11 +13,6 @@ def version_numbers(version: str) -> tuple[int, ...]:
     return tuple(int(n) for n in version.split("."))
 
 
-def newer(version: str, than: str) -> bool:
-    """Whether a version comes after another; False where the other is none."""
-    return than.replace(".", "").isdecimal() and version_numbers(version) > version_numbers(than)
-
-
 def checked(relations: tuple[Relation, ...]) -> dict[str, Relation]:
     """The relations by name.
 

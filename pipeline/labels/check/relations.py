@@ -163,7 +163,7 @@ def _cycle(view: FrameView, relation: str, cycle: np.ndarray, knot: int, expecte
 
 
 def shortest_cycle(holds: np.ndarray) -> np.ndarray:
-    """Places of a shortest cycle of a strongly connected graph ((N, N) bool), from its lowest number on."""
+    """Indices of a shortest cycle of a strongly connected graph ((N, N) bool), from its lowest number on."""
     from scipy.sparse import csr_matrix
     from scipy.sparse.csgraph import shortest_path
 
