@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pyarrow.compute as pc
 import pytest
 from review_labels import with_relations
 
@@ -19,7 +20,8 @@ from pipeline.evaluation.run import EvalSpec
 from pipeline.evaluation.run_folder import open_run
 from pipeline.journal.edits import set_relation
 from pipeline.journal.events import Saved
-from pipeline.labels.reading import Labels
+from pipeline.labels.reading import Labels, open_labels
+from pipeline.labels.tables import write_table
 from pipeline.relations import DIRECTIONAL, F, T
 from pipeline.review.circle import AFTER, BEFORE, Circle, CircleJob, run_circle
 from pipeline.review.retraining import RetrainConfig
@@ -49,7 +51,11 @@ def planted(demo_labels: Labels, held_out: set[str], tmp_path_factory: pytest.Te
     wrong = ~np.isin(relations.column("frame").to_numpy(zero_copy_only=False), list(held_out))
     front, behind = (relations.column(name).to_numpy() for name in ("front", "behind"))
     columns = {"front": np.where(wrong, behind, front), "behind": np.where(wrong, front, behind)}
-    return with_relations(demo_labels, tmp_path_factory.mktemp("planted") / "labels", columns)
+    labels = with_relations(demo_labels, tmp_path_factory.mktemp("planted") / "labels", columns)
+    # Nothing here is about sentences with other relations, and answering all of them would take longest.
+    asked = labels.expressions.filter(pc.field("relation").isin(["front", "behind"]))
+    write_table(asked, labels.root / "expressions.parquet")
+    return open_labels(labels.root)
 
 
 @pytest.fixture(scope="module")
