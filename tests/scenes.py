@@ -77,7 +77,7 @@ def cast(camera: Camera, boxes: Sequence[Box3D], planes: Sequence[Plane], viewer
     with np.errstate(divide="ignore", invalid="ignore"):
         for number, box in enumerate(seen):
             window = _window(box, camera)
-            enter, leave = np.float64(-np.inf), np.float64(np.inf)
+            enter, leave = np.full_like(depth[window], -np.inf), np.full_like(depth[window], np.inf)
             for axis, half in zip(box.R.T, box.size / 2, strict=True):
                 origin, direction = -box.center @ axis, np.tensordot(axis, rays[(slice(None), *window)], 1)
                 low, high = (-half - origin) / direction, (half - origin) / direction
