@@ -8,6 +8,7 @@ import signal
 import socket
 import sys
 import threading
+import warnings
 import webbrowser
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import redirect_stdout
@@ -153,6 +154,8 @@ def serve(
     )  # fmt: skip
     announce(server, sources, host, port, open_browser)
     _end_in_order()
+    # What is computed for a page that has been closed meanwhile has nowhere to go; that is no news to a user.
+    warnings.filterwarnings("ignore", r"Queued a \w+ on a closed connection", UserWarning)
     try:
         server.sleep_forever()
     finally:
