@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -465,12 +466,10 @@ def test_a_failed_save_keeps_the_old_picture(trace: Trace, tmp_path: Path, monke
     path = tmp_path / "a.png"
     path.write_bytes(b"old")
 
-    def half(self: Path, data: bytes) -> int:
-        with self.open("wb") as file:
-            file.write(data[: len(data) // 2])
+    def full(number: int) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(Path, "write_bytes", half)
+    monkeypatch.setattr(os, "fsync", full)
     with pytest.raises(InputError, match="No space left"):
         save_picture(trace, path)
     assert path.read_bytes() == b"old"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from diagnosis_worlds import world
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from pipeline.answering.pair_table import PairTable, RankConfig, ScoredPair, pair_table, side
@@ -199,6 +199,7 @@ def test_all_verdicts_of_ranking_occur_in_the_worlds(diagnosed: Diagnosed) -> No
 
 
 @given(SEEDS, WEIGHTS)
+@example(16646785, RankConfig(0.0, 0.0, 0.05, aggregate="marginal"))
 @settings(max_examples=300, deadline=None)
 def test_a_needed_change_and_no_smaller_one_puts_the_right_pair_first(seed: int, weights: RankConfig) -> None:
     evidence, case = world(seed, weights)

@@ -423,4 +423,5 @@ def _bounds(
         high = min(high, float(bound[slope < 0].min(initial=inf)))
         if ((slope == 0) & ((gap > 0) | ((gap == 0) & before))).any():
             low = inf
-    return (low, high) if low <= high else (inf, 0.0)
+    # Bounds that meet leave a point, where two pairs tie, and no room in which the right pair comes first.
+    return (low, high) if low < high * (1 - 1e-9) else (inf, 0.0)
