@@ -99,14 +99,14 @@ def test_each_oracle_replaces_one_thing(seed: int) -> None:
                 else:
                     state = -1 if a == b else int(truth.states["left"][a, b])
                     assert after[i, j] == STATE_PROBABILITY[state]
-    for role, name, example in ((found.target, "mug", 0), (found.reference, "box", 1)):
+    for role, name, number in ((found.target, "mug", 0), (found.reference, "box", 1)):
         candidates = evidence.answers.candidates[name]
         np.testing.assert_array_equal(role.index[: role.found], candidates.index)
         overlap = evidence.overlap[candidates.index]
         covered = (overlap >= HIT).any(axis=0) if len(overlap) else np.zeros(evidence.labelled, np.bool_)
-        missing = np.flatnonzero(truth.alike[example] & ~covered & evidence.known)
+        missing = np.flatnonzero(truth.alike[number] & ~covered & evidence.known)
         np.testing.assert_array_equal(role.index[role.found :], evidence.detections + missing)
-        is_one = (overlap[:, truth.alike[example]] >= HIT).any(axis=1)
+        is_one = (overlap[:, truth.alike[number]] >= HIT).any(axis=1)
         np.testing.assert_array_equal(given_scores(role)[: role.found], np.where(is_one, 0.99, 0.01))
     missing = np.isneginf(found.log_score)
     for subset in range(SUBSETS):
