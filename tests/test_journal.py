@@ -17,11 +17,11 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from benchmarks.journal_writers import prove, read_report, write_many
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from waiting import LONG_S, wait_until
 
-from pipeline.corrections.journal.bench import prove, read_report, write_many
 from pipeline.corrections.journal.connection import network_file_system, writing
 from pipeline.corrections.journal.events import Conflict, Edit, NotSaved, Saved, new_ulid
 from pipeline.corrections.journal.field_refs import FieldRef, object_cell, relation_cell

@@ -6,9 +6,9 @@ import os
 from pathlib import Path
 
 import pytest
+from benchmarks.journal_kills import GROUP, judge, survive
 from postgres_cluster import missing, started_cluster
 
-from pipeline.corrections.journal.bench_kill import GROUP, judge, survive
 from pipeline.corrections.journal.events import Edit, Saved
 from pipeline.corrections.journal.field_refs import object_cell
 from pipeline.corrections.journal.journal import JOURNAL_FILE, open_journal

@@ -11,13 +11,13 @@ from concurrent.futures import TimeoutError as NotYet
 from pathlib import Path
 
 import pytest
+from benchmarks.journal_writers import prove, read_report, write_many
 from journal_world import work_of
 from postgres_cluster import missing, running_cluster
 from sqlalchemy.exc import DBAPIError
 from waiting import wait_until
 
 from pipeline.corrections.journal import connection, postgres
-from pipeline.corrections.journal.bench import prove, read_report, write_many
 from pipeline.corrections.journal.connection import reading, writing
 from pipeline.corrections.journal.events import Conflict, Edit, NotSaved, Saved
 from pipeline.corrections.journal.examining import DamagedJournal

@@ -1,6 +1,6 @@
 """Many writers at once: each saves edits, some of cells that others edit too, and afterwards every promise is checked.
 
-    python -m pipeline.corrections.journal.bench JOURNAL [WRITERS] [EDITS]
+    cd tests && python -m benchmarks.journal_writers JOURNAL [WRITERS] [EDITS]
 """
 
 from __future__ import annotations
@@ -169,7 +169,7 @@ if __name__ == "__main__":
     import tempfile
 
     if len(sys.argv) < 2:
-        sys.exit("usage: python -m pipeline.corrections.journal.bench JOURNAL [WRITERS] [EDITS]")
+        sys.exit("usage: python -m benchmarks.journal_writers JOURNAL [WRITERS] [EDITS]")
     with tempfile.TemporaryDirectory(prefix="spatialviz-") as notes:
         proof = prove(sys.argv[1], Path(notes), *(int(n) for n in sys.argv[2:4]))
     print(json.dumps({**asdict(proof), "holds": proof.holds}))

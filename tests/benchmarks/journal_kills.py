@@ -1,11 +1,12 @@
 """Writers that are killed while they save (SIGKILL): all that was acknowledged is there, and no action in part.
 
-    python -m pipeline.corrections.journal.bench_kill JOURNAL [ROUNDS] [WRITERS] [SEED]
+    cd tests && python -m benchmarks.journal_kills JOURNAL [ROUNDS] [WRITERS] [SEED]
 """
 
 from __future__ import annotations
 
 import json
+import os
 import random
 import subprocess
 import sys
@@ -16,10 +17,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from pipeline.corrections.journal.bench import read_report
 from pipeline.corrections.journal.events import Conflict, Edit, Event, NotSaved, Saved
 from pipeline.corrections.journal.field_refs import object_cell, relation_cell
 from pipeline.corrections.journal.journal import Journal, open_journal
+
+from .journal_writers import read_report
 
 FRAME = "scene/000000"
 GROUP = 3
@@ -27,6 +29,7 @@ GROUP = 3
 SHARED = 5
 """Cells that all writers edit."""
 PATIENCE_S = 180.0
+TESTS = Path(__file__).resolve().parent.parent
 
 
 @dataclass(frozen=True)
@@ -145,11 +148,12 @@ def _round(
     where: str, reports: list[Path], first: int, rng: random.Random, disturb: Callable[[], None] | None
 ) -> None:
     processes = []
+    paths = os.pathsep.join([str(TESTS), os.environ.get("PYTHONPATH", "")])
     try:
         for number, report in enumerate(reports, start=first):
             with open(report, "wb") as out:
-                program = [sys.executable, "-m", __spec__.name, "--writer", where, str(number)]
-                processes.append(subprocess.Popen(program, stdout=out))
+                program = [sys.executable, "-m", "benchmarks.journal_kills", "--writer", where, str(number)]
+                processes.append(subprocess.Popen(program, stdout=out, env={**os.environ, "PYTHONPATH": paths}))
         _wait_for(reports, [0] * len(reports))
         if disturb is not None:
             time.sleep(rng.uniform(0.0, 0.3))
@@ -203,7 +207,7 @@ def main(arguments: Sequence[str]) -> int:
         write_groups(arguments[1], arguments[2])
         return 0
     if not arguments:
-        usage = "usage: python -m pipeline.corrections.journal.bench_kill JOURNAL [ROUNDS] [WRITERS] [SEED]"
+        usage = "usage: python -m benchmarks.journal_kills JOURNAL [ROUNDS] [WRITERS] [SEED]"
         print(usage, file=sys.stderr)
         return 2
     import tempfile
