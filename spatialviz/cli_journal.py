@@ -159,8 +159,7 @@ class Correct:
     """Print one JSON object."""
 
     def run(self) -> int:
-        from pipeline.corrections.journal.batch import apply_actions, read_actions
-        from pipeline.corrections.journal.batch_shapes import needs_pictures
+        from pipeline.corrections.journal.batch import apply_actions, needs_pictures, read_actions
         from pipeline.corrections.journal.effective import Corrector
         from pipeline.labels.reading import open_labels
 

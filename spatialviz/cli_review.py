@@ -75,11 +75,10 @@ class Review:
     """Print one JSON object an item."""
 
     def run(self) -> int:
-        from pipeline.corrections.journal.setting import setting_of
-        from pipeline.corrections.review.agreement import pair_agreements
-        from pipeline.corrections.review.progress import review_progress
-        from pipeline.corrections.review.relation_labels import read_cells
+        from pipeline.corrections.journal.frame_rows import setting_of
+        from pipeline.corrections.review.evidence import read_cells
         from pipeline.corrections.review.reviewed import states_on_labels, without_gone
+        from pipeline.corrections.review.second_opinions import pair_agreements, review_progress
         from pipeline.corrections.review.worklist import write_queue
         from pipeline.labels.reading import open_labels
         from spatialviz.printing_review import print_agreement, print_progress, print_queue

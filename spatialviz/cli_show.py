@@ -33,11 +33,11 @@ class Show:
     """Print one JSON object for each object, or one for the pair."""
 
     def run(self) -> int:
-        from pipeline.corrections.box_edits import support_of
         from pipeline.corrections.cards import pair_card
         from pipeline.corrections.journal.effective import Corrector
         from pipeline.corrections.journal_place import JournalPlace
         from pipeline.corrections.object_card import object_card
+        from pipeline.corrections.support import support_of
         from pipeline.datasets.base import named_frame
         from pipeline.labels.reading import open_labels
         from spatialviz.printing_show import print_objects, print_pair, print_support

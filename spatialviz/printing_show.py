@@ -7,11 +7,10 @@ from collections.abc import Sequence
 from rich.table import Table
 from rich.text import Text
 
-from pipeline.corrections.box_edits import support_name
 from pipeline.corrections.cards import PairCard
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.object_card import ObjectCard
-from pipeline.corrections.support import Support
+from pipeline.corrections.support import Support, support_name
 from pipeline.language.relation_names import PHRASE
 from pipeline.relations.relations import letter
 from spatialviz.printing import make_console

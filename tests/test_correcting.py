@@ -12,18 +12,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from journal_world import FRAME, an_expression
 
-from pipeline.corrections.disputes import decided, disputes
-from pipeline.corrections.event_lines import event_lines
 from pipeline.corrections.journal import edits
 from pipeline.corrections.journal.batch import actions_of, apply_actions, read_actions
 from pipeline.corrections.journal.events import Conflict, NotSaved, Saved
 from pipeline.corrections.journal.field_refs import object_cell, relation_cell
 from pipeline.corrections.journal.journal import Journal
 from pipeline.corrections.journal.undo import redo
-from pipeline.corrections.journal_place import JournalPlace
-from pipeline.corrections.label_editor import LabelEditor
-from pipeline.corrections.unsaved import Waiting
-from pipeline.corrections.unsaved_dump import dump_unsaved
+from pipeline.corrections.journal_place import JournalPlace, dump_unsaved
+from pipeline.corrections.label_editor import LabelEditor, event_lines
+from pipeline.corrections.unsaved import Waiting, decided, disputes
 from pipeline.labels.reading import Labels
 from pipeline.relations.relations import F, T
 from pipeline.system.errors import InputError

@@ -9,13 +9,10 @@ import numpy as np
 import pytest
 from journal_world import FRAME, half_of, saved, widest
 
-from pipeline.corrections.consequences import consequences
 from pipeline.corrections.draft import Draft, begun, come_apart, continued, edits_of_draft, fitted, rebased
-from pipeline.corrections.drawing.gestures import Canvas, Gesture
-from pipeline.corrections.drawing.strokes import polygon_mask, rectangle_mask, stroke_mask
+from pipeline.corrections.drawing.gestures import Canvas, Gesture, polygon_mask, rectangle_mask, stroke_mask
 from pipeline.corrections.journal import edits
-from pipeline.corrections.journal.batch import actions_of, apply_actions
-from pipeline.corrections.journal.batch_shapes import needs_pictures
+from pipeline.corrections.journal.batch import actions_of, apply_actions, needs_pictures
 from pipeline.corrections.journal.edits import pixels_of
 from pipeline.corrections.journal.effective import Corrector
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
@@ -23,6 +20,7 @@ from pipeline.corrections.journal.events import Saved
 from pipeline.corrections.journal.field_refs import FIRST_NEW_OBJECT
 from pipeline.corrections.journal.journal import Journal
 from pipeline.corrections.journal.undo import undo
+from pipeline.corrections.wording import consequences
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.relations.relations import T
 from pipeline.system.errors import InputError

@@ -11,7 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from journal_world import FRAME, an_expression, saved
 
-from pipeline.corrections.expression_cards import (
+from pipeline.corrections.journal import edits
+from pipeline.corrections.journal.effective import Corrector
+from pipeline.corrections.journal.field_refs import FieldRef
+from pipeline.corrections.journal.journal import Journal
+from pipeline.corrections.object_card import (
     ExpressionCard,
     answers_with,
     expression_card,
@@ -19,10 +23,6 @@ from pipeline.corrections.expression_cards import (
     expression_records,
     set_answer,
 )
-from pipeline.corrections.journal import edits
-from pipeline.corrections.journal.effective import Corrector
-from pipeline.corrections.journal.field_refs import FieldRef
-from pipeline.corrections.journal.journal import Journal
 from pipeline.system.errors import InputError
 
 

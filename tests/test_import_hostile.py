@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from journal_world import FRAME
 
-from pipeline.corrections.journal.incoming import claims as claims_module
+from pipeline.corrections.journal.incoming import states as claims_module
 from pipeline.corrections.journal.incoming.importing import ImportConfig, ImportReport, import_corrections
 from pipeline.corrections.journal.incoming.outlines import (
     is_rectangle,

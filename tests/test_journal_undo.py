@@ -13,7 +13,7 @@ from pipeline.corrections.journal import undo as undoing
 from pipeline.corrections.journal.events import Conflict, Edit, Saved
 from pipeline.corrections.journal.field_refs import FieldRef, judged_item, relation_cell
 from pipeline.corrections.journal.journal import JOURNAL_FILE, Journal, open_journal
-from pipeline.corrections.journal.judgements import judgement_cell
+from pipeline.corrections.journal.replay import judgement_cell
 from pipeline.corrections.journal.undo import history, next_redo, next_undo, redo, undo
 from pipeline.system.errors import InputError
 

@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from review_labels import copied, with_relations
 from sklearn.metrics import cohen_kappa_score
 
-from pipeline.corrections.review.agreement import agreement_of
 from pipeline.corrections.review.evidence import matched_boxes
 from pipeline.corrections.review.items import (
     KINDS,
@@ -26,6 +25,7 @@ from pipeline.corrections.review.items import (
 )
 from pipeline.corrections.review.out_of_fold import DoubtConfig
 from pipeline.corrections.review.queue import QueueConfig, review_queue
+from pipeline.corrections.review.second_opinions import agreement_of
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.labels.tables import write_table
 from pipeline.metrics.kappa import cohen_kappa

@@ -19,16 +19,14 @@ from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Conflict, Saved
 from pipeline.corrections.journal.field_refs import FieldRef, relation_cell
 from pipeline.corrections.journal.journal import Journal, open_journal
-from pipeline.corrections.journal.judgements import judgement_cell
 from pipeline.corrections.journal.materialise import materialise
+from pipeline.corrections.journal.replay import judgement_cell
 from pipeline.corrections.journal.undo import redo, undo
-from pipeline.corrections.review.agreement import pair_agreements
+from pipeline.corrections.review.evidence import read_cells
 from pipeline.corrections.review.items import NOBODY, SETTLED, ItemKey, State, item_keys, left_to_review
 from pipeline.corrections.review.out_of_fold import DoubtConfig, doubt_labels
-from pipeline.corrections.review.progress import review_progress, wrong_left
 from pipeline.corrections.review.queue import QueueConfig, review_queue
 from pipeline.corrections.review.queue_job import QueueJob, make_queue
-from pipeline.corrections.review.relation_labels import read_cells
 from pipeline.corrections.review.reviewed import (
     reviewed_labels,
     settled_cells,
@@ -36,10 +34,17 @@ from pipeline.corrections.review.reviewed import (
     trusted_of_data,
     without_gone,
 )
-from pipeline.corrections.review.second_opinions import left_for
+from pipeline.corrections.review.second_opinions import left_for, pair_agreements, review_progress, wrong_left
 from pipeline.corrections.review.states import item_of, judgements_of, states_of
-from pipeline.corrections.review.worklist import read_queue, worklist
-from pipeline.corrections.review.worklist_refresh import NOTHING, frame_states, gone_items, mark_of, refreshed_worklist
+from pipeline.corrections.review.worklist import (
+    NOTHING,
+    frame_states,
+    gone_items,
+    mark_of,
+    read_queue,
+    refreshed_worklist,
+    worklist,
+)
 from pipeline.labels.reading import Labels
 from pipeline.relations.relations import F, T
 from pipeline.system.errors import InputError

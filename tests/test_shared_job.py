@@ -9,9 +9,8 @@ from typing import Any
 
 import pytest
 
-from pipeline.corrections.label_jobs import CANCELLED, LabelJobs, Making
 from pipeline.corrections.review.queue import QueueConfig, review_queue
-from pipeline.corrections.review.queue_job import QueueJob
+from pipeline.corrections.review.queue_job import CANCELLED, LabelJobs, Making, QueueJob
 from pipeline.corrections.review.worklist import write_queue
 from pipeline.labels.reading import Labels
 from pipeline.proposals.detector_setup import DetectorSetup

@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Callable
 from datetime import datetime, timezone
 
-from pipeline.corrections.disputes import Dispute, disputes
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Conflict
+from pipeline.corrections.unsaved import Dispute, disputes
 from pipeline.corrections.wording import said_cell, said_value
 from pipeline.system.errors import InputError
 from spatialviz.app.correct import Correct

@@ -8,15 +8,14 @@ from dataclasses import replace
 import viser
 
 from pipeline.corrections.cards import ASKED_BEYOND_M, PairCard, RelationLine, pair_card
-from pipeline.corrections.consequences import consequences
-from pipeline.corrections.expression_cards import expression_cards
 from pipeline.corrections.journal.edits import Edits, judge_relation, set_relation, settle
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Conflict, Event, Saved
 from pipeline.corrections.journal.field_refs import LONGEST_NAME, plain_text, relation_cell
 from pipeline.corrections.label_editor import LabelEditor, Outcome
+from pipeline.corrections.object_card import expression_cards
 from pipeline.corrections.scene import labelled_objects
-from pipeline.corrections.wording import said_events, said_outcome
+from pipeline.corrections.wording import consequences, said_events, said_outcome
 from pipeline.system.errors import InputError
 from spatialviz.app.label_view import LabelView, Target
 from spatialviz.app.layout import Page

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from pipeline.corrections.label_jobs import CANCELLED, Making
 from pipeline.corrections.review.items import ItemKey
+from pipeline.corrections.review.queue_job import CANCELLED, Making
 from pipeline.corrections.review.worklist import Worklist
 from pipeline.language.relation_names import PHRASE
 from spatialviz.app.text import BAD, DOUBT, GOOD, heading, note, panel, safe, tail

@@ -11,7 +11,7 @@ import viser
 
 from pipeline.answering.opening import Pipeline
 from pipeline.corrections.journal_place import JournalPlace
-from pipeline.corrections.label_jobs import CANCELLED, Training
+from pipeline.corrections.review.queue_job import CANCELLED, Training
 from pipeline.corrections.review.retraining_run import RetrainingJob
 from pipeline.evaluation.run_folder import Run
 from pipeline.relations.installed import install_network

@@ -13,12 +13,9 @@ from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Event
 from pipeline.corrections.journal.field_refs import FieldRef, object_cell
 from pipeline.corrections.journal_place import JournalPlace
-from pipeline.corrections.label_jobs import CANCELLED, Making
-from pipeline.corrections.review.items import ItemKey
-from pipeline.corrections.review.ordering import BLOCK
-from pipeline.corrections.review.queue_job import QueueJob, second_setup
-from pipeline.corrections.review.worklist import Worklist
-from pipeline.corrections.review.worklist_refresh import NOTHING, Mark, refreshed_worklist
+from pipeline.corrections.review.items import BLOCK, ItemKey
+from pipeline.corrections.review.queue_job import CANCELLED, Making, QueueJob, second_setup
+from pipeline.corrections.review.worklist import NOTHING, Mark, Worklist, refreshed_worklist
 from pipeline.corrections.scene import labelled_objects
 from pipeline.relations.relations import F, T, U, letter
 from pipeline.system.errors import InputError

@@ -6,10 +6,10 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 
-from pipeline.corrections.expression_cards import ExpressionCard, set_answer
 from pipeline.corrections.journal.edits import Edits, set_ambiguous, set_mark, set_status, set_text
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.field_refs import FieldRef
+from pipeline.corrections.object_card import ExpressionCard, set_answer
 from pipeline.diagnosis.live import Judgement
 from pipeline.diagnosis.verdict import MARKS
 from pipeline.system.errors import InputError

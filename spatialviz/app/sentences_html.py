@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 
-from pipeline.corrections.event_lines import EventLine
-from pipeline.corrections.expression_cards import ExpressionCard
+from pipeline.corrections.label_editor import EventLine
+from pipeline.corrections.object_card import ExpressionCard
 from pipeline.corrections.wording import said_cell, said_value
 from pipeline.geometry.palette import RGB, hex_color, palette
 from pipeline.language.relation_names import PHRASE

@@ -15,8 +15,7 @@ from contextlib import redirect_stdout
 import viser
 
 from pipeline.answering.opening import Pipeline
-from pipeline.corrections.journal_place import JournalPlace
-from pipeline.corrections.unsaved_dump import dump_unsaved
+from pipeline.corrections.journal_place import JournalPlace, dump_unsaved
 from pipeline.datasets.demo import DEMO_EXPRESSION, DEMO_NAME
 from pipeline.diagnosis.whatif.state import ViewState
 from pipeline.evaluation.run_folder import Run

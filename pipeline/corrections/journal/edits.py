@@ -24,7 +24,7 @@ from pipeline.corrections.journal.field_refs import (
     object_cell,
     relation_cell,
 )
-from pipeline.corrections.journal.judgements import judgement_cell
+from pipeline.corrections.journal.replay import judgement_cell
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.run_length import decode_run_length, encode_run_length
 from pipeline.system.errors import InputError
@@ -44,7 +44,7 @@ def set_status(
     """Accept or reject an object, an expression, a frame, or a relation of a pair ("left.status"): see `STATUSES`.
 
     With an author the status is that person's own judgement, which no other's
-    gets in the way of (`pipeline.corrections.journal.judgements`); only what leaves an
+    gets in the way of (`pipeline.corrections.journal.replay`); only what leaves an
     object or expression out of the labels, or brings back what this person
     has left out, is set for all then.
     """
@@ -171,7 +171,7 @@ def judge(frame: EffectiveFrame, cell: FieldRef, status: str | None, author: str
         its state as it is now.
     """
     _check_judged(frame, cell)
-    state = frame.value(_state_cell(cell)) if cell.kind == "relation" and status == "accepted" else None
+    state = frame.value(state_cell(cell)) if cell.kind == "relation" and status == "accepted" else None
     return (_judgement(frame, cell, status, state, author, reason),)
 
 
@@ -188,7 +188,7 @@ def judge_relation(
     if inverse is not None:
         cells.append(FieldRef("relation", frame.frame, f"{b},{a}", f"{inverse}.status"))
     return tuple(
-        _judgement(frame, c, "accepted" if frame.value(_state_cell(c)) == state else "corrected", state, author, reason)
+        _judgement(frame, c, "accepted" if frame.value(state_cell(c)) == state else "corrected", state, author, reason)
         for c in cells
     )
 
@@ -202,7 +202,7 @@ def judge_both_ways(
     if inverse is not None:
         a, b = cell.numbers
         mirror = FieldRef("relation", frame.frame, f"{b},{a}", f"{inverse}.status")
-        if frame.value(_state_cell(mirror)) == frame.value(_state_cell(cell)):
+        if frame.value(state_cell(mirror)) == frame.value(state_cell(cell)):
             cells.append(mirror)
     return tuple(e for c in cells for e in judge(frame, c, status, author, reason))
 
@@ -226,7 +226,7 @@ def settle(frame: EffectiveFrame, cell: FieldRef, status: str, reason: str = "",
     _check_judged(frame, cell)
     made: Edits = ()
     if cell.kind == "relation":
-        now = frame.value(_state_cell(cell))
+        now = frame.value(state_cell(cell))
         state = now if state is None else state
         if state != now:
             a, b = cell.numbers
@@ -236,7 +236,8 @@ def settle(frame: EffectiveFrame, cell: FieldRef, status: str, reason: str = "",
     return (*made, _judgement(frame, cell, status, state, OF_ALL, reason))
 
 
-def _state_cell(cell: FieldRef) -> FieldRef:
+def state_cell(cell: FieldRef) -> FieldRef:
+    """The relation that a status is of."""
     return FieldRef(cell.kind, cell.frame, cell.key, cell.field.removesuffix(".status"))
 
 
@@ -369,8 +370,13 @@ def _check_pair(frame: EffectiveFrame, cell: FieldRef) -> None:
             raise InputError(f"object {number} takes part in no relation", cause="is it background, or rejected?")
 
 
+def size_of(frame: EffectiveFrame) -> tuple[int, int]:
+    """Height and width of a frame's picture."""
+    return int(frame.row["height"]), int(frame.row["width"])
+
+
 def _code(frame: EffectiveFrame, mask: np.ndarray | str) -> str:
-    size = frame.row["height"], frame.row["width"]
+    size = size_of(frame)
     if isinstance(mask, str):
         pixels = decode_run_length(size, mask)
     else:

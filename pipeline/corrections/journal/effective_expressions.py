@@ -12,10 +12,8 @@ from pipeline.corrections.journal.effective_objects import CorrectedObjects
 from pipeline.corrections.journal.effective_pairs import CorrectedPairs
 from pipeline.corrections.journal.events import Event
 from pipeline.corrections.journal.field_refs import FieldRef
-from pipeline.corrections.journal.frame_rows import FrameRows, Pairs
-from pipeline.corrections.journal.origins import Origin, Origins
-from pipeline.corrections.journal.replay import Unapplied, all_gone, replay
-from pipeline.corrections.journal.setting import Setting
+from pipeline.corrections.journal.frame_rows import FrameRows, Pairs, Setting
+from pipeline.corrections.journal.replay import Origin, Origins, Unapplied, all_gone, replay
 from pipeline.labels.wording import expression_text
 from pipeline.language.noun_phrase import alone, same_names
 from pipeline.language.relation_names import PAIRWISE

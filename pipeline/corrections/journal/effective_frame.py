@@ -19,11 +19,8 @@ from pipeline.corrections.journal.effective_objects import (
 from pipeline.corrections.journal.effective_pairs import correct_pairs
 from pipeline.corrections.journal.events import Event
 from pipeline.corrections.journal.field_refs import FIELDS, FieldRef
-from pipeline.corrections.journal.frame_rows import FrameRows, Pairs
-from pipeline.corrections.journal.judgements import replayed_judgement
-from pipeline.corrections.journal.origins import Origin, Origins
-from pipeline.corrections.journal.replay import Unapplied, by_cell, replay
-from pipeline.corrections.journal.setting import Setting
+from pipeline.corrections.journal.frame_rows import FrameRows, Pairs, Setting
+from pipeline.corrections.journal.replay import Origin, Origins, Unapplied, by_cell, replay, replayed_judgement
 
 if TYPE_CHECKING:
     import pyarrow as pa

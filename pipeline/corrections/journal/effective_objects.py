@@ -8,10 +8,8 @@ from typing import Any
 
 from pipeline.corrections.journal.events import Event
 from pipeline.corrections.journal.field_refs import FieldRef, box_of, same_value
-from pipeline.corrections.journal.frame_rows import FrameRows
-from pipeline.corrections.journal.origins import Origin, Origins
-from pipeline.corrections.journal.replay import Replayed, Unapplied, all_gone, is_another, replay
-from pipeline.corrections.journal.setting import Setting
+from pipeline.corrections.journal.frame_rows import FrameRows, Setting
+from pipeline.corrections.journal.replay import Origin, Origins, Replayed, Unapplied, all_gone, is_another, replay
 from pipeline.geometry.run_length import decode_crop
 
 Row = dict[str, Any]

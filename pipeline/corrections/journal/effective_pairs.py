@@ -10,10 +10,8 @@ import numpy as np
 from pipeline.corrections.journal.effective_objects import CorrectedObjects
 from pipeline.corrections.journal.events import Event
 from pipeline.corrections.journal.field_refs import FieldRef
-from pipeline.corrections.journal.frame_rows import NO_STATE, FrameRows, Pairs
-from pipeline.corrections.journal.origins import Origin, Origins
-from pipeline.corrections.journal.replay import Unapplied, all_gone, is_another, replay, standing
-from pipeline.corrections.journal.setting import Setting
+from pipeline.corrections.journal.frame_rows import NO_STATE, FrameRows, Pairs, Setting
+from pipeline.corrections.journal.replay import Origin, Origins, Unapplied, all_gone, is_another, replay, standing
 from pipeline.labels.check.relations import OPPOSITES
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.relations.relations import F, T

@@ -16,11 +16,9 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from pipeline.corrections.journal.before_chain import judged_alone
-from pipeline.corrections.journal.chain import CONTENT, Head, Row, Verdict, judged
-from pipeline.corrections.journal.log_file import lost_in_log
+from pipeline.corrections.journal.chain import CONTENT, Head, Row, Verdict, judged, judged_alone
 from pipeline.corrections.journal.schema import BEFORE, REVISION, STATEMENTS, TABLES, VERSION, fingerprint
-from pipeline.corrections.journal.sqlite_file import connected, plain_reason, read_plainly
+from pipeline.corrections.journal.sqlite_file import connected, lost_in_log, plain_reason, read_plainly
 from pipeline.system.errors import InputError
 
 _NOT_DAMAGE = ("locked", "unable to open", "disk i/o", "readonly", "full", "permission", "out of memory", "busy")

@@ -19,6 +19,7 @@ from pipeline.corrections.journal.connection import (
     is_url,
     likely_cause,
     make_engine,
+    move_head,
     network_file_system,
     place_of,
     prepare,
@@ -30,7 +31,6 @@ from pipeline.corrections.journal.events import Action, Conflict, Edit, Event, N
 from pipeline.corrections.journal.examining import DamagedJournal, empty_file, examine, is_empty
 from pipeline.corrections.journal.field_refs import LONGEST_NAME, FieldRef, Kind, plain_text
 from pipeline.corrections.journal.schema import EVENTS, HEAD
-from pipeline.corrections.journal.taking_over import move_head
 from pipeline.labels.reading import Labels
 from pipeline.labels.schema import labels_version
 from pipeline.system.errors import InputError

@@ -8,17 +8,19 @@ from pathlib import Path
 
 from pipeline.corrections.journal.connection import (
     DATABASE_ERRORS,
+    copy_whole,
+    examined_server,
     is_url,
     make_engine,
     place_of,
     prepare,
     reading,
     reason_of,
+    write_rows,
     writing,
 )
 from pipeline.corrections.journal.examining import Examined, empty_file, examine, is_empty
 from pipeline.corrections.journal.schema import VERSION, version_of
-from pipeline.corrections.journal.taking_over import copy_whole, examined_server, write_rows
 from pipeline.system.errors import InputError
 
 

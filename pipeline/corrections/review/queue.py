@@ -11,16 +11,18 @@ import numpy as np
 from pipeline.corrections.review.evidence import (
     CellEvidence,
     ItemEvidence,
+    RelationLabels,
     combined,
     disputed_evidence,
     doubtful_evidence,
+    doubts_of_cells,
     linter_evidence,
     margin_evidence,
     network_evidence,
+    read_cells,
 )
 from pipeline.corrections.review.items import SETTLED, ItemKey
 from pipeline.corrections.review.out_of_fold import DoubtConfig, Doubts, doubt_labels
-from pipeline.corrections.review.relation_labels import RelationLabels, doubts_of_cells, read_cells
 from pipeline.corrections.review.reviewed import (
     automatic_version,
     disagreement_evidence,

@@ -17,10 +17,9 @@ import numpy as np
 
 from pipeline.corrections.journal.journal import Journal
 from pipeline.corrections.journal.materialise import materialise
-from pipeline.corrections.review.evidence import CellEvidence, ItemEvidence
+from pipeline.corrections.review.evidence import CellEvidence, ItemEvidence, RelationLabels, read_cells
 from pipeline.corrections.review.items import DISAGREED, SETTLED, ItemKey, State, item_keys
 from pipeline.corrections.review.out_of_fold import unstacked
-from pipeline.corrections.review.relation_labels import RelationLabels, read_cells
 from pipeline.corrections.review.states import Judgements, item_of, judgements_of
 from pipeline.datasets import Dataset
 from pipeline.labels.reading import Labels, open_labels

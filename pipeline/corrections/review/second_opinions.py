@@ -2,14 +2,28 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections import Counter
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xxhash
 
-from pipeline.corrections.review.items import SETTLED, ItemKey, State, item_keys, with_states
+from pipeline.corrections.review.items import (
+    KINDS,
+    SETTLED,
+    STATES,
+    ItemKey,
+    State,
+    item_keys,
+    progress_counts,
+    with_states,
+)
 from pipeline.corrections.review.reviewed import DISAGREE
-from pipeline.corrections.review.states import Judgements
+from pipeline.corrections.review.states import Judgements, Word
+from pipeline.metrics.kappa import Agreement, Key, cohen_kappa
 from pipeline.system.errors import InputError
 
 if TYPE_CHECKING:
@@ -92,3 +106,152 @@ def _without_others(queue: pa.Table) -> pa.Table:
     reasons = [[r for r in row if not r.startswith(DISAGREE)] for row in queue.column("reasons").to_pylist()]
     field = queue.schema.field(at)
     return queue.set_column(at, field, pa.array(reasons, field.type))
+
+
+def agreement_of(first: Mapping[Key, str], second: Mapping[Key, str]) -> Agreement:
+    """Agreement on the items that both have reviewed: "unreviewed" is no judgement."""
+    none = "unreviewed"
+    both = [key for key, said in first.items() if said != none and second.get(key, none) != none]
+    return cohen_kappa([first[key] for key in both], [second[key] for key in both])
+
+
+@dataclass(frozen=True, eq=False)
+class PairAgreement:
+    """How far two people agree.
+
+    Attributes
+    ----------
+    first, second : str
+    all : Agreement
+        On all items that both have judged.
+    kinds : dict of str to Agreement
+        On those of a kind, where there are any.
+    differ : tuple of (ItemKey, str, str)
+        Items that they judge differently, and what each says, by frame and key.
+    """
+
+    first: str
+    second: str
+    all: Agreement
+    kinds: dict[str, Agreement]
+    differ: tuple[tuple[ItemKey, str, str], ...]
+
+    def record(self) -> dict[str, Any]:
+        """As JSON."""
+        return {
+            "reviewers": [self.first, self.second],
+            **self.all.record(),
+            "kinds": {kind: found.record() for kind, found in self.kinds.items()},
+            "differ": [
+                {"frame": k.frame, "kind": k.kind, "a": k.a, "b": k.b, "what": k.what, "said": [one, other]}
+                for k, one, other in self.differ
+            ],
+        }
+
+
+def pair_agreements(
+    judgements: Judgements, inverse: Callable[[str], str | None]
+) -> tuple[PairAgreement, ...]:
+    """Each two people who have judged an item in common.
+
+    Compared is each one's newest word, as of `Word.said`; who is unsure, or has withdrawn a word, has not judged.
+    A settlement is nobody's own word, and does not bear on it. "a left of b" and "b right of a" are one item, so that
+    what one key press says counts once.
+
+    Parameters
+    ----------
+    judgements : Judgements
+    inverse : callable
+        What "b ... a" is called where "a RELATION b" is said, as of `Setting.inverse`; None where nothing is.
+    """
+    said = {
+        author: {k: w.said for k, w in _folded(judgements.of(author), inverse).items() if w.status in SETTLED}
+        for author in judgements.authors
+    }
+    found = []
+    for first, second in combinations(said, 2):
+        both = sorted(said[first].keys() & said[second].keys(), key=ItemKey.text)
+        if not both:
+            continue
+        pairs = [(k, said[first][k], said[second][k]) for k in both]
+        kinds = {kind: [p for p in pairs if p[0].kind == kind] for kind in KINDS}
+        found.append(
+            PairAgreement(
+                first,
+                second,
+                _of_pairs(pairs),
+                {kind: _of_pairs(of_kind) for kind, of_kind in kinds.items() if of_kind},
+                tuple(p for p in pairs if p[1] != p[2]),
+            )
+        )
+    return tuple(found)
+
+
+def _folded(words: Mapping[ItemKey, Word], inverse: Callable[[str], str | None]) -> dict[ItemKey, Word]:
+    """Words by one key for a relation and its mirror image: of the two the newer."""
+    found: dict[ItemKey, Word] = {}
+    for key, word in words.items():
+        mirrored = inverse(key.what) if key.kind == "relation" else None
+        if mirrored is not None and key.b is not None:
+            key = min(key, key._replace(a=key.b, b=key.a, what=mirrored))
+        if key not in found or word.at > found[key].at:
+            found[key] = word
+    return found
+
+
+def _of_pairs(pairs: Sequence[tuple[ItemKey, str, str]]) -> Agreement:
+    return cohen_kappa([p[1] for p in pairs], [p[2] for p in pairs])
+
+
+def review_progress(queue: pa.Table, judgements: Judgements, states: Mapping[ItemKey, State]) -> dict[str, Any]:
+    """Counts as JSON.
+
+    Parameters
+    ----------
+    queue : pyarrow.Table
+        Of these labels, made now or stored before.
+    judgements : Judgements
+    states : mapping of ItemKey to str
+        Over all people.
+
+    Returns
+    -------
+    dict
+        `progress_counts` of the queue, and: share (of the queue that is settled; None of an empty one), kinds (the
+        counts by kind of item), reviewers (by person: items in each state, by their own words), days (by day, UTC:
+        items by their newest word), disagreements (items on which reviewers say different things), estimated_wrong
+        (relation labels that are still wrong by confident learning; None where no network was asked).
+    """
+    counts = progress_counts(queue, states)
+    column = np.array(queue.column("kind").to_pylist(), object)
+    kinds = {}
+    for kind in KINDS:
+        of_kind: dict[ItemKey, State] = {key: state for key, state in states.items() if key.kind == kind}
+        kinds[kind] = progress_counts(queue.filter(column == kind), of_kind)
+    reviewers = {}
+    for author in judgements.authors:
+        of_author = Counter(judgements.states(author).values())
+        reviewers[author] = {state: of_author.get(state, 0) for state in STATES if state != "unreviewed"}
+    newest = [max(words.values(), key=lambda w: w.at) for words in judgements.words.values()]
+    days = Counter(w.time.date().isoformat() for w in newest if w.status != "unreviewed")
+    return {
+        **counts,
+        "share": counts["settled"] / counts["items"] if counts["items"] else None,
+        "kinds": kinds,
+        "reviewers": reviewers,
+        "days": dict(sorted(days.items())),
+        "disagreements": sum(judgements.differ(key) for key in judgements.words),
+        "estimated_wrong": wrong_left(queue, states),
+    }
+
+
+def wrong_left(queue: pa.Table, states: Mapping[ItemKey, State]) -> float | None:
+    """How many relation labels are still wrong: what confident learning estimated when the queue was made, times the
+    share of its doubts that is on labels still open. None where no network was asked."""
+    estimated = (queue.schema.metadata or {}).get(b"estimated_wrong")
+    if estimated is None:
+        return None
+    wrong = np.nan_to_num(queue.column("wrong").to_numpy(zero_copy_only=False).astype(np.float64))
+    is_open = np.array([states.get(key) not in SETTLED for key in item_keys(queue)], np.bool_)
+    total = wrong.sum()
+    return float(estimated) * float(wrong[is_open].sum() / total) if total > 0 else 0.0

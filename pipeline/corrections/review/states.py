@@ -3,7 +3,7 @@
 What a person did to an item is a word on it. Correcting a value says
 "corrected", or "accepted" where it is what the labeller had said; leaving out
 an object or expression, or marking the latter as wrong, says "rejected"; a
-status says itself; a judgement (`pipeline.corrections.journal.judgements`) says it for one
+status says itself; a judgement (`pipeline.corrections.journal.replay`) says it for one
 person. Of each person the newest word counts, and what was taken back was never
 said.
 

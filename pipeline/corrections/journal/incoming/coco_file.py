@@ -22,8 +22,8 @@ import numpy as np
 
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.field_refs import FieldRef, object_cell
-from pipeline.corrections.journal.incoming.claims import Claims
 from pipeline.corrections.journal.incoming.outlines import is_rectangle, mask_of, polygons_of, same_outline
+from pipeline.corrections.journal.incoming.states import Claims
 from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.run_length import decode_run_length, encode_run_length
 from pipeline.labels.exports.provenance import ExportedFrom
