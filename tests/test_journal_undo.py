@@ -14,7 +14,7 @@ from pipeline.corrections.journal.events import Conflict, Edit, Saved
 from pipeline.corrections.journal.field_refs import FieldRef, judged_item, relation_cell
 from pipeline.corrections.journal.journal import JOURNAL_FILE, Journal, open_journal
 from pipeline.corrections.journal.replay import judgement_cell
-from pipeline.corrections.journal.undo import history, next_redo, next_undo, redo, undo
+from pipeline.corrections.journal.undo import history, newest, redo, undo
 from pipeline.system.errors import InputError
 
 CELLS = [relation_cell("f", 1, b, "left") for b in (2, 3, 4)]
@@ -56,8 +56,8 @@ def test_what_is_taken_back_is_what_the_whole_history_says(
                 _take_back(journal, author, action, number)
             for name in ("ann", "bob"):
                 whole = history(journal.events(author=name))
-                assert next_undo(journal, name) == (whole.done[-1] if whole.done else None)
-                assert next_redo(journal, name) == (whole.undone[-1] if whole.undone else None)
+                assert newest(journal, name, "undo") == (whole.done[-1] if whole.done else None)
+                assert newest(journal, name, "redo") == (whole.undone[-1] if whole.undone else None)
 
 
 def _take_back(journal: Journal, author: str, action: str, number: int) -> None:

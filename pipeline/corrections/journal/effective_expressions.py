@@ -13,7 +13,7 @@ from pipeline.corrections.journal.effective_pairs import CorrectedPairs
 from pipeline.corrections.journal.events import Event
 from pipeline.corrections.journal.field_refs import FieldRef
 from pipeline.corrections.journal.frame_rows import FrameRows, Pairs, Setting
-from pipeline.corrections.journal.replay import Origin, Origins, Unapplied, all_gone, replay
+from pipeline.corrections.journal.replay import Corrected, Origin, Origins, all_gone, replay
 from pipeline.labels.wording import expression_text
 from pipeline.language.noun_phrase import alone, same_names
 from pipeline.language.relation_names import PAIRWISE
@@ -45,8 +45,8 @@ class Withdrawn:
     row: Row = field(default_factory=dict, compare=False, repr=False)
 
 
-@dataclass
-class CorrectedExpressions:
+@dataclass(kw_only=True)
+class CorrectedExpressions(Corrected):
     """What became of a frame's expressions.
 
     Attributes
@@ -56,17 +56,11 @@ class CorrectedExpressions:
     withdrawn : list of Withdrawn
     marks : dict of str to str
         BAD_LABEL or BAD_BOX by id, of expressions that stand or not.
-    versions : dict of Cell to int
-    statuses : dict of Cell to str
-    unapplied : list of Unapplied
     """
 
     rows: dict[str, Row] = field(default_factory=dict)
     withdrawn: list[Withdrawn] = field(default_factory=list)
     marks: dict[str, str] = field(default_factory=dict)
-    versions: dict[FieldRef, int] = field(default_factory=dict)
-    statuses: dict[FieldRef, str] = field(default_factory=dict)
-    unapplied: list[Unapplied] = field(default_factory=list)
 
 
 class Answers:
@@ -133,9 +127,8 @@ def correct_expressions(
             _correct(dict(row), by_id.get(name, {}), auto, objects, pairs, setting, origins, followed, found)
     for name in by_id.keys() - auto.expressions.keys():
         for column, events in by_id[name].items():
-            after = all_gone(None, events, "there is no such expression any more")
-            found.versions[FieldRef("expression", auto.frame, name, column)] = after.version
-            found.unapplied += after.unapplied
+            gone = all_gone(None, events, "there is no such expression any more")
+            found.note(FieldRef("expression", auto.frame, name, column), gone)
     return found
 
 
@@ -158,19 +151,16 @@ def _correct(
     for column in sorted(fields):
         events, cell = fields[column], FieldRef("expression", auto.frame, name, column)
         trusted = column in OPEN_FIELDS and row[column] != was[column]
-        after = replay(was[column] if column in OPEN_FIELDS else None, events, trusted=trusted)
-        found.versions[cell] = after.version
-        found.unapplied += after.unapplied
+        after = found.note(cell, replay(was[column] if column in OPEN_FIELDS else None, events, trusted=trusted))
         if after.event is None:
             continue
         if column in OPEN_FIELDS:
             row[column] = after.value
             human.add(column)
+        elif after.value is not None and column == "mark":
+            found.marks[name] = after.value
         elif after.value is not None:
-            if column == "mark":
-                found.marks[name] = after.value
-            else:
-                found.statuses[cell] = after.value
+            found.statuses[cell] = after.value
         if after.value is not None:
             origins.put("expressions", name, column, Origin.of("human", after.event), was.get(column))
     if "ambiguous" not in human and human & {"acceptable", "targets"}:

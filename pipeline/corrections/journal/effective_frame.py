@@ -20,7 +20,15 @@ from pipeline.corrections.journal.effective_pairs import correct_pairs
 from pipeline.corrections.journal.events import Event
 from pipeline.corrections.journal.field_refs import FIELDS, FieldRef
 from pipeline.corrections.journal.frame_rows import FrameRows, Pairs, Setting
-from pipeline.corrections.journal.replay import Origin, Origins, Unapplied, by_cell, replay, replayed_judgement
+from pipeline.corrections.journal.replay import (
+    Corrected,
+    Origin,
+    Origins,
+    Unapplied,
+    by_cell,
+    replay,
+    replayed_judgement,
+)
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -182,27 +190,21 @@ def effective_frame(
     concerned = {*objects.versions, *pairs.versions}
     cause = max((e for e in events if e.cell in concerned), key=lambda e: e.id, default=None)
     expressions = correct_expressions(auto, objects, pairs, cells, setting, origins, cause)
-    versions = {**objects.versions, **pairs.versions, **expressions.versions}
-    statuses: dict[FieldRef, Any] = {**objects.statuses, **pairs.statuses, **expressions.statuses}
-    unapplied = [*objects.unapplied, *pairs.unapplied, *expressions.unapplied]
+    rest = Corrected()
     known = {n: row["bbox"] for n, row in auto.objects.items()}
     for cell, members in cells.items():
         if cell.kind == "review":
             # A judgement is of labels, and never one itself: nothing follows from it.
             after = replayed_judgement(cell, members, known, {*objects.rows, *objects.left_out}, auto.expressions)
-            versions[cell] = after.version
-            unapplied += after.unapplied
-            if after.value is not None:
-                statuses[cell] = after.value
-        elif cell.kind == "frame" or cell.field == "exists":
+        elif cell.kind == "frame":
             after = replay(None, members)
-            versions[cell] = after.version
-            if cell.kind == "frame":
-                unapplied += after.unapplied
-            if after.value is not None:
-                statuses[cell] = after.value
-                if cell.kind == "frame" and after.event is not None:
-                    origins.put("frames", "", cell.field, Origin.of("human", after.event))
+        else:
+            continue
+        if rest.note(cell, after).value is not None:
+            rest.statuses[cell] = after.value
+            if cell.kind == "frame" and after.event is not None:
+                origins.put("frames", "", cell.field, Origin.of("human", after.event))
+    parts = (objects, pairs, expressions, rest)
     return EffectiveFrame(
         auto,
         {**auto.row, "objects": len(objects.rows)},
@@ -212,9 +214,9 @@ def effective_frame(
         expressions.rows,
         tuple(expressions.withdrawn),
         expressions.marks,
-        versions,
-        statuses,
-        tuple(sorted(unapplied, key=lambda u: u.event.id)),
+        {cell: version for part in parts for cell, version in part.versions.items()},
+        {cell: value for part in parts for cell, value in part.statuses.items()},
+        tuple(sorted((u for part in parts for u in part.unapplied), key=lambda u: u.event.id)),
         origins,
         setting,
         events[-1].id if events else 0,

@@ -7,9 +7,17 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from pipeline.corrections.journal.events import Event
-from pipeline.corrections.journal.field_refs import FieldRef, box_of, same_value
+from pipeline.corrections.journal.field_refs import FieldRef, box_of, object_cell, same_value
 from pipeline.corrections.journal.frame_rows import FrameRows, Setting
-from pipeline.corrections.journal.replay import Origin, Origins, Replayed, Unapplied, all_gone, is_another, replay
+from pipeline.corrections.journal.replay import (
+    Corrected,
+    Origin,
+    Origins,
+    Replayed,
+    all_gone,
+    is_another,
+    replay,
+)
 from pipeline.geometry.run_length import decode_crop
 
 Row = dict[str, Any]
@@ -23,8 +31,8 @@ OF_BOX = (*BOX_COLUMNS, "yaw_confidence", "pca_center", "pca_R", "pca_size", "lo
 """Columns that follow from an object's 3D box."""
 
 
-@dataclass
-class CorrectedObjects:
+@dataclass(kw_only=True)
+class CorrectedObjects(Corrected):
     """What became of a frame's objects.
 
     Attributes
@@ -41,9 +49,6 @@ class CorrectedObjects:
         Objects whose 2D box a person set.
     renamed : dict of int to Event
         Objects with another class.
-    versions : dict of Cell to int
-    statuses : dict of Cell to str
-    unapplied : list of Unapplied
     """
 
     rows: dict[int, Row] = field(default_factory=dict)
@@ -52,10 +57,6 @@ class CorrectedObjects:
     boxes: dict[int, Any] = field(default_factory=dict)
     human_bbox: set[int] = field(default_factory=set)
     renamed: dict[int, Event] = field(default_factory=dict)
-    rejected_by: dict[int, Event] = field(default_factory=dict)
-    versions: dict[FieldRef, int] = field(default_factory=dict)
-    statuses: dict[FieldRef, str] = field(default_factory=dict)
-    unapplied: list[Unapplied] = field(default_factory=list)
 
 
 def correct_objects(
@@ -93,13 +94,13 @@ def _correct(
     found: CorrectedObjects,
 ) -> None:
     def note(name: str, replayed: Replayed) -> Replayed:
-        found.versions[FieldRef("object", auto.frame, str(number), name)] = replayed.version
-        found.unapplied += replayed.unapplied
-        return replayed
+        return found.note(object_cell(auto.frame, number, name), replayed)
 
     row, created = auto.objects.get(number), False
     if "exists" in fields:
         seed = note("exists", replay(None, fields["exists"]))
+        if seed.value is not None:
+            found.statuses[object_cell(auto.frame, number, "exists")] = seed.value
         if row is None and seed.value is not None and seed.event is not None:
             row, created = new_row(number, seed.value, auto, setting), True
             found.geometry[number] = seed.event
@@ -135,7 +136,7 @@ def _correct(
         for column in BOX_COLUMNS if name == "box" else (name,):
             automatic = None if created else auto.objects[number].get(column)
             origins.put("objects", str(number), column, Origin.of("human", after.event), automatic)
-    status = found.statuses.get(FieldRef("object", auto.frame, str(number), "status"))
+    status = found.statuses.get(object_cell(auto.frame, number, "status"))
     (found.left_out if status == "rejected" else found.rows)[number] = row
 
 
@@ -151,8 +152,6 @@ def _set(
     if name == "status":
         if value is not None:
             found.statuses[event.cell] = value
-        if value == "rejected":
-            found.rejected_by[number] = event
         return
     if name == "label":
         found.renamed[number] = event

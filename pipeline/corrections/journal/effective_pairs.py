@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -11,7 +11,15 @@ from pipeline.corrections.journal.effective_objects import CorrectedObjects
 from pipeline.corrections.journal.events import Event
 from pipeline.corrections.journal.field_refs import FieldRef
 from pipeline.corrections.journal.frame_rows import NO_STATE, FrameRows, Pairs, Setting
-from pipeline.corrections.journal.replay import Origin, Origins, Unapplied, all_gone, is_another, replay, standing
+from pipeline.corrections.journal.replay import (
+    Corrected,
+    Origin,
+    Origins,
+    all_gone,
+    is_another,
+    replay,
+    standing,
+)
 from pipeline.labels.check.relations import OPPOSITES
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.relations.relations import F, T
@@ -19,8 +27,8 @@ from pipeline.relations.relations import F, T
 _OPPOSITE = {one: other for pair in OPPOSITES for one, other in (pair, pair[::-1])}
 
 
-@dataclass
-class CorrectedPairs:
+@dataclass(kw_only=True)
+class CorrectedPairs(Corrected):
     """What became of a frame's relations.
 
     Attributes
@@ -33,18 +41,12 @@ class CorrectedPairs:
         Objects whose relations do not follow from their geometry yet.
     changed : bool
         Anything differs from the automatic labels.
-    versions : dict of Cell to int
-    statuses : dict of Cell to str
-    unapplied : list of Unapplied
     """
 
     pairs: Pairs
     human: np.ndarray
     stale: np.ndarray
     changed: bool = False
-    versions: dict[FieldRef, int] = field(default_factory=dict)
-    statuses: dict[FieldRef, str] = field(default_factory=dict)
-    unapplied: list[Unapplied] = field(default_factory=list)
 
 
 def correct_pairs(
@@ -65,7 +67,8 @@ def correct_pairs(
     related = [n for n, row in objects.rows.items() if not setting.config.is_background(row["label"])]
     pairs = auto.pairs.of_objects(related).copy()
     n = len(pairs.numbers)
-    found = CorrectedPairs(pairs, np.zeros((n, n, len(PAIRWISE)), np.bool_), np.zeros(n, np.bool_))
+    human, stale = np.zeros((n, n, len(PAIRWISE)), np.bool_), np.zeros(n, np.bool_)
+    found = CorrectedPairs(pairs=pairs, human=human, stale=stale)
     found.changed = list(pairs.numbers) != list(auto.pairs.of_objects(auto.objects).numbers)
     _follow(found, auto, objects, relifted, setting, origins)
     judged = {cell: events for cell, events in cells.items() if cell.kind == "relation"}
@@ -140,22 +143,19 @@ def _correct(
     elif any(is_another(e.anchor, x, auto.objects[x]["bbox"]) for e in events for x in (a, b) if x in auto.objects):
         reason = "one of the two objects is another thing now"
     if reason is not None or i is None or j is None:
-        after = all_gone(None, events, str(reason))
-        found.versions[cell], found.unapplied = after.version, [*found.unapplied, *after.unapplied]
+        found.note(cell, all_gone(None, events, str(reason)))
         return
     if cell.field != relation:
-        after = replay(None, events)
-        if after.value is not None:
+        after = found.note(cell, replay(None, events))
+        if after.value is not None and after.event is not None:
             found.statuses[cell] = after.value
-            origins.put("relations", cell.key, cell.field, Origin.of("human", after.event), None)  # pyright: ignore[reportArgumentType]
-        found.versions[cell], found.unapplied = after.version, [*found.unapplied, *after.unapplied]
+            origins.put("relations", cell.key, cell.field, Origin.of("human", after.event))
         return
     k = PAIRWISE.index(relation)
     was = found.pairs.state(a, b, relation)
     # Who saw F where another correction ruled out the labeller's T, did not see the automatic label.
     trusted = a in objects.geometry or b in objects.geometry or (ruled_out and was == T)
-    after = replay(was, events, trusted=trusted)
-    found.versions[cell], found.unapplied = after.version, [*found.unapplied, *after.unapplied]
+    after = found.note(cell, replay(was, events, trusted=trusted))
     if after.event is None:
         return
     _settle(found, i, j, k, after.value)

@@ -176,3 +176,51 @@ class NotSaved(InputError):
         super().__init__(what, got=got, cause=cause, path=path)
         self.edits = tuple(edits)
         self.group = group
+
+
+def who_and_what(event: Event) -> dict[str, Any]:
+    """Who changed which field when, as JSON."""
+    return {
+        "id": event.id,
+        "event": event.ulid,
+        "author": event.author,
+        "time": event.time.isoformat(),
+        "kind": event.cell.kind,
+        "frame": event.cell.frame,
+        "key": event.cell.key,
+        "field": event.cell.field,
+    }
+
+
+def event_record(event: Event) -> dict[str, Any]:
+    """`journal --json`, a line an event."""
+    return {
+        **who_and_what(event),
+        "before": event.before,
+        "after": event.after,
+        "base": event.base,
+        "version": event.version,
+        "labels": event.labels,
+        "reason": event.reason,
+        "group": event.group,
+        "action": event.action,
+        "undo_of": event.undo_of,
+    }
+
+
+def outcome_record(done: Saved | Conflict | None) -> dict[str, Any]:
+    """What came of saving: {"saved": [events], "conflicts": [{"wanted", "there", "message"}]}."""
+    saved = [event_record(e) for e in done.events] if isinstance(done, Saved) else []
+    conflicts = [
+        {
+            "kind": r.edit.cell.kind,
+            "frame": r.edit.cell.frame,
+            "key": r.edit.cell.key,
+            "field": r.edit.cell.field,
+            "wanted": r.edit.after,
+            "there": None if r.event is None else event_record(r.event),
+            "message": str(r),
+        }
+        for r in (done.rivals if isinstance(done, Conflict) else ())
+    ]
+    return {"saved": saved, "conflicts": conflicts}

@@ -10,9 +10,9 @@ from typing import Any
 
 from pipeline import __version__
 from pipeline.corrections.journal.effective import EffectiveLabels, effective_tables
+from pipeline.corrections.journal.events import who_and_what
 from pipeline.corrections.journal.field_refs import shown_value
 from pipeline.corrections.journal.journal import Journal
-from pipeline.corrections.journal.records import who_and_what
 from pipeline.corrections.journal.replay import Unapplied
 from pipeline.datasets import Dataset
 from pipeline.labels.card import croissant, dataset_card

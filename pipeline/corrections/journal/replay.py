@@ -60,21 +60,49 @@ class Replayed:
     unapplied: tuple[Unapplied, ...]
 
 
-def standing(events: Sequence[Event]) -> list[Event]:
-    """The edits of a cell that were not taken back, in the order of their versions.
+def standing_at(events: Sequence[Event]) -> list[tuple[Event, int]]:
+    """The edits of a cell that were not taken back, in the order of their versions, each with the `id` of what made it
+    stand.
 
     Only a cell's newest event can be taken back: so they are a stack.
     """
-    found: list[Event] = []
+    found: list[tuple[Event, int]] = []
     taken: dict[str, Event] = {}
     for event in events:
         if event.action == "edit" or event.undo_of is None:
-            found.append(event)
+            found.append((event, event.id))
         elif event.action == "undo" and found:
-            taken[event.ulid] = found.pop()
+            taken[event.ulid] = found.pop()[0]
         elif event.undo_of in taken:
-            found.append(taken[event.undo_of])
+            found.append((taken[event.undo_of], event.id))
     return found
+
+
+def standing(events: Sequence[Event]) -> list[Event]:
+    """The edits of a cell that were not taken back, in the order of their versions."""
+    return [event for event, _ in standing_at(events)]
+
+
+@dataclass(kw_only=True)
+class Corrected:
+    """What became of the cells of one kind of entity.
+
+    Attributes
+    ----------
+    versions : dict of FieldRef to int
+    statuses : dict of FieldRef to JSON value
+    unapplied : list of Unapplied
+    """
+
+    versions: dict[FieldRef, int] = field(default_factory=dict)
+    statuses: dict[FieldRef, Any] = field(default_factory=dict)
+    unapplied: list[Unapplied] = field(default_factory=list)
+
+    def note(self, cell: FieldRef, replayed: Replayed) -> Replayed:
+        """Keep a cell's version and what does not apply to it; the same is returned."""
+        self.versions[cell] = replayed.version
+        self.unapplied += replayed.unapplied
+        return replayed
 
 
 def replay(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 from pipeline.corrections.journal.connection import (
     DATABASE_ERRORS,
@@ -124,3 +125,22 @@ def _written(to: Path, write: Callable[[], None]) -> Examined:
     except DATABASE_ERRORS as error:
         raise InputError("the copy cannot be written", got=reason_of(error, str(to)), path=to) from error
     return examine(to).believe()
+
+
+def examined_record(found: Examined) -> dict[str, Any]:
+    """`journal --check --json`: "events" were saved (null where unknown), "ranges" of ids are intact."""
+    return {
+        "journal": found.place,
+        "sound": not found.damage,
+        "chained": found.chained,
+        "events": found.events,
+        "intact": len(found.intact),
+        "ranges": [list(run) for run in found.ranges],
+        "damage": list(found.damage),
+        "help": found.help,
+    }
+
+
+def written_record(found: Examined, made: Examined) -> dict[str, Any]:
+    """`journal --backup --json` and `--recover --json`: the file that was made, and its events."""
+    return {"journal": found.place, "written": made.place, "events": len(made.intact), "of": found.events}

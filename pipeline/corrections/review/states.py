@@ -23,7 +23,7 @@ from typing import Any
 from pipeline.corrections.journal.events import Event
 from pipeline.corrections.journal.field_refs import FieldRef, judged_item, same_value
 from pipeline.corrections.journal.journal import Journal
-from pipeline.corrections.journal.replay import by_cell
+from pipeline.corrections.journal.replay import by_cell, standing_at
 from pipeline.corrections.review.items import NOBODY, SETTLED, ItemKey, State
 from pipeline.relations.relations import letter
 
@@ -176,20 +176,6 @@ def judgements_of(
         if author not in of_item or word.at > of_item[author].at:
             of_item[author] = word
     return Judgements(words, settled)
-
-
-def standing_at(events: Sequence[Event]) -> list[tuple[Event, int]]:
-    """The edits of a cell that were not taken back, as `replay.standing`, each with the `id` of what made it stand."""
-    found: list[tuple[Event, int]] = []
-    taken: dict[str, Event] = {}
-    for event in events:
-        if event.action == "edit" or event.undo_of is None:
-            found.append((event, event.id))
-        elif event.action == "undo" and found:
-            taken[event.ulid] = found.pop()[0]
-        elif event.undo_of in taken:
-            found.append((taken[event.undo_of], event.id))
-    return found
 
 
 def item_of(cell: FieldRef) -> ItemKey | None:

@@ -10,13 +10,12 @@ from typing import Any, Literal
 
 from pipeline.corrections.journal import edits as actions
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
-from pipeline.corrections.journal.events import Conflict, Edit, Event, Saved
+from pipeline.corrections.journal.events import Conflict, Edit, Event, Saved, event_record
 from pipeline.corrections.journal.field_refs import LONGEST_NAME, FieldRef, box_of, plain_text, same_value, shown_value
 from pipeline.corrections.journal.incoming.coco_file import CocoOptions, load_coco, read_instances
 from pipeline.corrections.journal.incoming.jsonl_file import annotated, read_lines, read_refs, read_relations
 from pipeline.corrections.journal.incoming.states import MOST_PROBLEMS, Claim, Claims, States, TooManyProblems
 from pipeline.corrections.journal.journal import Journal
-from pipeline.corrections.journal.records import event_record
 from pipeline.datasets import Dataset
 from pipeline.labels.exports.exporting import MARK
 from pipeline.labels.exports.provenance import ExportedFrom
