@@ -17,7 +17,7 @@ from pipeline.corrections.journal.edits import pixels_of
 from pipeline.corrections.journal.effective import Corrector
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Saved
-from pipeline.corrections.journal.field_refs import FIRST_NEW_OBJECT
+from pipeline.corrections.journal.field_refs import FIRST_NEW_OBJECT, object_cell
 from pipeline.corrections.journal.journal import Journal
 from pipeline.corrections.journal.undo import undo
 from pipeline.corrections.wording import consequences
@@ -232,7 +232,7 @@ def test_a_rejected_object_takes_expressions_with_it(bare_corrector: Corrector, 
     frame = bare_corrector.frame(FRAME, journal)
     row = next(iter(frame.expressions.values()))
     number = row["reference_object"]
-    saved(journal, edits.remove_object(frame, number))
+    saved(journal, edits.set_status(frame, object_cell(frame.frame, number, "status"), "rejected"))
     after = bare_corrector.frame(FRAME, journal)
     told = consequences(frame, after)
     assert told.gone == (f"{frame.objects[number]['label']}·{number}",)

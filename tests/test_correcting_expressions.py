@@ -20,7 +20,6 @@ from pipeline.corrections.object_card import (
     answers_with,
     expression_card,
     expression_cards,
-    expression_records,
     set_answer,
 )
 from pipeline.system.errors import InputError
@@ -39,7 +38,7 @@ def test_a_card_says_what_the_row_says_and_the_pair_comes_first(bare_corrector: 
     assert (card.text, list(card.targets), list(card.acceptable)) == (row["text"], row["targets"], row["acceptable"])
     assert card.names[row["target_object"]] == frame.objects[row["target_object"]]["label"]
     assert {o.source for o in card.origins.values()} == {"auto"}
-    assert len(json.dumps(expression_records(frame))) > 100
+    assert len(json.dumps([card.record() for card in expression_cards(frame)])) > 100
 
 
 def test_answers_are_set_one_by_one_and_the_origin_is_told(bare_corrector: Corrector, journal: Journal) -> None:

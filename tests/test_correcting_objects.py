@@ -83,7 +83,7 @@ def test_without_the_pictures_what_follows_is_stale(bare_corrector: Corrector, j
 def test_a_rejected_object_has_a_card_and_comes_back(full_corrector: Corrector, journal: Journal) -> None:
     before = full_corrector.frame(FRAME, journal)
     number = widest(before)
-    saved(journal, edits.remove_object(before, number, "a reflection"))
+    saved(journal, edits.set_status(before, object_cell(before.frame, number, "status"), "rejected", "a reflection"))
     gone = full_corrector.frame(FRAME, journal)
     card = object_card(gone, number)
     assert (card.stands, card.status, card.line("status").settled) == (False, "rejected", True)

@@ -274,7 +274,7 @@ def test_two_people_are_both_told_and_nothing_is_overwritten(
     one, two, three = frame.pairs.numbers.tolist()[:3]
     saved(journal, edits.set_class(frame, one, "pot"), "bob")
     saved(journal, edits.set_class(frame, two, "samovar"), "bob")
-    saved(journal, edits.remove_object(frame, three), "bob")
+    saved(journal, edits.set_status(frame, object_cell(frame.frame, three, "status"), "rejected"), "bob")
     rows = [r for r in read(exported / "jsonl" / "objects.jsonl") if r["frame"] == FRAME]
     for r in rows:
         # The first contradicts bob, the second says the same; the third is gone. A fourth is nobody's business.

@@ -247,7 +247,7 @@ def test_who_comes_while_another_waits_does_not(impatient: None, monkeypatch: py
             known.ask(refused, refused)
     assert known.ask(lambda: 1, refused) == 1
     # One that left a query without an answer is asked nothing until it is found again.
-    known.is_silent(TimeoutError("timed out"))
+    known.know(TimeoutError("timed out"))
     with pytest.raises(TimeoutError, match="timed out"):
         known.ask(lambda: 1, refused)
 

@@ -206,7 +206,7 @@ def test_a_rejected_object_goes_with_all_that_is_said_of_it_and_comes_back(
 ) -> None:
     frame = bare_corrector.frame(FRAME, journal)
     number = an_expression(frame)["reference_object"]
-    saved(journal, edits.remove_object(frame, number))
+    saved(journal, edits.set_status(frame, object_cell(frame.frame, number, "status"), "rejected"))
     after = bare_corrector.frame(FRAME, journal)
     assert number not in after.objects
     assert after.row["objects"] == len(frame.objects) - 1

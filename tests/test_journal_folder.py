@@ -83,7 +83,7 @@ def test_corrections_outlive_labels_made_again(
     assert frame.pairs.state(a, b, relation) == U
     assert frame.objects[renamed]["label"] == "bowl"
     # What was seen to be out of date is corrected again, on what the labels say now.
-    saved(journal, edits.reapply(frame, object_cell(FRAME, renamed, "label"), "teapot"))
+    saved(journal, edits.set_value(frame, object_cell(FRAME, renamed, "label"), "teapot", "applied again"))
     after = corrector.frame(FRAME, journal)
     assert after.objects[renamed]["label"] == "teapot"
     assert ("object", str(renamed)) not in {(u.event.cell.kind, u.event.cell.key) for u in after.unapplied}

@@ -11,11 +11,11 @@ import numpy as np
 from pipeline.answering.objects import SceneObject
 from pipeline.corrections.journal.effective import Corrector
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
+from pipeline.corrections.journal.effective_pairs import OPPOSITE
 from pipeline.corrections.journal.field_refs import box_value, object_cell, relation_cell
 from pipeline.corrections.journal.frame_rows import NO_STATE
 from pipeline.corrections.journal.replay import Origin
 from pipeline.geometry.boxes import Box3D
-from pipeline.labels.check.relations import OPPOSITES
 from pipeline.labels.labelling import judge_list
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.relations.relations import F, T, U, letter
@@ -23,7 +23,6 @@ from pipeline.system.errors import InputError
 
 ASKED_BEYOND_M = 0.1
 """A judgement that geometry contradicts by more metres than this is asked about before it is saved."""
-_OPPOSITE = {one: other for pair in OPPOSITES for one, other in (pair, pair[::-1])}
 MOVED = Origin("recomputed", reason="the box is being moved")
 
 
@@ -267,7 +266,7 @@ class MovingBox:
     def _ruled_out(self, relation: str) -> bool:
         """Whether a person said that the opposite holds, or the same the other way round."""
         assert self._card is not None
-        opposite, frame = _OPPOSITE.get(relation), self.frame
+        opposite, frame = OPPOSITE.get(relation), self.frame
         if opposite is None:
             return False
         a, b = self._card.a, self._card.b

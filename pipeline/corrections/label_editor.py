@@ -337,21 +337,6 @@ class EventLine:
         }
 
 
-def about_object(cell: FieldRef, number: int) -> bool:
-    """Whether a cell is one of an object's own."""
-    return cell.kind == "object" and cell.numbers == (number,)
-
-
-def about_pair(cell: FieldRef, a: int, b: int) -> bool:
-    """Whether a cell is a relation of a pair, either way round."""
-    return cell.kind == "relation" and set(cell.numbers) == {a, b}
-
-
-def about_expression(cell: FieldRef, name: str) -> bool:
-    """Whether a cell is one of an expression's."""
-    return cell.kind == "expression" and cell.key == name
-
-
 def event_lines(
     events: Sequence[Event],
     author: str,
@@ -386,10 +371,10 @@ def event_lines(
         newest[root[event.ulid]] = event
 
     def wanted(cell: FieldRef) -> bool:
-        return (
-            any(about_object(cell, n) for n in numbers)
-            or (pair is not None and about_pair(cell, *pair))
-            or (expression is not None and about_expression(cell, expression))
+        if cell.kind == "relation":
+            return pair is not None and set(cell.numbers) == set(pair)
+        return (cell.kind == "object" and cell.numbers[0] in numbers) or (
+            cell.kind == "expression" and cell.key == expression
         )
 
     lines = []

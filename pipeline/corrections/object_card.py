@@ -351,11 +351,6 @@ def expression_card(frame: EffectiveFrame, name: str) -> ExpressionCard:
     return _card(frame, name, withdrawn, said_of_items(frame.statuses))
 
 
-def expression_records(frame: EffectiveFrame) -> list[dict[str, Any]]:
-    """All expressions of a frame as JSON."""
-    return [card.record() for card in expression_cards(frame)]
-
-
 def _card(
     frame: EffectiveFrame, name: str, withdrawn: str, said: dict[tuple[str, int, int | None, str], dict[str, str]]
 ) -> ExpressionCard:

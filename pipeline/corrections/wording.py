@@ -283,7 +283,8 @@ def consequences(before: EffectiveFrame, after: EffectiveFrame) -> Consequences:
         for (table, key, column), (origin, _) in after.origins.found.items()
         if table == "relations" and origin.source == "human"
     }
-    mirrored = {_folded(after, *_ends(key), column) for key, column in renewed}
+    pairs = ((*map(int, key.split(",")), column) for key, column in renewed)
+    mirrored = {_folded(after, a, b, column) for a, b, column in pairs}
     texts = {i: row["text"] for i, row in (*after.expressions.items(), *before.expressions.items())}
     kept = before.expressions.keys() & after.expressions.keys()
     sets = ("targets", "acceptable")
@@ -336,11 +337,6 @@ def _folded(frame: EffectiveFrame, a: int, b: int, relation: str) -> tuple[int, 
     """One name for a relation and its mirror image."""
     inverse = frame.setting.inverse(relation)
     return (a, b, relation) if inverse is None else min((a, b, relation), (b, a, inverse))
-
-
-def _ends(key: str) -> tuple[int, int]:
-    a, b = key.split(",")
-    return int(a), int(b)
 
 
 def _name(frame: EffectiveFrame, number: int) -> str:

@@ -131,7 +131,7 @@ class ReviewQueue:
                 None if place.where is None else str(place.where),
                 place.project,
                 str(source.dataset.root),
-                asked.networks,
+                networks=asked.networks,
                 detector=None if second is None else second[1],
                 called=None if second is None else second[0],
             )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
@@ -183,12 +183,9 @@ def drawn(gesture: Gesture, height: int, width: int, canvas: Canvas | None = Non
     """
     if gesture.kind == "cut":
         raise InputError("a cut means no pixels")
-    if gesture.kind == "stroke":
-        mask = stroke_mask(gesture.points, gesture.radius, height, width)
-    elif gesture.kind == "polygon":
-        mask = polygon_mask(gesture.points, height, width)
-    elif gesture.kind == "rectangle":
-        mask = rectangle_mask(gesture.points, height, width)
+    flat = _FLAT.get(gesture.kind)
+    if flat is not None:
+        mask = flat(gesture, height, width)
     elif canvas is None:
         raise InputError(f"a {gesture.kind} region needs the pictures", cause="name the dataset")
     elif gesture.kind == "surface":
@@ -275,3 +272,11 @@ def rectangle_mask(points: np.ndarray, height: int, width: int) -> np.ndarray:
     """(H, W) bool: the pixels between two opposite corners, x, y in pixels, in any order."""
     (x0, y0), (x1, y1) = np.sort(np.asarray(points, np.float64).reshape(2, 2), axis=0)
     return polygon_mask(np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]]), height, width)
+
+
+_FLAT: dict[Kind, Callable[[Gesture, int, int], np.ndarray]] = {
+    "stroke": lambda gesture, height, width: stroke_mask(gesture.points, gesture.radius, height, width),
+    "polygon": lambda gesture, height, width: polygon_mask(gesture.points, height, width),
+    "rectangle": lambda gesture, height, width: rectangle_mask(gesture.points, height, width),
+}
+"""Kinds that follow no depth."""

@@ -156,7 +156,7 @@ def prepare(engine: sa.Engine) -> tuple[str, ...]:
             found = version_of(connection)
             if found == VERSION:
                 if on_server:
-                    believed(connection, place, chain=True)
+                    examined_server(connection, place, chain=True).believe()
                 return ()
         if not writable:
             if found != 1:
@@ -256,7 +256,7 @@ def take_over(connection: sa.Connection, place: str) -> str:
         kept = str(_free(path))
         copy_whole(path, Path(kept))
     else:
-        rows, kept = believed(connection, place, chain=False), _TABLE
+        rows, kept = examined_server(connection, place, chain=False).believe().intact, _TABLE
         connection.exec_driver_sql(f"CREATE TABLE IF NOT EXISTS {kept} AS TABLE events")
     drop_before(connection)
     create(connection, FIRST)
@@ -277,30 +277,13 @@ def move_head(connection: sa.Connection, head: Head) -> None:
     connection.execute(HEAD.update().values(events=head.events, last=head.last, hash=head.hash))
 
 
-def head_of(connection: sa.Connection) -> Head | None:
-    """What the journal says of its last event; None where it does not."""
-    row: Any = connection.execute(sa.select(HEAD.c.events, HEAD.c.last, HEAD.c.hash)).one_or_none()
-    return None if row is None else Head(*row)
-
-
-def believed(connection: sa.Connection, place: str, *, chain: bool) -> tuple[Row, ...]:
-    """All events of a server's journal, where they are as they were saved.
-
-    Raises
-    ------
-    DamagedJournal
-        They are not.
-    """
-    found = examined_server(connection, place, chain=chain)
-    return found.believe().intact
-
-
 def examined_server(connection: sa.Connection, place: str, *, chain: bool) -> Examined:
     """As `examine`, of a journal in PostgreSQL; `chain` is whether its events are chained."""
     names = (*CONTENT, "hash") if chain else CONTENT
     query = sa.select(*(EVENTS.c[name] for name in names)).order_by(EVENTS.c.id)
     rows = [(int(row["id"]), dict(row)) for row in connection.execute(query).mappings()]
-    head = head_of(connection) if chain else None
+    kept = connection.execute(sa.select(HEAD.c.events, HEAD.c.last, HEAD.c.hash)).one_or_none() if chain else None
+    head = None if kept is None else Head(*kept)
     found: Verdict = judged(rows, head) if chain else judged_alone(rows)
     return Examined(place, 2 if chain else 1, head.events if head else len(rows), found.intact, found.damage)
 

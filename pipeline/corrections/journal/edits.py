@@ -115,11 +115,6 @@ def add_object(
     return (_edit(frame, object_cell(frame.frame, number, "exists"), seed, reason),)
 
 
-def remove_object(frame: EffectiveFrame, number: int, reason: str = "") -> Edits:
-    """Reject an object: it is left out, with its relations and what is said of it."""
-    return (_object_edit(frame, number, "status", "rejected", reason),)
-
-
 def merge_objects(frame: EffectiveFrame, numbers: Iterable[int], reason: str = "") -> Edits:
     """One object of several: the first gets the pixels of all, the others are rejected."""
     ids = list(dict.fromkeys(numbers))
@@ -318,11 +313,6 @@ def set_value(frame: EffectiveFrame, cell: FieldRef, value: Any, reason: str = "
     return (_edit(frame, cell, value, reason),)
 
 
-def reapply(frame: EffectiveFrame, cell: FieldRef, value: Any, reason: str = "") -> Edits:
-    """Correct again what no longer applied since the labels were made again; as `set_value`."""
-    return set_value(frame, cell, value, reason or "applied again")
-
-
 def _edit(frame: EffectiveFrame, cell: FieldRef, after: Any, reason: str) -> Edit:
     if cell.frame != frame.frame:
         raise InputError("an edit of another frame", got=cell.frame, expected=frame.frame)
@@ -412,5 +402,3 @@ def _within(frame: EffectiveFrame, bbox: Rectangle) -> list[float]:
 def _listed(names: Iterable[Any], most: int = 12) -> str:
     found = [str(n) for n in names]
     return ", ".join(found[:most]) + (" ..." if len(found) > most else "")
-
-

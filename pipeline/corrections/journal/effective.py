@@ -25,10 +25,11 @@ from pipeline.geometry.lifting import LiftedObject, lift
 from pipeline.geometry.run_length import decode_run_length
 from pipeline.labels.labelling import label_objects
 from pipeline.labels.reading import Labels
-from pipeline.labels.schema import TABLES, Manifest
+from pipeline.labels.schema import TABLES
 from pipeline.labels.second_opinion import NONE, open_second_opinion
 from pipeline.proposals.annotations import box_mask
 from pipeline.relations.model import OnnxScorer
+from pipeline.system.errors import InputError
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -75,8 +76,6 @@ class Corrector:
         InputError
             The labels have no such frame, or the dataset cannot load it.
         """
-        from pipeline.system.errors import InputError
-
         if frame not in self.index.of_frame:
             raise InputError("the labels have no such frame", got=repr(frame), path=self.labels.root)
         events = journal.events(frame=frame) if isinstance(journal, Journal) else tuple(journal)
@@ -91,13 +90,13 @@ class Corrector:
 
 
 @dataclass(frozen=True)
-class EffectiveLabels:
+class EffectiveLabels(Labels):
     """Labels after all corrections; tables as those of `pipeline.labels.reading.Labels`.
 
     Attributes
     ----------
-    labels : Labels
-        The automatic ones.
+    root, manifest
+        Of the automatic ones.
     tables : dict of str to pyarrow.Table
     provenance : pyarrow.Table
         See `origins.provenance_schema`: a value that is not listed is the labeller's.
@@ -116,7 +115,6 @@ class EffectiveLabels:
         Whether the dataset was at hand.
     """
 
-    labels: Labels
     tables: dict[str, pa.Table]
     provenance: pa.Table
     unapplied: tuple[Unapplied, ...]
@@ -127,33 +125,9 @@ class EffectiveLabels:
     last: str | None
     relifted: bool
 
-    @property
-    def manifest(self) -> Manifest:
-        return self.labels.manifest
-
-    @property
-    def relation_names(self) -> tuple[str, ...]:
-        return self.labels.relation_names
-
     def table(self, name: str) -> pa.Table:
         """One of the four tables, in canonical order."""
         return self.tables[name]
-
-    @property
-    def frames(self) -> pa.Table:
-        return self.tables["frames"]
-
-    @property
-    def objects(self) -> pa.Table:
-        return self.tables["objects"]
-
-    @property
-    def relations(self) -> pa.Table:
-        return self.tables["relations"]
-
-    @property
-    def expressions(self) -> pa.Table:
-        return self.tables["expressions"]
 
     @cached_property
     def counts(self) -> dict[str, int]:
@@ -252,7 +226,8 @@ def effective_tables(
         for members in by_cell(by_frame[name]).values():
             unapplied += all_gone(None, members, "the labels have no such frame any more").unapplied
     return EffectiveLabels(
-        labels,
+        labels.root,
+        labels.manifest,
         tables,
         pa.Table.from_pylist(provenance, provenance_schema()),
         tuple(sorted(unapplied, key=lambda u: u.event.id)),

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from pipeline.corrections.journal.effective_expressions import Withdrawn, correct_expressions
 from pipeline.corrections.journal.effective_objects import (
@@ -36,29 +36,9 @@ if TYPE_CHECKING:
 Row = dict[str, Any]
 
 
-class Relift(Protocol):
-    """Lifts the objects of a frame anew, from the dataset."""
-
-    def __call__(
-        self, auto: FrameRows, rows: Mapping[int, Row], boxes: Mapping[int, Any], human_bbox: Iterable[int]
-    ) -> tuple[dict[int, Row], Pairs]:
-        """Lift and judge.
-
-        Parameters
-        ----------
-        rows : mapping of int to dict
-            All standing objects.
-        boxes : mapping of int to JSON value
-            3D boxes that people set.
-        human_bbox : iterable of int
-            Objects whose 2D box is not to follow from their mask.
-
-        Returns
-        -------
-        rows : dict of int to dict
-        pairs : Pairs
-        """
-        ...
+Relift = Callable[[FrameRows, Mapping[int, Row], Mapping[int, Any], Iterable[int]], tuple[dict[int, Row], Pairs]]
+"""Lifts and judges the objects of a frame anew, from the dataset: of its automatic rows, all standing objects, the 3D
+boxes (JSON values) that people set, and the objects whose 2D box is not to follow from their mask."""
 
 
 @dataclass(frozen=True, eq=False)

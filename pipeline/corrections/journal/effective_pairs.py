@@ -24,7 +24,7 @@ from pipeline.labels.check.relations import OPPOSITES
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.relations.relations import F, T
 
-_OPPOSITE = {one: other for pair in OPPOSITES for one, other in (pair, pair[::-1])}
+OPPOSITE = {one: other for pair in OPPOSITES for one, other in (pair, pair[::-1])}
 
 
 @dataclass(kw_only=True)
@@ -168,10 +168,10 @@ def _correct(
 def _ruled_out_before(cell: FieldRef, judged: Mapping[FieldRef, Sequence[Event]]) -> bool:
     """Whether a person had said what rules the cell's relation out (see `_exclude`) when it was corrected."""
     stands = standing(judged[cell])
-    if cell.field not in _OPPOSITE or not stands:
+    if cell.field not in OPPOSITE or not stands:
         return False
     (a, b), first = cell.numbers, stands[0]
-    others = (FieldRef("relation", cell.frame, cell.key, _OPPOSITE[cell.field]), replace(cell, key=f"{b},{a}"))
+    others = (FieldRef("relation", cell.frame, cell.key, OPPOSITE[cell.field]), replace(cell, key=f"{b},{a}"))
     return first.before == F and any(e.after == T and e.id < first.id for c in others for e in judged.get(c, ()))
 
 
@@ -191,7 +191,7 @@ def _exclude(
     found: CorrectedPairs, i: int, j: int, relation: str, event: Event, setting: Setting, origins: Origins
 ) -> None:
     """What a person said to hold rules out its opposite, and itself the other way round."""
-    k, opposite = PAIRWISE.index(relation), _OPPOSITE.get(relation)
+    k, opposite = PAIRWISE.index(relation), OPPOSITE.get(relation)
     if found.pairs.states[i, j, k] != T or opposite is None:
         return
     for a, b, name in ((i, j, opposite), (j, i, relation)):

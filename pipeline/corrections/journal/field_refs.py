@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -218,18 +219,20 @@ def box_of(value: Any) -> Box3D:
     return Box3D(center, shaped, size)
 
 
-def _name(value: Any) -> str:
-    return plain_text(value, "a class name", LONGEST_NAME)
+_name = partial(plain_text, what="a class name", longest=LONGEST_NAME)
+_sentence = partial(plain_text, what="a text", longest=LONGEST_TEXT)
 
 
-def _sentence(value: Any) -> str:
-    return plain_text(value, "a text", LONGEST_TEXT)
+def _one_of(what: str, allowed: Collection[str]) -> Callable[[Any], str]:
+    def check(value: Any) -> str:
+        if value not in allowed:
+            raise InputError(f"no such {what}", got=repr(value)[:60], expected=" | ".join(allowed))
+        return value
+
+    return check
 
 
-def _status(value: Any) -> str:
-    if value not in STATUSES:
-        raise InputError("no such status", got=repr(value)[:60], expected=" | ".join(STATUSES))
-    return value
+_status = _one_of("status", STATUSES)
 
 
 def _judgement(value: Any) -> dict[str, Any]:
@@ -242,9 +245,7 @@ def _judgement(value: Any) -> dict[str, Any]:
 def _mark(value: Any) -> str:
     from pipeline.diagnosis.verdict import MARKS
 
-    if value not in MARKS:
-        raise InputError("no such mark", got=repr(value)[:60], expected=" | ".join(MARKS))
-    return value
+    return _one_of("mark", MARKS)(value)
 
 
 def _flag(value: Any) -> bool:

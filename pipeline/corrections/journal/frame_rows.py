@@ -188,6 +188,7 @@ class FrameIndex:
         self._index = {name: table.column("frame_index").to_numpy() for name, table in tables.items()}
         names = tables["frames"].column("frame").to_pylist()
         self.of_frame = dict(zip(names, self._index["frames"].tolist(), strict=True))
+        self.name_of = {index: name for name, index in self.of_frame.items()}
 
     def span(self, table: str, index: int) -> tuple[int, int]:
         """First row of a frame, and the one after its last."""

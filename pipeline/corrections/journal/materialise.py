@@ -70,7 +70,7 @@ def materialise(
 
 
 def _write(found: EffectiveLabels, journal: Journal, folder: Path) -> Manifest:
-    was = found.labels.manifest
+    was = found.manifest
     tables = {name: write_merged(folder, name, iter([found.tables[name]])) for name in TABLES}
     write_table(found.provenance, folder / PROVENANCE_FILE)
     listed = {

@@ -124,7 +124,7 @@ def postgres_engine(where: str) -> sa.Engine:
         if isinstance(error, OSError) or state_of(error).get("C", "").startswith(_GONE):
             context.is_disconnect = True
         if isinstance(error, TimeoutError):
-            server_at(address.host, address.port).is_silent(error)
+            server_at(address.host, address.port).know(error)
 
     event.listen(engine, "handle_error", drop_what_broke)
     return engine
@@ -350,27 +350,24 @@ class Server:
             return question()
         except Exception as error:
             if time.monotonic() - began > SLOW_S:
-                self._know(error)
+                self.know(error)
             raise
         finally:
             with self._lock:
                 self._asked.remove(began)
 
-    def is_silent(self, error: Exception) -> None:
-        """It did not answer on a connection that it had: whoever asks next need not find out by waiting."""
-        self._know(error)
-
     def _look(self, connect: Callable[[], Link]) -> None:
         try:
             link = connect()
         except Exception as error:
-            self._know(error)
+            self.know(error)
             return
-        self._know(None)
+        self.know(None)
         with suppress(Exception):
             link.close()
 
-    def _know(self, away: Exception | None) -> None:
+    def know(self, away: Exception | None) -> None:
+        """It answers, or is away: whoever asks next need not find that out by waiting."""
         with self._lock:
             self._away, self._again = away, time.monotonic() + AGAIN_S
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from pipeline.corrections.review.items import ItemKey
 from pipeline.corrections.review.out_of_fold import Doubts
+from pipeline.geometry.boxes import iou_2d
 from pipeline.labels.check.findings import Finding
 from pipeline.labels.check.stream import UNKNOWN
 from pipeline.labels.reading import Labels
@@ -83,7 +84,7 @@ class ItemEvidence:
 def network_evidence(cells: RelationLabels, probability: np.ndarray, wrong: np.ndarray, least: float) -> CellEvidence:
     """Labels that networks which have not learnt from them find wrong with at least this probability."""
     rows, columns = np.nonzero(wrong >= least)
-    states = _letters(cells.states[rows, columns])
+    states = letters(cells.states[rows, columns])
     p, q = probability[rows, columns], wrong[rows, columns]
     reason = _joined(
         "the label is ", states, ", and networks that have not learnt from it give it a probability of ",
@@ -243,7 +244,7 @@ def disputed_evidence(
         columns.append(np.array(own_columns, np.int64)[c])
     r = np.concatenate([np.zeros(0, np.int64), *rows])
     c = np.concatenate([np.zeros(0, np.int64), *columns])
-    opposite = _letters(-cells.states[r, c])
+    opposite = letters(-cells.states[r, c])
     reason = _joined("the other labels of this frame say ", opposite)
     return CellEvidence(r, c, np.full(len(r), DISPUTED), reason), tuple(items)
 
@@ -263,17 +264,15 @@ def matched_boxes(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """(N,) int64: which of M second boxes each first one is, both (., 4) x0, y0, x1, y1; -1 where none is."""
     if not len(first) or not len(second):
         return np.full(len(first), -1, np.int64)
-    low, high = np.maximum(first[:, None, :2], second[None, :, :2]), np.minimum(first[:, None, 2:], second[None, :, 2:])
-    inner = np.clip(high - low, 0, None).prod(axis=2)
-    area = [np.clip(b[:, 2:] - b[:, :2], 0, None).prod(axis=1) for b in (first, second)]
-    iou = inner / np.maximum(area[0][:, None] + area[1][None] - inner, 1e-12)
+    iou = iou_2d(first, second)
     best = iou.argmax(axis=1)
     here = np.arange(len(first))
     mutual = (iou.argmax(axis=0)[best] == here) & (iou[here, best] >= SAME_BOX_IOU)
     return np.where(mutual, best, -1)
 
 
-def _letters(states: np.ndarray) -> np.ndarray:
+def letters(states: np.ndarray) -> np.ndarray:
+    """T, F or U of each state."""
     return np.where(states == T, "T", np.where(states == F, "F", "U"))
 
 

@@ -16,6 +16,7 @@ from pipeline.corrections.review.evidence import (
     disputed_evidence,
     doubtful_evidence,
     doubts_of_cells,
+    letters,
     linter_evidence,
     margin_evidence,
     network_evidence,
@@ -34,7 +35,6 @@ from pipeline.corrections.review.reviewed import (
 from pipeline.corrections.review.states import Judgements
 from pipeline.labels.check.linter import check_labels
 from pipeline.labels.reading import Labels
-from pipeline.relations.relations import F, T
 from pipeline.training.label_data import LabelData, read_label_data
 
 if TYPE_CHECKING:
@@ -177,7 +177,7 @@ def _relation_rows(
         "relation": np.array(cells.relations, object)[column],
         "expression": np.full(len(row), None, object),
         "place": np.full(len(row), None, object),
-        "label": np.where(states == T, "T", np.where(states == F, "F", "U")).astype(object),
+        "label": letters(states).astype(object),
         "probability": probability[row, column],
         "wrong": wrong[row, column],
         "score": score[row, column],

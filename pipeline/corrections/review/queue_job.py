@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -17,11 +17,10 @@ from pipeline.corrections.review.evidence import read_cells
 from pipeline.corrections.review.items import by_frame, with_states
 from pipeline.corrections.review.out_of_fold import DoubtConfig
 from pipeline.corrections.review.queue import QueueConfig, review_queue
-from pipeline.corrections.review.retraining_run import RetrainingJob, retraining_in_background
+from pipeline.corrections.review.retraining_run import CorrectedLabelsJob, RetrainingJob, retraining_in_background
 from pipeline.corrections.review.reviewed import Reviewed, reviewed_labels, states_on_labels
 from pipeline.corrections.review.second_opinions import pair_agreements
 from pipeline.corrections.review.worklist import NOTHING, Mark, Worklist, mark_of, read_queue, worklist, write_queue
-from pipeline.datasets import Dataset
 from pipeline.labels.pictures import labelled_dataset
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.language.naming import Synonyms
@@ -36,36 +35,20 @@ CANCELLED = "cancelled"
 
 
 @dataclass(frozen=True)
-class QueueJob:
-    """What a queue is made of.
+class QueueJob(CorrectedLabelsJob):
+    """What a queue is made of; `out` is the Parquet file to write.
 
     Attributes
     ----------
-    labels : Path
-        As they were made.
-    out : Path
-        Parquet file to write.
-    journal, project : str or None
-        See `journal_of`.
-    dataset : str or None
-        For what follows from corrected pixels and boxes; without it, as the labels name it.
     networks : bool
         Ask networks that have not learnt from a label; that takes the most time.
-    options : dict
-        Of the dataset, for `labelled_dataset`: intrinsics, depth_scale.
     detector : DetectorSetup or None
         Asked about the labelled frames too; see `second_setup`.
     called : str or None
         What the detector is called. Default: its own name.
     """
 
-    labels: Path
-    out: Path
-    journal: str | None = None
-    project: str | None = None
-    dataset: str | None = None
     networks: bool = True
-    options: dict[str, Any] = field(default_factory=dict)
     detector: DetectorSetup | None = None
     called: str | None = None
 
@@ -161,15 +144,7 @@ def _reviewed(job: QueueJob, labels: Labels, folder: Path) -> tuple[Reviewed, Ma
         return Reviewed(labels), NOTHING
     with journal:
         newest = journal.events(last=1)
-        return reviewed_labels(labels, journal, folder, _dataset(job, labels)), mark_of(newest)
-
-
-def _dataset(job: QueueJob, labels: Labels) -> Dataset | None:
-    try:
-        return labelled_dataset(labels.manifest, job.dataset, **job.options)
-    except InputError:
-        # What follows from corrected pixels and boxes is then marked stale.
-        return None
+        return reviewed_labels(labels, journal, folder, job.corrected_dataset(labels)), mark_of(newest)
 
 
 @dataclass(frozen=True)

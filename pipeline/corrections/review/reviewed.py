@@ -24,13 +24,12 @@ from pipeline.corrections.review.states import Judgements, item_of, judgements_o
 from pipeline.datasets import Dataset
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.labels.schema import Manifest, labels_version
-from pipeline.relations.relations import F, T, U
+from pipeline.relations.relations import F, T, U, letter
 from pipeline.training.label_data import LabelData
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
-_LETTER = {T: "T", U: "U", F: "F"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +77,7 @@ def relation_states(cells: RelationLabels, keys: set[ItemKey]) -> dict[ItemKey, 
     """T, U or F of those of the items that are relations of the labels and have a state."""
     wanted, rows, columns = _places(cells, keys)
     states = cells.states[rows, columns].tolist()
-    return {key: state for key, state in zip(wanted, states, strict=True) if state in _LETTER}
+    return {key: state for key, state in zip(wanted, states, strict=True) if state in (T, U, F)}
 
 
 def _places(cells: RelationLabels, keys: set[ItemKey]) -> tuple[list[ItemKey], np.ndarray, np.ndarray]:
@@ -98,7 +97,7 @@ def states_on_labels(judgements: Judgements, cells: RelationLabels) -> dict[Item
     now = relation_states(cells, set(states))
     for key, state in now.items():
         said = judgements.said(key)
-        if said in ("T", "U", "F") and said != _LETTER[state]:
+        if said in ("T", "U", "F") and said != letter(state):
             states[key] = "unsure"
     return states
 

@@ -23,7 +23,7 @@ from pipeline.corrections.review.items import (
 )
 from pipeline.corrections.review.reviewed import DISAGREE
 from pipeline.corrections.review.states import Judgements, Word
-from pipeline.metrics.kappa import Agreement, Key, cohen_kappa
+from pipeline.metrics.kappa import Agreement, cohen_kappa
 from pipeline.system.errors import InputError
 
 if TYPE_CHECKING:
@@ -106,13 +106,6 @@ def _without_others(queue: pa.Table) -> pa.Table:
     reasons = [[r for r in row if not r.startswith(DISAGREE)] for row in queue.column("reasons").to_pylist()]
     field = queue.schema.field(at)
     return queue.set_column(at, field, pa.array(reasons, field.type))
-
-
-def agreement_of(first: Mapping[Key, str], second: Mapping[Key, str]) -> Agreement:
-    """Agreement on the items that both have reviewed: "unreviewed" is no judgement."""
-    none = "unreviewed"
-    both = [key for key, said in first.items() if said != none and second.get(key, none) != none]
-    return cohen_kappa([first[key] for key in both], [second[key] for key in both])
 
 
 @dataclass(frozen=True, eq=False)

@@ -25,8 +25,10 @@ from pipeline.corrections.journal.field_refs import FieldRef, object_cell
 from pipeline.corrections.journal.incoming.outlines import is_rectangle, mask_of, polygons_of, same_outline
 from pipeline.corrections.journal.incoming.states import Claims
 from pipeline.geometry.boxes import iou_2d
+from pipeline.geometry.mask_crop import MaskCrop
 from pipeline.geometry.run_length import decode_run_length, encode_run_length
 from pipeline.labels.exports.provenance import ExportedFrom
+from pipeline.proposals.assignment import share_inside
 from pipeline.system.errors import InputError
 
 LARGEST = 1 << 31
@@ -69,14 +71,15 @@ def load_coco(path: Path) -> Any:
     try:
         if path.stat().st_size > LARGEST:
             raise InputError("the file is too large", got=f"{path.stat().st_size} bytes", expected=LARGEST, path=path)
-        return json.loads(path.read_text(encoding="utf-8"), parse_constant=_no_number)
+        return json.loads(path.read_text(encoding="utf-8"), parse_constant=no_number)
     except (OSError, ValueError, RecursionError, MemoryError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError("not a readable JSON file", got=str(error)[:100], path=path) from error
 
 
-def _no_number(word: str) -> float:
+def no_number(word: str) -> float:
+    """Refuse NaN and infinity in JSON."""
     raise ValueError(f"{word} is no number")
 
 
@@ -242,7 +245,7 @@ class _Reader:
         names = [self.categories.get(found[p][1].get("category_id", -1)) for p in boxes]  # pyright: ignore
         same = np.array([[n == row["label"] for row in objects.values()] for n in names])
         # Tools drop thin parts of an object: what is left lies within its box, and is called as it was.
-        within = same & (_share_within(theirs, ours) >= WITHIN)
+        within = same & (share_inside(theirs, ours) >= WITHIN)
         likely = np.where(overlap >= SAME_PLACE, 1 + overlap + 0.01 * same, np.where(within, overlap, 0))
         rows, columns = linear_sum_assignment(likely, maximize=True)
         places, numbers = list(boxes), list(objects)
@@ -304,7 +307,7 @@ class _Reader:
                 box = own
         # The box around the pixels that the file has follows from them, and was not moved.
         slack, outline = max(self.options.outline, 1), row.get("segmentation")
-        if drawn is not None and _near(box, bounds(drawn), slack):
+        if drawn is not None and _near(box, list(MaskCrop(0, 0, drawn).box), slack):
             return
         if outline and isinstance(outline, list) and was["mask"] is not None:
             corners = np.concatenate(polygons_of(outline))
@@ -328,23 +331,9 @@ class _Reader:
         self.claims.say_new(where, self.base.frame, seed, self.state)
 
 
-def bounds(mask: np.ndarray) -> list[float]:
-    """x0, y0, x1, y1 around the pixels of a mask that has some."""
-    v, u = np.nonzero(mask)
-    return [float(u.min()), float(v.min()), float(u.max() + 1), float(v.max() + 1)]
-
-
 def bounds_of(corners: np.ndarray) -> list[float]:
     """The rectangle around corners, (N, 2)."""
     return [*corners.min(axis=0).tolist(), *corners.max(axis=0).tolist()]
-
-
-def _share_within(boxes: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """(N, M) share of each box that lies within each of the others."""
-    low = np.maximum(boxes[:, None, :2], others[None, :, :2])
-    high = np.minimum(boxes[:, None, 2:], others[None, :, 2:])
-    size = boxes[:, 2:] - boxes[:, :2]
-    return np.clip(high - low, 0, None).prod(axis=2) / size.prod(axis=1)[:, None]
 
 
 def _near(one: list[float], other: list[float], slack: float) -> bool:

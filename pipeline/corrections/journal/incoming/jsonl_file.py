@@ -16,7 +16,7 @@ from typing import Any
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.effective_objects import BOX_COLUMNS
 from pipeline.corrections.journal.field_refs import FieldRef, object_cell, relation_cell, same_value
-from pipeline.corrections.journal.incoming.coco_file import expression_cell, images_of, listed, number_of
+from pipeline.corrections.journal.incoming.coco_file import expression_cell, images_of, listed, no_number, number_of
 from pipeline.corrections.journal.incoming.states import Claims
 from pipeline.geometry.run_length import decode_run_length
 from pipeline.labels.exports.jsonl import BLOCK
@@ -69,9 +69,7 @@ def read_lines(path: Path, claims: Claims, state_of: StateOf, *, reject_deleted:
             elif kind == "expressions":
                 _expression(where, row, frame, state, claims)
             else:
-                for field in ("status", "note"):
-                    if field in row:
-                        claims.say(where, FieldRef("frame", frame, "", field), row[field], state)
+                claims.say_fields(where, row, FieldRef("frame", frame, "", "status"), ("status", "note"), state)
         except InputError as error:
             claims.problem(where, error)
     if reject_deleted:
@@ -91,7 +89,7 @@ def _rows(path: Path, claims: Claims) -> Iterator[tuple[str, Row]]:
                 if not line.strip():
                     continue
                 try:
-                    row = json.loads(line, parse_constant=_no_number)
+                    row = json.loads(line, parse_constant=no_number)
                 except (ValueError, RecursionError) as error:
                     claims.problem(where, f"not JSON: {str(error)[:80]}")
                     continue
@@ -101,10 +99,6 @@ def _rows(path: Path, claims: Claims) -> Iterator[tuple[str, Row]]:
                     claims.problem(where, f"a row is an object of JSON, got {type(row).__name__}")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError("the file cannot be read", got=str(error)[:100], path=path) from error
-
-
-def _no_number(word: str) -> float:
-    raise ValueError(f"{word} is no number")
 
 
 def _table(row: Row) -> str:
@@ -150,13 +144,10 @@ def _object(where: str, row: Row, frame: str, state: ExportedFrom, claims: Claim
     if was is None:
         raise InputError(f"frame {frame} had no object {number}", cause="a new one has no number")
     seen.add(number)
-    for field in ("label", "status"):
-        if field in row:
-            claims.say(where, object_cell(frame, number, field), row[field], state)
+    claims.say_fields(where, row, object_cell(frame, number, "label"), ("label", "status"), state)
     if "mask" in row and not same_mask(row["mask"], was["mask"], (base.row["height"], base.row["width"])):
         claims.say(where, object_cell(frame, number, "mask"), row["mask"], state)
-    if "bbox" in row:
-        claims.say(where, object_cell(frame, number, "bbox"), row["bbox"], state)
+    claims.say_fields(where, row, object_cell(frame, number, "bbox"), ("bbox",), state)
     if box != {}:
         claims.say(where, object_cell(frame, number, "box"), box, state)
     _ignore(row, was, {"label", "mask", "bbox", *BOX_COLUMNS}, claims)
@@ -189,18 +180,23 @@ def _relation(where: str, row: Row, frame: str, state: ExportedFrom, claims: Cla
     check_pair(base, a, b)
     relations = base.setting.relations
     for relation in PAIRWISE:
-        if relation not in row:
-            continue
-        said = row[relation]
-        if said == base.pairs.state(a, b, relation) and type(said) in (int, type(None)):
-            continue
-        if relation not in relations:
-            raise InputError(f"the labels hold no relation {relation!r}")
-        claims.say(where, relation_cell(frame, a, b, relation), said, state)
+        if relation in row:
+            _state(where, base, relation_cell(frame, a, b, relation), row[relation], state, claims)
     if "statuses" in row:
         statuses = _statuses(row["statuses"], relations)
         for relation in relations:
             claims.say(where, relation_cell(frame, a, b, f"{relation}.status"), statuses.get(relation), state)
+
+
+def _state(
+    where: str, base: EffectiveFrame, cell: FieldRef, value: Any, state: ExportedFrom, claims: Claims
+) -> None:
+    """The state of a relation; one that the labels do not hold may be there as it was exported."""
+    if value == base.value(cell) and type(value) in (int, type(None)):
+        return
+    if cell.field not in base.setting.relations:
+        raise InputError(f"the labels hold no relation {cell.field!r}")
+    claims.say(where, cell, value, state)
 
 
 def _statuses(listed: Any, relations: tuple[str, ...]) -> dict[str, Any]:
@@ -216,9 +212,7 @@ def _expression(where: str, row: Row, frame: str, state: ExportedFrom, claims: C
     name, base = row.get("id"), claims.base(frame, state)
     if not isinstance(name, str) or name not in base.auto.expressions:
         raise InputError(f"frame {frame} has no such expression", got=repr(name)[:60])
-    for field in _TEXTS:
-        if field in row:
-            claims.say(where, FieldRef("expression", frame, name, field), row[field], state)
+    claims.say_fields(where, row, FieldRef("expression", frame, name, "text"), _TEXTS, state)
     _ignore(row, base.expressions.get(name, base.auto.expressions[name]), set(_TEXTS), claims)
 
 
@@ -271,9 +265,7 @@ def read_refs(
                 if key in ref:
                     numbers = _objects(ref[key], frame, annotations, key)
                     claims.say(where, expression_cell(frame, own, field), numbers, state)
-            for field in ("ambiguous", "mark", "status"):
-                if field in ref:
-                    claims.say(where, expression_cell(frame, own, field), ref[field], state)
+            claims.say_fields(where, ref, expression_cell(frame, own, "mark"), ("ambiguous", "mark", "status"), state)
         except InputError as error:
             claims.problem(where, error)
 
@@ -327,12 +319,8 @@ def _columns(
     for m, n in zip(a, b, strict=True):
         check_pair(base, m, n)
     for relation in relations:
-        for m, n, said in zip(a, b, image[relation], strict=True):
-            if said == base.pairs.state(m, n, relation) and type(said) in (int, type(None)):
-                continue
-            if relation not in base.setting.relations:
-                raise InputError(f"the labels hold no relation {relation!r}")
-            claims.say(f"{where}, pair {m},{n}", relation_cell(frame, m, n, relation), said, state)
+        for m, n, value in zip(a, b, image[relation], strict=True):
+            _state(f"{where}, pair {m},{n}", base, relation_cell(frame, m, n, relation), value, state, claims)
     if "statuses" in image:
         _pair_statuses(image["statuses"], where, frame, annotations, state, claims)
 

@@ -6,8 +6,8 @@ import hashlib
 import json
 from bisect import bisect_right
 from collections import Counter, OrderedDict
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 from pipeline.corrections.journal.effective import Corrector
@@ -66,9 +66,7 @@ class States:
 
     def frame_of_index(self, index: int) -> str | None:
         """The id of a frame by its place in the dataset."""
-        if not hasattr(self, "_of_index"):
-            self._of_index = {i: name for name, i in self._bare.index.of_frame.items()}
-        return self._of_index.get(index)
+        return self._bare.index.name_of.get(index)
 
     def index_of(self, frame: str) -> int:
         """The place of a frame in the dataset."""
@@ -199,6 +197,14 @@ class Claims:
             return
         if not same_value(value, self.base(cell.frame, state).value(cell)):
             self.put(Claim(where, cell, value, state))
+
+    def say_fields(
+        self, where: str, row: Mapping[str, Any], cell: FieldRef, fields: Iterable[str], state: ExportedFrom
+    ) -> None:
+        """Those of the fields of a cell's entity that a row of the file has."""
+        for name in fields:
+            if name in row:
+                self.say(where, replace(cell, field=name), row[name], state)
 
     def put(self, claim: Claim) -> None:
         """Keep a claim; a second one on the same cell must say the same."""
