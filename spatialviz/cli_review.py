@@ -77,8 +77,12 @@ class Review:
     def run(self) -> int:
         from pipeline.corrections.journal.frame_rows import setting_of
         from pipeline.corrections.review.evidence import read_cells
-        from pipeline.corrections.review.reviewed import states_on_labels, without_gone
-        from pipeline.corrections.review.second_opinions import pair_agreements, review_progress
+        from pipeline.corrections.review.reviewed import (
+            pair_agreements,
+            review_progress,
+            states_on_labels,
+            without_gone,
+        )
         from pipeline.corrections.review.worklist import write_queue
         from pipeline.labels.reading import open_labels
         from spatialviz.printing_review import print_agreement, print_progress, print_queue
@@ -186,7 +190,7 @@ class Review:
 
     def _shown(self, queue: pa.Table, reviewed: Reviewed, states: dict[ItemKey, State]) -> pa.Table:
         from pipeline.corrections.review.items import left_to_review, with_states
-        from pipeline.corrections.review.second_opinions import left_for
+        from pipeline.corrections.review.reviewed import left_for
 
         if self.author is not None:
             return left_for(

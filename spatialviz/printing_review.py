@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from pipeline.corrections.review.retraining import Retraining
     from pipeline.corrections.review.retraining_run import RetrainingRun
-    from pipeline.corrections.review.second_opinions import PairAgreement
+    from pipeline.corrections.review.reviewed import PairAgreement
 
 SHOWN_CELLS = 5
 

@@ -443,7 +443,7 @@ def test_network_file_systems_are_told_apart(tmp_path: Path) -> None:
 def test_the_migration_makes_the_table_that_the_code_expects(journal: Journal) -> None:
     from sqlalchemy import inspect
 
-    from pipeline.corrections.journal.schema import EVENTS
+    from pipeline.corrections.journal.chain import EVENTS
 
     found = {c["name"]: (str(c["type"]), c["nullable"]) for c in inspect(journal.engine).get_columns("events")}
     dialect = journal.engine.dialect

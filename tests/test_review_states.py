@@ -28,13 +28,16 @@ from pipeline.corrections.review.out_of_fold import DoubtConfig, doubt_labels
 from pipeline.corrections.review.queue import QueueConfig, review_queue
 from pipeline.corrections.review.queue_job import QueueJob, make_queue
 from pipeline.corrections.review.reviewed import (
+    left_for,
+    pair_agreements,
+    review_progress,
     reviewed_labels,
     settled_cells,
     states_on_labels,
     trusted_of_data,
     without_gone,
+    wrong_left,
 )
-from pipeline.corrections.review.second_opinions import left_for, pair_agreements, review_progress, wrong_left
 from pipeline.corrections.review.states import item_of, judgements_of, states_of
 from pipeline.corrections.review.worklist import (
     NOTHING,

@@ -11,7 +11,7 @@ import numpy as np
 from pipeline.answering.objects import SceneObject
 from pipeline.corrections.journal.effective import Corrector
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
-from pipeline.corrections.journal.effective_pairs import OPPOSITE
+from pipeline.corrections.journal.effective_objects import OPPOSITE
 from pipeline.corrections.journal.field_refs import box_value, object_cell, relation_cell
 from pipeline.corrections.journal.frame_rows import NO_STATE
 from pipeline.corrections.journal.replay import Origin

@@ -14,10 +14,24 @@ from typing import Any
 import sqlalchemy as sa
 from sqlalchemy.exc import DBAPIError, SQLAlchemyError
 
-from pipeline.corrections.journal.chain import CONTENT, FIRST, Head, Row, Verdict, chained, judged, judged_alone
+from pipeline.corrections.journal.chain import (
+    CONTENT,
+    EVENTS,
+    FIRST,
+    HEAD,
+    VERSION,
+    Head,
+    Row,
+    Verdict,
+    chained,
+    create,
+    drop_before,
+    judged,
+    judged_alone,
+    version_of,
+)
 from pipeline.corrections.journal.examining import Examined, examine, read_only
 from pipeline.corrections.journal.postgres import ask_for_turn, postgres_engine, state_of
-from pipeline.corrections.journal.schema import EVENTS, HEAD, VERSION, create, drop_before, version_of
 from pipeline.corrections.journal.sqlite_file import (
     BUSY_S,
     READING,

@@ -8,8 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.corrections.journal.effective_objects import CorrectedObjects
-from pipeline.corrections.journal.effective_pairs import CorrectedPairs
+from pipeline.corrections.journal.effective_objects import CorrectedObjects, CorrectedPairs
 from pipeline.corrections.journal.events import Event
 from pipeline.corrections.journal.field_refs import FieldRef
 from pipeline.corrections.journal.frame_rows import FrameRows, Pairs, Setting

@@ -13,10 +13,10 @@ from pipeline.corrections.journal.effective_objects import (
     OF_BOX,
     CorrectedObjects,
     correct_objects,
+    correct_pairs,
     object_value,
     unusable,
 )
-from pipeline.corrections.journal.effective_pairs import correct_pairs
 from pipeline.corrections.journal.events import Event
 from pipeline.corrections.journal.field_refs import FIELDS, FieldRef
 from pipeline.corrections.journal.frame_rows import FrameRows, Pairs, Setting

@@ -16,8 +16,20 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from pipeline.corrections.journal.chain import CONTENT, Head, Row, Verdict, judged, judged_alone
-from pipeline.corrections.journal.schema import BEFORE, REVISION, STATEMENTS, TABLES, VERSION, fingerprint
+from pipeline.corrections.journal.chain import (
+    BEFORE,
+    CONTENT,
+    REVISION,
+    STATEMENTS,
+    TABLES,
+    VERSION,
+    Head,
+    Row,
+    Verdict,
+    fingerprint,
+    judged,
+    judged_alone,
+)
 from pipeline.corrections.journal.sqlite_file import connected, lost_in_log, plain_reason, read_plainly
 from pipeline.system.errors import InputError
 

@@ -13,7 +13,7 @@ from typing import Any
 import sqlalchemy as sa
 from sqlalchemy.exc import IntegrityError
 
-from pipeline.corrections.journal.chain import CONTENT, Head, chained, link
+from pipeline.corrections.journal.chain import CONTENT, EVENTS, HEAD, Head, chained, link
 from pipeline.corrections.journal.connection import (
     DATABASE_ERRORS,
     is_url,
@@ -30,7 +30,6 @@ from pipeline.corrections.journal.connection import (
 from pipeline.corrections.journal.events import Action, Conflict, Edit, Event, NotSaved, Rival, Saved, new_ulid
 from pipeline.corrections.journal.examining import DamagedJournal, empty_file, examine, is_empty
 from pipeline.corrections.journal.field_refs import LONGEST_NAME, FieldRef, Kind, plain_text
-from pipeline.corrections.journal.schema import EVENTS, HEAD
 from pipeline.labels.reading import Labels
 from pipeline.labels.schema import labels_version
 from pipeline.system.errors import InputError

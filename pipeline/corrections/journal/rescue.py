@@ -7,6 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from pipeline.corrections.journal.chain import VERSION, version_of
 from pipeline.corrections.journal.connection import (
     DATABASE_ERRORS,
     copy_whole,
@@ -21,7 +22,6 @@ from pipeline.corrections.journal.connection import (
     writing,
 )
 from pipeline.corrections.journal.examining import Examined, empty_file, examine, is_empty
-from pipeline.corrections.journal.schema import VERSION, version_of
 from pipeline.system.errors import InputError
 
 

@@ -18,8 +18,7 @@ from pipeline.corrections.review.items import by_frame, with_states
 from pipeline.corrections.review.out_of_fold import DoubtConfig
 from pipeline.corrections.review.queue import QueueConfig, review_queue
 from pipeline.corrections.review.retraining_run import CorrectedLabelsJob, RetrainingJob, retraining_in_background
-from pipeline.corrections.review.reviewed import Reviewed, reviewed_labels, states_on_labels
-from pipeline.corrections.review.second_opinions import pair_agreements
+from pipeline.corrections.review.reviewed import Reviewed, pair_agreements, reviewed_labels, states_on_labels
 from pipeline.corrections.review.worklist import NOTHING, Mark, Worklist, mark_of, read_queue, worklist, write_queue
 from pipeline.labels.pictures import labelled_dataset
 from pipeline.labels.reading import Labels, open_labels
