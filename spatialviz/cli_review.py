@@ -76,7 +76,7 @@ class Review:
 
     def run(self) -> int:
         from pipeline.corrections.journal.frame_rows import setting_of
-        from pipeline.corrections.review.evidence import read_cells
+        from pipeline.corrections.review.evidence import read_relation_labels
         from pipeline.corrections.review.reviewed import (
             pair_agreements,
             review_progress,
@@ -100,7 +100,7 @@ class Review:
                     print_agreement(pairs, self.limit)
                 return FINE if pairs else NO
             queue = self._queue(reviewed, labels)
-            states = states_on_labels(reviewed.judgements, read_cells(reviewed.labels))
+            states = states_on_labels(reviewed.judgements, read_relation_labels(reviewed.labels))
             if self.queue is not None:
                 queue = without_gone(queue, reviewed.labels, states)
         if self.out is not None:

@@ -104,5 +104,5 @@ def test_each_reviewer_has_a_word_of_their_own(bare_corrector: Corrector, journa
     for author, status in (("ann", "accepted"), ("ben", "unsure")):
         saved(journal, edits.set_status(bare_corrector.frame(FRAME, journal), cell, status, author=author), author)
     card = expression_card(bare_corrector.frame(FRAME, journal), name)
-    assert card.said == card.record()["said"] == {"ann": "accepted", "ben": "unsure"}
+    assert card.statuses == card.record()["said"] == {"ann": "accepted", "ben": "unsure"}
     assert card.status is None

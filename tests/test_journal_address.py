@@ -23,13 +23,13 @@ from waiting import LONG_S, wait_until
 from pipeline.corrections.journal import postgres
 from pipeline.corrections.journal.connection import likely_cause, reason_of
 from pipeline.corrections.journal.events import Edit, NotSaved, Saved
-from pipeline.corrections.journal.field_refs import object_cell
+from pipeline.corrections.journal.field_refs import object_ref
 from pipeline.corrections.journal.journal import Journal, open_journal
 from pipeline.corrections.journal.postgres import address_of, password_in_file
 from pipeline.corrections.journal.undo import redo, undo
 from pipeline.system.errors import InputError
 
-NAME = object_cell("f", 1, "label")
+NAME = object_ref("f", 1, "label")
 SECRET = "it's: a\\secret %40"
 
 

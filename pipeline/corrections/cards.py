@@ -12,7 +12,7 @@ from pipeline.answering.objects import SceneObject
 from pipeline.corrections.journal.effective import Corrector
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.effective_objects import OPPOSITE
-from pipeline.corrections.journal.field_refs import box_value, object_cell, relation_cell
+from pipeline.corrections.journal.field_refs import box_value, object_ref, relation_ref
 from pipeline.corrections.journal.frame_rows import NO_STATE
 from pipeline.corrections.journal.replay import Origin
 from pipeline.geometry.boxes import Box3D
@@ -122,20 +122,20 @@ def pair_card(frame: EffectiveFrame, a: int, b: int) -> PairCard:
         raise InputError("an object has no relation to itself", got=a)
     names = frame.objects[a]["label"], frame.objects[b]["label"]
     pairs = frame.pairs
-    i, j = pairs.place(a), pairs.place(b)
+    i, j = pairs.index_of(a), pairs.index_of(b)
     if i is None or j is None:
         gone = a if i is None else b
         row = frame.objects[gone]
         return PairCard(frame.frame, a, b, names, None, (), f"{row['label']}·{gone}: {row['reason'] or 'not usable'}")
     lines = []
     for relation in frame.setting.relations:
-        cell = relation_cell(frame.frame, a, b, relation)
-        status = relation_cell(frame.frame, a, b, f"{relation}.status")
+        ref = relation_ref(frame.frame, a, b, relation)
+        status = relation_ref(frame.frame, a, b, f"{relation}.status")
         k = PAIRWISE.index(relation)
         lines.append(
             RelationLine(
-                relation, pairs.state(a, b, relation), _number(pairs.margins[i, j, k]), frame.origin(cell),
-                frame.statuses.get(status), frame.version(cell),
+                relation, pairs.state(a, b, relation), _number(pairs.margins[i, j, k]), frame.origin(ref),
+                frame.statuses.get(status), frame.version(ref),
             )
         )  # fmt: skip
     return PairCard(frame.frame, a, b, names, _number(pairs.distance[i, j]), tuple(lines))
@@ -210,12 +210,12 @@ class MovingBox:
             return
         self._card = card
         for n in pair:
-            box = frame.value(object_cell(frame.frame, n, "box"))
+            box = frame.value(object_ref(frame.frame, n, "box"))
             self._lifted[n] = self._lift(n, box if self._is_set(n) else None)
 
     def _is_set(self, number: int) -> bool:
         """Whether a person placed the box of an object."""
-        return self.frame.origin(object_cell(self.frame.frame, number, "box")).source == "human"
+        return self.frame.origin(object_ref(self.frame.frame, number, "box")).source == "human"
 
     def _lift(self, number: int, box: Any) -> SceneObject:
         assert self._relifter is not None
@@ -272,6 +272,6 @@ class MovingBox:
         a, b = self._card.a, self._card.b
         cells = [(a, b, opposite), (b, a, relation)]
         return any(
-            frame.pairs.state(*cell) == T and frame.origin(relation_cell(frame.frame, *cell)).source == "human"
-            for cell in cells
+            frame.pairs.state(*ref) == T and frame.origin(relation_ref(frame.frame, *ref)).source == "human"
+            for ref in cells
         )

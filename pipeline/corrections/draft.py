@@ -11,7 +11,7 @@ from pipeline.corrections.drawing.depth_region import joined, link_grid
 from pipeline.corrections.drawing.gestures import Canvas, Gesture, applied, goes_around, polygon_mask
 from pipeline.corrections.journal.edits import Edits, add_object, pixels_of, set_mask, split_object
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
-from pipeline.corrections.journal.field_refs import FieldRef, object_cell
+from pipeline.corrections.journal.field_refs import FieldRef, object_ref
 from pipeline.geometry.lifting import LiftConfig, LiftedObject, lift
 from pipeline.geometry.run_length import decode_run_length, encode_run_length
 from pipeline.system.errors import InputError
@@ -66,9 +66,9 @@ class Draft:
         return self.steps[self.at] != self.steps[0]
 
     @property
-    def cell(self) -> FieldRef | None:
+    def ref(self) -> FieldRef | None:
         """The cell that it will change; None for a new object."""
-        return None if self.number is None else object_cell(self.frame, self.number, "mask")
+        return None if self.number is None else object_ref(self.frame, self.number, "mask")
 
     def back(self) -> Draft:
         """Without its last step."""
@@ -88,15 +88,15 @@ class Draft:
         return replace(self, steps=(*self.steps[: self.at + 1], step), at=self.at + 1)
 
 
-def begun(frame: EffectiveFrame, number: int | None) -> Draft:
+def new_draft(frame: EffectiveFrame, number: int | None) -> Draft:
     """A draft of an object as it is now, or of a new one; InputError where there is no such object."""
     height, width = int(frame.row["height"]), int(frame.row["width"])
     mask = np.zeros((height, width), np.bool_) if number is None else pixels_of(frame, number)
-    version = 0 if number is None else frame.version(object_cell(frame.frame, number, "mask"))
+    version = 0 if number is None else frame.version(object_ref(frame.frame, number, "mask"))
     return Draft(frame.frame, number, height, width, version, ((encode_run_length(mask),),))
 
 
-def continued(draft: Draft, gesture: Gesture, canvas: Canvas | None = None) -> Draft:
+def with_gesture(draft: Draft, gesture: Gesture, canvas: Canvas | None = None) -> Draft:
     """A draft after a gesture.
 
     Raises
@@ -125,7 +125,7 @@ def continued(draft: Draft, gesture: Gesture, canvas: Canvas | None = None) -> D
     return draft.after(*pieces)
 
 
-def come_apart(draft: Draft, canvas: Canvas) -> Draft:
+def with_depth_split(draft: Draft, canvas: Canvas) -> Draft:
     """A draft split where the object's depth comes apart; raises as `split_by_depth`."""
     if draft.number is None:
         raise InputError("a new object cannot be cut yet", cause="apply it first")
@@ -159,9 +159,9 @@ def edits_of_draft(draft: Draft, frame: EffectiveFrame, label: str = "") -> Edit
         return add_object(frame, label.strip(), mask=parts[0])
     if not draft.changed:
         raise InputError("nothing has changed")
-    assert draft.cell is not None
-    if frame.version(draft.cell) != draft.version:
-        origin = frame.origin(draft.cell)
+    assert draft.ref is not None
+    if frame.version(draft.ref) != draft.version:
+        origin = frame.origin(draft.ref)
         raise InputError(
             f"the pixels of object {draft.number} have changed since you began: {origin}",
             cause="apply again to replace them, cancel to keep them",
@@ -173,10 +173,10 @@ def edits_of_draft(draft: Draft, frame: EffectiveFrame, label: str = "") -> Edit
 
 def rebased(draft: Draft, frame: EffectiveFrame) -> Draft:
     """The same draft on what the object's pixels are now: saving it replaces them."""
-    return draft if draft.cell is None else replace(draft, version=frame.version(draft.cell))
+    return draft if draft.ref is None else replace(draft, version=frame.version(draft.ref))
 
 
-def fitted(canvas: Canvas, mask: np.ndarray) -> LiftedObject | None:
+def lifted_draft(canvas: Canvas, mask: np.ndarray) -> LiftedObject | None:
     """What a mask becomes in 3D: its points and its 3D box (camera frame), lifted as labels are; None for no pixels."""
     if not mask.any():
         return None

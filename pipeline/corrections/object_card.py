@@ -11,8 +11,8 @@ import numpy as np
 from pipeline.corrections.journal.edits import Edits, judge, set_answers, set_status, set_value
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.effective_objects import object_value
-from pipeline.corrections.journal.field_refs import FieldRef, object_cell, same_value, shown_value
-from pipeline.corrections.journal.replay import Origin, said_of_items
+from pipeline.corrections.journal.field_refs import FieldRef, object_ref, same_value, shown_value
+from pipeline.corrections.journal.replay import Origin, statuses_of_items
 from pipeline.corrections.scene import labelled_box
 from pipeline.diagnosis.whatif.box_numbers import BoxNumbers, box_numbers
 from pipeline.geometry.viewer import ViewerAxes, viewer_axes
@@ -21,7 +21,7 @@ from pipeline.system.errors import InputError
 
 FIELDS = ("label", "status", "mask", "bbox", "box")
 """What of an object can be corrected, in the order in which it is shown."""
-Doubt = Literal["sure", "likely", "no"]
+Certainty = Literal["sure", "likely", "no"]
 """Whether an expression is true of an object: beyond doubt, with doubt, or not."""
 CORRECTED_FIELDS = ("text", "targets", "acceptable", "ambiguous", "mark", "status")
 """The fields that a person may set."""
@@ -36,7 +36,7 @@ class FieldLine:
     field : str
         Of `FIELDS`.
     value : JSON value
-    said : str
+    text : str
         The same in a few words.
     automatic : str or None
         What the labeller had, in a few words; None where it had no such object.
@@ -49,7 +49,7 @@ class FieldLine:
 
     field: str
     value: Any
-    said: str
+    text: str
     automatic: str | None
     origin: Origin
     version: int
@@ -85,7 +85,7 @@ class ObjectCard:
         Who added it; "" where the labeller found it.
     status : str or None
         For all: "rejected", or what was said before judgements were each person's own.
-    said : dict of str to str
+    statuses : dict of str to str
         Status by reviewer.
     concern : str
         Why it is not asked for; "" where it is.
@@ -108,7 +108,7 @@ class ObjectCard:
     stands: bool
     added_by: str
     status: str | None
-    said: dict[str, str]
+    statuses: dict[str, str]
     concern: str
     score: float
     mask_pixels: int
@@ -134,7 +134,7 @@ class ObjectCard:
             "stands": self.stands,
             "added_by": self.added_by or None,
             "status": self.status,
-            "said": self.said,
+            "said": self.statuses,
             "concern": self.concern or None,
             "score": self.score,
             "mask_pixels": self.mask_pixels,
@@ -166,7 +166,7 @@ def object_card(frame: EffectiveFrame, number: int) -> ObjectCard:
         row["label"],
         number in frame.objects,
         _added_by(frame, number) if created else "",
-        frame.statuses.get(object_cell(frame.frame, number, "status")),
+        frame.statuses.get(object_ref(frame.frame, number, "status")),
         judgements(frame, number),
         row["reason"] or "",
         float(row["score"]),
@@ -200,12 +200,12 @@ def back_to_automatic(frame: EffectiveFrame, number: int, field: str, reason: st
     if not line.settled:
         raise InputError(f"nobody has changed the {field} of object {number}")
     said = {"status": "", "box": "as its points make it"}.get(field, "as the labeller had it")
-    return set_value(frame, object_cell(frame.frame, number, field), _automatic(frame, number, field), reason or said)
+    return set_value(frame, object_ref(frame.frame, number, field), _automatic(frame, number, field), reason or said)
 
 
 def judgements(frame: EffectiveFrame, number: int) -> dict[str, str]:
     """What reviewers say of an object: status by author."""
-    return said_of_items(frame.statuses).get(("object", number, None, ""), {})
+    return statuses_of_items(frame.statuses).get(("object", number, None, ""), {})
 
 
 def bring_back(frame: EffectiveFrame, number: int, author: str, reason: str = "") -> Edits:
@@ -218,9 +218,9 @@ def bring_back(frame: EffectiveFrame, number: int, author: str, reason: str = ""
     """
     if number not in frame.left_out:
         raise InputError(f"object {number} is not rejected")
-    cell = object_cell(frame.frame, number, "status")
-    own = judge(frame, cell, None, author, reason) if author in judgements(frame, number) else ()
-    return (*own, *set_status(frame, cell, None, reason))
+    ref = object_ref(frame.frame, number, "status")
+    own = judge(frame, ref, None, author, reason) if author in judgements(frame, number) else ()
+    return (*own, *set_status(frame, ref, None, reason))
 
 
 def _automatic(frame: EffectiveFrame, number: int, field: str) -> Any:
@@ -228,17 +228,17 @@ def _automatic(frame: EffectiveFrame, number: int, field: str) -> Any:
 
 
 def _line(frame: EffectiveFrame, number: int, field: str) -> FieldLine:
-    cell = object_cell(frame.frame, number, field)
-    value, origin = frame.value(cell), frame.origin(cell)
+    ref = object_ref(frame.frame, number, field)
+    value, origin = frame.value(ref), frame.origin(ref)
     auto = frame.auto.objects.get(number)
     was = None if auto is None else object_value(auto, field)
-    said = "unreviewed" if field == "status" and value is None else shown_value(cell, value)
+    said = "unreviewed" if field == "status" and value is None else shown_value(ref, value)
     known = auto is not None or field in ("status", "box")
-    settled = known and frame.version(cell) > 0 and origin.source == "human"
+    settled = known and frame.version(ref) > 0 and origin.source == "human"
     if field != "box":
         settled = settled and not same_value(value, _automatic(frame, number, field) if known else None)
-    automatic = None if auto is None else "unreviewed" if field == "status" else shown_value(cell, was)
-    return FieldLine(field, value, said, automatic, origin, frame.version(cell), settled)
+    automatic = None if auto is None else "unreviewed" if field == "status" else shown_value(ref, was)
+    return FieldLine(field, value, said, automatic, origin, frame.version(ref), settled)
 
 
 def _added_by(frame: EffectiveFrame, number: int) -> str:
@@ -248,7 +248,7 @@ def _added_by(frame: EffectiveFrame, number: int) -> str:
 
 
 def _states(frame: EffectiveFrame, number: int) -> dict[str, int]:
-    at = frame.pairs.place(number)
+    at = frame.pairs.index_of(number)
     if at is None:
         return {"T": 0, "U": 0, "F": 0}
     states = frame.pairs.states[at][frame.pairs.present[at]]
@@ -272,7 +272,7 @@ class ExpressionCard:
         Classes of all these objects; of one that is gone, "".
     ambiguous : bool
     mark, status : str or None
-    said : dict of str to str
+    statuses : dict of str to str
         What each reviewer says of it.
     withdrawn : str
         Why it is left out of the labels; "" where it stands.
@@ -295,12 +295,12 @@ class ExpressionCard:
     ambiguous: bool
     mark: str | None
     status: str | None
-    said: dict[str, str]
+    statuses: dict[str, str]
     withdrawn: str
     origins: dict[str, Origin]
     versions: dict[str, int]
 
-    def doubt(self, number: int) -> Doubt:
+    def doubt(self, number: int) -> Certainty:
         """Whether it is true of an object."""
         return "sure" if number in self.targets else "likely" if number in self.acceptable else "no"
 
@@ -326,7 +326,7 @@ class ExpressionCard:
             "ambiguous": self.ambiguous,
             "mark": self.mark,
             "status": self.status,
-            "said": self.said,
+            "said": self.statuses,
             "withdrawn": self.withdrawn or None,
             "origin": {name: origin.source for name, origin in self.origins.items()},
             "from": {name: str(origin) for name, origin in self.origins.items()},
@@ -337,7 +337,7 @@ class ExpressionCard:
 def expression_cards(frame: EffectiveFrame, pair: Iterable[int] = ()) -> tuple[ExpressionCard, ...]:
     """All expressions of a frame: those of a pair of objects first, those that were left out last."""
     withdrawn = {w.id: w.reason for w in frame.withdrawn}
-    said = said_of_items(frame.statuses)
+    said = statuses_of_items(frame.statuses)
     cards = [_card(frame, name, withdrawn.get(name, ""), said) for name in frame.auto.expressions]
     chosen = tuple(pair)
     return tuple(sorted(cards, key=lambda c: (not c.is_of(chosen), bool(c.withdrawn))))
@@ -348,7 +348,7 @@ def expression_card(frame: EffectiveFrame, name: str) -> ExpressionCard:
     if name not in frame.auto.expressions:
         raise InputError(f"frame {frame.frame} has no such expression", got=repr(name)[:60])
     withdrawn = next((w.reason for w in frame.withdrawn if w.id == name), "")
-    return _card(frame, name, withdrawn, said_of_items(frame.statuses))
+    return _card(frame, name, withdrawn, statuses_of_items(frame.statuses))
 
 
 def _card(
@@ -356,21 +356,21 @@ def _card(
 ) -> ExpressionCard:
     row = frame.expression(name)
     assert row is not None
-    cells = {field: FieldRef("expression", frame.frame, name, field) for field in CORRECTED_FIELDS}
+    refs = {field: FieldRef("expression", frame.frame, name, field) for field in CORRECTED_FIELDS}
     numbers = dict.fromkeys([row["target_object"], row["reference_object"], *row["targets"], *row["acceptable"]])
     rows = {n: frame.objects.get(n) or frame.left_out.get(n) for n in numbers}
     return ExpressionCard(
         frame.frame, name, row["text"], row["target"], row["relation"], row["reference"], row["target_object"],
         row["reference_object"], tuple(row["targets"]), tuple(row["acceptable"]),
         {n: "" if r is None else r["label"] for n, r in rows.items()}, bool(row["ambiguous"]),
-        frame.marks.get(name), frame.statuses.get(cells["status"]), said.get(("expression", -1, None, name), {}),
+        frame.marks.get(name), frame.statuses.get(refs["status"]), said.get(("expression", -1, None, name), {}),
         withdrawn,
-        {field: frame.origin(cell) for field, cell in cells.items()},
-        {field: frame.version(cell) for field, cell in cells.items()},
+        {field: frame.origin(ref) for field, ref in refs.items()},
+        {field: frame.version(ref) for field, ref in refs.items()},
     )  # fmt: skip
 
 
-def answers_with(card: ExpressionCard, number: int, doubt: Doubt) -> tuple[tuple[int, ...], tuple[int, ...]]:
+def answers_with(card: ExpressionCard, number: int, doubt: Certainty) -> tuple[tuple[int, ...], tuple[int, ...]]:
     """The targets and the acceptable objects of an expression when one object is to be in, in doubt, or out."""
     targets, acceptable = set(card.targets) - {number}, set(card.acceptable) - {number}
     if doubt == "sure":
@@ -380,7 +380,7 @@ def answers_with(card: ExpressionCard, number: int, doubt: Doubt) -> tuple[tuple
     return tuple(sorted(targets)), tuple(sorted(acceptable | targets))
 
 
-def set_answer(frame: EffectiveFrame, name: str, number: int, doubt: Doubt, reason: str = "") -> Edits:
+def set_answer(frame: EffectiveFrame, name: str, number: int, doubt: Certainty, reason: str = "") -> Edits:
     """Say of one object whether an expression is true of it; of what it is true else stays.
 
     Raises

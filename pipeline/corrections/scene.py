@@ -113,16 +113,16 @@ def effective_mark(frame: EffectiveFrame, expression: str, mark: str | None) -> 
         changed = not all(same_value(now[name], auto[name]) for name in _OF_THE_LABEL)
     else:
         cells = [FieldRef("object", frame.frame, str(now["target_object"]), name) for name in _OF_THE_BOX]
-        changed = any(frame.origin(cell).source == "human" for cell in cells)
+        changed = any(frame.origin(ref).source == "human" for ref in cells)
     return None if changed else mark
 
 
 def withdrawn_by(frame: EffectiveFrame, expression: str) -> str | None:
     """Why there is nothing to judge an expression by: somebody rejected it. None where that is not so."""
-    cell = FieldRef("expression", frame.frame, expression, "status")
-    if frame.statuses.get(cell) != "rejected":
+    ref = FieldRef("expression", frame.frame, expression, "status")
+    if frame.statuses.get(ref) != "rejected":
         return None
-    return f"the expression was rejected by {frame.origin(cell).author}"
+    return f"the expression was rejected by {frame.origin(ref).author}"
 
 
 def answered_case(frame: EffectiveFrame, truth: FrameCases, case: Case, trace: Trace) -> Case:

@@ -13,7 +13,7 @@ from pipeline.answering.objects import PreparedFrame, SceneObject, pixels_inside
 from pipeline.corrections.journal.edits import Edits, set_box
 from pipeline.corrections.journal.effective import Corrector, Relifter
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
-from pipeline.corrections.journal.field_refs import object_cell
+from pipeline.corrections.journal.field_refs import object_ref
 from pipeline.corrections.scene import labelled_box, labelled_objects
 from pipeline.diagnosis.whatif.box_numbers import SMALLEST_SIDE
 from pipeline.geometry.boxes import Box3D
@@ -23,7 +23,7 @@ from pipeline.geometry.normals import surface_normals
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.system.errors import InputError
 
-Way = Literal["extend", "move"]
+SnapMode = Literal["extend", "move"]
 """extend: the top stays, the bottom goes to the support. move: the whole box does, with the height that it has."""
 LEVEL_DEG = 25.0
 """A pixel's surface is level up to this tilt: normals of a depth camera are some 10 degrees off."""
@@ -159,7 +159,7 @@ def find_support(context: PreparedFrame, box: Box3D, objects: Sequence[SceneObje
     return support
 
 
-def snapped(box: Box3D, support: Support, viewer: ViewerAxes, way: Way = "extend") -> Box3D:
+def snapped(box: Box3D, support: Support, viewer: ViewerAxes, way: SnapMode = "extend") -> Box3D:
     """The box with the middle of its bottom at the height of a support; its size in plan stays.
 
     Parameters
@@ -167,7 +167,7 @@ def snapped(box: Box3D, support: Support, viewer: ViewerAxes, way: Way = "extend
     box : Box3D
         Camera frame.
     way : str
-        See `Way`. A box too flat to be extended up to a support inside of it is moved.
+        See `SnapMode`. A box too flat to be extended up to a support inside of it is moved.
     """
     up = viewer.up
     axis = int(np.abs(box.R.T @ up).argmax())
@@ -306,8 +306,8 @@ def fit_to_points(frame: EffectiveFrame, number: int, corrector: Corrector, reas
     row = _standing(frame, number)
     made_of_box = number not in frame.auto.objects and row["mask_source"] == "box3d"
     if not made_of_box:
-        cell = object_cell(frame.frame, number, "box")
-        if frame.version(cell) == 0 or frame.origin(cell).source != "human":
+        ref = object_ref(frame.frame, number, "box")
+        if frame.version(ref) == 0 or frame.origin(ref).source != "human":
             raise InputError(f"the box of object {number} is the one of its points already")
         return set_box(frame, number, None, reason)
     box, context = _box(frame, number), _relifter(corrector).context(frame.frame)
@@ -329,7 +329,7 @@ def support_of(frame: EffectiveFrame, number: int, corrector: Corrector) -> tupl
 
 
 def snap_to_support(
-    frame: EffectiveFrame, number: int, corrector: Corrector, way: Way = "extend", reason: str = ""
+    frame: EffectiveFrame, number: int, corrector: Corrector, way: SnapMode = "extend", reason: str = ""
 ) -> Edits:
     """The box brought down (or up) to the level surface that the object stands on.
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Conflict, Event, Saved
-from pipeline.corrections.journal.field_refs import FieldRef, box_of, judged_item, object_cell, shown_value
+from pipeline.corrections.journal.field_refs import FieldRef, box_of, judged_item, object_ref, shown_value
 from pipeline.corrections.journal.frame_rows import NO_STATE
 from pipeline.corrections.scene import labelled_box
 from pipeline.corrections.unsaved import Waiting
@@ -33,7 +33,7 @@ SAID = 3
 """So many changed relations are told one by one."""
 
 
-def said_object(number: int, frame: EffectiveFrame | None) -> str:
+def object_text(number: int, frame: EffectiveFrame | None) -> str:
     """ "mug·3"; "object·3" where nothing is known of it."""
     row = None
     if frame is not None:
@@ -41,7 +41,7 @@ def said_object(number: int, frame: EffectiveFrame | None) -> str:
     return f"{'object' if row is None else row['label']}·{number}"
 
 
-def said_sentence(name: str, frame: EffectiveFrame | None) -> str:
+def sentence_text(name: str, frame: EffectiveFrame | None) -> str:
     """The words of an expression, in quotes; its id where nothing is known of it."""
     row = None if frame is None else frame.expression(name)
     if row is None:
@@ -50,48 +50,48 @@ def said_sentence(name: str, frame: EffectiveFrame | None) -> str:
     return f"“{text if len(text) <= LONGEST else f'{text[: LONGEST - 1]}…'}”"
 
 
-def said_cell(cell: FieldRef, frame: EffectiveFrame | None) -> str:
+def ref_text(ref: FieldRef, frame: EffectiveFrame | None) -> str:
     """A field in words."""
-    field = FIELDS.get(cell.field, cell.field)
-    if cell.kind == "review":
-        return f"judgement of {_judged(cell, frame)}"
-    if cell.kind == "relation":
-        a, b = (said_object(n, frame) for n in cell.numbers)
-        relation, _, status = cell.field.partition(".")
+    field = FIELDS.get(ref.field, ref.field)
+    if ref.kind == "review":
+        return f"judgement of {_judged(ref, frame)}"
+    if ref.kind == "relation":
+        a, b = (object_text(n, frame) for n in ref.numbers)
+        relation, _, status = ref.field.partition(".")
         return f"{status and 'status of '}{a} {PHRASE.get(relation, relation)} {b}"
-    if cell.kind == "object":
-        return f"{field} of {said_object(cell.numbers[0], frame)}"
-    if cell.kind == "expression":
-        return f"{field} of {said_sentence(cell.key, frame)}"
-    return f"{field} of the {cell.kind}"
+    if ref.kind == "object":
+        return f"{field} of {object_text(ref.numbers[0], frame)}"
+    if ref.kind == "expression":
+        return f"{field} of {sentence_text(ref.key, frame)}"
+    return f"{field} of the {ref.kind}"
 
 
-def said_value(cell: FieldRef, value: Any, frame: EffectiveFrame | None) -> str:
+def value_text(ref: FieldRef, value: Any, frame: EffectiveFrame | None) -> str:
     """A value in words."""
-    if cell.kind == "expression" and isinstance(value, list):
-        return ", ".join(said_object(n, frame) for n in value) or "nothing"
+    if ref.kind == "expression" and isinstance(value, list):
+        return ", ".join(object_text(n, frame) for n in value) or "nothing"
     if isinstance(value, bool):
         return "yes" if value else "no"
-    if cell.kind == "object" and cell.field == "box":
+    if ref.kind == "object" and ref.field == "box":
         return "as its points make it" if value is None else "placed by hand"
-    return shown_value(cell, value)
+    return shown_value(ref, value)
 
 
-def said_event(event: Event, frame: EffectiveFrame | None) -> str:
+def event_text(event: Event, frame: EffectiveFrame | None) -> str:
     """What an event changed, or what somebody said of an item."""
-    cell = event.cell
-    if cell.kind == "review":
+    ref = event.ref
+    if ref.kind == "review":
         if event.after is None:
-            return f"{_judged(cell, frame)}: judgement withdrawn"
+            return f"{_judged(ref, frame)}: judgement withdrawn"
         value = event.after.get("value")
         state = "" if value is None else f" is {letter(value)}"
-        return f"{_judged(cell, frame)}{state}: {event.after['status']}"
-    if cell.kind == "object" and cell.field == "box" and event.before is not None and event.after is not None:
-        return f"{said_cell(cell, frame)}: {_box_change(box_of(event.before), box_of(event.after))}"
-    if cell.field == "exists" and event.before is None and event.after is not None:
-        return shown_value(cell, event.after)
-    before, after = (said_value(cell, value, frame) for value in (event.before, event.after))
-    return f"{said_cell(cell, frame)}: {before} → {after}"
+        return f"{_judged(ref, frame)}{state}: {event.after['status']}"
+    if ref.kind == "object" and ref.field == "box" and event.before is not None and event.after is not None:
+        return f"{ref_text(ref, frame)}: {_box_change(box_of(event.before), box_of(event.after))}"
+    if ref.field == "exists" and event.before is None and event.after is not None:
+        return shown_value(ref, event.after)
+    before, after = (value_text(ref, value, frame) for value in (event.before, event.after))
+    return f"{ref_text(ref, frame)}: {before} → {after}"
 
 
 def _box_change(before: Box3D, after: Box3D) -> str:
@@ -106,7 +106,7 @@ def _box_change(before: Box3D, after: Box3D) -> str:
     return ", ".join(parts) or "less than a millimetre"
 
 
-def said_events(events: Sequence[Event], frame: EffectiveFrame | None) -> str:
+def events_text(events: Sequence[Event], frame: EffectiveFrame | None) -> str:
     """What an action changed: its first change in words, and how many more there are.
 
     What follows for "b ... a" from what was said of "a ... b" is not counted.
@@ -115,19 +115,19 @@ def said_events(events: Sequence[Event], frame: EffectiveFrame | None) -> str:
     if not changes:
         return ""
     more = sum(not _mirrors(changes[0], e) for e in changes[1:])
-    return said_event(changes[0], frame) + (f" (and {more} more)" if more else "")
+    return event_text(changes[0], frame) + (f" (and {more} more)" if more else "")
 
 
-def said_outcome(
+def outcome_text(
     outcome: Saved | Conflict | Waiting | None, verb: str, frame: EffectiveFrame | None = None
 ) -> tuple[str, bool]:
     """What came of an action in words, and whether it was not done."""
     if isinstance(outcome, Saved):
-        return f"{verb}: {said_events(outcome.events, frame)}", False
+        return f"{verb}: {events_text(outcome.events, frame)}", False
     if isinstance(outcome, Conflict):
         rival = outcome.rivals[0]
         who = "somebody" if rival.event is None else rival.event.author
-        return f"not saved, {who} was faster: {said_cell(rival.edit.cell, frame)}", True
+        return f"not saved, {who} was faster: {ref_text(rival.edit.ref, frame)}", True
     if isinstance(outcome, Waiting) and verb == "taken back":
         return "taken back before it was saved", False
     if isinstance(outcome, Waiting):
@@ -135,29 +135,29 @@ def said_outcome(
     return "", False
 
 
-def _judged(cell: FieldRef, frame: EffectiveFrame | None) -> str:
-    _, kind, a, b, what = judged_item(cell.key)
+def _judged(ref: FieldRef, frame: EffectiveFrame | None) -> str:
+    _, kind, a, b, what = judged_item(ref.key)
     if kind == "relation":
-        return f"{said_object(a, frame)} {PHRASE.get(what, what)} {said_object(int(b or 0), frame)}"
+        return f"{object_text(a, frame)} {PHRASE.get(what, what)} {object_text(int(b or 0), frame)}"
     if kind == "object":
-        return said_object(a, frame) if a >= 0 else "a place without a label"
-    return said_sentence(what, frame)
+        return object_text(a, frame) if a >= 0 else "a place without a label"
+    return sentence_text(what, frame)
 
 
 def _mirrors(one: Event, other: Event) -> bool:
-    first, second = _pair(one.cell), _pair(other.cell)
+    first, second = _pair(one.ref), _pair(other.ref)
     if first is None or second is None:
         return False
     (a, b, relation), (c, d, mirrored) = first, second
     return (a, b) == (d, c) and mirrored == ("near" if relation == "near" else INVERSE.get(relation))
 
 
-def _pair(cell: FieldRef) -> tuple[int, int, str] | None:
-    if cell.kind == "relation":
-        a, b = cell.numbers
-        return a, b, cell.field
-    if cell.kind == "review":
-        _, kind, a, b, what = judged_item(cell.key)
+def _pair(ref: FieldRef) -> tuple[int, int, str] | None:
+    if ref.kind == "relation":
+        a, b = ref.numbers
+        return a, b, ref.field
+    if ref.kind == "review":
+        _, kind, a, b, what = judged_item(ref.key)
         if kind == "relation" and b is not None:
             return a, b, what
     return None
@@ -306,7 +306,7 @@ def _box_changes(before: EffectiveFrame, after: EffectiveFrame, both: Iterable[i
     for n in sorted({*both, *(after.objects.keys() - before.objects.keys())}):
         was = labelled_box(before.objects[n]) if n in before.objects else None
         now = labelled_box(after.objects[n])
-        if after.origin(object_cell(after.frame, n, "box")).source == "human":
+        if after.origin(object_ref(after.frame, n, "box")).source == "human":
             continue
         if now is None:
             if was is not None:

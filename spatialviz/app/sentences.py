@@ -151,7 +151,7 @@ class Sentences:
 
         def made(frame: EffectiveFrame, card: ExpressionCard) -> Edits:
             cell = FieldRef("expression", card.frame, card.id, "status")
-            return set_status(frame, cell, None if card.said.get(author) == status else status, author=author)
+            return set_status(frame, cell, None if card.statuses.get(author) == status else status, author=author)
 
         self._save(made)
 

@@ -274,9 +274,9 @@ def actions_of(entries: Any, path: Path | None = None) -> list[AnyAction]:
         return _LIST.validate_python(entries)
     except ValidationError as error:
         first = error.errors()[0]
-        place, where = first["loc"][0], ".".join(str(p) for p in first["loc"][2:])
-        said = f"edit {place}: {where}: {first['msg']}" if where else f"edit {place}: {first['msg']}"
-        raise InputError(said, got=repr(first.get("input"))[:60], path=path) from error
+        index, where = first["loc"][0], ".".join(str(p) for p in first["loc"][2:])
+        message = f"edit {index}: {where}: {first['msg']}" if where else f"edit {index}: {first['msg']}"
+        raise InputError(message, got=repr(first.get("input"))[:60], path=path) from error
 
 
 def edits_of(action: AnyAction, frame: EffectiveFrame, author: str, canvas: Canvas | None = None) -> tuple[Edit, ...]:
@@ -301,27 +301,27 @@ def _new_object(a: NewObject, frame: EffectiveFrame, author: str, canvas: Canvas
 
 
 def _value(a: Value, frame: EffectiveFrame, author: str, canvas: Canvas | None) -> actions.Edits:
-    cell = FieldRef(a.kind, a.frame, a.key, a.field)
-    if cell.kind == "review" and judged_item(cell.key)[0] not in (author.strip(), OF_ALL):
-        raise InputError("a judgement of another person", got=judged_item(cell.key)[0], expected=author)
-    return actions.set_value(frame, cell, a.to, a.reason)
+    ref = FieldRef(a.kind, a.frame, a.key, a.field)
+    if ref.kind == "review" and judged_item(ref.key)[0] not in (author.strip(), OF_ALL):
+        raise InputError("a judgement of another person", got=judged_item(ref.key)[0], expected=author)
+    return actions.set_value(frame, ref, a.to, a.reason)
 
 
 def _judge(a: Judge, frame: EffectiveFrame, author: str, canvas: Canvas | None) -> actions.Edits:
-    cell = _status_cell(a)
-    if cell.kind == "relation" and a.to in _STATES:
-        (one, other), relation = cell.numbers, cell.field.removesuffix(".status")
+    ref = _status_cell(a)
+    if ref.kind == "relation" and a.to in _STATES:
+        (one, other), relation = ref.numbers, ref.field.removesuffix(".status")
         return actions.judge_relation(frame, one, other, relation, _STATES[a.to], author, a.reason)
-    return actions.judge(frame, cell, a.to, author, a.reason)
+    return actions.judge(frame, ref, a.to, author, a.reason)
 
 
 def _settle(a: Settle, frame: EffectiveFrame, author: str, canvas: Canvas | None) -> actions.Edits:
-    cell = _status_cell(a)
-    state = _STATES.get(a.to) if cell.kind == "relation" else None
+    ref = _status_cell(a)
+    state = _STATES.get(a.to) if ref.kind == "relation" else None
     if state is None:
-        return actions.settle(frame, cell, a.to, a.reason)
-    now = frame.value(actions.state_cell(cell))
-    return actions.settle(frame, cell, "accepted" if state == now else "corrected", a.reason, state)
+        return actions.settle(frame, ref, a.to, a.reason)
+    now = frame.value(actions.state_cell(ref))
+    return actions.settle(frame, ref, "accepted" if state == now else "corrected", a.reason, state)
 
 
 _EDITS: dict[str, Callable[[Any, EffectiveFrame, str, Canvas | None], actions.Edits]] = {
@@ -393,10 +393,10 @@ def apply_actions(
             raise InputError(f"edit {k}: {error}") from error
         if action.base is not None:
             first = made[0]
-            made = (Edit(first.cell, first.before, first.after, action.base, first.reason, first.anchor), *made[1:])
+            made = (Edit(first.ref, first.before, first.after, action.base, first.reason, first.anchor), *made[1:])
         else:
-            heads = journal.heads([e.cell for e in made])
-            rivals += [Rival(e, heads[e.cell]) for e in made if e.cell in heads and heads[e.cell].author != author]
+            heads = journal.heads([e.ref for e in made])
+            rivals += [Rival(e, heads[e.ref]) for e in made if e.ref in heads and heads[e.ref].author != author]
         edits += made
     return Conflict(tuple(rivals), tuple(edits)) if rivals else journal.append(edits, author, group=again)
 

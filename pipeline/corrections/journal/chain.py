@@ -179,24 +179,24 @@ def judged_alone(rows: Sequence[tuple[int, Row | None]]) -> Verdict:
     heads: dict[tuple[Any, ...], Row] = {}
     groups: dict[str, Row] = {}
     for number, row in rows:
-        said = "it cannot be read" if row is None else _wrong(row)
-        if row is not None and said is None:
-            cell = row["project"], row["kind"], row["frame"], row["key"], row["field"]
-            said = _against(row, known, heads.get(cell), groups.get(row["group"]))
-            if said is None:
-                known[row["ulid"]] = heads[cell] = groups[row["group"]] = row
+        message = "it cannot be read" if row is None else _wrong(row)
+        if row is not None and message is None:
+            ref = row["project"], row["kind"], row["frame"], row["key"], row["field"]
+            message = _against(row, known, heads.get(ref), groups.get(row["group"]))
+            if message is None:
+                known[row["ulid"]] = heads[ref] = groups[row["group"]] = row
                 intact.append(row)
-        if said is not None:
-            damage.append(f"event {number}: {said}")
+        if message is not None:
+            damage.append(f"event {number}: {message}")
     return Verdict(tuple(intact), tuple(damage))
 
 
 def _wrong(row: Row) -> str | None:
     """What is impossible in one event."""
     try:
-        cell = FieldRef(row["kind"], row["frame"], row["key"], row["field"])
+        ref = FieldRef(row["kind"], row["frame"], row["key"], row["field"])
         for value in (row["after"], *([] if row["before"] is None else [row["before"]])):
-            if checked(cell, value) != value:
+            if checked(ref, value) != value:
                 return "a value is not as it is kept"
         if plain_text(row["author"], "an author", LONGEST_NAME).strip() != row["author"]:
             return "its author is no name"

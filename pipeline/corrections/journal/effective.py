@@ -18,7 +18,7 @@ from pipeline.corrections.journal.events import Event
 from pipeline.corrections.journal.field_refs import FieldRef, box_of, judged_item
 from pipeline.corrections.journal.frame_rows import FrameIndex, FrameRows, Pairs, Setting, setting_of
 from pipeline.corrections.journal.journal import Journal
-from pipeline.corrections.journal.replay import Unapplied, all_gone, by_cell, provenance_schema
+from pipeline.corrections.journal.replay import Unapplied, all_gone, by_ref, provenance_schema
 from pipeline.datasets import Dataset
 from pipeline.geometry.camera import UpSource
 from pipeline.geometry.lifting import LiftedObject, lift
@@ -107,7 +107,7 @@ class EffectiveLabels(Labels):
         BAD_LABEL or BAD_BOX by (frame, id of the expression).
     events : int
         How many there are in the journal.
-    statuses : dict of Cell to JSON value
+    statuses : dict of FieldRef to JSON value
         What reviewers said, and notes.
     last : str or None
         ULID of the newest event.
@@ -152,19 +152,19 @@ class EffectiveLabels(Labels):
             # What is said of a label is no value of it.
             if origin == "human" and table in by_table and column.rpartition(".")[2] not in ("status", "mark", "note"):
                 by_table[table].add((frame, key, column if table == "relations" else ""))
-        for cell, value in self.statuses.items():
-            if cell.kind in ("object", "relation", "expression") and value in DECIDED:
-                by_table[f"{cell.kind}s"].add((cell.frame, cell.key, cell.field.removesuffix("status").rstrip(".")))
-            elif cell.kind == "review" and cell.field == "said" and value["status"] == "accepted":
-                _, kind, a, b, what = judged_item(cell.key)
+        for ref, value in self.statuses.items():
+            if ref.kind in ("object", "relation", "expression") and value in DECIDED:
+                by_table[f"{ref.kind}s"].add((ref.frame, ref.key, ref.field.removesuffix("status").rstrip(".")))
+            elif ref.kind == "review" and ref.field == "said" and value["status"] == "accepted":
+                _, kind, a, b, what = judged_item(ref.key)
                 key = what if kind == "expression" else f"{a}" if b is None else f"{a},{b}"
-                by_table[f"{kind}s"].add((cell.frame, key, what if kind == "relation" else ""))
+                by_table[f"{kind}s"].add((ref.frame, key, what if kind == "relation" else ""))
         counted = {}
         for table, found in by_table.items():
             columns = (self.tables[table].column(n).to_pylist() for n in ("frame", *_KEYS[table]))
             there = {(frame, ",".join(map(str, key))) for frame, *key in zip(*columns, strict=True)}
-            cells = len(self.relation_names) if table == "relations" else 1
-            counted[table] = (sum((frame, key) in there for frame, key, _ in found), len(there) * cells)
+            refs = len(self.relation_names) if table == "relations" else 1
+            counted[table] = (sum((frame, key) in there for frame, key, _ in found), len(there) * refs)
         return counted
 
 
@@ -194,7 +194,7 @@ def effective_tables(
     corrector = Corrector(labels, dataset)
     by_frame: dict[str, list[Event]] = {}
     for event in events:
-        by_frame.setdefault(event.cell.frame, []).append(event)
+        by_frame.setdefault(event.ref.frame, []).append(event)
     known = [name for name in by_frame if name in corrector.index.of_frame]
     pieces: dict[str, list[pa.Table]] = {name: [] for name in TABLES}
     at = dict.fromkeys(TABLES, 0)
@@ -216,14 +216,14 @@ def effective_tables(
         provenance += found.origins.rows()
         unapplied += found.unapplied
         withdrawn += found.withdrawn
-        statuses |= {cell: value for cell, value in found.statuses.items() if cell.field != "exists"}
+        statuses |= {ref: value for ref, value in found.statuses.items() if ref.field != "exists"}
         marks |= {(name, key): mark for key, mark in found.marks.items()}
     tables = {
         name: pa.concat_tables([*pieces[name], whole.slice(at[name])]).combine_chunks()
         for name, whole in corrector.index.tables.items()
     }
     for name in by_frame.keys() - set(known):
-        for members in by_cell(by_frame[name]).values():
+        for members in by_ref(by_frame[name]).values():
             unapplied += all_gone(None, members, "the labels have no such frame any more").unapplied
     return EffectiveLabels(
         labels.root,

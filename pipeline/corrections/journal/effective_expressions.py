@@ -80,7 +80,7 @@ class Answers:
     def sets(self, target: int, relation: str, reference: int) -> tuple[list[int], list[int]] | None:
         """Numbers of the objects that an expression is true of beyond doubt, and with doubt; None where either of its
         own objects takes part in no relation."""
-        i, j = self.pairs.place(target), self.pairs.place(reference)
+        i, j = self.pairs.index_of(target), self.pairs.index_of(reference)
         if i is None or j is None:
             return None
         k, kinds = PAIRWISE.index(relation), self.same.astype(np.int32)
@@ -96,7 +96,7 @@ def correct_expressions(
     auto: FrameRows,
     objects: CorrectedObjects,
     pairs: CorrectedPairs,
-    cells: Mapping[FieldRef, Sequence[Event]],
+    refs: Mapping[FieldRef, Sequence[Event]],
     setting: Setting,
     origins: Origins,
     cause: Event | None,
@@ -110,9 +110,9 @@ def correct_expressions(
     """
     found = CorrectedExpressions()
     by_id: dict[str, dict[str, Sequence[Event]]] = {}
-    for cell, events in cells.items():
-        if cell.kind == "expression":
-            by_id.setdefault(cell.key, {})[cell.field] = events
+    for ref, events in refs.items():
+        if ref.kind == "expression":
+            by_id.setdefault(ref.key, {})[ref.field] = events
     followed = None
     if cause is not None and (pairs.changed or objects.renamed or objects.left_out):
         now = Answers(pairs.pairs, {n: r["label"] for n, r in objects.rows.items()})
@@ -148,9 +148,9 @@ def _correct(
         reason = _follow(row, objects, pairs, setting, origins, followed)
     human: set[str] = set()
     for column in sorted(fields):
-        events, cell = fields[column], FieldRef("expression", auto.frame, name, column)
+        events, ref = fields[column], FieldRef("expression", auto.frame, name, column)
         trusted = column in OPEN_FIELDS and row[column] != was[column]
-        after = found.note(cell, replay(was[column] if column in OPEN_FIELDS else None, events, trusted=trusted))
+        after = found.note(ref, replay(was[column] if column in OPEN_FIELDS else None, events, trusted=trusted))
         if after.event is None:
             continue
         if column in OPEN_FIELDS:
@@ -159,7 +159,7 @@ def _correct(
         elif after.value is not None and column == "mark":
             found.marks[name] = after.value
         elif after.value is not None:
-            found.statuses[cell] = after.value
+            found.statuses[ref] = after.value
         if after.value is not None:
             origins.put("expressions", name, column, Origin.of("human", after.event), was.get(column))
     if "ambiguous" not in human and human & {"acceptable", "targets"}:
@@ -206,7 +206,7 @@ def _follow(
             if row[column] != after[column]:
                 origins.put("expressions", name, column, origin, row[column])
                 row[column] = after[column]
-    i, j, k = pairs.pairs.place(a), pairs.pairs.place(b), PAIRWISE.index(relation)
+    i, j, k = pairs.pairs.index_of(a), pairs.pairs.index_of(b), PAIRWISE.index(relation)
     assert i is not None
     assert j is not None
     involved = (now.same[i] | now.same[j]) & pairs.stale
@@ -220,7 +220,7 @@ def _follow(
     if not pairs.pairs.present[i, j] or pairs.pairs.states[i, j, k] != T:
         return "it is no longer true of its own objects"
     for number in (a, b):
-        if not objects.rows[number]["usable"] and not pairs.stale[pairs.pairs.place(number) or 0]:
+        if not objects.rows[number]["usable"] and not pairs.stale[pairs.pairs.index_of(number) or 0]:
             return f"object {number} may not be asked for: {objects.rows[number]['reason']}"
     return None
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.corrections.journal.events import Event
-from pipeline.corrections.journal.field_refs import FieldRef, box_of, object_cell, same_value
+from pipeline.corrections.journal.field_refs import FieldRef, box_of, object_ref, same_value
 from pipeline.corrections.journal.frame_rows import NO_STATE, FrameRows, Pairs, Setting
 from pipeline.corrections.journal.replay import (
     Corrected,
@@ -67,14 +67,14 @@ class CorrectedObjects(Corrected):
 
 
 def correct_objects(
-    auto: FrameRows, cells: Mapping[FieldRef, Sequence[Event]], setting: Setting, origins: Origins
+    auto: FrameRows, refs: Mapping[FieldRef, Sequence[Event]], setting: Setting, origins: Origins
 ) -> CorrectedObjects:
     """Apply the corrections of objects; what follows from new pixels or a new box is left as it was.
 
     Parameters
     ----------
     auto : FrameRows
-    cells : mapping of Cell to events
+    refs : mapping of FieldRef to events
         Those of the frame.
     setting : Setting
     origins : Origins
@@ -82,9 +82,9 @@ def correct_objects(
     """
     found = CorrectedObjects()
     by_object: dict[int, dict[str, Sequence[Event]]] = {}
-    for cell, events in cells.items():
-        if cell.kind == "object":
-            by_object.setdefault(cell.numbers[0], {})[cell.field] = events
+    for ref, events in refs.items():
+        if ref.kind == "object":
+            by_object.setdefault(ref.numbers[0], {})[ref.field] = events
     found.rows = {number: row for number, row in auto.objects.items() if number not in by_object}
     for number in sorted(by_object):
         _correct_object(number, by_object[number], auto, setting, origins, found)
@@ -101,13 +101,13 @@ def _correct_object(
     found: CorrectedObjects,
 ) -> None:
     def note(name: str, replayed: Replayed) -> Replayed:
-        return found.note(object_cell(auto.frame, number, name), replayed)
+        return found.note(object_ref(auto.frame, number, name), replayed)
 
     row, created = auto.objects.get(number), False
     if "exists" in fields:
         seed = note("exists", replay(None, fields["exists"]))
         if seed.value is not None:
-            found.statuses[object_cell(auto.frame, number, "exists")] = seed.value
+            found.statuses[object_ref(auto.frame, number, "exists")] = seed.value
         if row is None and seed.value is not None and seed.event is not None:
             row, created = new_row(number, seed.value, auto, setting), True
             found.geometry[number] = seed.event
@@ -143,7 +143,7 @@ def _correct_object(
         for column in BOX_COLUMNS if name == "box" else (name,):
             automatic = None if created else auto.objects[number].get(column)
             origins.put("objects", str(number), column, Origin.of("human", after.event), automatic)
-    status = found.statuses.get(object_cell(auto.frame, number, "status"))
+    status = found.statuses.get(object_ref(auto.frame, number, "status"))
     (found.left_out if status == "rejected" else found.rows)[number] = row
 
 
@@ -158,7 +158,7 @@ def _set_field(
 ) -> None:
     if name == "status":
         if value is not None:
-            found.statuses[event.cell] = value
+            found.statuses[event.ref] = value
         return
     if name == "label":
         found.renamed[number] = event
@@ -263,7 +263,7 @@ def correct_pairs(
     auto: FrameRows,
     objects: CorrectedObjects,
     relifted: Pairs | None,
-    cells: Mapping[FieldRef, Sequence[Event]],
+    refs: Mapping[FieldRef, Sequence[Event]],
     setting: Setting,
     origins: Origins,
 ) -> CorrectedPairs:
@@ -281,12 +281,12 @@ def correct_pairs(
     found = CorrectedPairs(pairs=pairs, human=human, stale=stale)
     found.changed = list(pairs.numbers) != list(auto.pairs.of_objects(auto.objects).numbers)
     _follow_geometry(found, auto, objects, relifted, setting, origins)
-    judged = {cell: events for cell, events in cells.items() if cell.kind == "relation"}
-    said: list[tuple[int, int, str, Event]] = []
-    for cell in sorted(judged, key=lambda c: (c.key, c.field)):
-        ruled_out = _ruled_out_before(cell, judged)
-        _correct_relation(found, cell, judged[cell], auto, objects, setting, origins, said, ruled_out)
-    for i, j, relation, event in said:
+    judged = {ref: events for ref, events in refs.items() if ref.kind == "relation"}
+    message: list[tuple[int, int, str, Event]] = []
+    for ref in sorted(judged, key=lambda c: (c.key, c.field)):
+        ruled_out = _ruled_out_before(ref, judged)
+        _correct_relation(found, ref, judged[ref], auto, objects, setting, origins, message, ruled_out)
+    for i, j, relation, event in message:
         _exclude(found, i, j, relation, event, setting, origins)
     return found
 
@@ -331,18 +331,18 @@ def _follow_geometry(
 
 def _correct_relation(
     found: CorrectedPairs,
-    cell: FieldRef,
+    ref: FieldRef,
     events: Sequence[Event],
     auto: FrameRows,
     objects: CorrectedObjects,
     setting: Setting,
     origins: Origins,
-    said: list[tuple[int, int, str, Event]],
+    message: list[tuple[int, int, str, Event]],
     ruled_out: bool,
 ) -> None:
-    a, b = cell.numbers
-    i, j = found.pairs.place(a), found.pairs.place(b)
-    relation = cell.field.removesuffix(".status")
+    a, b = ref.numbers
+    i, j = found.pairs.index_of(a), found.pairs.index_of(b)
+    relation = ref.field.removesuffix(".status")
     reason = None
     if relation not in setting.relations:
         reason = f"the labels do not hold {relation!r}"
@@ -353,35 +353,35 @@ def _correct_relation(
     elif any(is_another(e.anchor, x, auto.objects[x]["bbox"]) for e in events for x in (a, b) if x in auto.objects):
         reason = "one of the two objects is another thing now"
     if reason is not None or i is None or j is None:
-        found.note(cell, all_gone(None, events, str(reason)))
+        found.note(ref, all_gone(None, events, str(reason)))
         return
-    if cell.field != relation:
-        after = found.note(cell, replay(None, events))
+    if ref.field != relation:
+        after = found.note(ref, replay(None, events))
         if after.value is not None and after.event is not None:
-            found.statuses[cell] = after.value
-            origins.put("relations", cell.key, cell.field, Origin.of("human", after.event))
+            found.statuses[ref] = after.value
+            origins.put("relations", ref.key, ref.field, Origin.of("human", after.event))
         return
     k = PAIRWISE.index(relation)
     was = found.pairs.state(a, b, relation)
     # Who saw F where another correction ruled out the labeller's T, did not see the automatic label.
     trusted = a in objects.geometry or b in objects.geometry or (ruled_out and was == T)
-    after = found.note(cell, replay(was, events, trusted=trusted))
+    after = found.note(ref, replay(was, events, trusted=trusted))
     if after.event is None:
         return
     _settle(found, i, j, k, after.value)
     found.human[i, j, k] = True
-    said.append((i, j, relation, after.event))
+    message.append((i, j, relation, after.event))
     automatic = auto.pairs.state(a, b, relation)
-    origins.put("relations", cell.key, relation, Origin.of("human", after.event), automatic)
+    origins.put("relations", ref.key, relation, Origin.of("human", after.event), automatic)
 
 
-def _ruled_out_before(cell: FieldRef, judged: Mapping[FieldRef, Sequence[Event]]) -> bool:
+def _ruled_out_before(ref: FieldRef, judged: Mapping[FieldRef, Sequence[Event]]) -> bool:
     """Whether a person had said what rules the cell's relation out (see `_exclude`) when it was corrected."""
-    stands = standing(judged[cell])
-    if cell.field not in OPPOSITE or not stands:
+    stands = standing(judged[ref])
+    if ref.field not in OPPOSITE or not stands:
         return False
-    (a, b), first = cell.numbers, stands[0]
-    others = (FieldRef("relation", cell.frame, cell.key, OPPOSITE[cell.field]), replace(cell, key=f"{b},{a}"))
+    (a, b), first = ref.numbers, stands[0]
+    others = (FieldRef("relation", ref.frame, ref.key, OPPOSITE[ref.field]), replace(ref, key=f"{b},{a}"))
     return first.before == F and any(e.after == T and e.id < first.id for c in others for e in judged.get(c, ()))
 
 

@@ -90,14 +90,14 @@ class Pairs:
             distance=self.distance.copy(), doubted=self.doubted.copy(),
         )  # fmt: skip
 
-    def place(self, number: int) -> int | None:
+    def index_of(self, number: int) -> int | None:
         """Where an object is among the pairs."""
         at = int(np.searchsorted(self.numbers, number))
         return at if at < len(self.numbers) and self.numbers[at] == number else None
 
     def state(self, a: int, b: int, relation: str) -> int | None:
         """The state of a relation by the objects' numbers; None where it has none."""
-        i, j = self.place(a), self.place(b)
+        i, j = self.index_of(a), self.index_of(b)
         if i is None or j is None or not self.present[i, j]:
             return None
         found = int(self.states[i, j, PAIRWISE.index(relation)])

@@ -82,11 +82,11 @@ def _write(found: EffectiveLabels, journal: Journal, folder: Path) -> Manifest:
     write_synced(folder / UNAPPLIED_FILE, json.dumps(listed, indent=1, ensure_ascii=False).encode())
     marks = [{"frame": frame, "id": name, "mark": mark} for (frame, name), mark in sorted(found.marks.items())]
     write_synced(folder / MARKS_FILE, json.dumps(marks, indent=1, ensure_ascii=False).encode())
-    said = [
-        {"kind": cell.kind, "frame": cell.frame, "key": cell.key, "field": cell.field, "value": value}
-        for cell, value in sorted(found.statuses.items())
+    statuses = [
+        {"kind": ref.kind, "frame": ref.frame, "key": ref.key, "field": ref.field, "value": value}
+        for ref, value in sorted(found.statuses.items())
     ]
-    write_synced(folder / STATUSES_FILE, json.dumps(said, indent=1, ensure_ascii=False).encode())
+    write_synced(folder / STATUSES_FILE, json.dumps(statuses, indent=1, ensure_ascii=False).encode())
     usable = sum(found.frames.column("ok").to_pylist())
     manifest = was.model_copy(
         update={
@@ -104,7 +104,7 @@ def _write(found: EffectiveLabels, journal: Journal, folder: Path) -> Manifest:
             "environment": environment(),
             "created": datetime.now(timezone.utc).isoformat(timespec="seconds"),
             "corrections": {
-                "journal": journal.place,
+                "journal": journal.location,
                 "project": journal.project,
                 "events": found.events,
                 "last": found.last,
@@ -129,7 +129,7 @@ def unapplied_record(entry: Unapplied) -> dict[str, Any]:
     event = entry.event
     return {
         **who_and_what(event),
-        "wanted": shown_value(event.cell, event.after),
+        "wanted": shown_value(event.ref, event.after),
         "because": entry.kind,
         "reason": entry.reason,
     }

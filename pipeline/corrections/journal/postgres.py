@@ -222,8 +222,8 @@ def _connect(address: Address) -> Any:
     except pg8000.Error:
         raise
     except Exception as error:
-        said = (error.strerror if isinstance(error, OSError) else None) or str(error)
-        raise pg8000.InterfaceError(f"cannot connect to {address.host}:{address.port}: {said}") from None
+        message = (error.strerror if isinstance(error, OSError) else None) or str(error)
+        raise pg8000.InterfaceError(f"cannot connect to {address.host}:{address.port}: {message}") from None
 
 
 def _opened(address: Address) -> Any:
@@ -277,8 +277,8 @@ def _socket(address: Address) -> socket.socket:
 
 def state_of(error: BaseException | None) -> dict[str, str]:
     """The fields of a server's message (postgresql.org/docs/current/protocol-error-fields.html); empty for another."""
-    said = error.args[0] if error is not None and error.args else None
-    return said if isinstance(said, dict) else {}
+    message = error.args[0] if error is not None and error.args else None
+    return message if isinstance(message, dict) else {}
 
 
 def ask_for_turn(connection: sa.Connection, key: int) -> bool:

@@ -98,9 +98,9 @@ class Corrected:
     statuses: dict[FieldRef, Any] = field(default_factory=dict)
     unapplied: list[Unapplied] = field(default_factory=list)
 
-    def note(self, cell: FieldRef, replayed: Replayed) -> Replayed:
+    def note(self, ref: FieldRef, replayed: Replayed) -> Replayed:
         """Keep a cell's version and what does not apply to it; the same is returned."""
-        self.versions[cell] = replayed.version
+        self.versions[ref] = replayed.version
         self.unapplied += replayed.unapplied
         return replayed
 
@@ -123,11 +123,11 @@ def replay(
             if released_by_none and event.after is None:
                 value = automatic
             continue
-        now = shown_value(event.cell, value)
+        now = shown_value(event.ref, value)
         if same_value(event.after, value):
             unapplied.append(Unapplied(event, "agreed", f"the labels say {now} by themselves now"))
         else:
-            made_on = shown_value(event.cell, event.before)
+            made_on = shown_value(event.ref, event.before)
             unapplied.append(Unapplied(event, "changed", f"it was made on {made_on}, and the labels say {now} now"))
     return Replayed(value, origin, events[-1].version if events else 0, tuple(unapplied))
 
@@ -144,15 +144,15 @@ def is_another(anchor: dict[str, list[float]], number: int, bbox: Sequence[float
     return was is not None and float(iou_2d(np.array([was]), np.array([bbox]))[0, 0]) < ANCHOR_IOU
 
 
-def by_cell(events: Iterable[Event]) -> dict[FieldRef, list[Event]]:
+def by_ref(events: Iterable[Event]) -> dict[FieldRef, list[Event]]:
     """Events of each cell, in the order of their versions."""
     found: dict[FieldRef, list[Event]] = {}
     for event in events:
-        found.setdefault(event.cell, []).append(event)
-    return {cell: sorted(members, key=lambda e: e.version) for cell, members in found.items()}
+        found.setdefault(event.ref, []).append(event)
+    return {ref: sorted(members, key=lambda e: e.version) for ref, members in found.items()}
 
 
-def judgement_cell(frame: str, kind: str, a: int, b: int | None, what: str, author: str) -> FieldRef:
+def judgement_ref(frame: str, kind: str, a: int, b: int | None, what: str, author: str) -> FieldRef:
     """The cell of what someone says of an item, or, by OF_ALL, of what settles it.
 
     Parameters
@@ -175,24 +175,24 @@ def judgement_cell(frame: str, kind: str, a: int, b: int | None, what: str, auth
     return FieldRef("review", frame, judged_key(name, kind, a, b, what), "settled" if name == OF_ALL else "said")
 
 
-def said_of_items(statuses: Mapping[FieldRef, Any]) -> dict[tuple[str, int, int | None, str], dict[str, str]]:
-    """The status that each author gives, by kind, a, b and what of the item (see `judgement_cell`).
+def statuses_of_items(statuses: Mapping[FieldRef, Any]) -> dict[tuple[str, int, int | None, str], dict[str, str]]:
+    """The status that each author gives, by kind, a, b and what of the item (see `judgement_ref`).
 
     Parameters
     ----------
-    statuses : mapping of Cell to JSON value
+    statuses : mapping of FieldRef to JSON value
         Of an effective frame.
     """
     found: dict[tuple[str, int, int | None, str], dict[str, str]] = {}
-    for cell, value in statuses.items():
-        if cell.kind == "review" and cell.field == "said":
-            author, kind, a, b, what = judged_item(cell.key)
+    for ref, value in statuses.items():
+        if ref.kind == "review" and ref.field == "said":
+            author, kind, a, b, what = judged_item(ref.key)
             found.setdefault((kind, a, b, what), {})[author] = value["status"]
-    return {item: dict(sorted(said.items())) for item, said in found.items()}
+    return {item: dict(sorted(message.items())) for item, message in found.items()}
 
 
 def replayed_judgement(
-    cell: FieldRef,
+    ref: FieldRef,
     events: Sequence[Event],
     boxes: Mapping[int, Any],
     objects: Collection[int],
@@ -207,10 +207,10 @@ def replayed_judgement(
     objects, expressions : collection
         Numbers and ids of those that there are.
     """
-    _, kind, _, _, what = judged_item(cell.key)
+    _, kind, _, _, what = judged_item(ref.key)
     if kind == "expression" and what not in expressions:
         return all_gone(None, events, "there is no such expression any more")
-    for number in cell.numbers:
+    for number in ref.numbers:
         if number not in objects:
             return all_gone(None, events, f"there is no object {number} any more")
         if number in boxes and any(is_another(e.anchor, number, boxes[number]) for e in events):

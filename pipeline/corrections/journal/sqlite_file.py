@@ -119,10 +119,10 @@ def can_be_written(path: Path) -> bool:
     return os.access(path.parent, os.W_OK) and (not path.exists() or os.access(path, os.W_OK))
 
 
-def plain_reason(said: str, path: Path) -> str:
+def plain_reason(message: str, path: Path) -> str:
     """SQLite's words on a file, and plainer ones where its disk is full: it says "disk I/O error" of that, too."""
-    if said != "disk I/O error":
-        return said
+    if message != "disk I/O error":
+        return message
     try:
         with tempfile.TemporaryFile(dir=path.parent) as file:
             file.write(bytes(_ROOM))
@@ -131,7 +131,7 @@ def plain_reason(said: str, path: Path) -> str:
     except OSError as error:
         if error.errno in (errno.ENOSPC, errno.EDQUOT):
             return f"the disk is full: {error.strerror}"
-    return said
+    return message
 
 
 def check_in_place(connection: sa.Connection) -> None:

@@ -169,10 +169,10 @@ def edits_back(journal: Journal, members: Sequence[Event]) -> list[Edit]:
     """
     edits = []
     for event in members:
-        cell = event.cell
-        events = journal.events(kind=cell.kind, frame=cell.frame, key=cell.key, field=cell.field)
+        ref = event.ref
+        events = journal.events(kind=ref.kind, frame=ref.frame, key=ref.key, field=ref.field)
         unchanged = standing(events) == standing([e for e in events if e.id <= event.id])
         base = events[-1].version if unchanged else event.version
-        edits.append(Edit(cell, before=event.after, after=event.before, base=base, reason=event.reason,
+        edits.append(Edit(ref, before=event.after, after=event.before, base=base, reason=event.reason,
                           anchor=event.anchor))  # fmt: skip
     return edits

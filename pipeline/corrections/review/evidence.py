@@ -45,7 +45,7 @@ SAME_BOX_IOU = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class CellEvidence:
+class RelationEvidence:
     """One kind of evidence against some cells.
 
     Attributes
@@ -81,7 +81,9 @@ class ItemEvidence:
     label: str | None = None
 
 
-def network_evidence(cells: RelationLabels, probability: np.ndarray, wrong: np.ndarray, least: float) -> CellEvidence:
+def network_evidence(
+    cells: RelationLabels, probability: np.ndarray, wrong: np.ndarray, least: float
+) -> RelationEvidence:
     """Labels that networks which have not learnt from them find wrong with at least this probability."""
     rows, columns = np.nonzero(wrong >= least)
     states = letters(cells.states[rows, columns])
@@ -90,10 +92,10 @@ def network_evidence(cells: RelationLabels, probability: np.ndarray, wrong: np.n
         "the label is ", states, ", and networks that have not learnt from it give it a probability of ",
         np.char.mod("%.2f", np.where(cells.states[rows, columns] == T, p, 1 - p)),
     )  # fmt: skip
-    return CellEvidence(rows, columns, q, reason)
+    return RelationEvidence(rows, columns, q, reason)
 
 
-def doubtful_evidence(cells: RelationLabels, probability: np.ndarray) -> CellEvidence:
+def undecided_evidence(cells: RelationLabels, probability: np.ndarray) -> RelationEvidence:
     """Cells that the rule finds too close to call (U); the surer the networks are, the more is to be gained."""
     known = np.where(np.isnan(probability), 0.5, probability)
     rows, columns = np.nonzero(cells.states == U)
@@ -104,10 +106,10 @@ def doubtful_evidence(cells: RelationLabels, probability: np.ndarray) -> CellEvi
         "too close to call by the rule (U); networks that have not learnt from it say ", answer, " with ",
         np.char.mod("%.2f", np.maximum(p, 1 - p)),
     )  # fmt: skip
-    return CellEvidence(rows, columns, UNDECIDED * sure, reason)
+    return RelationEvidence(rows, columns, UNDECIDED * sure, reason)
 
 
-def margin_evidence(cells: RelationLabels, least: float) -> CellEvidence:
+def margin_evidence(cells: RelationLabels, least: float) -> RelationEvidence:
     """Labels near a threshold of the rule: half the chance that an error of MARGIN_SIGMA_M crosses it, for it leads to
     U and not to the opposite."""
     from scipy.special import ndtr
@@ -118,17 +120,17 @@ def margin_evidence(cells: RelationLabels, least: float) -> CellEvidence:
     reason = _joined(
         "only ", np.char.mod("%.1f", 1000 * near[rows, columns]), " mm from where the rule would be in doubt"
     )
-    return CellEvidence(rows, columns, weight[rows, columns], reason)
+    return RelationEvidence(rows, columns, weight[rows, columns], reason)
 
 
 def linter_evidence(
     cells: RelationLabels, findings: Iterable[Finding]
-) -> tuple[CellEvidence, tuple[ItemEvidence, ...], int]:
+) -> tuple[RelationEvidence, tuple[ItemEvidence, ...], int]:
     """The findings of `check_labels` by the labels that they are about.
 
     Returns
     -------
-    cells : CellEvidence
+    cells : RelationEvidence
     items : tuple of ItemEvidence
         Objects and expressions.
     elsewhere : int
@@ -157,7 +159,7 @@ def linter_evidence(
     rows = cells.rows_of(keys)
     columns = np.array([cells.relations.index(r) for r in relations], np.int64)
     there = rows >= 0
-    evidence = CellEvidence(
+    evidence = RelationEvidence(
         rows[there], columns[there], np.array(weights, np.float64)[there], np.array(reasons, object)[there]
     )
     return evidence, tuple(items), elsewhere + int((~there).sum())
@@ -198,7 +200,7 @@ def _blamed_items(found: Finding) -> list[ItemEvidence]:
 
 def disputed_evidence(
     labels: Labels, cells: RelationLabels, other: Labels
-) -> tuple[CellEvidence, tuple[ItemEvidence, ...]]:
+) -> tuple[RelationEvidence, tuple[ItemEvidence, ...]]:
     """What labels of the same dataset by another detector or run say otherwise.
 
     Objects are the same where their 2D boxes overlap best, either way, with an
@@ -211,7 +213,7 @@ def disputed_evidence(
         Of these.
     other : Labels
     """
-    theirs = read_cells(other)
+    theirs = read_relation_labels(other)
     shared = [r for r in cells.relations if r in theirs.relations]
     own_columns, their_columns = ([c.relations.index(r) for r in shared] for c in (cells, theirs))
     objects = [column_arrays(x.objects.select(["frame", "frame_index", "object", "label", "bbox"]))
@@ -238,15 +240,15 @@ def disputed_evidence(
         i, j = (match[np.searchsorted(numbers[0], x[own])] for x in (cells.a, cells.b))
         row = np.where((i >= 0) & (j >= 0), at[i, j] if at.size else -1, -1)
         there = np.flatnonzero(row >= 0)
-        said = cells.states[own][there][:, own_columns] * theirs.states[row[there]][:, their_columns].astype(np.int64)
-        r, c = np.nonzero(said == -1)
+        turned = cells.states[own][there][:, own_columns] * theirs.states[row[there]][:, their_columns].astype(np.int64)
+        r, c = np.nonzero(turned == -1)
         rows.append(own.start + there[r])
         columns.append(np.array(own_columns, np.int64)[c])
     r = np.concatenate([np.zeros(0, np.int64), *rows])
     c = np.concatenate([np.zeros(0, np.int64), *columns])
     opposite = letters(-cells.states[r, c])
     reason = _joined("the other labels of this frame say ", opposite)
-    return CellEvidence(r, c, np.full(len(r), DISPUTED), reason), tuple(items)
+    return RelationEvidence(r, c, np.full(len(r), DISPUTED), reason), tuple(items)
 
 
 def _disputed_objects(
@@ -284,7 +286,7 @@ def _joined(*parts: str | np.ndarray) -> np.ndarray:
     return found
 
 
-def combined(parts: Sequence[CellEvidence], shape: tuple[int, int]) -> np.ndarray:
+def combined(parts: Sequence[RelationEvidence], shape: tuple[int, int]) -> np.ndarray:
     """`shape` float64: one less the product of (1 - weight) of all evidence against each cell."""
     right = np.zeros(shape)
     for part in parts:
@@ -322,16 +324,16 @@ class RelationLabels:
     def rows_of(self, keys: Iterable[tuple[str, int, int]]) -> np.ndarray:
         """(K,) int64: the row of each (frame id, a, b); -1 where there is none."""
         keys = list(keys)
-        place: dict[tuple[str, int, int], int] = {}
+        index: dict[tuple[str, int, int], int] = {}
         if keys:
             wanted = {key[0] for key in keys}
             of_them = np.flatnonzero(np.isin(self.frame, list(wanted)))
             rows = zip(self.frame[of_them], self.a[of_them].tolist(), self.b[of_them].tolist(), strict=True)
-            place = dict(zip(rows, of_them.tolist(), strict=True))
-        return np.array([place.get(key, -1) for key in keys], np.int64)
+            index = dict(zip(rows, of_them.tolist(), strict=True))
+        return np.array([index.get(key, -1) for key in keys], np.int64)
 
 
-def read_cells(labels: Labels) -> RelationLabels:
+def read_relation_labels(labels: Labels) -> RelationLabels:
     """All relation labels of a folder.
 
     Raises
@@ -363,7 +365,7 @@ def _order(table: pa.Table) -> np.ndarray:
     return np.lexsort([table.column(name).to_numpy() for name in ("b", "a", "frame_index")])
 
 
-def doubts_of_cells(cells: RelationLabels, data: LabelData, doubts: Doubts) -> tuple[np.ndarray, np.ndarray]:
+def doubts_of_labels(cells: RelationLabels, data: LabelData, doubts: Doubts) -> tuple[np.ndarray, np.ndarray]:
     """What the networks say of each cell.
 
     Returns

@@ -167,15 +167,15 @@ def out_of_fold(
     if OUTPUTS[config.vocabulary] != "sigmoid":
         raise InputError("labels are judged one by one, not as the one that fits best", got=config.vocabulary)
     outputs = VOCABULARIES[config.vocabulary]
-    places = [outputs.index(relation) for relation in vocabulary]
+    indices = [outputs.index(relation) for relation in vocabulary]
     found: list[np.ndarray] = [np.zeros(0)] * len(frames)
     for held, learnt in zip(folds.held, folds.learnt, strict=True):
         if not held.any():
             continue
-        inside = [_padded(frames[k], places, len(outputs)) for k in np.flatnonzero(learnt).tolist()]
+        inside = [_padded(frames[k], indices, len(outputs)) for k in np.flatnonzero(learnt).tolist()]
         model = train_pairs(pair_set(inside, config.features, config.output), config)
         for k in np.flatnonzero(held).tolist():
-            found[k] = network_probabilities(model, frames[k].rows)[..., places]
+            found[k] = network_probabilities(model, frames[k].rows)[..., indices]
         if trained is not None:
             trained()
     return tuple(found)
@@ -193,9 +193,9 @@ def network_probabilities(model: TrainedModel, rows: np.ndarray) -> np.ndarray:
     return sigmoid(antisymmetric(logits, model.vocabulary))
 
 
-def _padded(frame: LabelledFrame, places: Sequence[int], outputs: int) -> LabelledFrame:
+def _padded(frame: LabelledFrame, indices: Sequence[int], outputs: int) -> LabelledFrame:
     states = np.full((*frame.states.shape[:2], outputs), U, np.int8)
-    states[..., list(places)] = frame.states
+    states[..., list(indices)] = frame.states
     return replace(frame, states=states)
 
 
@@ -289,10 +289,10 @@ def _by_scene(names: np.ndarray, scenes: Sequence[str], folds: int, seed: int) -
     """Scenes in a seeded order, each to the fold that has fewest frames."""
     order = sorted(scenes, key=lambda s: (xxhash.xxh3_64_intdigest(f"{seed}\0{s}".encode("utf-8", "replace")), s))
     held, size = np.zeros((folds, len(names)), np.bool_), np.zeros(folds, np.int64)
-    for place, scene in enumerate(order):
+    for rank, scene in enumerate(order):
         mine = names == scene
         # At first one scene each, so that no fold stays empty.
-        fold = place if place < folds else int(size.argmin())
+        fold = rank if rank < folds else int(size.argmin())
         held[fold] |= mine
         size[fold] += mine.sum()
     return Folds("scene", held, ~held, {})
@@ -304,12 +304,12 @@ def _by_block(frames: Sequence[FrameKey], names: np.ndarray, scenes: Sequence[st
     held, learnt = np.zeros((2, folds, len(frames)), np.bool_)
     gaps: dict[str, float | int] = {}
     for number, scene in enumerate(scenes):
-        places = np.flatnonzero(names == scene)
-        along, gap = _along([frames[k] for k in places.tolist()])
+        indices = np.flatnonzero(names == scene)
+        along, gap = _along([frames[k] for k in indices.tolist()])
         rank = np.argsort(np.argsort(along, kind="stable"), kind="stable")
         # Scenes with few frames start at different folds.
-        block = (rank * min(folds, len(places)) // len(places) + number) % folds
-        gaps[scene] = _held_in_blocks(held, learnt, places, block, along, gap)
+        block = (rank * min(folds, len(indices)) // len(indices) + number) % folds
+        gaps[scene] = _held_in_blocks(held, learnt, indices, block, along, gap)
     return Folds("blocks", held, learnt, gaps)
 
 
@@ -325,11 +325,11 @@ def _along(frames: Sequence[FrameKey]) -> tuple[np.ndarray, float | int]:
 
 
 def _held_in_blocks(
-    held: np.ndarray, learnt: np.ndarray, places: np.ndarray, block: np.ndarray, along: np.ndarray, gap: float | int
+    held: np.ndarray, learnt: np.ndarray, indices: np.ndarray, block: np.ndarray, along: np.ndarray, gap: float | int
 ) -> float | int:
     """Enter one scene's blocks; the gap is halved until at least half of the other frames are left to learn from."""
     mine = block[None] == np.arange(len(held))[:, None]
-    held[:, places] = mine
+    held[:, indices] = mine
     while True:
         near = np.zeros_like(mine)
         for k, inside in enumerate(mine):
@@ -338,6 +338,6 @@ def _held_in_blocks(
         kept = ~near & ~mine
         enough = (kept.sum(axis=1) * 2 >= (~mine).sum(axis=1)).all()
         if enough or gap < 0.01:
-            learnt[:, places] = kept if enough else ~mine
+            learnt[:, indices] = kept if enough else ~mine
             return gap if enough else 0
         gap = gap // 2 if isinstance(gap, int) else gap / 2

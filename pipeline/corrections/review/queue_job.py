@@ -13,7 +13,7 @@ from pipeline.answering.opening import Pipeline
 from pipeline.corrections.journal.frame_rows import setting_of
 from pipeline.corrections.journal.journal import journal_of
 from pipeline.corrections.review.detector_evidence import SecondDetector, detector_evidence
-from pipeline.corrections.review.evidence import read_cells
+from pipeline.corrections.review.evidence import read_relation_labels
 from pipeline.corrections.review.items import by_frame, with_states
 from pipeline.corrections.review.out_of_fold import DoubtConfig
 from pipeline.corrections.review.queue import QueueConfig, review_queue
@@ -61,11 +61,11 @@ def second_setup(source: Pipeline, labels: Labels) -> tuple[str, DetectorSetup] 
     -------
     (its name, see `Pipeline.sides`; what it is made from)
     """
-    said = labels.manifest.models.get("detector")
+    maker = labels.manifest.models.get("detector")
     own, other = source.sides
     known = ((other, source.beside, source.beside_setup), (own, source.detector, source.setup))
     for name, detector, setup in known:
-        if detector is not None and setup is not None and not made_by(said, detector):
+        if detector is not None and setup is not None and not made_by(maker, detector):
             return name, setup
     return None
 
@@ -107,7 +107,7 @@ def make_queue(job: QueueJob, report: Callable[[Step], None]) -> dict[str, Any]:
             judgements=reviewed.judgements,
             progress=lambda done, of: report(("networks", done, of)),
         )
-        states = states_on_labels(reviewed.judgements, read_cells(reviewed.labels))
+        states = states_on_labels(reviewed.judgements, read_relation_labels(reviewed.labels))
     metadata = queue.schema.metadata
     write_queue(with_states(by_frame(queue), states).replace_schema_metadata(metadata), job.out)
     wrong = (metadata or {}).get(b"estimated_wrong")
@@ -147,7 +147,7 @@ def _reviewed(job: QueueJob, labels: Labels, folder: Path) -> tuple[Reviewed, Ma
 
 
 @dataclass(frozen=True)
-class Making:
+class QueueProgress:
     """A review queue that is being made, and the one that was made last.
 
     Attributes
@@ -174,7 +174,7 @@ class Making:
 
 
 @dataclass(frozen=True)
-class Training:
+class TrainingProgress:
     """How far a training is, and what came of it.
 
     Attributes
@@ -203,13 +203,13 @@ class LabelJobs:
 
     Attributes
     ----------
-    queue : SharedJob of Making
-    training : SharedJob of Training
+    queue : SharedJob of QueueProgress
+    training : SharedJob of TrainingProgress
     """
 
     def __init__(self) -> None:
-        self.queue = SharedJob(Making())
-        self.training = SharedJob(Training())
+        self.queue = SharedJob(QueueProgress())
+        self.training = SharedJob(TrainingProgress())
 
     def make(self, job_for: Callable[[Path], QueueJob]) -> bool:
         """Make the queue; whether it was started, see `SharedJob.start`.
@@ -226,13 +226,13 @@ class LabelJobs:
         job = job_for(Path(folder.name) / "queue.parquet")
         now = job if self.queue.seen.work is not None else replace(job, networks=False, detector=None)
 
-        def begun(seen: Making) -> Making:
+        def begun(seen: QueueProgress) -> QueueProgress:
             return replace(seen, running=True, job=now, step=None, problem="")
 
-        def heard(seen: Making, step: Step) -> Making:
+        def heard(seen: QueueProgress, step: Step) -> QueueProgress:
             return replace(seen, step=step)
 
-        def ended(seen: Making, record: Any, problem: str) -> Making:
+        def ended(seen: QueueProgress, record: Any, problem: str) -> QueueProgress:
             seen = replace(seen, running=False, step=None)
             try:
                 if not problem:
@@ -256,14 +256,14 @@ class LabelJobs:
         """Retrain; whether it was started, see `SharedJob.start`."""
         began = perf_counter()
 
-        def heard(seen: Training, step: tuple[str, int, int]) -> Training:
+        def heard(seen: TrainingProgress, step: tuple[str, int, int]) -> TrainingProgress:
             return replace(seen, step=step, seconds=perf_counter() - began)
 
-        def ended(_: Training, record: Any, problem: str) -> Training:
-            return Training(record=record, problem=problem, seconds=perf_counter() - began)
+        def ended(_: TrainingProgress, record: Any, problem: str) -> TrainingProgress:
+            return TrainingProgress(record=record, problem=problem, seconds=perf_counter() - began)
 
         return self.training.start(
-            retraining_in_background, job, begun=lambda _: Training(running=True), heard=heard, ended=ended
+            retraining_in_background, job, begun=lambda _: TrainingProgress(running=True), heard=heard, ended=ended
         )
 
     def end(self) -> None:

@@ -20,7 +20,7 @@ import xxhash
 
 from pipeline.corrections.journal.journal import Journal
 from pipeline.corrections.journal.materialise import materialise
-from pipeline.corrections.review.evidence import CellEvidence, ItemEvidence, RelationLabels, read_cells
+from pipeline.corrections.review.evidence import ItemEvidence, RelationEvidence, RelationLabels, read_relation_labels
 from pipeline.corrections.review.items import (
     DISAGREED,
     KINDS,
@@ -33,7 +33,7 @@ from pipeline.corrections.review.items import (
     with_states,
 )
 from pipeline.corrections.review.out_of_fold import unstacked
-from pipeline.corrections.review.states import Judgements, Word, item_of, judgements_of
+from pipeline.corrections.review.states import Judgement, Judgements, item_of, judgements_of
 from pipeline.datasets import Dataset
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.labels.schema import Manifest, labels_version
@@ -85,8 +85,8 @@ def reviewed_labels(labels: Labels, journal: Journal, folder: Path, dataset: Dat
     _, found = materialise(labels, journal, folder, dataset=dataset)
     # Where labels say by now what they were corrected to, the word on them holds.
     ignored = {u.event.ulid for u in found.unapplied if u.kind != "agreed"}
-    keys = {key for event in events if (key := item_of(event.cell)) is not None and key.kind == "relation"}
-    automatic = relation_states(read_cells(labels), keys)
+    keys = {key for event in events if (key := item_of(event.ref)) is not None and key.kind == "relation"}
+    automatic = relation_states(read_relation_labels(labels), keys)
     return Reviewed(open_labels(folder), judgements_of(events, automatic=automatic.get, ignored=ignored))
 
 
@@ -113,8 +113,8 @@ def states_on_labels(judgements: Judgements, cells: RelationLabels) -> dict[Item
     states = judgements.states()
     now = relation_states(cells, set(states))
     for key, state in now.items():
-        said = judgements.said(key)
-        if said in ("T", "U", "F") and said != letter(state):
+        verdict = judgements.verdict(key)
+        if verdict in ("T", "U", "F") and verdict != letter(state):
             states[key] = "unsure"
     return states
 
@@ -133,7 +133,7 @@ def without_gone(queue: pa.Table, labels: Labels, states: Mapping[ItemKey, State
         As of `states_on_labels`.
     """
     keys = item_keys(queue)
-    pairs = set(_places(read_cells(labels), {k for k in keys if k.kind == "relation"})[0])
+    pairs = set(_places(read_relation_labels(labels), {k for k in keys if k.kind == "relation"})[0])
     frames = set(labels.frames.column("frame").to_pylist())
     objects, expressions = (
         set(zip(*(table.column(name).to_pylist() for name in ("frame", number)), strict=True))
@@ -152,7 +152,7 @@ def without_gone(queue: pa.Table, labels: Labels, states: Mapping[ItemKey, State
     return queue.filter([stands(key) for key in keys])
 
 
-def settled_cells(cells: RelationLabels, states: Mapping[ItemKey, State]) -> np.ndarray:
+def settled_relations(cells: RelationLabels, states: Mapping[ItemKey, State]) -> np.ndarray:
     """(P, R) bool: the relation labels that are settled."""
     found = np.zeros(cells.states.shape, np.bool_)
     _, rows, columns = _places(cells, {k for k, state in states.items() if state in SETTLED})
@@ -174,26 +174,26 @@ def trusted_of_data(cells: RelationLabels, settled: np.ndarray, data: LabelData)
     return unstacked(found, sizes)
 
 
-def without_settled(evidence: CellEvidence, settled: np.ndarray) -> CellEvidence:
+def without_settled(evidence: RelationEvidence, settled: np.ndarray) -> RelationEvidence:
     """The evidence against labels that are open."""
     kept = ~settled[evidence.rows, evidence.columns]
-    return CellEvidence(evidence.rows[kept], evidence.columns[kept], evidence.weight[kept], evidence.reason[kept])
+    return RelationEvidence(evidence.rows[kept], evidence.columns[kept], evidence.weight[kept], evidence.reason[kept])
 
 
 def disagreement_evidence(
     cells: RelationLabels, judgements: Judgements
-) -> tuple[CellEvidence, tuple[ItemEvidence, ...]]:
+) -> tuple[RelationEvidence, tuple[ItemEvidence, ...]]:
     """Items on which reviewers say different things, and what each says."""
     differ = {key: _who_says(judgements, key) for key in judgements.words if judgements.differ(key)}
     keys, rows, columns = _places(cells, set(differ))
     reason = np.array([differ[key] for key in keys], object)
     items = tuple(ItemEvidence(k, DISAGREED, why) for k, why in differ.items() if k.kind != "relation")
-    return CellEvidence(rows, columns, np.full(len(rows), DISAGREED), reason), items
+    return RelationEvidence(rows, columns, np.full(len(rows), DISAGREED), reason), items
 
 
 def _who_says(judgements: Judgements, key: ItemKey) -> str:
     words = sorted((w for w in judgements.words[key].values() if w.status in SETTLED), key=lambda w: w.at)
-    return f"{DISAGREE}: " + ", ".join(f"{w.author} says {w.said}" for w in words)
+    return f"{DISAGREE}: " + ", ".join(f"{w.author} says {w.verdict}" for w in words)
 
 
 def automatic_version(manifest: Manifest) -> str:
@@ -244,14 +244,14 @@ def left_for(
     theirs = {} if second_opinion_of is None else judgements.states(second_opinion_of)
     share = overlap if second_opinion_of is None else overlap or 1.0
     first, again = [], []
-    for place, key in enumerate(keys):
+    for index, key in enumerate(keys):
         if own.get(key, "unreviewed") in SETTLED:
             continue
         by_another = theirs.get(key) in SETTLED if second_opinion_of is not None else states.get(key) in SETTLED
         if by_another and drawn(key) < share:
-            again.append(place)
+            again.append(index)
         elif second_opinion_of is None and not by_another:
-            first.append(place)
+            first.append(index)
     unsure = [k for k in first if own.get(keys[k]) == "unsure"]
     first = [k for k in first if own.get(keys[k]) != "unsure"]
     order = [*_strewn(first, again, keys), *unsure]
@@ -319,7 +319,7 @@ def pair_agreements(
 ) -> tuple[PairAgreement, ...]:
     """Each two people who have judged an item in common.
 
-    Compared is each one's newest word, as of `Word.said`; who is unsure, or has withdrawn a word, has not judged.
+    Compared is each one's newest word (`Judgement.verdict`); who is unsure, or has withdrawn a word, has not judged.
     A settlement is nobody's own word, and does not bear on it. "a left of b" and "b right of a" are one item, so that
     what one key press says counts once.
 
@@ -329,16 +329,16 @@ def pair_agreements(
     inverse : callable
         What "b ... a" is called where "a RELATION b" is said, as of `Setting.inverse`; None where nothing is.
     """
-    said = {
-        author: {k: w.said for k, w in _folded(judgements.of(author), inverse).items() if w.status in SETTLED}
+    verdict = {
+        author: {k: w.verdict for k, w in _folded(judgements.of(author), inverse).items() if w.status in SETTLED}
         for author in judgements.authors
     }
     found = []
-    for first, second in combinations(said, 2):
-        both = sorted(said[first].keys() & said[second].keys(), key=ItemKey.text)
+    for first, second in combinations(verdict, 2):
+        both = sorted(verdict[first].keys() & verdict[second].keys(), key=ItemKey.text)
         if not both:
             continue
-        pairs = [(k, said[first][k], said[second][k]) for k in both]
+        pairs = [(k, verdict[first][k], verdict[second][k]) for k in both]
         kinds = {kind: [p for p in pairs if p[0].kind == kind] for kind in KINDS}
         found.append(
             PairAgreement(
@@ -352,9 +352,9 @@ def pair_agreements(
     return tuple(found)
 
 
-def _folded(words: Mapping[ItemKey, Word], inverse: Callable[[str], str | None]) -> dict[ItemKey, Word]:
+def _folded(words: Mapping[ItemKey, Judgement], inverse: Callable[[str], str | None]) -> dict[ItemKey, Judgement]:
     """Words by one key for a relation and its mirror image: of the two the newer."""
-    found: dict[ItemKey, Word] = {}
+    found: dict[ItemKey, Judgement] = {}
     for key, word in words.items():
         mirrored = inverse(key.what) if key.kind == "relation" else None
         if mirrored is not None and key.b is not None:

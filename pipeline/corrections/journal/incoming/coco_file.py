@@ -22,7 +22,7 @@ import cv2
 import numpy as np
 
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
-from pipeline.corrections.journal.field_refs import FieldRef, object_cell
+from pipeline.corrections.journal.field_refs import FieldRef, object_ref
 from pipeline.corrections.journal.incoming.states import Claims
 from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.mask_crop import MaskCrop
@@ -103,14 +103,14 @@ def read_instances(
     frames = images_of(listed(content, "images", name), name, claims)
     by_image: dict[Any, list[tuple[str, Row]]] = {image: [] for image in frames}
     ids: set[Any] = set()
-    for place, row in enumerate(listed(content, "annotations", name)):
+    for index, row in enumerate(listed(content, "annotations", name)):
         if not isinstance(row, dict):
-            claims.problem(f"{name} annotation at {place}", f"not an object of JSON, got {type(row).__name__}")
+            claims.problem(f"{name} annotation at {index}", f"not an object of JSON, got {type(row).__name__}")
             continue
         where = f"{name} annotation {row.get('id')!r}"
         image = row.get("image_id")
         if type(row.get("id")) is not int or row["id"] in ids:
-            claims.problem(f"{where} at {place}", "its id must be a whole number of its own")
+            claims.problem(f"{where} at {index}", "its id must be a whole number of its own")
         elif type(image) is not int or image not in by_image:
             claims.problem(where, f"it is of image {image!r}, which the file does not list")
         else:
@@ -123,10 +123,10 @@ def read_instances(
         reader = _Reader(claims, claims.base(frame, state), state, categories, options)
         numbers = reader.told_by_place(found) if bare else {}
         seen: set[int] = set()
-        for place, (where, row) in enumerate(found):
+        for index, (where, row) in enumerate(found):
             claims.compared += 1
             try:
-                number = numbers.get(place) if bare else number_of(row)
+                number = numbers.get(index) if bare else number_of(row)
                 if number in seen:
                     raise InputError(f"a second annotation of object {number}")
                 if number is not None:
@@ -143,8 +143,8 @@ def images_of(images: list[Any], name: str, claims: Claims) -> dict[int, str]:
     """Frames by the id of their image; what is wrong with an image is a problem of the file."""
     found: dict[int, str] = {}
     taken: set[str] = set()
-    for place, image in enumerate(images):
-        where = f"{name} image {image.get('id') if isinstance(image, dict) else place!r}"
+    for index, image in enumerate(images):
+        where = f"{name} image {image.get('id') if isinstance(image, dict) else index!r}"
         try:
             if not isinstance(image, dict) or type(image.get("id")) is not int or image["id"] in found:
                 raise InputError("an image has a whole number of its own as id")
@@ -176,8 +176,8 @@ def _frame_of(image: Row, claims: Claims) -> str:
 
 def _categories(categories: list[Any], name: str, claims: Claims) -> dict[int, str]:
     found: dict[int, str] = {}
-    for place, category in enumerate(categories):
-        where = f"{name} category {category.get('id') if isinstance(category, dict) else place!r}"
+    for index, category in enumerate(categories):
+        where = f"{name} category {category.get('id') if isinstance(category, dict) else index!r}"
         if not isinstance(category, dict) or type(category.get("id")) is not int or category["id"] in found:
             claims.problem(where, "a category has a whole number of its own as id")
         elif not isinstance(category.get("name"), str):
@@ -234,9 +234,9 @@ class _Reader:
         from scipy.optimize import linear_sum_assignment
 
         boxes: dict[int, list[float]] = {}
-        for place, (_, row) in enumerate(found):
+        for index, (_, row) in enumerate(found):
             try:
-                boxes[place] = rectangle_of(row.get("bbox"))
+                boxes[index] = rectangle_of(row.get("bbox"))
             except InputError:
                 continue
         objects = self.base.objects
@@ -281,7 +281,7 @@ class _Reader:
         self._rectangle(where, row, number, was, pixels if drawn else None)
 
     def _say(self, where: str, number: int, field: str, value: Any) -> None:
-        self.claims.say(where, object_cell(self.base.frame, number, field), value, self.state)
+        self.claims.say(where, object_ref(self.base.frame, number, field), value, self.state)
 
     def _same_pixels(self, row: Row, pixels: np.ndarray, was: Row) -> bool:
         polygons = isinstance(row.get("segmentation"), list)
@@ -357,7 +357,7 @@ def _box3d(value: Any) -> Any:
     return found
 
 
-def expression_cell(frame: str, name: str, field: str) -> FieldRef:
+def expression_ref(frame: str, name: str, field: str) -> FieldRef:
     return FieldRef("expression", frame, name, field)
 
 
@@ -413,9 +413,9 @@ def same_outline(mask: np.ndarray, other: np.ndarray, tolerance: float) -> bool:
     rows, columns = np.nonzero(mask | other)
     if not len(rows):
         return True
-    place = slice(rows.min(), rows.max() + 1), slice(columns.min(), columns.max() + 1)
+    index = slice(rows.min(), rows.max() + 1), slice(columns.min(), columns.max() + 1)
     # The picture ends where its pixels do: beyond it is outside.
-    one, two = (np.pad(m[place], 1) for m in (mask, other))
+    one, two = (np.pad(m[index], 1) for m in (mask, other))
     more, less = two & ~_filled(one), one & ~_filled(two)
     beyond = cv2.distanceTransform((~one).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
     within = cv2.distanceTransform(one.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)

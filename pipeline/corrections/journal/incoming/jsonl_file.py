@@ -15,8 +15,8 @@ from typing import Any
 
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.effective_objects import BOX_COLUMNS
-from pipeline.corrections.journal.field_refs import FieldRef, object_cell, relation_cell, same_value
-from pipeline.corrections.journal.incoming.coco_file import expression_cell, images_of, listed, no_number, number_of
+from pipeline.corrections.journal.field_refs import FieldRef, object_ref, relation_ref, same_value
+from pipeline.corrections.journal.incoming.coco_file import expression_ref, images_of, listed, no_number, number_of
 from pipeline.corrections.journal.incoming.states import Claims
 from pipeline.geometry.run_length import decode_run_length
 from pipeline.labels.exports.jsonl import BLOCK
@@ -144,12 +144,12 @@ def _object(where: str, row: Row, frame: str, state: ExportedFrom, claims: Claim
     if was is None:
         raise InputError(f"frame {frame} had no object {number}", cause="a new one has no number")
     seen.add(number)
-    claims.say_fields(where, row, object_cell(frame, number, "label"), ("label", "status"), state)
+    claims.say_fields(where, row, object_ref(frame, number, "label"), ("label", "status"), state)
     if "mask" in row and not same_mask(row["mask"], was["mask"], (base.row["height"], base.row["width"])):
-        claims.say(where, object_cell(frame, number, "mask"), row["mask"], state)
-    claims.say_fields(where, row, object_cell(frame, number, "bbox"), ("bbox",), state)
+        claims.say(where, object_ref(frame, number, "mask"), row["mask"], state)
+    claims.say_fields(where, row, object_ref(frame, number, "bbox"), ("bbox",), state)
     if box != {}:
-        claims.say(where, object_cell(frame, number, "box"), box, state)
+        claims.say(where, object_ref(frame, number, "box"), box, state)
     _ignore(row, was, {"label", "mask", "bbox", *BOX_COLUMNS}, claims)
 
 
@@ -170,7 +170,7 @@ def check_pair(base: EffectiveFrame, a: int, b: int) -> None:
     if a == b:
         raise InputError("an object has no relation to itself", got=a)
     for number in (a, b):
-        if base.pairs.place(number) is None:
+        if base.pairs.index_of(number) is None:
             raise InputError(f"frame {base.frame} had no object {number} that takes part in relations")
 
 
@@ -181,22 +181,22 @@ def _relation(where: str, row: Row, frame: str, state: ExportedFrom, claims: Cla
     relations = base.setting.relations
     for relation in PAIRWISE:
         if relation in row:
-            _state(where, base, relation_cell(frame, a, b, relation), row[relation], state, claims)
+            _state(where, base, relation_ref(frame, a, b, relation), row[relation], state, claims)
     if "statuses" in row:
         statuses = _statuses(row["statuses"], relations)
         for relation in relations:
-            claims.say(where, relation_cell(frame, a, b, f"{relation}.status"), statuses.get(relation), state)
+            claims.say(where, relation_ref(frame, a, b, f"{relation}.status"), statuses.get(relation), state)
 
 
 def _state(
-    where: str, base: EffectiveFrame, cell: FieldRef, value: Any, state: ExportedFrom, claims: Claims
+    where: str, base: EffectiveFrame, ref: FieldRef, value: Any, state: ExportedFrom, claims: Claims
 ) -> None:
     """The state of a relation; one that the labels do not hold may be there as it was exported."""
-    if value == base.value(cell) and type(value) in (int, type(None)):
+    if value == base.value(ref) and type(value) in (int, type(None)):
         return
-    if cell.field not in base.setting.relations:
-        raise InputError(f"the labels hold no relation {cell.field!r}")
-    claims.say(where, cell, value, state)
+    if ref.field not in base.setting.relations:
+        raise InputError(f"the labels hold no relation {ref.field!r}")
+    claims.say(where, ref, value, state)
 
 
 def _statuses(listed: Any, relations: tuple[str, ...]) -> dict[str, Any]:
@@ -247,8 +247,8 @@ def read_refs(
     if not isinstance(refs, list):
         raise InputError(f"{name} is a list", got=type(refs).__name__)
     seen: set[tuple[str, str]] = set()
-    for place, ref in enumerate(refs):
-        where = f"{name} ref {ref.get('ref_id') if isinstance(ref, dict) else place!r}"
+    for index, ref in enumerate(refs):
+        where = f"{name} ref {ref.get('ref_id') if isinstance(ref, dict) else index!r}"
         try:
             if not isinstance(ref, dict) or type(ref.get("image_id")) is not int or ref["image_id"] not in frames:
                 raise InputError("it is of no image that instances.json lists")
@@ -260,12 +260,12 @@ def read_refs(
             seen.add((frame, own))
             claims.compared += 1
             if "sentences" in ref:
-                claims.say(where, expression_cell(frame, own, "text"), _raw(ref["sentences"]), state)
+                claims.say(where, expression_ref(frame, own, "text"), _raw(ref["sentences"]), state)
             for key, field in (("target_ann_ids", "targets"), ("acceptable_ann_ids", "acceptable")):
                 if key in ref:
                     numbers = _objects(ref[key], frame, annotations, key)
-                    claims.say(where, expression_cell(frame, own, field), numbers, state)
-            claims.say_fields(where, ref, expression_cell(frame, own, "mark"), ("ambiguous", "mark", "status"), state)
+                    claims.say(where, expression_ref(frame, own, field), numbers, state)
+            claims.say_fields(where, ref, expression_ref(frame, own, "mark"), ("ambiguous", "mark", "status"), state)
         except InputError as error:
             claims.problem(where, error)
 
@@ -291,8 +291,8 @@ def read_relations(
 ) -> None:
     """Read `relations.json`: the columns of states."""
     seen: set[int] = set()
-    for place, image in enumerate(listed(content, "images", name)):
-        where = f"{name} image {image.get('image_id') if isinstance(image, dict) else place!r}"
+    for index, image in enumerate(listed(content, "images", name)):
+        where = f"{name} image {image.get('image_id') if isinstance(image, dict) else index!r}"
         try:
             if not isinstance(image, dict) or type(image.get("image_id")) is not int:
                 raise InputError("it has no image_id")
@@ -320,7 +320,7 @@ def _columns(
         check_pair(base, m, n)
     for relation in relations:
         for m, n, value in zip(a, b, image[relation], strict=True):
-            _state(f"{where}, pair {m},{n}", base, relation_cell(frame, m, n, relation), value, state, claims)
+            _state(f"{where}, pair {m},{n}", base, relation_ref(frame, m, n, relation), value, state, claims)
     if "statuses" in image:
         _pair_statuses(image["statuses"], where, frame, annotations, state, claims)
 
@@ -334,8 +334,8 @@ def _pair_statuses(
         if not isinstance(entry, dict) or entry.get("relation") not in base.setting.relations:
             raise InputError("statuses is a list of {a, b, relation, status}", got=repr(entry)[:60])
         m, n = _objects([entry.get("a"), entry.get("b")], frame, annotations, "statuses")
-        found[relation_cell(frame, m, n, f"{entry['relation']}.status")] = entry.get("status")
+        found[relation_ref(frame, m, n, f"{entry['relation']}.status")] = entry.get("status")
     # One that was exported and is not listed any more was taken off.
     gone = [c for c in base.statuses if c.kind == "relation" and c not in found]
-    for cell, status in (*found.items(), *((c, None) for c in gone)):
-        claims.say(where, cell, status, state)
+    for ref, status in (*found.items(), *((c, None) for c in gone)):
+        claims.say(where, ref, status, state)

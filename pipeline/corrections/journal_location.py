@@ -32,7 +32,7 @@ PATIENCE_S = 3.0
 """How long anybody waits for a journal that is being opened; it goes on being opened after that."""
 
 
-class JournalPlace:
+class JournalLocation:
     """The journal of labels, shared by everyone who corrects them in one process.
 
     Parameters
@@ -61,7 +61,7 @@ class JournalPlace:
 
     def __str__(self) -> str:
         if self._journal is not None:
-            return self._journal.place
+            return self._journal.location
         return str(self.labels.root / JOURNAL_FILE) if self.where is None else self.address
 
     @property
@@ -196,27 +196,27 @@ class UnsavedDump:
     files: tuple[Path, ...]
 
 
-def dump_unsaved(place: JournalPlace, folders: Sequence[Path] | None = None) -> tuple[UnsavedDump, ...]:
+def dump_unsaved(location: JournalLocation, folders: Sequence[Path] | None = None) -> tuple[UnsavedDump, ...]:
     """Save what waits; what cannot be saved is written to the first folder that can be written.
 
     Parameters
     ----------
-    place : JournalPlace
+    location : JournalLocation
     folders : sequence of Path, optional
         By default the working folder and the one for temporary files.
     """
     folders = (Path.cwd(), Path(tempfile.gettempdir())) if folders is None else folders
     found = []
-    for author in place.unsaved.authors:
-        place.unsaved.retry(author, place.to_write)
-        waiting, disputed = place.unsaved.waiting(author), place.unsaved.disputed(author)
-        lists = unsaved_actions(place.unsaved, author)
+    for author in location.unsaved.authors:
+        location.unsaved.retry(author, location.to_write)
+        waiting, disputed = location.unsaved.waiting(author), location.unsaved.disputed(author)
+        lists = unsaved_actions(location.unsaved, author)
         if not lists:
             continue
         problem = waiting[0].problem if waiting else "somebody else was faster, and nobody has decided"
         edits = [e for w in waiting for e in w.edits] + [e for c in disputed for e in c.edits]
-        said = tuple(f"{e.cell}: {json.dumps(e.after, ensure_ascii=False)[:60]}" for e in edits)
-        found.append(UnsavedDump(author, problem, said, _written(lists, author, folders)))
+        texts = tuple(f"{e.ref}: {json.dumps(e.after, ensure_ascii=False)[:60]}" for e in edits)
+        found.append(UnsavedDump(author, problem, texts, _written(lists, author, folders)))
     return tuple(found)
 
 
