@@ -11,18 +11,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from journal_world import FRAME, an_expression, saved
 
-from pipeline.corrections.expression_cards import (
-    ExpressionCard,
-    answers_with,
-    expression_card,
-    expression_cards,
-    expression_records,
-    set_answer,
-)
 from pipeline.corrections.journal import edits
 from pipeline.corrections.journal.effective import Corrector
 from pipeline.corrections.journal.field_refs import FieldRef
 from pipeline.corrections.journal.journal import Journal
+from pipeline.corrections.object_card import (
+    ExpressionCard,
+    answers_with,
+    expression_card,
+    expression_cards,
+    set_answer,
+)
 from pipeline.system.errors import InputError
 
 
@@ -39,7 +38,7 @@ def test_a_card_says_what_the_row_says_and_the_pair_comes_first(bare_corrector: 
     assert (card.text, list(card.targets), list(card.acceptable)) == (row["text"], row["targets"], row["acceptable"])
     assert card.names[row["target_object"]] == frame.objects[row["target_object"]]["label"]
     assert {o.source for o in card.origins.values()} == {"auto"}
-    assert len(json.dumps(expression_records(frame))) > 100
+    assert len(json.dumps([card.record() for card in expression_cards(frame)])) > 100
 
 
 def test_answers_are_set_one_by_one_and_the_origin_is_told(bare_corrector: Corrector, journal: Journal) -> None:
@@ -105,5 +104,5 @@ def test_each_reviewer_has_a_word_of_their_own(bare_corrector: Corrector, journa
     for author, status in (("ann", "accepted"), ("ben", "unsure")):
         saved(journal, edits.set_status(bare_corrector.frame(FRAME, journal), cell, status, author=author), author)
     card = expression_card(bare_corrector.frame(FRAME, journal), name)
-    assert card.said == card.record()["said"] == {"ann": "accepted", "ben": "unsure"}
+    assert card.statuses == card.record()["said"] == {"ann": "accepted", "ben": "unsure"}
     assert card.status is None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,6 @@ from hypothesis import strategies as st
 from review_labels import copied, with_relations
 from sklearn.metrics import cohen_kappa_score
 
-from pipeline.corrections.review.agreement import agreement_of
 from pipeline.corrections.review.evidence import matched_boxes
 from pipeline.corrections.review.items import (
     KINDS,
@@ -28,7 +28,7 @@ from pipeline.corrections.review.out_of_fold import DoubtConfig
 from pipeline.corrections.review.queue import QueueConfig, review_queue
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.labels.tables import write_table
-from pipeline.metrics.significance import cohen_kappa
+from pipeline.metrics.significance import Agreement, cohen_kappa
 from pipeline.system.errors import InputError
 from pipeline.training.train import TrainConfig
 
@@ -199,6 +199,13 @@ def test_kappa_is_that_of_scikit_learn(pairs: list[tuple[str, str]]) -> None:
     else:
         assert np.isnan(found.kappa)
         assert found.record()["kappa"] is None
+
+
+def agreement_of(first: Mapping[int, str], second: Mapping[int, str]) -> Agreement:
+    """Agreement on the items that both have reviewed: "unreviewed" is no judgement."""
+    none = "unreviewed"
+    both = [key for key, said in first.items() if said != none and second.get(key, none) != none]
+    return cohen_kappa([first[key] for key in both], [second[key] for key in both])
 
 
 def test_agreement_is_of_what_both_reviewed() -> None:

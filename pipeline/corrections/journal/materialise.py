@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.corrections.journal.effective import EffectiveLabels, effective_tables
+from pipeline.corrections.journal.events import who_and_what
 from pipeline.corrections.journal.field_refs import shown_value
 from pipeline.corrections.journal.journal import Journal
-from pipeline.corrections.journal.records import who_and_what
 from pipeline.corrections.journal.replay import Unapplied
 from pipeline.datasets import Dataset
 from pipeline.labels.card import croissant, dataset_card
@@ -68,7 +68,7 @@ def materialise(
 
 
 def _write(found: EffectiveLabels, journal: Journal, folder: Path) -> Manifest:
-    was = found.labels.manifest
+    was = found.manifest
     tables = {name: write_merged(folder, name, iter([found.tables[name]])) for name in TABLES}
     write_table(found.provenance, folder / PROVENANCE_FILE)
     listed = {
@@ -80,11 +80,11 @@ def _write(found: EffectiveLabels, journal: Journal, folder: Path) -> Manifest:
     write_synced(folder / UNAPPLIED_FILE, json.dumps(listed, indent=1, ensure_ascii=False).encode())
     marks = [{"frame": frame, "id": name, "mark": mark} for (frame, name), mark in sorted(found.marks.items())]
     write_synced(folder / MARKS_FILE, json.dumps(marks, indent=1, ensure_ascii=False).encode())
-    said = [
-        {"kind": cell.kind, "frame": cell.frame, "key": cell.key, "field": cell.field, "value": value}
-        for cell, value in sorted(found.statuses.items())
+    statuses = [
+        {"kind": ref.kind, "frame": ref.frame, "key": ref.key, "field": ref.field, "value": value}
+        for ref, value in sorted(found.statuses.items())
     ]
-    write_synced(folder / STATUSES_FILE, json.dumps(said, indent=1, ensure_ascii=False).encode())
+    write_synced(folder / STATUSES_FILE, json.dumps(statuses, indent=1, ensure_ascii=False).encode())
     usable = sum(found.frames.column("ok").to_pylist())
     manifest = was.model_copy(
         update={
@@ -102,7 +102,7 @@ def _write(found: EffectiveLabels, journal: Journal, folder: Path) -> Manifest:
             "environment": environment(),
             "created": datetime.now(timezone.utc).isoformat(timespec="seconds"),
             "corrections": {
-                "journal": journal.place,
+                "journal": journal.location,
                 "project": journal.project,
                 "events": found.events,
                 "last": found.last,
@@ -127,7 +127,7 @@ def unapplied_record(entry: Unapplied) -> dict[str, Any]:
     event = entry.event
     return {
         **who_and_what(event),
-        "wanted": shown_value(event.cell, event.after),
+        "wanted": shown_value(event.ref, event.after),
         "because": entry.kind,
         "reason": entry.reason,
     }
