@@ -1,4 +1,4 @@
-"""What is known of one labelled object, field by field, and where it comes from."""
+"""What is known of a labelled object or an expression, field by field, where from, and how answers are changed."""
 
 from __future__ import annotations
 

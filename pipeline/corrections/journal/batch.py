@@ -1,4 +1,7 @@
-"""Edits as a file: a JSON list of actions, checked as a whole and saved as one."""
+"""Edits as a file: a JSON list of actions, checked as a whole and saved as one.
+
+Pixels are run-length codes, polygons, rectangles, strokes, or seeds of a surface.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Effective labels: what the labeller made with what people corrected, as the same four tables, with provenance."""
+"""Effective labels: what the labeller made with what people corrected, as the same four tables, with provenance.
+
+What follows from corrected pixels and boxes is lifted and judged as the labeller does it.
+"""
 
 from __future__ import annotations
 
@@ -99,7 +102,7 @@ class EffectiveLabels(Labels):
         Of the automatic ones.
     tables : dict of str to pyarrow.Table
     provenance : pyarrow.Table
-        See `origins.provenance_schema`: a value that is not listed is the labeller's.
+        See `replay.provenance_schema`: a value that is not listed is the labeller's.
     unapplied : tuple of Unapplied
         Events that say nothing of these labels, each with the reason.
     withdrawn : tuple of Withdrawn

@@ -1,4 +1,4 @@
-"""What is reviewed, item by item: its key, its state, and how far a review has come."""
+"""What is reviewed, item by item: its key, its state, the order it is worked through, and how far a review has come."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A stored queue with what became of its items: what a reviewer is shown next, at the price of a look."""
+"""A stored queue with what became of its items, also while people go on saving: what a reviewer is shown next."""
 
 from __future__ import annotations
 
