@@ -323,7 +323,7 @@ def _settle(a: Settle, frame: EffectiveFrame, author: str, canvas: Canvas | None
     state = _STATES.get(a.to) if ref.kind == "relation" else None
     if state is None:
         return actions.settle(frame, ref, a.to, a.reason)
-    now = frame.value(actions.state_cell(ref))
+    now = frame.value(actions.state_ref(ref))
     return actions.settle(frame, ref, "accepted" if state == now else "corrected", a.reason, state)
 
 

@@ -25,6 +25,7 @@ from pipeline.corrections.journal.replay import Unapplied, all_gone, by_ref, pro
 from pipeline.datasets import Dataset
 from pipeline.geometry.camera import UpSource
 from pipeline.geometry.lifting import LiftedObject, lift
+from pipeline.geometry.mask_crop import MaskCrop
 from pipeline.geometry.run_length import decode_run_length
 from pipeline.labels.labelling import label_objects
 from pipeline.labels.reading import Labels
@@ -329,8 +330,7 @@ class Relifter:
         if box is not None:
             lifted = lifted.moved_to(box_of(box), context.viewer)
         if source == "human" and not human_bbox and mask.any():
-            v, u = np.nonzero(mask)
-            bbox = np.array([u.min(), v.min(), u.max() + 1, v.max() + 1], np.float32)
+            bbox = np.array(MaskCrop(0, 0, mask).box, np.float32)
         return SceneObject(row["object"], row["label"], row["score"], bbox, mask, lifted)
 
     def _lift(self, context: PreparedFrame, mask: np.ndarray, source: Any) -> LiftedObject:
