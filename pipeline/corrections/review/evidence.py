@@ -118,7 +118,7 @@ def margin_evidence(cells: RelationLabels, least: float) -> RelationEvidence:
     weight = np.where(np.isnan(near), 0.0, 0.5 * ndtr(-np.nan_to_num(near) / MARGIN_SIGMA_M))
     rows, columns = np.nonzero(((cells.states == T) | (cells.states == F)) & (weight >= least))
     reason = _joined(
-        "only ", np.char.mod("%.1f", 1000 * near[rows, columns]), " mm from where the rule would be in doubt"
+        "only ", np.char.mod("%.1f", 1000 * near[rows, columns]), " mm from where the rule would be undecided"
     )
     return RelationEvidence(rows, columns, weight[rows, columns], reason)
 
