@@ -21,7 +21,7 @@ from pipeline.corrections.journal.undo import redo, undo
 from pipeline.corrections.object_card import ObjectCard, object_card
 from pipeline.corrections.support import Support, support_name, support_of
 from pipeline.corrections.wording import event_text
-from pipeline.labels.reading import open_labels
+from pipeline.labels.reading import Labels, open_labels
 from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE
 from pipeline.relations.relations import letter
@@ -128,7 +128,7 @@ def run_effective(command: Effective) -> None:
     labels = open_labels(command.labels)
     with command.journal.open(labels, must_exist=True) as journal:
         manifest, found = materialise(labels, journal, command.out, dataset=command.source.open(labels))
-    command.write(manifest.corrections or {}, print_effective, found, command.out, command.show)
+    command.write(manifest.corrections or {}, print_effective, labels, found, command.out, command.show)
 
 
 @contextmanager
@@ -185,7 +185,7 @@ def print_outcome(done: Saved | Conflict | None, verb: str, frame_of: FrameOf) -
             say(str(rival))
 
 
-def print_effective(found: EffectiveLabels, out: Path, show: int) -> None:
+def print_effective(labels: Labels, found: EffectiveLabels, out: Path, show: int) -> None:
     """Whose the values are, and what no longer applies."""
     counts = found.counts
     say(
@@ -195,7 +195,7 @@ def print_effective(found: EffectiveLabels, out: Path, show: int) -> None:
     )
     if counts["stale"]:
         say("stale values follow from masks or boxes: they need the dataset (--dataset)", style="yellow")
-    frame_of = frames_of(Corrector(found.labels), ())
+    frame_of = frames_of(Corrector(labels), ())
     for entry in found.unapplied[:show]:
         say(f"does not apply: {_text(entry.event, frame_of)} by {entry.event.author}: {entry.reason}", style="yellow")
     if len(found.unapplied) > show:

@@ -48,7 +48,7 @@ def test_answers_are_set_one_by_one_and_the_origin_is_told(bare_corrector: Corre
     saved(journal, set_answer(frame, row["id"], other, "likely"))
     frame = bare_corrector.frame(FRAME, journal)
     card = expression_card(frame, row["id"])
-    assert card.doubt(other) == "likely"
+    assert card.certainty(other) == "likely"
     assert card.ambiguous
     assert card.origins["acceptable"].author == "ann"
     with pytest.raises(InputError, match="already"):
@@ -56,7 +56,7 @@ def test_answers_are_set_one_by_one_and_the_origin_is_told(bare_corrector: Corre
     saved(journal, set_answer(frame, row["id"], other, "sure"))
     frame = bare_corrector.frame(FRAME, journal)
     for number in (*row["acceptable"], other):
-        assert expression_card(frame, row["id"]).doubt(number) != "no"
+        assert expression_card(frame, row["id"]).certainty(number) != "no"
     for number in row["acceptable"]:
         saved(journal, set_answer(frame, row["id"], number, "no"))
         frame = bare_corrector.frame(FRAME, journal)
@@ -75,7 +75,7 @@ def test_targets_are_always_acceptable(steps: list[tuple[int, Any]]) -> None:
         targets, acceptable = answers_with(card, number, doubt)
         assert set(targets) <= set(acceptable)
         card = replace(card, targets=targets, acceptable=acceptable)
-        assert card.doubt(number) == doubt
+        assert card.certainty(number) == doubt
 
 
 def test_a_rejected_expression_keeps_its_text_and_can_be_brought_back(

@@ -76,7 +76,7 @@ def test_a_turned_cell_comes_first_with_its_reasons(turned: tuple[Labels, ItemKe
 def test_networks_alone_do_not_ask_the_linter(turned: tuple[Labels, ItemKey]) -> None:
     labels, _ = turned
     train = TrainConfig(vocabulary="all", epochs=1, batch=256)
-    config = QueueConfig(DoubtConfig(folds=2, train=train), linter=False, margins=False, doubtful=False, limit=40)
+    config = QueueConfig(DoubtConfig(folds=2, train=train), linter=False, margins=False, undecided=False, limit=40)
     queue = review_queue(labels, config)
     assert queue.num_rows == 40
     assert set(queue.column("kind").to_pylist()) == {"relation"}
@@ -119,7 +119,7 @@ def test_other_labels_of_the_frames_dispute_names_places_and_relations(
     changed = states.copy()
     changed[row] = -1
     other = with_relations(open_labels(folder), tmp_path / "both", {"above": changed})
-    config = QueueConfig(doubts=None, linter=False, margins=False, doubtful=False)
+    config = QueueConfig(doubts=None, linter=False, margins=False, undecided=False)
     queue = review_queue(labels, config, other=other)
     frame = labels.objects.column("frame")[0].as_py()
     first, second = (labels.objects.column("object")[k].as_py() for k in (0, 1))

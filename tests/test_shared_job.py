@@ -128,6 +128,6 @@ def test_the_first_queue_is_there_before_the_detector_is_asked(demo_labels: Labe
 
 def quick(job: QueueJob, labels: Labels, report: Callable[[Any], None]) -> dict[str, Any]:
     """An empty queue, made without looking at the labels."""
-    config = QueueConfig(doubts=None, linter=False, margins=False, doubtful=False)
+    config = QueueConfig(doubts=None, linter=False, margins=False, undecided=False)
     write_queue(review_queue(labels, config), job.out)
     return {"items": 0, "last": (0, "")}

@@ -1,4 +1,4 @@
-"""What is known of a pair of labelled objects, relation by relation, and where it comes from."""
+"""What is known of a pair of labelled objects, relation by relation, where from, also while a box is moved."""
 
 from __future__ import annotations
 

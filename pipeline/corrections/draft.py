@@ -1,4 +1,8 @@
-"""A draft: pixels that are being drawn for one object, step by step, until they are saved as one edit or dropped."""
+"""A draft: pixels drawn for one object, step by step, until they are saved as one edit or dropped; masks cut in parts.
+
+A mask is cut by a polygon, along a line, or where its depth comes apart. Parts
+never share a pixel.
+"""
 
 from __future__ import annotations
 

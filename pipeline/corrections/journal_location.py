@@ -1,4 +1,8 @@
-"""Where the corrections of labels are kept: opened when they are first needed, so that looking writes nothing."""
+"""Where the corrections of labels are kept: opened when they are first needed, so that looking writes nothing.
+
+What is not saved when a program ends is tried once more, and else written to a
+file that can be saved later.
+"""
 
 from __future__ import annotations
 

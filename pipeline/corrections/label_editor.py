@@ -1,4 +1,4 @@
-"""A desk: one person who corrects labels, what they see, what is saved, and what could not be saved yet."""
+"""An editor: one person who corrects labels, what they see, what is saved, who changed what, what is not saved yet."""
 
 from __future__ import annotations
 

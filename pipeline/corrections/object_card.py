@@ -1,4 +1,4 @@
-"""What is known of one labelled object, field by field, and where it comes from."""
+"""What is known of a labelled object or an expression, field by field, where from, and how answers are changed."""
 
 from __future__ import annotations
 
@@ -199,8 +199,8 @@ def back_to_automatic(frame: EffectiveFrame, number: int, field: str, reason: st
         raise InputError("an object has no such field", got=repr(field), expected=", ".join(FIELDS))
     if not line.settled:
         raise InputError(f"nobody has changed the {field} of object {number}")
-    said = {"status": "", "box": "as its points make it"}.get(field, "as the labeller had it")
-    return set_value(frame, object_ref(frame.frame, number, field), _automatic(frame, number, field), reason or said)
+    default = {"status": "", "box": "as its points make it"}.get(field, "as the labeller had it")
+    return set_value(frame, object_ref(frame.frame, number, field), _automatic(frame, number, field), reason or default)
 
 
 def judgements(frame: EffectiveFrame, number: int) -> dict[str, str]:
@@ -232,13 +232,13 @@ def _line(frame: EffectiveFrame, number: int, field: str) -> FieldLine:
     value, origin = frame.value(ref), frame.origin(ref)
     auto = frame.auto.objects.get(number)
     was = None if auto is None else object_value(auto, field)
-    said = "unreviewed" if field == "status" and value is None else shown_value(ref, value)
+    text = "unreviewed" if field == "status" and value is None else shown_value(ref, value)
     known = auto is not None or field in ("status", "box")
     settled = known and frame.version(ref) > 0 and origin.source == "human"
     if field != "box":
         settled = settled and not same_value(value, _automatic(frame, number, field) if known else None)
     automatic = None if auto is None else "unreviewed" if field == "status" else shown_value(ref, was)
-    return FieldLine(field, value, said, automatic, origin, frame.version(ref), settled)
+    return FieldLine(field, value, text, automatic, origin, frame.version(ref), settled)
 
 
 def _added_by(frame: EffectiveFrame, number: int) -> str:
@@ -267,7 +267,7 @@ class ExpressionCard:
     target_object, reference_object : int
         Numbers of the labelled pair.
     targets, acceptable : tuple of int
-        Numbers of the objects that it is true of: beyond doubt, and with the doubtful ones.
+        Numbers of the objects that it is true of: beyond doubt, and with the undecided ones.
     names : dict of int to str
         Classes of all these objects; of one that is gone, "".
     ambiguous : bool
@@ -300,7 +300,7 @@ class ExpressionCard:
     origins: dict[str, Origin]
     versions: dict[str, int]
 
-    def doubt(self, number: int) -> Certainty:
+    def certainty(self, number: int) -> Certainty:
         """Whether it is true of an object."""
         return "sure" if number in self.targets else "likely" if number in self.acceptable else "no"
 
@@ -337,8 +337,8 @@ class ExpressionCard:
 def expression_cards(frame: EffectiveFrame, pair: Iterable[int] = ()) -> tuple[ExpressionCard, ...]:
     """All expressions of a frame: those of a pair of objects first, those that were left out last."""
     withdrawn = {w.id: w.reason for w in frame.withdrawn}
-    said = statuses_of_items(frame.statuses)
-    cards = [_card(frame, name, withdrawn.get(name, ""), said) for name in frame.auto.expressions]
+    statuses = statuses_of_items(frame.statuses)
+    cards = [_card(frame, name, withdrawn.get(name, ""), statuses) for name in frame.auto.expressions]
     chosen = tuple(pair)
     return tuple(sorted(cards, key=lambda c: (not c.is_of(chosen), bool(c.withdrawn))))
 
@@ -352,7 +352,7 @@ def expression_card(frame: EffectiveFrame, name: str) -> ExpressionCard:
 
 
 def _card(
-    frame: EffectiveFrame, name: str, withdrawn: str, said: dict[tuple[str, int, int | None, str], dict[str, str]]
+    frame: EffectiveFrame, name: str, withdrawn: str, statuses: dict[tuple[str, int, int | None, str], dict[str, str]]
 ) -> ExpressionCard:
     row = frame.expression(name)
     assert row is not None
@@ -363,24 +363,24 @@ def _card(
         frame.frame, name, row["text"], row["target"], row["relation"], row["reference"], row["target_object"],
         row["reference_object"], tuple(row["targets"]), tuple(row["acceptable"]),
         {n: "" if r is None else r["label"] for n, r in rows.items()}, bool(row["ambiguous"]),
-        frame.marks.get(name), frame.statuses.get(refs["status"]), said.get(("expression", -1, None, name), {}),
+        frame.marks.get(name), frame.statuses.get(refs["status"]), statuses.get(("expression", -1, None, name), {}),
         withdrawn,
         {field: frame.origin(ref) for field, ref in refs.items()},
         {field: frame.version(ref) for field, ref in refs.items()},
     )  # fmt: skip
 
 
-def answers_with(card: ExpressionCard, number: int, doubt: Certainty) -> tuple[tuple[int, ...], tuple[int, ...]]:
+def answers_with(card: ExpressionCard, number: int, certainty: Certainty) -> tuple[tuple[int, ...], tuple[int, ...]]:
     """The targets and the acceptable objects of an expression when one object is to be in, in doubt, or out."""
     targets, acceptable = set(card.targets) - {number}, set(card.acceptable) - {number}
-    if doubt == "sure":
+    if certainty == "sure":
         targets.add(number)
-    if doubt != "no":
+    if certainty != "no":
         acceptable.add(number)
     return tuple(sorted(targets)), tuple(sorted(acceptable | targets))
 
 
-def set_answer(frame: EffectiveFrame, name: str, number: int, doubt: Certainty, reason: str = "") -> Edits:
+def set_answer(frame: EffectiveFrame, name: str, number: int, certainty: Certainty, reason: str = "") -> Edits:
     """Say of one object whether an expression is true of it; of what it is true else stays.
 
     Raises
@@ -389,6 +389,6 @@ def set_answer(frame: EffectiveFrame, name: str, number: int, doubt: Certainty, 
         No such expression or object, nothing would be changed, or no answer would be left.
     """
     card = expression_card(frame, name)
-    if card.doubt(number) == doubt:
-        raise InputError("it says so already", got=f"object {number}: {doubt}")
-    return set_answers(frame, name, *answers_with(card, number, doubt), reason)
+    if card.certainty(number) == certainty:
+        raise InputError("it says so already", got=f"object {number}: {certainty}")
+    return set_answers(frame, name, *answers_with(card, number, certainty), reason)

@@ -1,4 +1,4 @@
-"""The labelled objects of a frame in 3D, with the boxes that the labels have."""
+"""A frame's corrected labels as objects in 3D, and as the cases that answers are judged by."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an object stands on, found in the depth around its box, and the box brought down to it."""
+"""Edits of an object's 3D box that the picture decides: fitted to its points, brought down to what it stands on."""
 
 from __future__ import annotations
 

@@ -1,7 +1,8 @@
 """Actions that could not be saved yet, or that somebody else was in the way of: kept until they are saved or given up.
 
 They belong to the process and to the author, not to a page: a page that is
-loaded again finds them, and two pages of one author share them.
+loaded again finds them, and two pages of one author share them. Where two people
+have changed the same fields, the second decides, field by field.
 """
 
 from __future__ import annotations

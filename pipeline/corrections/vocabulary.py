@@ -142,11 +142,7 @@ def _how(wanted: str, spoken: str) -> int:
         return _EXACT
     if joined.startswith(short):
         return _PREFIX
-    if any(word.startswith(wanted) for word in _tails(spoken)):
+    words = spoken.split()
+    if any(" ".join(words[k:]).startswith(wanted) for k in range(1, len(words))):
         return _WORD
     return _WITHIN if short in joined else _NONE
-
-
-def _tails(name: str) -> list[str]:
-    words = name.split()
-    return [" ".join(words[k:]) for k in range(1, len(words))]

@@ -1,4 +1,4 @@
-"""Corrections in words, with the classes of the objects instead of bare numbers."""
+"""Corrections in words, and what followed from them, with the classes of the objects instead of bare numbers."""
 
 from __future__ import annotations
 

@@ -130,7 +130,7 @@ class Sentences:
             self._correct.refuse("select an object that the expression is true of")
             return
         which = int(number) if number else view.numbers[state.selected or 0]
-        now = "no" if view.sentence.doubt(which) == doubt else doubt
+        now = "no" if view.sentence.certainty(which) == doubt else doubt
         self._save(lambda frame, card: set_answer(frame, card.id, which, now))
 
     def mark(self, mark: str) -> None:

@@ -75,7 +75,7 @@ def _chip(state: State, view: LabelView, card: ExpressionCard, number: int, smal
     colors = palette(state.dark)
     color: RGB = colors["target"] if number == card.target_object else colors["other"]
     kinds = ["ob"]
-    sure = card.doubt(number) == "sure"
+    sure = card.certainty(number) == "sure"
     kinds += [] if sure else ["maybe"]
     kinds += ["gone"] if view.place(number) is None else []
     kinds += ["at"] if state.selected is not None and view.numbers[state.selected] == number else []
@@ -93,7 +93,7 @@ def _selected(state: State, view: LabelView, card: ExpressionCard) -> str:
     if state.selected is None:
         return '<span class="dim">no object: click one in the scene or the picture</span>'
     number = view.numbers[state.selected]
-    doubt = card.doubt(number)
+    doubt = card.certainty(number)
     cells = "".join(
         f'<span class="{"on" if doubt == key else ""}" style="--c:{color}" onclick="sv(\'true-of:{key}\')" '
         f'title="{key_} (again: not true of it)">{word}</span>'

@@ -1,4 +1,8 @@
-"""What a hand does to a mask, checked once, and the pixels that come of it."""
+"""What a hand does to a mask, checked once, and the pixels that come of it.
+
+A pixel belongs to a shape where its centre does; that of pixel (u, v) is
+(u + 0.5, v + 0.5).
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""Edits as a file: a JSON list of actions, checked as a whole and saved as one."""
+"""Edits as a file: a JSON list of actions, checked as a whole and saved as one.
+
+Pixels are run-length codes, polygons, rectangles, strokes, or seeds of a surface.
+"""
 
 from __future__ import annotations
 
@@ -320,7 +323,7 @@ def _settle(a: Settle, frame: EffectiveFrame, author: str, canvas: Canvas | None
     state = _STATES.get(a.to) if ref.kind == "relation" else None
     if state is None:
         return actions.settle(frame, ref, a.to, a.reason)
-    now = frame.value(actions.state_cell(ref))
+    now = frame.value(actions.state_ref(ref))
     return actions.settle(frame, ref, "accepted" if state == now else "corrected", a.reason, state)
 
 

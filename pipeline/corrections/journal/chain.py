@@ -1,4 +1,8 @@
-"""The chain: each event carries a hash of the one before it and of all that is in it, so that no change goes unseen."""
+"""The journal's two tables, and the chain: each event carries a hash of the one before it and of all that is in it.
+
+So no change goes unseen. Events of version 1 have no hashes: they are judged by
+what is possible in them, and by what they say of each other.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,8 @@
-"""Connections to a journal's database: SQLite so that what is saved is on the disk, or PostgreSQL by URL."""
+"""Connections to a journal's database: SQLite so that what is saved is on the disk, or PostgreSQL by URL.
+
+A journal of the release before is checked, kept beside as it was, and its events
+are chained, in one transaction.
+"""
 
 from __future__ import annotations
 

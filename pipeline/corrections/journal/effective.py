@@ -1,4 +1,7 @@
-"""Effective labels: what the labeller made with what people corrected, as the same four tables, with provenance."""
+"""Effective labels: what the labeller made with what people corrected, as the same four tables, with provenance.
+
+What follows from corrected pixels and boxes is lifted and judged as the labeller does it.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +25,7 @@ from pipeline.corrections.journal.replay import Unapplied, all_gone, by_ref, pro
 from pipeline.datasets import Dataset
 from pipeline.geometry.camera import UpSource
 from pipeline.geometry.lifting import LiftedObject, lift
-from pipeline.geometry.masks import decode_run_length
+from pipeline.geometry.masks import MaskCrop, decode_run_length
 from pipeline.labels.labelling import label_objects
 from pipeline.labels.reading import Labels
 from pipeline.labels.schema import TABLES
@@ -99,7 +102,7 @@ class EffectiveLabels(Labels):
         Of the automatic ones.
     tables : dict of str to pyarrow.Table
     provenance : pyarrow.Table
-        See `origins.provenance_schema`: a value that is not listed is the labeller's.
+        See `replay.provenance_schema`: a value that is not listed is the labeller's.
     unapplied : tuple of Unapplied
         Events that say nothing of these labels, each with the reason.
     withdrawn : tuple of Withdrawn
@@ -326,8 +329,7 @@ class Relifter:
         if box is not None:
             lifted = lifted.moved_to(box_of(box), context.viewer)
         if source == "human" and not human_bbox and mask.any():
-            v, u = np.nonzero(mask)
-            bbox = np.array([u.min(), v.min(), u.max() + 1, v.max() + 1], np.float32)
+            bbox = np.array(MaskCrop(0, 0, mask).box, np.float32)
         return SceneObject(row["object"], row["label"], row["score"], bbox, mask, lifted)
 
     def _lift(self, context: PreparedFrame, mask: np.ndarray, source: Any) -> LiftedObject:

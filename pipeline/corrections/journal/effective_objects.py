@@ -1,4 +1,4 @@
-"""The objects of a frame after their corrections."""
+"""The objects of a frame and their relations after corrections: what people set, and what follows."""
 
 from __future__ import annotations
 

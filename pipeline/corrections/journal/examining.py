@@ -64,7 +64,7 @@ class Examined:
     ----------
     location : str
     version : int or None
-        See `schema.version_of`.
+        See `chain.version_of`.
     events : int or None
         How many were saved; None where that cannot be known.
     intact : tuple of dict
@@ -359,7 +359,7 @@ def _rows(connection: sqlite3.Connection, names: Sequence[str], damage: list[str
 
 
 def _row(names: Sequence[str], values: Sequence[Any]) -> Row | None:
-    """An event as `schema.EVENTS` reads it; None where a column holds what is no value of it."""
+    """An event as `chain.EVENTS` reads it; None where a column holds what is no value of it."""
     row = dict(zip(names, values, strict=True))
     try:
         for name in ("before", "after", "anchor"):

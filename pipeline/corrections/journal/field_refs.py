@@ -21,7 +21,7 @@ from pipeline.system.errors import InputError
 Kind = Literal["object", "relation", "expression", "frame", "review"]
 KINDS: tuple[Kind, ...] = ("object", "relation", "expression", "frame", "review")
 OF_ALL = ""
-"""Stands for the author in the key of a judgement that is not one person's: see `corrections.journal.judgements`."""
+"""Stands for the author in the key of a judgement that is not one person's: see `corrections.journal.replay`."""
 STATUSES = ("accepted", "corrected", "rejected", "unsure")
 """What a reviewer says of something; null is unreviewed. A rejected object or expression is left out."""
 FIRST_NEW_OBJECT = 1_000_000
@@ -42,7 +42,7 @@ class FieldRef:
         The frame's id.
     key : str
         Of an object its number, of a relation "a,b", of an expression its id, of a frame "".
-        Of a judgement the JSON of [author, kind, a, b, what]: see `corrections.journal.judgements`.
+        Of a judgement the JSON of [author, kind, a, b, what]: see `corrections.journal.replay`.
     field : str
     """
 

@@ -1,4 +1,4 @@
-"""One frame of the automatic labels, laid out to be corrected: rows of objects and expressions, pairs as matrices."""
+"""The automatic labels, laid out to be corrected: rows of a frame, pairs as matrices, and how the labels were made."""
 
 from __future__ import annotations
 

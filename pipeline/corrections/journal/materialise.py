@@ -6,13 +6,11 @@ import json
 import shutil
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import Any
 
 from pipeline.corrections.journal.effective import EffectiveLabels, effective_tables
 from pipeline.corrections.journal.events import who_and_what
 from pipeline.corrections.journal.field_refs import shown_value
 from pipeline.corrections.journal.journal import Journal
-from pipeline.corrections.journal.replay import Unapplied
 from pipeline.datasets import Dataset
 from pipeline.labels.card import croissant, dataset_card
 from pipeline.labels.makers import makers_of
@@ -72,7 +70,11 @@ def _write(found: EffectiveLabels, journal: Journal, folder: Path) -> Manifest:
     tables = {name: write_merged(folder, name, iter([found.tables[name]])) for name in TABLES}
     write_table(found.provenance, folder / PROVENANCE_FILE)
     listed = {
-        "events": [unapplied_record(u) for u in found.unapplied],
+        "events": [
+            {**who_and_what(u.event), "wanted": shown_value(u.event.ref, u.event.after), "because": u.kind,
+             "reason": u.reason}
+            for u in found.unapplied
+        ],
         "expressions": [
             {"frame": w.frame, "id": w.id, "text": w.text, "reason": w.reason} for w in found.withdrawn
         ],
@@ -120,14 +122,3 @@ def _write(found: EffectiveLabels, journal: Journal, folder: Path) -> Manifest:
     write_schemas(folder / "schemas")
     write_synced(folder / MANIFEST_FILE, manifest.model_dump_json(indent=1).encode())
     return manifest
-
-
-def unapplied_record(entry: Unapplied) -> dict[str, Any]:
-    """An event that does not apply, as JSON."""
-    event = entry.event
-    return {
-        **who_and_what(event),
-        "wanted": shown_value(event.ref, event.after),
-        "because": entry.kind,
-        "reason": entry.reason,
-    }

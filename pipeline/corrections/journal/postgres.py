@@ -2,7 +2,9 @@
 
 pg8000 is BSD-licensed and pure Python. What libpq does around the protocol is
 done here: the environment's defaults, the password file, `sslmode`, sockets in
-the file system, and a limit on how long a connection may take.
+the file system, and a limit on how long a connection may take. Whether a server
+answers is known once in a process, so that nobody waits again for one that does
+not.
 """
 
 from __future__ import annotations

@@ -1,4 +1,12 @@
-"""Replaying the events of a cell over its automatic label: what it is now, and which events no longer apply."""
+"""Replaying the events of a field over its automatic label: what it is now, where from, and which no longer apply.
+
+A corrected value is the label of all: who edits it must have seen who was there
+before. A judgement ("I have looked at it, and it is T") is one person's word on
+an item. Two people who judge one item independently write two fields, never the
+same version of one; agreement is counted from these. No label follows from a
+judgement. Where reviewers differ, `edits.settle` says the last word, in a field
+that is nobody's own and is locked as any other.
+"""
 
 from __future__ import annotations
 

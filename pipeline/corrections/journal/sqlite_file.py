@@ -2,7 +2,9 @@
 
 SQLite goes on writing to a file that was removed or moved while it was open
 (sqlite.org/howtocorrupt.html, section 4.1), and makes an empty one where there
-is none. Either would take edits that nobody finds again.
+is none. Either would take edits that nobody finds again. Of a write-ahead log
+with a broken frame it drops all that follows and says nothing: the log is
+checked before (sqlite.org/walformat.html, its checksum in section 4.2).
 """
 
 from __future__ import annotations

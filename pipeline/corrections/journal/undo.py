@@ -1,4 +1,8 @@
-"""Undo and redo: each person's own actions, newest first, also after a restart. Taking back is an event as well."""
+"""Undo and redo: each person's own actions, newest first, also after a restart. Taking back is an event as well.
+
+An event is taken back onto the newest version of its field where what was
+changed since was taken back itself.
+"""
 
 from __future__ import annotations
 

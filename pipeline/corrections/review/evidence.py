@@ -118,7 +118,7 @@ def margin_evidence(cells: RelationLabels, least: float) -> RelationEvidence:
     weight = np.where(np.isnan(near), 0.0, 0.5 * ndtr(-np.nan_to_num(near) / MARGIN_SIGMA_M))
     rows, columns = np.nonzero(((cells.states == T) | (cells.states == F)) & (weight >= least))
     reason = _joined(
-        "only ", np.char.mod("%.1f", 1000 * near[rows, columns]), " mm from where the rule would be in doubt"
+        "only ", np.char.mod("%.1f", 1000 * near[rows, columns]), " mm from where the rule would be undecided"
     )
     return RelationEvidence(rows, columns, weight[rows, columns], reason)
 
@@ -136,32 +136,28 @@ def linter_evidence(
     elsewhere : int
         Findings of files, frames and missing rows: nothing that a person settles label by label.
     """
-    keys: list[tuple[str, int, int]] = []
-    relations: list[str] = []
-    weights: list[float] = []
-    reasons: list[str] = []
+    blamed: list[tuple[tuple[str, int, int], int, float, str]] = []
     items: list[ItemEvidence] = []
     elsewhere = 0
     for found in findings:
         group = found.rule.split("/")[0]
-        blamed = _blamed_cells(found) if group == "relation" else []
-        known = [(a, b, r, w) for a, b, r, w in blamed if r in cells.relations]
+        known = [c for c in _blamed_cells(found) if c[2] in cells.relations] if group == "relation" else []
         if found.frame is not None and known:
             for a, b, relation, weight in known:
-                keys.append((found.frame, a, b))
-                relations.append(relation)
-                weights.append(weight if found.severity == "error" else min(weight, WARNED))
-                reasons.append(f"{found.rule}: {found.message}")
+                weight = weight if found.severity == "error" else min(weight, WARNED)
+                reason = f"{found.rule}: {found.message}"
+                blamed.append(((found.frame, a, b), cells.relations.index(relation), weight, reason))
         elif found.frame is not None and group in ("object", "expression") and found.objects:
             items += _blamed_items(found)
         else:
             elsewhere += 1
+    keys, columns, weights, reasons = zip(*blamed, strict=True) if blamed else ((), (), (), ())
     rows = cells.rows_of(keys)
-    columns = np.array([cells.relations.index(r) for r in relations], np.int64)
     there = rows >= 0
     evidence = RelationEvidence(
-        rows[there], columns[there], np.array(weights, np.float64)[there], np.array(reasons, object)[there]
-    )
+        rows[there], np.array(columns, np.int64)[there], np.array(weights, np.float64)[there],
+        np.array(reasons, object)[there],
+    )  # fmt: skip
     return evidence, tuple(items), elsewhere + int((~there).sum())
 
 
@@ -173,12 +169,14 @@ def _blamed_cells(found: Finding) -> list[tuple[int, int, str, float]]:
     a, b = found.objects[:2]
     if found.rule == "relation/geometry":
         return [(a, b, relation, CONTRADICTED)]
-    if found.rule == "relation/inverse":
-        return [(a, b, relation, ONE_OF_TWO), (b, a, INVERSE[relation], ONE_OF_TWO)]
-    if found.rule == "relation/exclusive":
-        return [(a, b, relation, ONE_OF_TWO), (a, b, INVERSE[relation], ONE_OF_TWO)]
-    if found.rule == "relation/antisymmetry":
-        return [(a, b, relation, ONE_OF_TWO), (b, a, relation, ONE_OF_TWO)]
+    inverse = INVERSE.get(relation, relation)
+    others = {
+        "relation/inverse": (b, a, inverse),
+        "relation/exclusive": (a, b, inverse),
+        "relation/antisymmetry": (b, a, relation),
+    }
+    if found.rule in others:
+        return [(a, b, relation, ONE_OF_TWO), (*others[found.rule], ONE_OF_TWO)]
     if found.rule == "relation/cycle":
         ring = (*found.objects, found.objects[0])
         return [(i, j, relation, 1 / len(found.objects)) for i, j in pairwise(ring)]

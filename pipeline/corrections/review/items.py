@@ -1,4 +1,4 @@
-"""What is reviewed, item by item: its key, its state, and how far a review has come."""
+"""What is reviewed, item by item: its key, its state, the order it is worked through, and how far a review has come."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SETTLED: tuple[State, ...] = ("accepted", "corrected", "rejected")
 NOBODY = -1
 """In place of an object's number where there is none."""
 BLOCK = 60
-"""Items that are as good as equally doubtful: what differs little in rank may be looked at in any order."""
+"""Items that are as good as equally undecided: what differs little in rank may be looked at in any order."""
 
 
 class ItemKey(NamedTuple):

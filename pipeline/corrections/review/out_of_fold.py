@@ -6,6 +6,9 @@ so in one fold: neither label is seen by the network that judges them. A label
 is therefore never held against its mirror image; that comparison is the
 linter's (`relation/inverse`). What the network gains from the mirror image is a
 second look at the same geometry.
+
+As in `pipeline.metrics.splits`, frames of one scene resemble each other. So scenes
+are held out, or where there are few, blocks of camera positions with a gap.
 """
 
 from __future__ import annotations

@@ -52,7 +52,7 @@ class QueueConfig:
     ----------
     doubts : DoubtConfig or None
         None: without networks.
-    linter, margins, doubtful : bool
+    linter, margins, undecided : bool
         Whether findings of `check_labels`, small margins, and U cells are looked at.
     limit : int or None
         At most so many items.
@@ -61,7 +61,7 @@ class QueueConfig:
     doubts: DoubtConfig | None = field(default_factory=DoubtConfig)
     linter: bool = True
     margins: bool = True
-    doubtful: bool = True
+    undecided: bool = True
     limit: int | None = None
 
 
@@ -137,7 +137,7 @@ def review_queue(
         metadata["elsewhere"] = str(elsewhere)
     if config.margins:
         parts.append(margin_evidence(cells, LEAST))
-    if config.doubtful:
+    if config.undecided:
         parts.append(undecided_evidence(cells, probability))
     if other is not None:
         found, of_items = disputed_evidence(labels, cells, other)

@@ -1,4 +1,4 @@
-"""Making the review queue of corrected labels, as a job for a process of its own."""
+"""Long work on corrected labels, shared by everyone who corrects them: making their review queue, and retraining."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ def make_queue(job: QueueJob, report: Callable[[Step], None]) -> dict[str, Any]:
         items (how many), detector (the one that was asked: its name, frames it looked at, skipped ones with the reason;
         None without one), estimated_wrong (relation labels that networks hold for wrong; None without networks),
         agreement (each two reviewers, how many items both have judged, and Cohen's kappa; None where it means nothing),
-        and last (the newest event that surely counts in it, a `following.Mark`). The states of the items then are the
+        and last (the newest event that surely counts in it, a `worklist.Mark`). The states of the items then are the
         queue's column `state`.
 
     Raises
@@ -183,7 +183,7 @@ class TrainingProgress:
     step : tuple of (str, int, int)
         What is being done, how far, of how much.
     record : dict or None
-        Of `pipeline.corrections.review.retraining_run.Circle`.
+        Of `pipeline.corrections.review.retraining_run.RetrainingRun`.
     problem : str
     seconds : float
     installed : str

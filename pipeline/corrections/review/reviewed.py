@@ -4,6 +4,9 @@ A relation is settled where people agree on it, or somebody has settled it, and
 the label says so too. Settled labels are taken as true: nothing speaks against
 them any more, no noise is estimated from them, and networks learn from them in
 every pass, with the weight of any other label.
+
+How far reviewers agree is told by Cohen's kappa (Educational and Psychological
+Measurement 20, 1960), and how far a review has come by state, kind, person and day.
 """
 
 from __future__ import annotations
@@ -122,7 +125,7 @@ def states_on_labels(judgements: Judgements, cells: RelationLabels) -> dict[Item
 def without_gone(queue: pa.Table, labels: Labels, states: Mapping[ItemKey, State]) -> pa.Table:
     """A queue that was made before, without items of which nothing is left in the labels as they are now.
 
-    It is what `following.gone_items` finds frame by frame.
+    It is what `worklist.gone_items` finds frame by frame.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""A stored queue with what became of its items: what a reviewer is shown next, at the price of a look."""
+"""A stored queue with what became of its items, also while people go on saving: what a reviewer is shown next."""
 
 from __future__ import annotations
 
@@ -286,7 +286,7 @@ def read_queue(path: str | Path, version: str | None = None) -> pa.Table:
     if version is not None and found != version:
         raise InputError(
             "the queue is of other labels", got=found, expected=version,
-            cause="were the labels made again? then make the queue again: spatialviz review LABELS --out", path=path,
+            cause="were the labels made again? then build the queue again: spatialviz review LABELS --out", path=path,
         )  # fmt: skip
     _check_columns(queue, path)
     return queue

@@ -5,7 +5,8 @@ anew and keep none of our keys. Pictures are told by `frame`, else by the file
 name that the export gave them; annotations by `object`, also as an attribute.
 Where no annotation of a file has it any more, by where they lie: by the greatest
 overlap of 2D boxes in a picture, of one half at least, or within an object's box
-and with its class name. What is left is new.
+and with its class name. What is left is new. Polygons and both kinds of
+run-length codes are read without trust.
 """
 
 from __future__ import annotations

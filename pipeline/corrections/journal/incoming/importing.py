@@ -1,4 +1,8 @@
-"""Importing corrections made elsewhere: all of a file's, as one action in the journal, or none."""
+"""Importing corrections made elsewhere: all of a file's, as one action in the journal, or none.
+
+Corrections are told from conflicts by what was exported, what the file says, and
+what is there now.
+"""
 
 from __future__ import annotations
 

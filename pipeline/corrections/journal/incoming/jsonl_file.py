@@ -4,6 +4,10 @@ A key that is absent says nothing; `base` is then that of the rows before. `fram
 must be there, and what names the row:
 `object`; `a` and `b`; `id`. A row of objects whose `object` is absent or null is a
 new one: `label`, and `mask`, `bbox`, or `center`, `R` and `size`.
+
+The two other files of a COCO export, `refs.json` and `relations.json`, are read
+here, too. Both name annotations: `instances.json` of the same export must stand
+beside them, and say of which object each is.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The labels as they were when they were exported, and as they are now, frame by frame."""
+"""The labels as they were exported and as they are now, and what a file claims that was not exported."""
 
 from __future__ import annotations
 
