@@ -92,7 +92,7 @@ class ShowJournal:
     """Print one JSON object for each event; of the check, the copy or the new journal, one."""
 
     def run(self) -> int:
-        from pipeline.corrections.journal.records import event_record
+        from pipeline.corrections.journal.events import event_record
         from pipeline.labels.reading import open_labels
         from spatialviz.printing_journal import print_events
 
@@ -119,7 +119,7 @@ class ShowJournal:
     def _as_a_whole(self) -> int:
         from pipeline.corrections.journal import rescue
         from pipeline.corrections.journal.journal import JOURNAL_FILE
-        from pipeline.corrections.journal.records import examined_record, written_record
+        from pipeline.corrections.journal.rescue import examined_record, written_record
         from pipeline.labels.reading import open_labels
         from spatialviz.printing_journal import print_examined, print_written
 
@@ -159,8 +159,7 @@ class Correct:
     """Print one JSON object."""
 
     def run(self) -> int:
-        from pipeline.corrections.journal.batch import apply_actions, read_actions
-        from pipeline.corrections.journal.batch_shapes import needs_pictures
+        from pipeline.corrections.journal.batch import apply_actions, needs_pictures, read_actions
         from pipeline.corrections.journal.effective import Corrector
         from pipeline.labels.reading import open_labels
 
@@ -258,7 +257,7 @@ def _told_how_to_try_again() -> Iterator[None]:
 
 
 def _told(done: Saved | Conflict | None, verb: str, json: bool) -> int:
-    from pipeline.corrections.journal.records import outcome_record
+    from pipeline.corrections.journal.events import outcome_record
     from spatialviz.printing_journal import print_outcome
 
     if json:

@@ -75,11 +75,14 @@ class Review:
     """Print one JSON object an item."""
 
     def run(self) -> int:
-        from pipeline.corrections.journal.setting import setting_of
-        from pipeline.corrections.review.agreement import pair_agreements
-        from pipeline.corrections.review.progress import review_progress
-        from pipeline.corrections.review.relation_labels import read_cells
-        from pipeline.corrections.review.reviewed import states_on_labels, without_gone
+        from pipeline.corrections.journal.frame_rows import setting_of
+        from pipeline.corrections.review.evidence import read_relation_labels
+        from pipeline.corrections.review.reviewed import (
+            pair_agreements,
+            review_progress,
+            states_on_labels,
+            without_gone,
+        )
         from pipeline.corrections.review.worklist import write_queue
         from pipeline.labels.reading import open_labels
         from spatialviz.printing_review import print_agreement, print_progress, print_queue
@@ -97,7 +100,7 @@ class Review:
                     print_agreement(pairs, self.limit)
                 return FINE if pairs else NO
             queue = self._queue(reviewed, labels)
-            states = states_on_labels(reviewed.judgements, read_cells(reviewed.labels))
+            states = states_on_labels(reviewed.judgements, read_relation_labels(reviewed.labels))
             if self.queue is not None:
                 queue = without_gone(queue, reviewed.labels, states)
         if self.out is not None:
@@ -187,7 +190,7 @@ class Review:
 
     def _shown(self, queue: pa.Table, reviewed: Reviewed, states: dict[ItemKey, State]) -> pa.Table:
         from pipeline.corrections.review.items import left_to_review, with_states
-        from pipeline.corrections.review.second_opinions import left_for
+        from pipeline.corrections.review.reviewed import left_for
 
         if self.author is not None:
             return left_for(

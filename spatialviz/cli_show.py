@@ -33,11 +33,11 @@ class Show:
     """Print one JSON object for each object, or one for the pair."""
 
     def run(self) -> int:
-        from pipeline.corrections.box_edits import support_of
         from pipeline.corrections.cards import pair_card
         from pipeline.corrections.journal.effective import Corrector
-        from pipeline.corrections.journal_place import JournalPlace
+        from pipeline.corrections.journal_location import JournalLocation
         from pipeline.corrections.object_card import object_card
+        from pipeline.corrections.support import support_of
         from pipeline.datasets.base import named_frame
         from pipeline.labels.reading import open_labels
         from spatialviz.printing_show import print_objects, print_pair, print_support
@@ -50,7 +50,7 @@ class Show:
         if self.journal.journal is not None:
             journal = self.journal.open(labels, must_exist=True)
         else:
-            journal = JournalPlace(labels, project=self.journal.project).to_read()
+            journal = JournalLocation(labels, project=self.journal.project).to_read()
         corrector = Corrector(labels, self.source.open(labels))
         name = named_frame(tuple(corrector.index.of_frame), self.frame, labels.root)
         frame = corrector.frame(name, () if journal is None else journal)

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from pipeline.answering.opening import Pipeline
-    from pipeline.corrections.journal_place import JournalPlace
+    from pipeline.corrections.journal_location import JournalLocation
     from pipeline.diagnosis.whatif.state import ViewState
     from pipeline.evaluation.run_folder import Run
     from pipeline.labels.reading import Labels
@@ -130,17 +130,17 @@ class View:
         opened = open_pipeline(run.spec.dataset, **{**run.spec.options, "also": self.also})
         return replace(run.source, beside=opened.beside, beside_setup=opened.beside_setup)
 
-    def _journal(self, labels: Labels) -> JournalPlace:
+    def _journal(self, labels: Labels) -> JournalLocation:
         """Where corrections are kept; those of the built-in demo with the user's own data, not in the installation."""
         from platformdirs import user_data_path
 
-        from pipeline.corrections.journal_place import JournalPlace
+        from pipeline.corrections.journal_location import JournalLocation
         from pipeline.datasets.demo import demo_run
 
         where: str | Path | None = self.journal
         if where is None and labels.root.resolve().is_relative_to(demo_run().parent.resolve()):
             where = user_data_path("spatialviz", ensure_exists=True) / "demo-journal.sqlite"
-        place = JournalPlace(labels, where, self.project)
+        place = JournalLocation(labels, where, self.project)
         place.check()
         return place
 
@@ -165,7 +165,7 @@ class View:
 
     def _words(self, dataset: str, folder: Path | None) -> list[str]:
         """The command line that opens this page again; without a password."""
-        from pipeline.corrections.journal_place import journal_words
+        from pipeline.corrections.journal_location import journal_words
 
         words = ["view"]
         if folder is None or self.dataset != "demo":

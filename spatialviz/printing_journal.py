@@ -13,7 +13,7 @@ from pipeline.corrections.journal.events import Conflict, Event, Saved
 from pipeline.corrections.journal.examining import Examined
 from pipeline.corrections.journal.field_refs import shown_value
 from pipeline.corrections.journal.incoming.importing import ImportReport
-from pipeline.corrections.wording import said_event
+from pipeline.corrections.wording import event_text
 from spatialviz.printing import make_console
 
 
@@ -24,11 +24,11 @@ def print_events(events: Sequence[Event]) -> None:
     for column in ("time (UTC)", "who", "what", "of", "before", "after", "why"):
         table.add_column(column, overflow="fold")
     for e in events:
-        name = e.cell.entity
-        did = e.cell.field if e.action == "edit" else f"{e.action}: {e.cell.field}"
-        values = (shown_value(e.cell, e.before), shown_value(e.cell, e.after))
+        name = e.ref.entity
+        did = e.ref.field if e.action == "edit" else f"{e.action}: {e.ref.field}"
+        values = (shown_value(e.ref, e.before), shown_value(e.ref, e.after))
         when = e.time.strftime("%Y-%m-%d %H:%M:%S")
-        table.add_row(*(Text(x) for x in (when, e.author, did, f"{name} in {e.cell.frame}", *values, e.reason)))
+        table.add_row(*(Text(x) for x in (when, e.author, did, f"{name} in {e.ref.frame}", *values, e.reason)))
     if events:
         console.print(table)
     console.print(f"{len(events)} events" if events else "nothing was corrected")
@@ -71,8 +71,8 @@ def print_import(report: ImportReport, show: int) -> None:
     """What a file changes, and what stands against it."""
     console = make_console()
     for edit in report.edits[:show]:
-        values = (shown_value(edit.cell, value) for value in (edit.before, edit.after))
-        console.print(Text(f"{edit.cell}: {' -> '.join(values)}"))
+        values = (shown_value(edit.ref, value) for value in (edit.before, edit.after))
+        console.print(Text(f"{edit.ref}: {' -> '.join(values)}"))
     for lines, style in ((report.conflicts, "yellow"), (report.problems, "red"), (report.notes, "dim")):
         for line in lines[:show]:
             console.print(Text(line, style))
@@ -94,12 +94,12 @@ def print_examined(found: Examined) -> None:
     for line in found.damage:
         console.print(Text(f"damaged: {line}", "red"))
     if found.damage:
-        console.print(Text(found.said))
+        console.print(Text(found.summary))
         console.print(Text(found.help or "", "yellow"))
     else:
         chained = "" if found.chained else "; not chained yet: the next opening does it, and keeps this one beside"
         console.print(Text(f"{len(found.intact):,} events, all as they were saved{chained}"))
-    console.print(Text(found.place, "dim"))
+    console.print(Text(found.location, "dim"))
 
 
 def print_written(found: Examined, made: Examined) -> None:
@@ -111,11 +111,11 @@ def print_written(found: Examined, made: Examined) -> None:
     if found.damage and left:
         console.print(Text(f"{left:,} intact ones are left out: they take back what is not intact", "yellow"))
     if found.damage:
-        console.print(Text(f"to go on: --journal {made.place}, or put it in the place of the damaged one, without the "
-                           "-wal and -shm files of that"))  # fmt: skip
-    console.print(Text(f"-> {made.place}", "dim"))
+        console.print(Text(f"to go on: --journal {made.location}, or put it in the place of the damaged one, without "
+                           "the -wal and -shm files of that"))  # fmt: skip
+    console.print(Text(f"-> {made.location}", "dim"))
 
 
 def _said(event: Event) -> str:
     """An event in words, with its frame; the classes of the objects are not at hand."""
-    return f"{event.cell.frame}: {said_event(event, None)}"
+    return f"{event.ref.frame}: {event_text(event, None)}"

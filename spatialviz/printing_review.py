@@ -17,9 +17,9 @@ from spatialviz.printing_eval import print_table
 if TYPE_CHECKING:
     import pyarrow as pa
 
-    from pipeline.corrections.review.agreement import PairAgreement
     from pipeline.corrections.review.retraining import Retraining
     from pipeline.corrections.review.retraining_run import RetrainingRun
+    from pipeline.corrections.review.reviewed import PairAgreement
 
 SHOWN_CELLS = 5
 

@@ -7,11 +7,10 @@ from collections.abc import Sequence
 from rich.table import Table
 from rich.text import Text
 
-from pipeline.corrections.box_edits import support_name
 from pipeline.corrections.cards import PairCard
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.object_card import ObjectCard
-from pipeline.corrections.support import Support
+from pipeline.corrections.support import Support, support_name
 from pipeline.language.relation_names import PHRASE
 from pipeline.relations.relations import letter
 from spatialviz.printing import make_console
@@ -36,12 +35,12 @@ def print_objects(cards: Sequence[ObjectCard], *, whole: bool) -> None:
         for column in ("field", "value", "from", "the labeller's"):
             fields.add_column(column, overflow="fold")
         for line in card.fields:
-            was = "" if line.automatic is None or line.automatic == line.said else line.automatic
-            fields.add_row(*(Text(x) for x in (line.field, line.said, str(line.origin), was)))
+            was = "" if line.automatic is None or line.automatic == line.text else line.automatic
+            fields.add_row(*(Text(x) for x in (line.field, line.text, str(line.origin), was)))
         console.print(fields)
         more = f"; {card.concern}" if card.concern else ""
         added = f"; added by {card.added_by}" if card.added_by else ""
-        for name, status in card.said.items():
+        for name, status in card.statuses.items():
             console.print(Text(f"{name} says: {status}"))
         console.print(Text(f"{card.points} points of {card.mask_pixels} pixels; {card.expressions} expressions"
                            f"{more}{added}", "dim"))  # fmt: skip

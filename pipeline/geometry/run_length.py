@@ -102,3 +102,11 @@ def encode_run_length(mask: np.ndarray) -> str:
     # The code runs down columns; OpenCV transposes several times faster than a strided copy.
     code: Any = coco.encode(cv2.transpose(mask.view(np.uint8)).T)
     return code["counts"].decode("ascii")
+
+
+def fill_polygons(size: tuple[int, int], polygons: Sequence[np.ndarray]) -> np.ndarray:
+    """(H, W) bool: the pixels inside any of the polygons, (N, 2) x, y within the picture, as the COCO API has them."""
+    from pycocotools import mask as coco
+
+    encoded: Any = coco.merge(coco.frPyObjects([p.ravel().tolist() for p in polygons], *size))
+    return coco.decode(encoded).astype(np.bool_)

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from pipeline.corrections.journal.events import Conflict, Edit, Event, NotSaved, Saved
-from pipeline.corrections.journal.field_refs import object_cell, relation_cell
+from pipeline.corrections.journal.field_refs import object_ref, relation_ref
 from pipeline.corrections.journal.journal import Journal, open_journal
 
 from .journal_writers import read_report
@@ -73,11 +73,11 @@ class Survival:
 def write_groups(where: str, name: str) -> None:
     """Save actions without end, and print a line of JSON when each is acknowledged; what was refused is tried again."""
     rng = random.Random(name)
-    own = [object_cell(FRAME, 1_000 + 10 * int(name) + k, "label") for k in range(GROUP - 1)]
+    own = [object_ref(FRAME, 1_000 + 10 * int(name) + k, "label") for k in range(GROUP - 1)]
     seen: dict[Any, tuple[int, Any]] = {}
     with open_journal(where) as journal:
         for number in range(1_000_000):
-            shared = relation_cell(FRAME, 1, 2 + rng.randrange(SHARED), "left")
+            shared = relation_ref(FRAME, 1, 2 + rng.randrange(SHARED), "left")
             done: Saved | Conflict | None = None
             while not isinstance(done, Saved):
                 wanted = {shared: rng.choice([-1, 0, 1]), **dict.fromkeys(own, f"{name} {number}")}
@@ -89,7 +89,7 @@ def write_groups(where: str, name: str) -> None:
                 else:
                     events = list(done.events)
                     print(json.dumps({"group": done.group}), flush=True)
-                seen |= {e.cell: (e.version, e.after) for e in events}
+                seen |= {e.ref: (e.version, e.after) for e in events}
 
 
 def _append(journal: Journal, edits: Sequence[Edit], author: str) -> Saved | Conflict:
@@ -135,7 +135,7 @@ def survive(
         _round(where, new, len(reports), rng, disturb)
         reports += new
         with open_journal(where) as journal:
-            cell = object_cell(FRAME, 1, "label")
+            cell = object_ref(FRAME, 1, "label")
             head = journal.heads([cell]).get(cell)
             before, base = (None, 0) if head is None else (head.after, head.version)
             journal.append([Edit(cell, before, f"round {turn}", base)], "the one who looks")
@@ -185,7 +185,7 @@ def judge(events: Iterable[Event], told: Sequence[Sequence[dict[str, Any]]]) -> 
     """Compare a journal with what its writers were told, a list each."""
     events = list(events)
     sizes = Counter(e.group for e in events)
-    values = Counter((e.cell, e.after) for e in events if e.cell.kind == "object")
+    values = Counter((e.ref, e.after) for e in events if e.ref.kind == "object")
     entries = [entry for writer in told for entry in writer]
     acknowledged = {entry["group"] for entry in entries if "group" in entry}
     return Survival(

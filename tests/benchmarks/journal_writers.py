@@ -17,7 +17,7 @@ from time import perf_counter
 from typing import Any
 
 from pipeline.corrections.journal.events import Edit, Event, Saved
-from pipeline.corrections.journal.field_refs import FieldRef, relation_cell
+from pipeline.corrections.journal.field_refs import FieldRef, relation_ref
 from pipeline.corrections.journal.journal import open_journal
 
 SHARED_CELLS = 20
@@ -82,7 +82,7 @@ def write_many(where: str, name: str, edits: int, report: Path, seed: int = 0, s
             start.wait()
         for k in range(edits):
             shared = rng.random() < SHARED_SHARE
-            cell = relation_cell(FRAME, 1, 2 + rng.randrange(SHARED_CELLS) if shared else own + k, "left")
+            cell = relation_ref(FRAME, 1, 2 + rng.randrange(SHARED_CELLS) if shared else own + k, "left")
             saved = False
             while not saved:
                 version, before = seen.get(cell, (0, None))
@@ -144,7 +144,7 @@ def judge(
     acknowledged = {e["saved"] for e in saved}
     chains: dict[FieldRef, list[Event]] = {}
     for event in events:
-        chains.setdefault(event.cell, []).append(event)
+        chains.setdefault(event.ref, []).append(event)
     overwritten = 0
     for chain in chains.values():
         overwritten += sum(
