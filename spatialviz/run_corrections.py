@@ -6,24 +6,22 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
-from pipeline.corrections.box_edits import support_name, support_of
 from pipeline.corrections.cards import PairCard, pair_card
 from pipeline.corrections.journal import rescue
-from pipeline.corrections.journal.batch import apply_actions, read_actions
-from pipeline.corrections.journal.batch_shapes import needs_pictures
+from pipeline.corrections.journal.batch import apply_actions, needs_pictures, read_actions
 from pipeline.corrections.journal.effective import Corrector, EffectiveLabels
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
-from pipeline.corrections.journal.events import Conflict, Event, NotSaved, Saved
+from pipeline.corrections.journal.events import Conflict, Event, NotSaved, Saved, event_record, outcome_record
 from pipeline.corrections.journal.examining import Examined
 from pipeline.corrections.journal.field_refs import shown_value
 from pipeline.corrections.journal.journal import JOURNAL_FILE, Journal
 from pipeline.corrections.journal.materialise import materialise
-from pipeline.corrections.journal.records import event_record, examined_record, outcome_record, written_record
+from pipeline.corrections.journal.rescue import examined_record, written_record
 from pipeline.corrections.journal.undo import redo, undo
 from pipeline.corrections.object_card import ObjectCard, object_card
-from pipeline.corrections.support import Support
-from pipeline.corrections.wording import said_event
-from pipeline.labels.reading import open_labels
+from pipeline.corrections.support import Support, support_name, support_of
+from pipeline.corrections.wording import event_text
+from pipeline.labels.reading import Labels, open_labels
 from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE
 from pipeline.relations.relations import letter
@@ -36,7 +34,7 @@ FrameOf = Callable[[str], EffectiveFrame | None]
 
 
 def run_show(command: Show) -> int:
-    from pipeline.corrections.journal_place import JournalPlace  # Brings the review of labels in.
+    from pipeline.corrections.journal_location import JournalLocation  # Brings the review of labels in.
 
     if command.object is not None and command.pair is not None:
         raise InputError("--object and --pair exclude each other")
@@ -46,7 +44,7 @@ def run_show(command: Show) -> int:
     if command.journal.journal is not None:
         journal = command.journal.open(labels, must_exist=True)
     else:
-        journal = JournalPlace(labels, project=command.journal.project).to_read()
+        journal = JournalLocation(labels, project=command.journal.project).to_read()
     corrector = Corrector(labels, command.source.open(labels))
     name = one_frame(tuple(corrector.index.of_frame), command.frame, labels.root)
     frame = corrector.frame(name, () if journal is None else journal)
@@ -130,7 +128,7 @@ def run_effective(command: Effective) -> None:
     labels = open_labels(command.labels)
     with command.journal.open(labels, must_exist=True) as journal:
         manifest, found = materialise(labels, journal, command.out, dataset=command.source.open(labels))
-    command.write(manifest.corrections or {}, print_effective, found, command.out, command.show)
+    command.write(manifest.corrections or {}, print_effective, labels, found, command.out, command.show)
 
 
 @contextmanager
@@ -160,10 +158,10 @@ def print_events(events: Sequence[Event]) -> None:
             (
                 e.time.strftime("%Y-%m-%d %H:%M:%S"),
                 e.author,
-                e.cell.field if e.action == "edit" else f"{e.action}: {e.cell.field}",
-                f"{e.cell.entity} in {e.cell.frame}",
-                shown_value(e.cell, e.before),
-                shown_value(e.cell, e.after),
+                e.ref.field if e.action == "edit" else f"{e.action}: {e.ref.field}",
+                f"{e.ref.entity} in {e.ref.frame}",
+                shown_value(e.ref, e.before),
+                shown_value(e.ref, e.after),
                 e.reason,
             )
             for e in events
@@ -187,7 +185,7 @@ def print_outcome(done: Saved | Conflict | None, verb: str, frame_of: FrameOf) -
             say(str(rival))
 
 
-def print_effective(found: EffectiveLabels, out: Path, show: int) -> None:
+def print_effective(labels: Labels, found: EffectiveLabels, out: Path, show: int) -> None:
     """Whose the values are, and what no longer applies."""
     counts = found.counts
     say(
@@ -197,7 +195,7 @@ def print_effective(found: EffectiveLabels, out: Path, show: int) -> None:
     )
     if counts["stale"]:
         say("stale values follow from masks or boxes: they need the dataset (--dataset)", style="yellow")
-    frame_of = frames_of(Corrector(found.labels), ())
+    frame_of = frames_of(Corrector(labels), ())
     for entry in found.unapplied[:show]:
         say(f"does not apply: {_text(entry.event, frame_of)} by {entry.event.author}: {entry.reason}", style="yellow")
     if len(found.unapplied) > show:
@@ -210,12 +208,12 @@ def print_examined(found: Examined) -> None:
     for line in found.damage:
         say(f"damaged: {line}", style="red")
     if found.damage:
-        say(found.said)
+        say(found.summary)
         say(found.help or "", style="yellow")
     else:
         chained = "" if found.chained else "; not chained yet: the next opening does it, and keeps this one beside"
         say(f"{counted(len(found.intact), 'event')}, all as they were saved{chained}")
-    say(found.place, style="dim")
+    say(found.location, style="dim")
 
 
 def print_written(found: Examined, made: Examined) -> None:
@@ -228,10 +226,10 @@ def print_written(found: Examined, made: Examined) -> None:
         say(f"{left:,} intact ones are left out: they take back what is not intact", style="yellow")
     if found.damage:
         say(
-            f"to go on: --journal {made.place}, or put it in the place of the damaged one, without the -wal and -shm "
-            "files of that"
+            f"to go on: --journal {made.location}, or put it in the place of the damaged one, without the -wal and "
+            "-shm files of that"
         )
-    say(f"-> {made.place}", style="dim")
+    say(f"-> {made.location}", style="dim")
 
 
 def frames_of(corrector: Corrector, journal: Journal | Sequence[Event]) -> FrameOf:
@@ -248,7 +246,7 @@ def frames_of(corrector: Corrector, journal: Journal | Sequence[Event]) -> Frame
 
 def _text(event: Event, frame_of: FrameOf) -> str:
     """An event in words, with its frame."""
-    return f"{event.cell.frame}: {said_event(event, frame_of(event.cell.frame))}"
+    return f"{event.ref.frame}: {event_text(event, frame_of(event.ref.frame))}"
 
 
 def print_objects(cards: Sequence[ObjectCard], whole: bool) -> None:
@@ -273,12 +271,12 @@ def print_objects(cards: Sequence[ObjectCard], whole: bool) -> None:
         print_rows(
             ("field", "value", "from", "the labeller's"),
             (
-                (x.field, x.said, str(x.origin), "" if x.automatic in (None, x.said) else x.automatic)
+                (x.field, x.text, str(x.origin), "" if x.automatic in (None, x.text) else x.automatic)
                 for x in card.fields
             ),
             overflow="fold",
         )
-        for name, status in card.said.items():
+        for name, status in card.statuses.items():
             say(f"{name} says: {status}")
         more = f"; {card.concern}" if card.concern else ""
         added = f"; added by {card.added_by}" if card.added_by else ""

@@ -139,8 +139,8 @@ def _keep(labels: Labels, out: Path) -> None:
 def print_import(report: ImportReport, show: int) -> None:
     """What a file changes, and what stands against it."""
     for edit in report.edits[:show]:
-        values = (shown_value(edit.cell, value) for value in (edit.before, edit.after))
-        say(f"{edit.cell}: {' -> '.join(values)}")
+        values = (shown_value(edit.ref, value) for value in (edit.before, edit.after))
+        say(f"{edit.ref}: {' -> '.join(values)}")
     for lines, style in ((report.conflicts, "yellow"), (report.problems, "red"), (report.notes, "dim")):
         for line in lines[:show]:
             say(line, style=style)

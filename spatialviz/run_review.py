@@ -8,24 +8,24 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from pipeline.corrections.journal.frame_rows import setting_of
 from pipeline.corrections.journal.journal import JOURNAL_FILE
-from pipeline.corrections.journal.setting import setting_of
-from pipeline.corrections.review.agreement import PairAgreement, pair_agreements
 from pipeline.corrections.review.detector_evidence import detector_evidence
-from pipeline.corrections.review.evidence import ItemEvidence
+from pipeline.corrections.review.evidence import ItemEvidence, read_relation_labels
 from pipeline.corrections.review.items import STATES, ItemKey, State, left_to_review, with_states
 from pipeline.corrections.review.out_of_fold import EPOCHS, REVIEWED, DoubtConfig
-from pipeline.corrections.review.progress import review_progress
 from pipeline.corrections.review.queue import QueueConfig, review_queue
-from pipeline.corrections.review.relation_labels import read_cells
 from pipeline.corrections.review.reviewed import (
+    PairAgreement,
     Reviewed,
     automatic_version,
+    left_for,
+    pair_agreements,
+    review_progress,
     reviewed_labels,
     states_on_labels,
     without_gone,
 )
-from pipeline.corrections.review.second_opinions import left_for
 from pipeline.corrections.review.worklist import read_queue, write_queue
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.language.counted import counted
@@ -52,7 +52,7 @@ def run_review(command: Review) -> int:
             command.write((pair.record() for pair in pairs), print_agreement, pairs, command.limit)
             return FINE if pairs else NO
         queue = _queue(command, reviewed, labels)
-        states = states_on_labels(reviewed.judgements, read_cells(reviewed.labels))
+        states = states_on_labels(reviewed.judgements, read_relation_labels(reviewed.labels))
         if command.queue is not None:
             queue = without_gone(queue, reviewed.labels, states)
     if command.out is not None:

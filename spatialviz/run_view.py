@@ -9,7 +9,7 @@ from pathlib import Path
 from platformdirs import user_data_path
 
 from pipeline.answering.opening import Pipeline, open_pipeline, open_sources
-from pipeline.corrections.journal_place import JournalPlace, journal_words
+from pipeline.corrections.journal_location import JournalLocation, journal_words
 from pipeline.datasets.demo import DEMO_NAME, demo_run
 from pipeline.diagnosis.whatif.state import ViewState, decode
 from pipeline.evaluation.run_folder import RUN_FILE, Run, open_run
@@ -83,12 +83,12 @@ def _with_second(command: View, run: Run) -> Pipeline:
     return replace(run.source, beside=opened.beside, beside_setup=opened.beside_setup)
 
 
-def _journal(command: View, labels: Labels) -> JournalPlace:
+def _journal(command: View, labels: Labels) -> JournalLocation:
     """Where corrections are kept; those of the built-in demo with the user's own data, not in the installation."""
     where: str | Path | None = command.journal.journal
     if where is None and labels.root.resolve().is_relative_to(demo_run().parent.resolve()):
         where = user_data_path("spatialviz", ensure_exists=True) / "demo-journal.sqlite"
-    place = JournalPlace(labels, where, command.journal.project)
+    place = JournalLocation(labels, where, command.journal.project)
     place.check()
     return place
 

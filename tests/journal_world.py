@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Edit, Event, Saved
-from pipeline.corrections.journal.field_refs import FieldRef, object_cell, relation_cell
+from pipeline.corrections.journal.field_refs import FieldRef, object_ref, relation_ref
 from pipeline.corrections.journal.journal import Journal
 from pipeline.corrections.journal.undo import redo, undo
 from pipeline.geometry.masks import decode_run_length, encode_run_length
@@ -54,13 +54,13 @@ def work_of(journal: Journal, events: int, seed: int = 0) -> None:
         if turn < 0.15:
             done = (undo if turn < 0.1 else redo)(journal, author)
         else:
-            cells = {object_cell(frame, rng.randrange(40), "label"): rng.choice(["mug", "cup", "desk lamp", "椅"])}
+            cells = {object_ref(frame, rng.randrange(40), "label"): rng.choice(["mug", "cup", "desk lamp", "椅"])}
             if turn < 0.6:
                 a, b = rng.sample(range(40), 2)
-                cells = {relation_cell(frame, a, b, "left"): rng.choice([-1, 0, 1])}
-                cells[relation_cell(frame, b, a, "right")] = rng.choice([-1, 0, 1])
+                cells = {relation_ref(frame, a, b, "left"): rng.choice([-1, 0, 1])}
+                cells[relation_ref(frame, b, a, "right")] = rng.choice([-1, 0, 1])
             elif turn < 0.63:
-                cells = {object_cell(frame, rng.randrange(40), "mask"): mask}
+                cells = {object_ref(frame, rng.randrange(40), "mask"): mask}
             elif turn < 0.7:
                 cells = {
                     FieldRef("expression", frame, f"{rng.getrandbits(64):016x}", "text"): "the mug left of the lamp"
@@ -74,4 +74,4 @@ def work_of(journal: Journal, events: int, seed: int = 0) -> None:
             done = journal.append(edits, author)
         if isinstance(done, Saved):
             made += len(done.events)
-            seen |= {e.cell: (e.version, e.after) for e in done.events}
+            seen |= {e.ref: (e.version, e.after) for e in done.events}

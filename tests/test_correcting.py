@@ -12,18 +12,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from journal_world import FRAME, an_expression
 
-from pipeline.corrections.disputes import decided, disputes
-from pipeline.corrections.event_lines import event_lines
 from pipeline.corrections.journal import edits
 from pipeline.corrections.journal.batch import actions_of, apply_actions, read_actions
 from pipeline.corrections.journal.events import Conflict, NotSaved, Saved
-from pipeline.corrections.journal.field_refs import object_cell, relation_cell
+from pipeline.corrections.journal.field_refs import object_ref, relation_ref
 from pipeline.corrections.journal.journal import Journal
 from pipeline.corrections.journal.undo import redo
-from pipeline.corrections.journal_place import JournalPlace
-from pipeline.corrections.label_editor import LabelEditor
-from pipeline.corrections.unsaved import Waiting
-from pipeline.corrections.unsaved_dump import dump_unsaved
+from pipeline.corrections.journal_location import JournalLocation, dump_unsaved
+from pipeline.corrections.label_editor import LabelEditor, event_lines
+from pipeline.corrections.unsaved import Waiting, decided, disputes
 from pipeline.labels.reading import Labels
 from pipeline.relations.relations import F, T
 from pipeline.system.errors import InputError
@@ -32,14 +29,14 @@ Open = Callable[..., LabelEditor]
 
 
 @pytest.fixture
-def place(demo_labels: Labels, tmp_path: Path) -> Iterator[JournalPlace]:
-    found = JournalPlace(demo_labels, tmp_path / "j.sqlite")
+def place(demo_labels: Labels, tmp_path: Path) -> Iterator[JournalLocation]:
+    found = JournalLocation(demo_labels, tmp_path / "j.sqlite")
     yield found
     found.close()
 
 
 @pytest.fixture
-def desk(demo_labels: Labels, place: JournalPlace) -> Open:
+def desk(demo_labels: Labels, place: JournalLocation) -> Open:
     """Opens desks of one journal."""
     return lambda author="ann": LabelEditor(demo_labels, place, author)
 
@@ -47,7 +44,7 @@ def desk(demo_labels: Labels, place: JournalPlace) -> Open:
 class Broken:
     """A journal whose disk is full until it is mended."""
 
-    def __init__(self, place: JournalPlace, monkeypatch: pytest.MonkeyPatch) -> None:
+    def __init__(self, place: JournalLocation, monkeypatch: pytest.MonkeyPatch) -> None:
         self.full, real = True, Journal.write
 
         def write(journal: Journal, made: Any, author: str, action: Any, **how: Any) -> Any:
@@ -116,9 +113,9 @@ def test_what_nobody_disputes_is_saved_with_either_choice(desk: Open) -> None:
     ann.save(edits.set_class(ann.frame(FRAME), second, "cup"))
     conflict = bob.save(both)
     assert isinstance(conflict, Conflict)
-    assert [d.cell.numbers for d in disputes(conflict, bob.corrector.setting)] == [(second,)]
+    assert [d.ref.numbers for d in disputes(conflict, bob.corrector.setting)] == [(second,)]
     kept = decided(conflict, bob.frame(FRAME), ())
-    assert [e.cell for e in kept] == [object_cell(FRAME, first, "label")]
+    assert [e.ref for e in kept] == [object_ref(FRAME, first, "label")]
     assert isinstance(bob.decide(conflict, ()), Saved)
     assert [bob.frame(FRAME).objects[n]["label"] for n in (first, second)] == ["vase", "cup"]
 
@@ -154,7 +151,7 @@ def test_an_undo_that_somebody_built_upon_is_a_conflict_to_decide(desk: Open) ->
 
 
 def test_what_cannot_be_saved_is_shown_kept_and_saved_in_order(
-    desk: Open, place: JournalPlace, monkeypatch: pytest.MonkeyPatch
+    desk: Open, place: JournalLocation, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ann = desk("ann")
     name = an_expression(ann.frame(FRAME))["id"]
@@ -179,7 +176,7 @@ def test_what_cannot_be_saved_is_shown_kept_and_saved_in_order(
 
 
 def test_many_pages_of_one_author_save_what_waits_once(
-    desk: Open, place: JournalPlace, monkeypatch: pytest.MonkeyPatch
+    desk: Open, place: JournalLocation, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ann = desk("ann")
     numbers = sorted(ann.frame(FRAME).objects)[:5]
@@ -193,11 +190,11 @@ def test_many_pages_of_one_author_save_what_waits_once(
     for page in pages:
         page.join()
     ann.retry()
-    assert [e.cell.numbers[0] for e in ann.events(FRAME)] == numbers
+    assert [e.ref.numbers[0] for e in ann.events(FRAME)] == numbers
 
 
 def test_what_waited_too_long_is_a_conflict_that_is_kept(
-    desk: Open, place: JournalPlace, monkeypatch: pytest.MonkeyPatch
+    desk: Open, place: JournalLocation, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ann, bob = desk("ann"), desk("bob")
     number = min(ann.frame(FRAME).objects)
@@ -213,7 +210,7 @@ def test_what_waited_too_long_is_a_conflict_that_is_kept(
     assert ann.frame(FRAME).objects[number]["label"] == "vase"
 
 
-def test_taking_back_what_waits_drops_it(desk: Open, place: JournalPlace, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_taking_back_what_waits_drops_it(desk: Open, place: JournalLocation, monkeypatch: pytest.MonkeyPatch) -> None:
     ann = desk("ann")
     number = min(ann.frame(FRAME).objects)
     was = ann.frame(FRAME).objects[number]["label"]
@@ -227,7 +224,7 @@ def test_taking_back_what_waits_drops_it(desk: Open, place: JournalPlace, monkey
 
 
 def test_who_works_on_while_the_database_is_away_sees_their_own_edits(
-    desk: Open, place: JournalPlace, monkeypatch: pytest.MonkeyPatch
+    desk: Open, place: JournalLocation, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ann, bob = desk("ann"), desk("bob")
     number, other = sorted(ann.frame(FRAME).objects)[:2]
@@ -246,7 +243,7 @@ def test_who_works_on_while_the_database_is_away_sees_their_own_edits(
 
 
 def test_what_is_left_at_the_end_goes_to_files_that_correct_takes(
-    desk: Open, place: JournalPlace, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    desk: Open, place: JournalLocation, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     ann, bob = desk("ann"), desk("bob")
     frame = ann.frame(FRAME)
@@ -283,7 +280,7 @@ def test_what_is_left_at_the_end_goes_to_files_that_correct_takes(
 
 @pytest.mark.parametrize("seen", [False, True])
 def test_a_lost_answer_to_undo_takes_nothing_back_twice(
-    desk: Open, place: JournalPlace, monkeypatch: pytest.MonkeyPatch, seen: bool
+    desk: Open, place: JournalLocation, monkeypatch: pytest.MonkeyPatch, seen: bool
 ) -> None:
     ann, real = desk("ann"), Journal.write
     number = min(ann.frame(FRAME).objects)
@@ -323,7 +320,7 @@ def test_a_lost_answer_to_undo_takes_nothing_back_twice(
     assert label() == "bowl"
 
 
-def test_a_file_of_edits_is_not_saved_twice(desk: Open, place: JournalPlace) -> None:
+def test_a_file_of_edits_is_not_saved_twice(desk: Open, place: JournalLocation) -> None:
     ann, journal = desk("ann"), place.to_write()
     todo = actions_of([{"edit": "new", "frame": FRAME, "label": "lamp", "bbox": [10, 10, 60, 60]}])
     done = apply_actions(ann.corrector, journal, todo, "ann")
@@ -334,7 +331,7 @@ def test_a_file_of_edits_is_not_saved_twice(desk: Open, place: JournalPlace) -> 
 
 
 def test_judgements_that_were_not_saved_are_taken_from_the_file(
-    desk: Open, place: JournalPlace, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    desk: Open, place: JournalLocation, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     ann = desk("ann")
     frame = ann.frame(FRAME)
@@ -349,11 +346,11 @@ def test_judgements_that_were_not_saved_are_taken_from_the_file(
     with pytest.raises(InputError, match="judgement of another person"):
         apply_actions(ann.corrector, journal, read_actions(path), "bob")
     assert isinstance(apply_actions(ann.corrector, journal, read_actions(path), "ann"), Saved)
-    assert {e.cell.kind for e in journal.events()} == {"review", "object"}
+    assert {e.ref.kind for e in journal.events()} == {"review", "object"}
 
 
 def test_files_of_several_people_do_not_replace_each_other(
-    desk: Open, place: JournalPlace, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    desk: Open, place: JournalLocation, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     Broken(place, monkeypatch)
     # Of both names nothing is left in the name of a file.
@@ -383,8 +380,8 @@ def test_files_of_several_people_do_not_replace_each_other(
 def test_a_place_names_itself_without_its_password(
     demo_labels: Labels, where: str | None, words: tuple[str, ...]
 ) -> None:
-    assert JournalPlace(demo_labels, where).words == words
-    place = JournalPlace(demo_labels, where, "kitchen")
+    assert JournalLocation(demo_labels, where).words == words
+    place = JournalLocation(demo_labels, where, "kitchen")
     assert place.words == (*words, "--project", "kitchen")
     assert "secret" not in str(place)
 
@@ -399,7 +396,7 @@ def test_who_has_something_to_decide_keeps_the_name(desk: Open) -> None:
     assert bob.author == "cleo"
 
 
-def test_nothing_waits_nothing_is_written(place: JournalPlace, tmp_path: Path) -> None:
+def test_nothing_waits_nothing_is_written(place: JournalLocation, tmp_path: Path) -> None:
     assert dump_unsaved(place, [tmp_path]) == ()
     assert list(tmp_path.glob("unsaved*")) == []
 
@@ -431,7 +428,7 @@ def test_a_desk_takes_only_names(desk: Open) -> None:
     assert ann.author == "bob"
 
 
-def test_history_tells_what_was_taken_back_and_whose_it_is(desk: Open, place: JournalPlace) -> None:
+def test_history_tells_what_was_taken_back_and_whose_it_is(desk: Open, place: JournalLocation) -> None:
     ann, bob = desk("ann"), desk("bob")
     frame = ann.frame(FRAME)
     a, b = (int(n) for n in frame.pairs.numbers[:2])
@@ -444,7 +441,7 @@ def test_history_tells_what_was_taken_back_and_whose_it_is(desk: Open, place: Jo
         return who.history(FRAME, **about)
 
     both = lines(ann, pair=(b, a))
-    assert {x.event.cell for x in both} == {relation_cell(FRAME, a, b, "left"), relation_cell(FRAME, b, a, "right")}
+    assert {x.event.ref for x in both} == {relation_ref(FRAME, a, b, "left"), relation_ref(FRAME, b, a, "right")}
     assert [x.event.author for x in lines(ann, objects=(a, b), pair=(a, b))] == ["ann", "bob", "ann", "ann"]
     assert [bool(x.group) for x in lines(bob, objects=(a, b))] == [False, True]
     group = both[0].group
@@ -469,7 +466,7 @@ def test_history_agrees_with_what_undo_would_take(steps: list[str]) -> None:
 
     from pipeline.corrections.journal.events import Event
 
-    cell, value, version = object_cell(FRAME, 1, "label"), "0", 0
+    cell, value, version = object_ref(FRAME, 1, "label"), "0", 0
     events: list[Event] = []
     stack: list[tuple[str, str, str]] = []
     undone: list[tuple[str, str, str]] = []

@@ -12,16 +12,16 @@ import pytest
 from journal_world import FRAME, an_expression
 from waiting import LONG_S
 
-from pipeline.corrections import journal_place
+from pipeline.corrections import journal_location
 from pipeline.corrections.cards import ASKED_BEYOND_M, pair_card
 from pipeline.corrections.journal.edits import judge_relation, set_class, set_relation, set_text
 from pipeline.corrections.journal.events import Conflict, Saved
 from pipeline.corrections.journal.journal import Journal
-from pipeline.corrections.journal_place import JournalPlace
+from pipeline.corrections.journal_location import JournalLocation
 from pipeline.corrections.label_editor import LabelEditor
 from pipeline.corrections.scene import labelled_objects
 from pipeline.corrections.unsaved import Waiting
-from pipeline.corrections.wording import said_events
+from pipeline.corrections.wording import events_text
 from pipeline.datasets import Dataset
 from pipeline.geometry.masks import decode_run_length
 from pipeline.labels.reading import Labels
@@ -34,11 +34,11 @@ def _away(*_: Any, **__: Any) -> Any:
 
 
 @pytest.fixture
-def place(demo_labels: Labels, tmp_path: Path) -> JournalPlace:
-    return JournalPlace(demo_labels, tmp_path / "j.sqlite")
+def place(demo_labels: Labels, tmp_path: Path) -> JournalLocation:
+    return JournalLocation(demo_labels, tmp_path / "j.sqlite")
 
 
-def test_looking_writes_nothing(demo_labels: Labels, place: JournalPlace, tmp_path: Path) -> None:
+def test_looking_writes_nothing(demo_labels: Labels, place: JournalLocation, tmp_path: Path) -> None:
     desk = LabelEditor(demo_labels, place, "ann")
     desk.frame(FRAME)
     assert desk.undo() is None
@@ -47,7 +47,7 @@ def test_looking_writes_nothing(demo_labels: Labels, place: JournalPlace, tmp_pa
 
 
 def test_what_is_saved_is_seen_by_everyone_taken_back_and_brought_back(
-    demo_labels: Labels, place: JournalPlace
+    demo_labels: Labels, place: JournalLocation
 ) -> None:
     ann, ben = (LabelEditor(demo_labels, place, name) for name in ("ann", "ben"))
     frame = ann.frame(FRAME)
@@ -68,7 +68,7 @@ def test_what_is_saved_is_seen_by_everyone_taken_back_and_brought_back(
     assert ben.frame(FRAME).pairs.state(a, b, "left") == -was
 
 
-def test_geometry_contradicts_what_its_margin_does_not_allow(demo_labels: Labels, place: JournalPlace) -> None:
+def test_geometry_contradicts_what_its_margin_does_not_allow(demo_labels: Labels, place: JournalLocation) -> None:
     desk = LabelEditor(demo_labels, place, "ann")
     frame = desk.frame(FRAME)
     a, b = frame.pairs.numbers[:2].tolist()
@@ -89,7 +89,7 @@ def test_geometry_contradicts_what_its_margin_does_not_allow(demo_labels: Labels
 
 
 @pytest.mark.parametrize("moved", [True, False])
-def test_a_journal_that_was_put_back_is_read_afresh(demo_labels: Labels, place: JournalPlace, moved: bool) -> None:
+def test_a_journal_that_was_put_back_is_read_afresh(demo_labels: Labels, place: JournalLocation, moved: bool) -> None:
     ann, copy = LabelEditor(demo_labels, place, "ann"), Path(f"{place.where}.copy")
     ann.save(set_class(ann.frame(FRAME), 3, "jar"))
     place.close()
@@ -103,9 +103,9 @@ def test_a_journal_that_was_put_back_is_read_afresh(demo_labels: Labels, place: 
         Path(f"{place.where}{left}").unlink(missing_ok=True)
     if moved:
         # What is saved now has the number of an event that was seen, or a smaller one.
-        ben = LabelEditor(demo_labels, JournalPlace(demo_labels, place.where), "ben")
+        ben = LabelEditor(demo_labels, JournalLocation(demo_labels, place.where), "ben")
         assert isinstance(ben.save(set_class(ben.frame(FRAME), 5, "cup")), Saved)
-        ben.place.close()
+        ben.location.close()
     assert ann.replaced(FRAME)
     assert [e.author for e in ann.news(FRAME)] == ["ben"] * moved
     frame = ann.frame(FRAME)
@@ -116,7 +116,7 @@ def test_a_journal_that_was_put_back_is_read_afresh(demo_labels: Labels, place: 
 
 
 def test_what_was_saved_last_is_seen_while_the_journal_is_away(
-    demo_labels: Labels, place: JournalPlace, monkeypatch: pytest.MonkeyPatch
+    demo_labels: Labels, place: JournalLocation, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ann = LabelEditor(demo_labels, place, "ann")
     assert isinstance(ann.save(set_class(ann.frame(FRAME), 3, "jar")), Saved)
@@ -129,7 +129,7 @@ def test_what_was_saved_last_is_seen_while_the_journal_is_away(
     assert [e.after for e in ann.events(FRAME)] == ["jar", "mug"]
 
 
-def test_who_comes_second_is_told_and_overwrites_nothing(demo_labels: Labels, place: JournalPlace) -> None:
+def test_who_comes_second_is_told_and_overwrites_nothing(demo_labels: Labels, place: JournalLocation) -> None:
     ann, ben = (LabelEditor(demo_labels, place, name) for name in ("ann", "ben"))
     seen = ann.frame(FRAME), ben.frame(FRAME)
     assert isinstance(ann.save(set_class(seen[0], 3, "beaker")), Saved)
@@ -145,7 +145,7 @@ def test_what_cannot_be_saved_is_kept_shown_and_saved_later(
     demo_labels: Labels, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = tmp_path / "away"
-    place = JournalPlace(demo_labels, folder / "j.sqlite")
+    place = JournalLocation(demo_labels, folder / "j.sqlite")
     desk = LabelEditor(demo_labels, place, "ann")
     first = desk.save(set_class(desk.frame(FRAME), 3, "beaker"))
     assert isinstance(first, Waiting)
@@ -168,18 +168,18 @@ def test_what_cannot_be_saved_is_kept_shown_and_saved_later(
 
 
 def test_while_the_journal_is_being_opened_an_edit_waits_and_nobody_with_it(
-    demo_labels: Labels, place: JournalPlace, monkeypatch: pytest.MonkeyPatch
+    demo_labels: Labels, place: JournalLocation, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     desk, slow = LabelEditor(demo_labels, place, "ann"), threading.Event()
-    real, asked = journal_place.journal_of, threading.Event()
+    real, asked = journal_location.journal_of, threading.Event()
 
     def opened(*given: Any, **named: Any) -> Any:
         asked.set()
         slow.wait(LONG_S)
         return real(*given, **named)
 
-    monkeypatch.setattr(journal_place, "journal_of", opened)
-    monkeypatch.setattr(journal_place, "PATIENCE_S", 0.02)
+    monkeypatch.setattr(journal_location, "journal_of", opened)
+    monkeypatch.setattr(journal_location, "PATIENCE_S", 0.02)
     frame = desk.frame(FRAME)
 
     def first() -> None:
@@ -204,7 +204,7 @@ def test_what_waits_can_be_dropped_and_is_a_conflict_where_somebody_was_faster(
     demo_labels: Labels, tmp_path: Path
 ) -> None:
     folder = tmp_path / "away"
-    place = JournalPlace(demo_labels, folder / "j.sqlite")
+    place = JournalLocation(demo_labels, folder / "j.sqlite")
     ann, ben = (LabelEditor(demo_labels, place, name) for name in ("ann", "ben"))
     name = ann.frame(FRAME).objects[3]["label"]
     ann.save(set_class(ann.frame(FRAME), 3, "jar"))
@@ -220,7 +220,7 @@ def test_what_waits_can_be_dropped_and_is_a_conflict_where_somebody_was_faster(
     assert ann.frame(FRAME).objects[3]["label"] == "beaker"
 
 
-def test_an_edit_that_is_none_does_not_wait(demo_labels: Labels, place: JournalPlace) -> None:
+def test_an_edit_that_is_none_does_not_wait(demo_labels: Labels, place: JournalLocation) -> None:
     desk = LabelEditor(demo_labels, place, "ann")
     with pytest.raises(InputError, match="nothing to save"):
         desk.save(())
@@ -229,7 +229,7 @@ def test_an_edit_that_is_none_does_not_wait(demo_labels: Labels, place: JournalP
         desk.frame("nowhere")
 
 
-def test_labelled_objects_are_what_the_rows_say(demo_labels: Labels, place: JournalPlace) -> None:
+def test_labelled_objects_are_what_the_rows_say(demo_labels: Labels, place: JournalLocation) -> None:
     frame = LabelEditor(demo_labels, place, "ann").frame(FRAME)
     objects = labelled_objects(frame)
     assert [o.id for o in objects] == sorted(frame.objects)
@@ -244,7 +244,7 @@ def test_labelled_objects_are_what_the_rows_say(demo_labels: Labels, place: Jour
             np.testing.assert_allclose(entry.lifted.lo, row["lo"])
 
 
-def test_a_card_mirrors_the_pair_the_other_way_round(demo_labels: Labels, place: JournalPlace) -> None:
+def test_a_card_mirrors_the_pair_the_other_way_round(demo_labels: Labels, place: JournalLocation) -> None:
     frame = LabelEditor(demo_labels, place, "ann").frame(FRAME)
     a, b = frame.pairs.numbers[:2].tolist()
     one, other = (
@@ -259,8 +259,8 @@ def test_a_card_mirrors_the_pair_the_other_way_round(demo_labels: Labels, place:
 
 def test_background_takes_part_in_no_relation_and_says_why(demo_labels: Labels, demo_dataset: Dataset) -> None:
     for name in demo_labels.frames.column("frame").to_pylist():
-        frame = LabelEditor(demo_labels, JournalPlace(demo_labels, "nowhere/j"), "ann", demo_dataset).frame(name)
-        lonely = [n for n in frame.objects if frame.pairs.place(n) is None]
+        frame = LabelEditor(demo_labels, JournalLocation(demo_labels, "nowhere/j"), "ann", demo_dataset).frame(name)
+        lonely = [n for n in frame.objects if frame.pairs.index_of(n) is None]
         if lonely:
             card = pair_card(frame, lonely[0], frame.pairs.numbers[0])
             assert not card.lines
@@ -270,7 +270,7 @@ def test_background_takes_part_in_no_relation_and_says_why(demo_labels: Labels, 
 
 
 def test_actions_in_words_name_the_objects_and_do_not_count_the_mirror(
-    demo_labels: Labels, place: JournalPlace
+    demo_labels: Labels, place: JournalLocation
 ) -> None:
     desk = LabelEditor(demo_labels, place, "ann")
     frame = desk.frame(FRAME)
@@ -281,30 +281,30 @@ def test_actions_in_words_name_the_objects_and_do_not_count_the_mirror(
     assert state in (T, F)
     done = desk.save(judge_relation(frame, a, b, "left", state, "ann"))
     assert isinstance(done, Saved)
-    assert said_events(done.events, frame) == f"{names[0]} left of {names[1]} is {'T' if state == T else 'F'}: accepted"
+    assert events_text(done.events, frame) == f"{names[0]} left of {names[1]} is {'T' if state == T else 'F'}: accepted"
     done = desk.save(set_relation(frame, a, b, "left", -state))
     assert isinstance(done, Saved)
     assert len(done.events) == 2
-    said = said_events(done.events, frame)
+    said = events_text(done.events, frame)
     assert said.startswith(f"{names[0]} left of {names[1]}: ")
     assert "more" not in said
     row = an_expression(frame)
     done = desk.save(set_text(frame, row["id"], "the one over there"))
     assert isinstance(done, Saved)
-    assert "the one over there" in said_events(done.events, desk.frame(FRAME))
+    assert "the one over there" in events_text(done.events, desk.frame(FRAME))
     # Without its frame an expression has its id.
-    assert said_events(done.events, None).startswith(f"text of expression {done.events[0].cell.key}: ")
+    assert events_text(done.events, None).startswith(f"text of expression {done.events[0].ref.key}: ")
 
 
 def test_what_was_made_on_an_edit_that_is_disputed_is_disputed_with_it(demo_labels: Labels, tmp_path: Path) -> None:
     folder = tmp_path / "away"
-    place = JournalPlace(demo_labels, folder / "j.sqlite")
+    place = JournalLocation(demo_labels, folder / "j.sqlite")
     ann, ben = (LabelEditor(demo_labels, place, name) for name in ("ann", "ben"))
     first, other = sorted(ann.frame(FRAME).objects)[:2]
     for name in ("vase", "bowl"):
         ann.save(set_class(ann.frame(FRAME), first, name))
     ann.save(set_class(ann.frame(FRAME), other, "lamp"))
-    seen = LabelEditor(demo_labels, JournalPlace(demo_labels, tmp_path / "none.sqlite"), "ben").frame(FRAME)
+    seen = LabelEditor(demo_labels, JournalLocation(demo_labels, tmp_path / "none.sqlite"), "ben").frame(FRAME)
     folder.mkdir()
     assert isinstance(ben.save(set_class(seen, first, "jar")), Saved)
     # The second edit is of version 1, which is ben's by now.
@@ -323,7 +323,7 @@ def test_what_was_made_on_an_edit_that_is_disputed_is_disputed_with_it(demo_labe
 
 
 def test_an_edit_is_kept_while_another_thread_saves_what_waits(
-    demo_labels: Labels, place: JournalPlace, monkeypatch: pytest.MonkeyPatch
+    demo_labels: Labels, place: JournalLocation, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     desk = LabelEditor(demo_labels, place, "ann")
     number = min(desk.frame(FRAME).objects)

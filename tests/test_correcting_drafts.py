@@ -9,20 +9,26 @@ import numpy as np
 import pytest
 from journal_world import FRAME, half_of, saved, widest
 
-from pipeline.corrections.consequences import consequences
-from pipeline.corrections.draft import Draft, begun, come_apart, continued, edits_of_draft, fitted, rebased
-from pipeline.corrections.drawing.gestures import Canvas, Gesture
-from pipeline.corrections.drawing.strokes import polygon_mask, rectangle_mask, stroke_mask
+from pipeline.corrections.draft import (
+    Draft,
+    edits_of_draft,
+    lifted_draft,
+    new_draft,
+    rebased,
+    with_depth_split,
+    with_gesture,
+)
+from pipeline.corrections.drawing.gestures import Canvas, Gesture, polygon_mask, rectangle_mask, stroke_mask
 from pipeline.corrections.journal import edits
-from pipeline.corrections.journal.batch import actions_of, apply_actions
-from pipeline.corrections.journal.batch_shapes import needs_pictures
+from pipeline.corrections.journal.batch import actions_of, apply_actions, needs_pictures
 from pipeline.corrections.journal.edits import pixels_of
 from pipeline.corrections.journal.effective import Corrector
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Saved
-from pipeline.corrections.journal.field_refs import FIRST_NEW_OBJECT
+from pipeline.corrections.journal.field_refs import FIRST_NEW_OBJECT, object_ref
 from pipeline.corrections.journal.journal import Journal
 from pipeline.corrections.journal.undo import undo
+from pipeline.corrections.wording import consequences
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.relations.relations import T
 from pipeline.system.errors import InputError
@@ -48,24 +54,24 @@ def test_several_strokes_are_one_edit(frame: EffectiveFrame, full_corrector: Cor
     number = widest(frame)
     before = pixels_of(frame, number)
     at = middle(before)
-    draft = begun(frame, number)
+    draft = new_draft(frame, number)
     assert not draft.changed
     for shift in (0.0, 15.0, 30.0):
-        draft = continued(draft, Gesture("stroke", at + shift, False, 6.0))
+        draft = with_gesture(draft, Gesture("stroke", at + shift, False, 6.0))
     height, width = before.shape
     gone = np.logical_or.reduce([stroke_mask(at + s, 6.0, height, width) for s in (0.0, 15.0, 30.0)])
     np.testing.assert_array_equal(draft.mask, before & ~gone)
     (event,) = saved(journal, edits_of_draft(draft, frame))
-    assert (event.cell.field, event.cell.numbers) == ("mask", (number,))
+    assert (event.ref.field, event.ref.numbers) == ("mask", (number,))
     np.testing.assert_array_equal(pixels_of(full_corrector.frame(FRAME, journal), number), before & ~gone)
 
 
 def test_steps_are_taken_back_and_brought_back(frame: EffectiveFrame) -> None:
     number = widest(frame)
     at = middle(pixels_of(frame, number))
-    steps = [begun(frame, number)]
+    steps = [new_draft(frame, number)]
     for radius in (4.0, 8.0, 12.0):
-        steps.append(continued(steps[-1], Gesture("stroke", at, False, radius)))
+        steps.append(with_gesture(steps[-1], Gesture("stroke", at, False, radius)))
     draft = steps[-1]
     for earlier in reversed(steps[:-1]):
         draft = draft.back()
@@ -73,33 +79,33 @@ def test_steps_are_taken_back_and_brought_back(frame: EffectiveFrame) -> None:
     assert draft.back() == draft
     assert not draft.changed
     np.testing.assert_array_equal(draft.forth().forth().forth().forth().mask, steps[-1].mask)
-    other = continued(draft.forth(), Gesture("stroke", at, True, 30.0))
+    other = with_gesture(draft.forth(), Gesture("stroke", at, True, 30.0))
     assert other.forth() == other
     # Painting what is painted already is no step.
-    assert continued(other, Gesture("stroke", at, True, 30.0)) == other
+    assert with_gesture(other, Gesture("stroke", at, True, 30.0)) == other
 
 
 def test_drafts_that_cannot_be_applied_are_refused(frame: EffectiveFrame, canvas: Canvas) -> None:
     number = widest(frame)
-    draft = begun(frame, number)
+    draft = new_draft(frame, number)
     everything = Gesture("rectangle", np.array([[0.0, 0.0], [draft.width, draft.height]]), False)
     for made, label, said in (
         (draft, "", "nothing has changed"),
-        (continued(draft, everything), "", "no pixel is left"),
-        (begun(frame, None), "mug", "nothing is drawn"),
-        (continued(begun(frame, None), Gesture("stroke", np.array([[50.0, 50.0]]), True, 9.0)), " ", "class"),
+        (with_gesture(draft, everything), "", "no pixel is left"),
+        (new_draft(frame, None), "mug", "nothing is drawn"),
+        (with_gesture(new_draft(frame, None), Gesture("stroke", np.array([[50.0, 50.0]]), True, 9.0)), " ", "class"),
     ):
         with pytest.raises(InputError, match=said) as caught:
             edits_of_draft(made, frame, label)
         assert "\n" not in str(caught.value)
     line = Gesture("cut", np.array([[0.0, 0.0], [1.0, 0.0]]))
-    for wrong, said in ((begun(frame, None), "new object"), (draft, "empty")):
+    for wrong, said in ((new_draft(frame, None), "new object"), (draft, "empty")):
         with pytest.raises(InputError, match=said):
-            continued(wrong, line)
+            with_gesture(wrong, line)
     with pytest.raises(InputError, match="new object"):
-        come_apart(begun(frame, None), canvas)
+        with_depth_split(new_draft(frame, None), canvas)
     with pytest.raises(InputError, match="no object 999"):
-        begun(frame, 999)
+        new_draft(frame, 999)
 
 
 def test_pixels_that_somebody_changed_meanwhile_are_not_replaced_unasked(
@@ -107,7 +113,7 @@ def test_pixels_that_somebody_changed_meanwhile_are_not_replaced_unasked(
 ) -> None:
     number = widest(frame)
     at = middle(pixels_of(frame, number))
-    draft = continued(begun(frame, number), Gesture("stroke", at, False, 9.0))
+    draft = with_gesture(new_draft(frame, number), Gesture("stroke", at, False, 9.0))
     saved(journal, edits.set_mask(frame, number, half_of(frame, number)[0]), "bob")
     now = full_corrector.frame(FRAME, journal)
     with pytest.raises(InputError, match="bob"):
@@ -121,7 +127,7 @@ def cut_across(frame: EffectiveFrame, number: int) -> Draft:
     columns = np.flatnonzero(mask.any(axis=0))
     x = float(columns[len(columns) // 2])
     line = np.array([[x, 0.0], [x, mask.shape[0]]])
-    return continued(begun(frame, number), Gesture("cut", line))
+    return with_gesture(new_draft(frame, number), Gesture("cut", line))
 
 
 def test_a_cut_makes_objects_that_share_no_pixel(
@@ -130,7 +136,7 @@ def test_a_cut_makes_objects_that_share_no_pixel(
     number = widest(frame)
     draft = cut_across(frame, number)
     with pytest.raises(InputError, match="is cut"):
-        continued(draft, Gesture("stroke", np.array([[5.0, 5.0]])))
+        with_gesture(draft, Gesture("stroke", np.array([[5.0, 5.0]])))
     parts = draft.parts
     assert len(parts) == 2
     saved(journal, edits_of_draft(draft, frame))
@@ -153,20 +159,20 @@ def test_a_new_object_from_clicks_gets_the_box_that_was_shown(
 ) -> None:
     number = next(n for n, row in frame.objects.items() if row["label"] == "box")
     mask = pixels_of(frame, number)
-    draft = continued(begun(frame, None), Gesture("depth", middle(mask)), canvas)
+    draft = with_gesture(new_draft(frame, None), Gesture("depth", middle(mask)), canvas)
     assert (draft.mask & mask).sum() / (draft.mask | mask).sum() > 0.8
-    shown = fitted(canvas, draft.mask)
+    shown = lifted_draft(canvas, draft.mask)
     assert shown is not None
     assert shown.box is not None
     (event,) = saved(journal, edits_of_draft(draft, frame, "crate"))
     after = full_corrector.frame(FRAME, journal)
-    row = after.objects[event.cell.numbers[0]]
+    row = after.objects[event.ref.numbers[0]]
     assert row["label"] == "crate"
     np.testing.assert_allclose(row["center"], shown.box.center, atol=1e-6)
     np.testing.assert_allclose(row["size"], shown.box.size, atol=1e-6)
     told = consequences(frame, after)
-    assert told.appeared == (f"crate·{event.cell.numbers[0]}",)
-    assert [b.number for b in told.boxes] == [event.cell.numbers[0]]
+    assert told.appeared == (f"crate·{event.ref.numbers[0]}",)
+    assert [b.number for b in told.boxes] == [event.ref.numbers[0]]
     assert told.recomputed > 0
     assert told.changed == ()
 
@@ -195,7 +201,7 @@ def test_what_follows_from_other_pixels_is_counted_and_told(
     for a in frame.objects:
         for b in frame.objects:
             for relation in frame.setting.relations:
-                if a == b or frame.pairs.place(a) is None or frame.pairs.place(b) is None:
+                if a == b or frame.pairs.index_of(a) is None or frame.pairs.index_of(b) is None:
                     continue
                 inverse = frame.setting.inverse(relation)
                 name = frozenset({(a, b, relation)} | ({(b, a, inverse)} if inverse else set()))
@@ -234,7 +240,7 @@ def test_a_rejected_object_takes_expressions_with_it(bare_corrector: Corrector, 
     frame = bare_corrector.frame(FRAME, journal)
     row = next(iter(frame.expressions.values()))
     number = row["reference_object"]
-    saved(journal, edits.remove_object(frame, number))
+    saved(journal, edits.set_status(frame, object_ref(frame.frame, number, "status"), "rejected"))
     after = bare_corrector.frame(FRAME, journal)
     told = consequences(frame, after)
     assert told.gone == (f"{frame.objects[number]['label']}·{number}",)

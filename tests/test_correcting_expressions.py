@@ -11,18 +11,17 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from journal_world import FRAME, an_expression, saved
 
-from pipeline.corrections.expression_cards import (
-    ExpressionCard,
-    answers_with,
-    expression_card,
-    expression_cards,
-    expression_records,
-    set_answer,
-)
 from pipeline.corrections.journal import edits
 from pipeline.corrections.journal.effective import Corrector
 from pipeline.corrections.journal.field_refs import FieldRef
 from pipeline.corrections.journal.journal import Journal
+from pipeline.corrections.object_card import (
+    ExpressionCard,
+    answers_with,
+    expression_card,
+    expression_cards,
+    set_answer,
+)
 from pipeline.system.errors import InputError
 
 
@@ -39,7 +38,7 @@ def test_a_card_says_what_the_row_says_and_the_pair_comes_first(bare_corrector: 
     assert (card.text, list(card.targets), list(card.acceptable)) == (row["text"], row["targets"], row["acceptable"])
     assert card.names[row["target_object"]] == frame.objects[row["target_object"]]["label"]
     assert {o.source for o in card.origins.values()} == {"auto"}
-    assert len(json.dumps(expression_records(frame))) > 100
+    assert len(json.dumps([card.record() for card in expression_cards(frame)])) > 100
 
 
 def test_answers_are_set_one_by_one_and_the_origin_is_told(bare_corrector: Corrector, journal: Journal) -> None:
@@ -49,7 +48,7 @@ def test_answers_are_set_one_by_one_and_the_origin_is_told(bare_corrector: Corre
     saved(journal, set_answer(frame, row["id"], other, "likely"))
     frame = bare_corrector.frame(FRAME, journal)
     card = expression_card(frame, row["id"])
-    assert card.doubt(other) == "likely"
+    assert card.certainty(other) == "likely"
     assert card.ambiguous
     assert card.origins["acceptable"].author == "ann"
     with pytest.raises(InputError, match="already"):
@@ -57,7 +56,7 @@ def test_answers_are_set_one_by_one_and_the_origin_is_told(bare_corrector: Corre
     saved(journal, set_answer(frame, row["id"], other, "sure"))
     frame = bare_corrector.frame(FRAME, journal)
     for number in (*row["acceptable"], other):
-        assert expression_card(frame, row["id"]).doubt(number) != "no"
+        assert expression_card(frame, row["id"]).certainty(number) != "no"
     for number in row["acceptable"]:
         saved(journal, set_answer(frame, row["id"], number, "no"))
         frame = bare_corrector.frame(FRAME, journal)
@@ -76,7 +75,7 @@ def test_targets_are_always_acceptable(steps: list[tuple[int, Any]]) -> None:
         targets, acceptable = answers_with(card, number, doubt)
         assert set(targets) <= set(acceptable)
         card = replace(card, targets=targets, acceptable=acceptable)
-        assert card.doubt(number) == doubt
+        assert card.certainty(number) == doubt
 
 
 def test_a_rejected_expression_keeps_its_text_and_can_be_brought_back(
@@ -105,5 +104,5 @@ def test_each_reviewer_has_a_word_of_their_own(bare_corrector: Corrector, journa
     for author, status in (("ann", "accepted"), ("ben", "unsure")):
         saved(journal, edits.set_status(bare_corrector.frame(FRAME, journal), cell, status, author=author), author)
     card = expression_card(bare_corrector.frame(FRAME, journal), name)
-    assert card.said == card.record()["said"] == {"ann": "accepted", "ben": "unsure"}
+    assert card.statuses == card.record()["said"] == {"ann": "accepted", "ben": "unsure"}
     assert card.status is None

@@ -11,17 +11,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from journal_world import FRAME, half_of, saved, widest
 
-from pipeline.corrections.box_edits import fit_to_points, snap_to_support, support_of
-from pipeline.corrections.cards import pair_card
+from pipeline.corrections.cards import MovingBox, pair_card
 from pipeline.corrections.journal import edits
 from pipeline.corrections.journal.effective import Corrector
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import new_ulid
-from pipeline.corrections.journal.field_refs import object_cell, relation_cell, same_value
+from pipeline.corrections.journal.field_refs import object_ref, relation_ref, same_value
 from pipeline.corrections.journal.journal import Journal, journal_of
-from pipeline.corrections.moving import MovingBox
 from pipeline.corrections.object_card import FIELDS, back_to_automatic, bring_back, object_card
 from pipeline.corrections.scene import labelled_box
+from pipeline.corrections.support import fit_to_points, snap_to_support, support_of
 from pipeline.corrections.unsaved import Waiting
 from pipeline.diagnosis.whatif.box_numbers import box_numbers
 from pipeline.geometry.boxes import Box3D
@@ -84,7 +83,7 @@ def test_without_the_pictures_what_follows_is_stale(bare_corrector: Corrector, j
 def test_a_rejected_object_has_a_card_and_comes_back(full_corrector: Corrector, journal: Journal) -> None:
     before = full_corrector.frame(FRAME, journal)
     number = widest(before)
-    saved(journal, edits.remove_object(before, number, "a reflection"))
+    saved(journal, edits.set_status(before, object_ref(before.frame, number, "status"), "rejected", "a reflection"))
     gone = full_corrector.frame(FRAME, journal)
     card = object_card(gone, number)
     assert (card.stands, card.status, card.line("status").settled) == (False, "rejected", True)
@@ -101,18 +100,18 @@ def test_each_person_judges_an_object_and_bringing_it_back_takes_the_own_word_ba
 ) -> None:
     before = full_corrector.frame(FRAME, journal)
     number = widest(before)
-    cell = object_cell(FRAME, number, "status")
+    cell = object_ref(FRAME, number, "status")
     with pytest.raises(InputError, match="not rejected"):
         bring_back(before, number, "ann")
     saved(journal, edits.set_status(before, cell, "unsure", author="bob"), "bob")
     saved(journal, edits.set_status(full_corrector.frame(FRAME, journal), cell, "rejected", author="ann"))
     gone = full_corrector.frame(FRAME, journal)
     card = object_card(gone, number)
-    assert (card.stands, card.status, card.said) == (False, "rejected", {"ann": "rejected", "bob": "unsure"})
+    assert (card.stands, card.status, card.statuses) == (False, "rejected", {"ann": "rejected", "bob": "unsure"})
     assert len(saved(journal, bring_back(gone, number, "ann"))) == 2
     after = full_corrector.frame(FRAME, journal)
     assert same_tables(before, after)
-    assert object_card(after, number).said == {"bob": "unsure"}
+    assert object_card(after, number).statuses == {"bob": "unsure"}
     assert object_card(after, number).record()["said"] == {"bob": "unsure"}
 
 
@@ -127,7 +126,7 @@ def test_a_field_given_back_leaves_the_labels_as_they_were(
     left, _ = half_of(before, number)
     made: dict[str, Any] = {
         "label": lambda: edits.set_class(before, number, "throne"),
-        "status": lambda: edits.set_status(before, object_cell(FRAME, number, "status"), "unsure"),
+        "status": lambda: edits.set_status(before, object_ref(FRAME, number, "status"), "unsure"),
         "mask": lambda: edits.set_mask(before, number, left),
         "bbox": lambda: edits.set_bbox(before, number, [1, 2, 30, 40]),
         "box": lambda: edits.set_box(before, number, shifted(box_of_object(before, number), (0.2, 0, 0.1))),
@@ -136,7 +135,7 @@ def test_a_field_given_back_leaves_the_labels_as_they_were(
     changed = full_corrector.frame(FRAME, journal)
     assert object_card(changed, number).line(field).settled
     (event,) = saved(journal, back_to_automatic(changed, number, field))
-    assert event.cell == object_cell(FRAME, number, field)
+    assert event.ref == object_ref(FRAME, number, field)
     after = full_corrector.frame(FRAME, journal)
     assert same_tables(before, after)
     assert after.unapplied == ()
@@ -256,7 +255,7 @@ def test_what_a_person_said_stands_while_a_box_moves(settled: Journal, full_corr
     assert moved.card is not None
     states = {line.relation: line.state for line in moved.card.lines}
     assert (states["left"], states["right"]) == (T, F)
-    assert frame.origin(relation_cell(FRAME, 4, 2, "left")).author == "bob"
+    assert frame.origin(relation_ref(FRAME, 4, 2, "left")).author == "bob"
     assert set(moved.changed) <= set(PAIRWISE)
     assert moved.record()["object"] == 4
 

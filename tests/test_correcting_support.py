@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scenes import frame_of, random_rotation, up_of, upright
 
 from pipeline.answering.objects import PreparedFrame, SceneObject, all_objects
-from pipeline.corrections.support import Support, Way, find_support, gap_below, snapped
+from pipeline.corrections.support import SnapMode, Support, find_support, gap_below, snapped
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.viewer import viewer_axes
@@ -19,7 +19,7 @@ from pipeline.proposals.annotations import AnnotationDetector
 from pipeline.system.errors import InputError
 
 FLOOR = 1.2
-WAYS: tuple[Way, ...] = ("extend", "move")
+WAYS: tuple[SnapMode, ...] = ("extend", "move")
 
 
 def seen(frame: Frame) -> tuple[PreparedFrame, tuple[SceneObject, ...]]:
@@ -99,7 +99,7 @@ def test_where_only_a_wall_is_seen_there_is_nothing_to_stand_on() -> None:
     way=st.sampled_from(WAYS),
 )
 def test_what_stands_on_the_floor_is_snapped_to_it(
-    size: tuple[float, float, float], place: tuple[float, float], yaw: float, pitch: float, way: Way
+    size: tuple[float, float, float], place: tuple[float, float], yaw: float, pitch: float, way: SnapMode
 ) -> None:
     truth = standing(*size, *place, FLOOR, yaw)
     context, objects = seen(frame_of([truth], ["crate"], pitch=pitch, floor=FLOOR))
@@ -124,7 +124,7 @@ tilts = st.integers(0, 10_000).map(lambda seed: random_rotation(np.random.defaul
     way=st.sampled_from(WAYS),
 )
 def test_snapping_puts_the_bottom_on_the_support_and_keeps_the_plan(
-    R: np.ndarray, size: tuple[float, ...], center: tuple[float, ...], height: float, pitch: float, way: Way
+    R: np.ndarray, size: tuple[float, ...], center: tuple[float, ...], height: float, pitch: float, way: SnapMode
 ) -> None:
     viewer = viewer_axes(up_of(pitch))
     box = Box3D(np.array(center), viewer.R_level_camera.T @ R, np.array(size))

@@ -18,7 +18,7 @@ from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.field_refs import FieldRef
 from pipeline.corrections.journal.journal import Journal
 from pipeline.corrections.journal.undo import undo
-from pipeline.corrections.truth import answered_case, effective_mark, effective_truth, withdrawn_by
+from pipeline.corrections.scene import answered_case, effective_mark, effective_truth, withdrawn_by
 from pipeline.diagnosis.asking import judge_trace, labelled_truth
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.labels.cases import Case, FrameCases

@@ -11,10 +11,21 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from pipeline.answering.objects import PreparedFrame
+from pipeline.corrections.draft import split_by_depth, split_by_line, split_by_polygon
 from pipeline.corrections.drawing.depth_region import Surface, grown_region, surface_of
-from pipeline.corrections.drawing.gestures import Canvas, Gesture, applied, drawn, gesture_of, goes_around, read_gesture
-from pipeline.corrections.drawing.splitting import split_by_depth, split_by_line, split_by_polygon
-from pipeline.corrections.drawing.strokes import THINNEST, polygon_mask, rectangle_mask, stroke_mask
+from pipeline.corrections.drawing.gestures import (
+    THINNEST,
+    Canvas,
+    Gesture,
+    applied,
+    drawn,
+    gesture_of,
+    goes_around,
+    polygon_mask,
+    read_gesture,
+    rectangle_mask,
+    stroke_mask,
+)
 from pipeline.geometry.camera import Camera
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.lifting import LiftConfig

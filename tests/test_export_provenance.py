@@ -12,7 +12,7 @@ from journal_world import FRAME, an_expression, saved
 
 from pipeline.corrections.journal import edits
 from pipeline.corrections.journal.effective import Corrector
-from pipeline.corrections.journal.field_refs import FieldRef, object_cell, relation_cell
+from pipeline.corrections.journal.field_refs import FieldRef, object_ref, relation_ref
 from pipeline.corrections.journal.journal import Journal
 from pipeline.corrections.journal.materialise import materialise
 from pipeline.labels.exports import export_labels, import_labels
@@ -40,12 +40,12 @@ def corrected(demo_labels: Labels, bare_corrector: Corrector, tmp_path_factory: 
             *saved(journal, edits.set_class(frame, other, "samovar", "has a spout")),
             *saved(journal, edits.set_relation(frame, a, b, row["relation"], F), "bob"),
             *saved(journal, edits.set_mark(frame, quiet["id"], "BAD_BOX")),
-            *saved(journal, edits.set_status(frame, object_cell(FRAME, a, "status"), "accepted")),
+            *saved(journal, edits.set_status(frame, object_ref(FRAME, a, "status"), "accepted")),
             *saved(journal, edits.set_status(frame, FieldRef("frame", FRAME, "", "status"), "unsure")),
             *saved(journal, edits.set_note(frame, "check the lamp")),
-            *saved(journal, edits.set_status(frame, relation_cell(FRAME, a, b, "near.status"), "accepted")),
+            *saved(journal, edits.set_status(frame, relation_ref(FRAME, a, b, "near.status"), "accepted")),
             *saved(journal, edits.judge_relation(frame, a, other, "near", F, "ann")),
-            *saved(journal, edits.set_status(frame, object_cell(FRAME, other, "status"), "unsure", author="ann")),
+            *saved(journal, edits.set_status(frame, object_ref(FRAME, other, "status"), "unsure", author="ann")),
         ]
         materialise(demo_labels, journal, folder / "labels")
     return open_labels(folder / "labels"), events, {"a": a, "b": b, "other": other, "quiet": quiet["id"], "row": row}

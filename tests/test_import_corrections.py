@@ -14,7 +14,7 @@ from journal_world import FRAME, an_expression, half_of, saved, widest
 
 from pipeline.corrections.journal import edits
 from pipeline.corrections.journal.effective import Corrector
-from pipeline.corrections.journal.field_refs import FieldRef, object_cell, relation_cell
+from pipeline.corrections.journal.field_refs import FieldRef, object_ref, relation_ref
 from pipeline.corrections.journal.incoming.importing import (
     ImportConfig,
     ImportReport,
@@ -100,7 +100,7 @@ def test_a_corrected_export_that_nobody_changed_brings_no_event(
     row = an_expression(frame)
     pair = row["target_object"], row["reference_object"]
     saved(journal, edits.set_relation(frame, *pair, row["relation"], F))
-    saved(journal, edits.set_status(frame, relation_cell(FRAME, *pair, "near.status"), "unsure"))
+    saved(journal, edits.set_status(frame, relation_ref(FRAME, *pair, "near.status"), "unsure"))
     saved(journal, edits.set_note(frame, "hm"))
     for name, dataset in (("bare", None), ("full", demo_dataset)):
         materialise(demo_labels, journal, tmp_path / name, dataset=dataset)
@@ -149,12 +149,12 @@ def test_edited_jsonl_is_what_the_labels_say_then(
     now = bare_corrector.frame(FRAME, journal)
     assert now.objects[number]["label"] == "treasure chest"
     assert now.objects[number]["center"] == [0.5, 0.25, 2.0]
-    assert now.statuses[object_cell(FRAME, number, "status")] == "corrected"
+    assert now.statuses[object_ref(FRAME, number, "status")] == "corrected"
     (new,) = now.objects.keys() - before.objects.keys()
     assert (now.objects[new]["label"], now.objects[new]["bbox"]) == ("lost key", [10.0, 20.0, 30.0, 44.5])
     assert now.pairs.state(a, b, relation) == F
     assert now.pairs.state(b, a, INVERSE[relation]) == F
-    assert now.statuses[relation_cell(FRAME, a, b, f"{relation}.status")] == "corrected"
+    assert now.statuses[relation_ref(FRAME, a, b, f"{relation}.status")] == "corrected"
     changed = now.expressions[free["id"]]
     assert changed["text"] == "the thing over there"
     assert changed["acceptable"] == sorted([*free["acceptable"], other])
@@ -209,7 +209,7 @@ def test_edited_coco_is_what_the_labels_say_then(
     assert set(now.left_out) == {deleted}
     (new,) = now.objects.keys() - before.objects.keys()
     assert now.objects[new]["label"] == "samovar"
-    assert {(e.cell.numbers[0], e.cell.field) for e in report.edits} == {
+    assert {(e.ref.numbers[0], e.ref.field) for e in report.edits} == {
         (renamed, "label"), (redrawn, "mask"), (coded, "mask"), (moved, "bbox"), (deleted, "status"), (new, "exists"),
     }  # fmt: skip
     assert take(path, deleted="reject").edits == ()
@@ -229,8 +229,8 @@ def test_a_missing_annotation_rejects_nothing_unless_it_is_asked_for(
     path = put(tmp_path / "part.json", content)
     assert take(path).edits == ()
     report = take(path, deleted="reject")
-    assert {(e.cell.numbers[0], e.after) for e in report.edits} == {(n, "rejected") for n in gone}
-    assert {e.cell.frame for e in journal.events()} == {FRAME}
+    assert {(e.ref.numbers[0], e.after) for e in report.edits} == {(n, "rejected") for n in gone}
+    assert {e.ref.frame for e in journal.events()} == {FRAME}
 
 
 def test_references_and_relations_of_coco(
@@ -251,7 +251,7 @@ def test_references_and_relations_of_coco(
     ref["target_ann_ids"] = ref["acceptable_ann_ids"] = [ids[pair[0]]]
     put(tmp_path / "refs.json", refs)
     report = take(tmp_path / "refs.json")
-    assert {e.cell.field for e in report.edits} >= {"text", "targets", "acceptable"}
+    assert {e.ref.field for e in report.edits} >= {"text", "targets", "acceptable"}
     relations = json.loads((tmp_path / "relations.json").read_bytes())
     columns = next(i for i in relations["images"] if i["image_id"] == ref["image_id"])
     at = list(zip(columns["a"], columns["b"], strict=True)).index((ids[pair[0]], ids[pair[1]]))
@@ -263,7 +263,7 @@ def test_references_and_relations_of_coco(
     assert now.expressions[quiet["id"]]["text"] == "that one"
     assert now.expressions[quiet["id"]]["targets"] == [pair[0]]
     assert now.pairs.state(*pair, relation) == F  # pyright: ignore[reportCallIssue]
-    assert now.statuses[relation_cell(FRAME, *pair, "near.status")] == "unsure"
+    assert now.statuses[relation_ref(FRAME, *pair, "near.status")] == "unsure"
     assert take(tmp_path).edits == ()
 
 
@@ -274,7 +274,7 @@ def test_two_people_are_both_told_and_nothing_is_overwritten(
     one, two, three = frame.pairs.numbers.tolist()[:3]
     saved(journal, edits.set_class(frame, one, "pot"), "bob")
     saved(journal, edits.set_class(frame, two, "samovar"), "bob")
-    saved(journal, edits.remove_object(frame, three), "bob")
+    saved(journal, edits.set_status(frame, object_ref(frame.frame, three, "status"), "rejected"), "bob")
     rows = [r for r in read(exported / "jsonl" / "objects.jsonl") if r["frame"] == FRAME]
     for r in rows:
         # The first contradicts bob, the second says the same; the third is gone. A fourth is nobody's business.
@@ -291,7 +291,7 @@ def test_two_people_are_both_told_and_nothing_is_overwritten(
     assert {e.author for e in journal.events()} == {"bob"}
     report = take(path, skip_conflicts=True)
     assert report.saved is not None
-    assert [(e.cell.numbers[0], e.after) for e in report.saved.events] == [(rows[-1]["object"], "lid")]
+    assert [(e.ref.numbers[0], e.after) for e in report.saved.events] == [(rows[-1]["object"], "lid")]
     now = bare_corrector.frame(FRAME, journal)
     assert now.objects[one]["label"] == "pot"
     assert three in now.left_out
@@ -308,7 +308,7 @@ def test_fields_that_the_file_left_alone_never_undo_a_newer_correction(
         if (r["frame"], r["object"]) == (FRAME, number):
             r["status"] = "accepted"
     report = take(write(tmp_path / "objects.jsonl", rows))
-    assert [(e.cell.field, e.after) for e in report.edits] == [("status", "accepted")]
+    assert [(e.ref.field, e.after) for e in report.edits] == [("status", "accepted")]
     assert bare_corrector.frame(FRAME, journal).objects[number]["label"] == "pot"
 
 
@@ -360,7 +360,7 @@ def test_what_was_drawn_in_an_annotation_tool_comes_back(
     (drawn,) = [a for a in content["annotations"] if a["image_id"] == image and a["segmentation"] == was]
     drawn["segmentation"] = polygons(grown)
     report = take(put(tmp_path / "annotations.json", content), base="now")
-    assert [(e.cell.numbers[0], e.cell.field) for e in report.edits] == [(number, "mask")]
+    assert [(e.ref.numbers[0], e.ref.field) for e in report.edits] == [(number, "mask")]
     now = decode_run_length(size, bare_corrector.frame(FRAME, journal).objects[number]["mask"])
     assert (now & grown).sum() / (now | grown).sum() > 0.9
 

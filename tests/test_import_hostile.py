@@ -14,15 +14,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 from journal_world import FRAME
 
-from pipeline.corrections.journal.incoming import claims as claims_module
-from pipeline.corrections.journal.incoming.importing import ImportConfig, ImportReport, import_corrections
-from pipeline.corrections.journal.incoming.outlines import (
+from pipeline.corrections.journal.incoming import states as claims_module
+from pipeline.corrections.journal.incoming.coco_file import (
     is_rectangle,
     mask_of,
     polygon_mask,
     polygons_of,
     same_outline,
 )
+from pipeline.corrections.journal.incoming.importing import ImportConfig, ImportReport, import_corrections
 from pipeline.corrections.journal.journal import Journal, journal_of
 from pipeline.labels.exports import export_labels
 from pipeline.labels.reading import Labels

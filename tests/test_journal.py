@@ -17,21 +17,21 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from benchmarks.journal_writers import prove, read_report, write_many
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from waiting import LONG_S, wait_until
 
-from pipeline.corrections.journal.bench import prove, read_report, write_many
 from pipeline.corrections.journal.connection import network_file_system, writing
 from pipeline.corrections.journal.events import Conflict, Edit, NotSaved, Saved, new_ulid
-from pipeline.corrections.journal.field_refs import FieldRef, object_cell, relation_cell
+from pipeline.corrections.journal.field_refs import FieldRef, object_ref, relation_ref
 from pipeline.corrections.journal.journal import JOURNAL_FILE, Journal, open_journal
 from pipeline.corrections.journal.undo import history, redo, undo
 from pipeline.system.errors import InputError
 
-LEFT = relation_cell("scene/0", 1, 2, "left")
-RIGHT = relation_cell("scene/0", 2, 1, "right")
-NAME = object_cell("scene/0", 1, "label")
+LEFT = relation_ref("scene/0", 1, 2, "left")
+RIGHT = relation_ref("scene/0", 2, 1, "right")
+NAME = object_ref("scene/0", 1, "label")
 
 
 @pytest.fixture(scope="module")
@@ -51,10 +51,10 @@ def test_an_event_comes_back_as_it_was_saved(journal: Journal) -> None:
     edit = Edit(NAME, "mug", "cup 椅\u2028🪴", 0, "it has no handle", {"1": [0.1, 1 / 3, 5, 6]})
     done = journal.append([edit, Edit(LEFT, None, 1)], "ann")
     assert isinstance(done, Saved)
-    again = open_journal(journal.place).events()
+    again = open_journal(journal.location).events()
     assert again == done.events
     first = again[0]
-    assert (first.cell, first.before, first.after, first.reason) == (NAME, "mug", "cup 椅\u2028🪴", "it has no handle")
+    assert (first.ref, first.before, first.after, first.reason) == (NAME, "mug", "cup 椅\u2028🪴", "it has no handle")
     assert first.anchor == {"1": [0.1, 1 / 3, 5, 6]}
     assert (first.base, first.version, first.labels, first.action) == (0, 1, "made-once", "edit")
     assert first.time.utcoffset() is not None
@@ -99,7 +99,7 @@ def test_projects_share_a_database_and_see_nothing_of_each_other(tmp_path: Path)
 @pytest.mark.parametrize("statement", ["UPDATE events SET author = 'eve'", "DELETE FROM events"])
 def test_the_database_itself_refuses_to_change_what_was_saved(journal: Journal, statement: str) -> None:
     journal.append([Edit(LEFT, -1, 1)], "ann")
-    with sqlite3.connect(journal.place) as raw, pytest.raises(sqlite3.DatabaseError, match="can only grow"):
+    with sqlite3.connect(journal.location) as raw, pytest.raises(sqlite3.DatabaseError, match="can only grow"):
         raw.execute(statement)
     assert [e.author for e in journal.events()] == ["ann"]
 
@@ -153,7 +153,7 @@ def test_undo_and_redo_take_back_whole_actions_across_restarts(journal: Journal)
     journal.append([Edit(NAME, "mug", "cup")], "ann")
     assert values(journal) == {LEFT: 1, RIGHT: 1, NAME: "cup"}
     journal.close()
-    journal = open_journal(journal.place)
+    journal = open_journal(journal.location)
     assert undo(journal, "bob") is None
     undo(journal, "ann")
     undo(journal, "ann")
@@ -163,7 +163,7 @@ def test_undo_and_redo_take_back_whole_actions_across_restarts(journal: Journal)
     assert values(journal) == {LEFT: 1, RIGHT: 1, NAME: "mug"}
     journal.append([Edit(LEFT, 1, 0, 3)], "ann")
     assert redo(journal, "ann") is None
-    story = [(e.action, e.cell.field, e.after) for e in journal.events()]
+    story = [(e.action, e.ref.field, e.after) for e in journal.events()]
     assert story == [
         ("edit", "left", 1), ("edit", "right", 1), ("edit", "label", "cup"), ("undo", "label", "mug"),
         ("undo", "left", -1), ("undo", "right", -1), ("redo", "left", 1), ("redo", "right", 1), ("edit", "left", 0),
@@ -200,10 +200,10 @@ def test_undo_does_not_take_back_what_somebody_built_upon(journal: Journal) -> N
 
 def values(journal: Journal) -> dict[FieldRef, Any]:
     """What each cell with events says now."""
-    return {e.cell: e.after for e in journal.events()}
+    return {e.ref: e.after for e in journal.events()}
 
 
-CELLS = [relation_cell("f", 1, b, "left") for b in (2, 3, 4)]
+CELLS = [relation_ref("f", 1, b, "left") for b in (2, 3, 4)]
 steps = st.lists(
     st.tuples(
         st.sampled_from(["ann", "bob"]),
@@ -234,16 +234,16 @@ def test_any_sequence_of_edits_and_undos_equals_its_replay(
                 Edit(CELLS[k], now[CELLS[k]][-1], v, max(len(now[CELLS[k]]) - 1 - behind, 0)) for k, v in chosen
             ]
             result = journal.append(edits, author)
-            if any(e.base != len(now[e.cell]) - 1 for e in edits):
+            if any(e.base != len(now[e.ref]) - 1 for e in edits):
                 assert isinstance(result, Conflict)
                 continue
             assert isinstance(result, Saved)
             acknowledged += len(edits)
-            done[author].append([(e.cell, e.before, e.after, e.base + 1) for e in edits])
+            done[author].append([(e.ref, e.before, e.after, e.base + 1) for e in edits])
             undone[author].clear()
             for e in edits:
-                now[e.cell].append(e.after)
-                stands[e.cell].append((*stands[e.cell][-1], acknowledged))
+                now[e.ref].append(e.after)
+                stands[e.ref].append((*stands[e.ref][-1], acknowledged))
             continue
         stack, other = (done, undone) if action == "undo" else (undone, done)
         result = (undo if action == "undo" else redo)(journal, author)
@@ -261,10 +261,10 @@ def test_any_sequence_of_edits_and_undos_equals_its_replay(
         for cell, before, _, version in top:
             now[cell].append(before)
             stands[cell].append(stands[cell][version - 1])
-    events = open_journal(journal.place).events()
+    events = open_journal(journal.location).events()
     assert len(events) == acknowledged
     for cell in CELLS:
-        chain = [e for e in events if e.cell == cell]
+        chain = [e for e in events if e.ref == cell]
         assert [-1, *(e.after for e in chain)] == now[cell]
         assert [e.version for e in chain] == list(range(1, len(chain) + 1))
         assert [e.before for e in chain] == now[cell][:-1]
@@ -300,7 +300,7 @@ def test_two_interleaved_authors_lose_nothing(
         seen[name][cell] = event.version, event.after
     assert list(journals["ann"].events()) == saved
     for cell in CELLS:
-        chain = [e for e in saved if e.cell == cell]
+        chain = [e for e in saved if e.ref == cell]
         assert all(b.before == a.after and b.base == a.version for a, b in pairwise(chain))
     for journal in journals.values():
         journal.close()
@@ -333,7 +333,7 @@ def test_what_was_acknowledged_survives_a_killed_writer(tmp_path: Path) -> None:
 def test_a_full_disk_is_told_and_hands_the_edit_back(journal: Journal) -> None:
     with writing(journal.engine) as connection:
         pages = connection.exec_driver_sql("PRAGMA page_count").scalar()
-    limited = open_journal(journal.place)
+    limited = open_journal(journal.location)
     # SQLite reports this limit as it does a disk without space: SQLITE_FULL.
     from sqlalchemy import event
 
@@ -341,7 +341,7 @@ def test_a_full_disk_is_told_and_hands_the_edit_back(journal: Journal) -> None:
 
     def fill() -> None:
         for k in range(400):
-            limited.append([Edit(object_cell("f", k, "label"), "mug", "cup", reason="x" * 1500)], "ann")
+            limited.append([Edit(object_ref("f", k, "label"), "mug", "cup", reason="x" * 1500)], "ann")
 
     with pytest.raises(NotSaved, match=r"could not be saved; got .*full.*free some space") as error:
         fill()
@@ -357,7 +357,7 @@ def _append_without_rights(place: str) -> str:
     program = f"""
 import os
 from pipeline.system.errors import InputError
-from pipeline.corrections.journal.field_refs import object_cell
+from pipeline.corrections.journal.field_refs import object_ref
 from pipeline.corrections.journal.events import Edit, NotSaved
 from pipeline.corrections.journal.journal import open_journal
 import sqlalchemy.dialects.sqlite.pysqlite, sqlite3
@@ -365,7 +365,7 @@ if os.getuid() == 0:
     os.setgroups([]); os.setgid(65534); os.setuid(65534)
 try:
     journal = open_journal({place!r})
-    journal.append([Edit(object_cell("f", 1, "label"), "mug", "cup")], "ann")
+    journal.append([Edit(object_ref("f", 1, "label"), "mug", "cup")], "ann")
     print("saved")
 except NotSaved as error:
     print("NotSaved", len(error.edits), error)
@@ -402,11 +402,11 @@ def test_a_read_only_folder_is_told_in_one_line() -> None:
 
 def test_a_journal_of_a_newer_release_and_other_files_are_refused(tmp_path: Path) -> None:
     journal = open_journal(tmp_path / JOURNAL_FILE)
-    with sqlite3.connect(journal.place) as raw:
+    with sqlite3.connect(journal.location) as raw:
         raw.execute("UPDATE journal_head SET version = 3")
         raw.execute("PRAGMA user_version = 3")
     with pytest.raises(InputError, match="newer release"):
-        open_journal(journal.place)
+        open_journal(journal.location)
     (tmp_path / "text").write_text("no database, and long enough to be read as one " * 9)
     with pytest.raises(InputError, match="its first bytes are not those of a journal"):
         open_journal(tmp_path / "text")
@@ -443,7 +443,7 @@ def test_network_file_systems_are_told_apart(tmp_path: Path) -> None:
 def test_the_migration_makes_the_table_that_the_code_expects(journal: Journal) -> None:
     from sqlalchemy import inspect
 
-    from pipeline.corrections.journal.schema import EVENTS
+    from pipeline.corrections.journal.chain import EVENTS
 
     found = {c["name"]: (str(c["type"]), c["nullable"]) for c in inspect(journal.engine).get_columns("events")}
     dialect = journal.engine.dialect

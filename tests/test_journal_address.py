@@ -20,16 +20,16 @@ from postgres_cluster import Cluster, missing, started_cluster
 from sqlalchemy import event
 from waiting import LONG_S, wait_until
 
-from pipeline.corrections.journal import postgres, server
+from pipeline.corrections.journal import postgres
 from pipeline.corrections.journal.connection import likely_cause, reason_of
 from pipeline.corrections.journal.events import Edit, NotSaved, Saved
-from pipeline.corrections.journal.field_refs import object_cell
+from pipeline.corrections.journal.field_refs import object_ref
 from pipeline.corrections.journal.journal import Journal, open_journal
 from pipeline.corrections.journal.postgres import address_of, password_in_file
 from pipeline.corrections.journal.undo import redo, undo
 from pipeline.system.errors import InputError
 
-NAME = object_cell("f", 1, "label")
+NAME = object_ref("f", 1, "label")
 SECRET = "it's: a\\secret %40"
 
 
@@ -190,7 +190,7 @@ def test_a_broken_socket_is_an_error_of_the_database() -> None:
 
 def wait_no_longer_than(seconds: float, monkeypatch: pytest.MonkeyPatch) -> None:
     """For a server's answer. A loaded machine needs long where one is to come."""
-    for module, name, share in ((server, "SLOW_S", 0.5), (postgres, "CONNECT_S", 1.0), (postgres, "PING_S", 1.0)):
+    for module, name, share in ((postgres, "SLOW_S", 0.5), (postgres, "CONNECT_S", 1.0), (postgres, "PING_S", 1.0)):
         monkeypatch.setattr(module, name, share * seconds)
 
 
@@ -199,10 +199,10 @@ def impatient(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Nobody waits long, and nothing is known of any server."""
     pytest.importorskip("pg8000")
     wait_no_longer_than(0.1, monkeypatch)
-    monkeypatch.setattr(server, "AGAIN_S", 0.0)
-    server.server_at.cache_clear()
+    monkeypatch.setattr(postgres, "AGAIN_S", 0.0)
+    postgres.server_at.cache_clear()
     yield
-    server.server_at.cache_clear()
+    postgres.server_at.cache_clear()
 
 
 def test_a_server_that_never_answers_is_waited_for_once(impatient: None, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -213,7 +213,7 @@ def test_a_server_that_never_answers_is_waited_for_once(impatient: None, monkeyp
         return real(address)
 
     monkeypatch.setattr(postgres, "_socket", counted)
-    monkeypatch.setattr(server, "AGAIN_S", 60.0)
+    monkeypatch.setattr(postgres, "AGAIN_S", 60.0)
     with socket.create_server(("127.0.0.1", 0)) as silent:
         where = f"postgresql://ann@127.0.0.1:{silent.getsockname()[1]}/labels"
         for _ in range(3):
@@ -223,7 +223,7 @@ def test_a_server_that_never_answers_is_waited_for_once(impatient: None, monkeyp
 
 
 def test_who_comes_while_another_waits_does_not(impatient: None, monkeypatch: pytest.MonkeyPatch) -> None:
-    known, waiting, over = server.Server(), threading.Event(), threading.Event()
+    known, waiting, over = postgres.Server(), threading.Event(), threading.Event()
 
     def slow() -> None:
         waiting.set()
@@ -247,7 +247,7 @@ def test_who_comes_while_another_waits_does_not(impatient: None, monkeypatch: py
             known.ask(refused, refused)
     assert known.ask(lambda: 1, refused) == 1
     # One that left a query without an answer is asked nothing until it is found again.
-    known.is_silent(TimeoutError("timed out"))
+    known.know(TimeoutError("timed out"))
     with pytest.raises(TimeoutError, match="timed out"):
         known.ask(lambda: 1, refused)
 

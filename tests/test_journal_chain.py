@@ -18,7 +18,7 @@ from pipeline.corrections.journal import connection, sqlite_file
 from pipeline.corrections.journal.chain import CONTENT, FIRST, Head, chained, judged, link
 from pipeline.corrections.journal.events import Edit, NotSaved, Saved
 from pipeline.corrections.journal.examining import DamagedJournal, examine
-from pipeline.corrections.journal.field_refs import object_cell
+from pipeline.corrections.journal.field_refs import object_ref
 from pipeline.corrections.journal.journal import JOURNAL_FILE, open_journal
 from pipeline.corrections.journal.rescue import back_up, check_journal, recover
 from pipeline.corrections.journal.undo import undo
@@ -27,7 +27,7 @@ from pipeline.system.errors import InputError
 BEFORE = Path(__file__).parent / "journal_before_chain.sqlite"
 """Made by the release before: three people, two projects, an undo and a redo, a long reason, names of other scripts."""
 TIME = datetime(2026, 1, 1, tzinfo=timezone.utc)
-EDIT = Edit(object_cell("new", 1, "label"), "mug", "cup")
+EDIT = Edit(object_ref("new", 1, "label"), "mug", "cup")
 
 
 @pytest.fixture(scope="module")
@@ -126,7 +126,7 @@ def test_the_verdict_of_a_chain_is_of_each_event() -> None:
 
 def test_an_edit_that_cannot_be_read_back_is_not_saved(tmp_path: Path) -> None:
     journal = open_journal(tmp_path / JOURNAL_FILE)
-    with closing(sqlite3.connect(journal.place)) as raw:
+    with closing(sqlite3.connect(journal.location)) as raw:
         raw.execute("DROP TRIGGER events_no_update")
         raw.execute(
             "CREATE TRIGGER broken AFTER INSERT ON events BEGIN UPDATE events SET reason = 'x' WHERE id = NEW.id; END"
@@ -136,7 +136,7 @@ def test_an_edit_that_cannot_be_read_back_is_not_saved(tmp_path: Path) -> None:
     assert error.value.edits == (EDIT,)
     journal.close()
     with pytest.raises(DamagedJournal):
-        open_journal(journal.place)
+        open_journal(journal.location)
 
 
 def test_nothing_is_chained_to_an_event_that_is_not_the_last(tmp_path: Path) -> None:
@@ -178,7 +178,7 @@ def test_a_journal_of_the_release_before_is_chained_and_kept(tmp_path: Path) -> 
             assert ["it stands in" in w for w in journal.warnings] == [True] * chained_now
             assert [e.action for e in office.events()] == ["edit", "undo", "redo"]
     assert len(events) + 3 == len(rows) == 10
-    assert [(e.author, e.after) for e in events if e.cell.kind == "frame"] == [("椅子", "dark")]
+    assert [(e.author, e.after) for e in events if e.ref.kind == "frame"] == [("椅子", "dark")]
     assert raw_rows(path) == rows
     found = check_journal(path)
     assert (found.chained, found.damage, found.events) == (True, (), 10)
@@ -248,12 +248,12 @@ def test_a_copy_has_what_is_saved_while_others_save(tmp_path: Path) -> None:
     with open_journal(path) as journal:
         journal.append([EDIT], "ann")
         made = back_up(path, copy)
-        journal.append([Edit(EDIT.cell, "cup", "jar", 1)], "ann")
+        journal.append([Edit(EDIT.ref, "cup", "jar", 1)], "ann")
         assert [e.after for e in journal.events()] == ["cup", "jar"]
     assert made.events == 1
     with open_journal(copy) as journal:
         assert [e.after for e in journal.events()] == ["cup"]
-        assert isinstance(journal.append([Edit(EDIT.cell, "cup", "bowl", 1)], "ben"), Saved)
+        assert isinstance(journal.append([Edit(EDIT.ref, "cup", "bowl", 1)], "ben"), Saved)
     with pytest.raises(InputError, match="there is a file of this name"):
         back_up(path, copy)
     tampered(path, "UPDATE events SET author = 'eve' WHERE id = 2")
@@ -266,7 +266,7 @@ def test_what_is_intact_goes_on_in_a_new_journal(tmp_path: Path) -> None:
     path, new = tmp_path / JOURNAL_FILE, tmp_path / "new.sqlite"
     with open_journal(path) as journal:
         for number in range(6):
-            journal.append([Edit(object_cell("f", number, "label"), "mug", "cup")], "ann")
+            journal.append([Edit(object_ref("f", number, "label"), "mug", "cup")], "ann")
         undo(journal, "ann")
         undo(journal, "ann")
     tampered(path, "UPDATE events SET reason = 'x' WHERE id = 5")

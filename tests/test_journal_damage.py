@@ -14,13 +14,13 @@ import pytest
 from journal_world import work_of
 from waiting import LONG_S
 
-from pipeline.corrections.journal import log_file
+from pipeline.corrections.journal import sqlite_file
 from pipeline.corrections.journal.connection import writing
 from pipeline.corrections.journal.events import Edit, Event, Saved
 from pipeline.corrections.journal.examining import DamagedJournal, examine
-from pipeline.corrections.journal.field_refs import object_cell
+from pipeline.corrections.journal.field_refs import object_ref
 from pipeline.corrections.journal.journal import JOURNAL_FILE, open_journal
-from pipeline.corrections.journal.log_file import lost_in_log
+from pipeline.corrections.journal.sqlite_file import lost_in_log
 
 Parts = dict[str, bytearray]
 """The files of a journal by the ends of their names: "", "-wal", "-shm"."""
@@ -40,7 +40,7 @@ def files(tmp_path_factory: pytest.TempPathFactory) -> tuple[dict[str, Parts], t
 
 @pytest.fixture(autouse=True)
 def _hasty(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(log_file, "_PAUSE_S", 0.0)
+    monkeypatch.setattr(sqlite_file, "_PAUSE_S", 0.0)
 
 
 def parts_of(path: Path) -> Parts:
@@ -96,7 +96,7 @@ def test_damage_is_refused_or_does_no_harm(
     if not refused.damage:
         with open_journal(path) as journal:
             assert journal.events() == events
-            assert isinstance(journal.append([Edit(object_cell("new", 1, "label"), "mug", "cup")], "ann"), Saved)
+            assert isinstance(journal.append([Edit(object_ref("new", 1, "label"), "mug", "cup")], "ann"), Saved)
         with open_journal(path) as journal:
             assert journal.events()[:-1] == events
         return

@@ -16,7 +16,7 @@ from postgres_cluster import missing, started_cluster
 from waiting import LONG_S
 
 from pipeline.corrections.journal.events import Edit, NotSaved, Saved
-from pipeline.corrections.journal.field_refs import object_cell
+from pipeline.corrections.journal.field_refs import object_ref
 from pipeline.corrections.journal.journal import JOURNAL_FILE, Journal, open_journal
 from pipeline.system.errors import InputError
 
@@ -57,7 +57,7 @@ def _fill(folder: Path) -> Path:
 
 def _edits(number: int) -> list[Edit]:
     """Two edits of one action."""
-    return [Edit(object_cell("f", 2 * number + k, "label"), "mug", "cup", reason=LONG) for k in range(2)]
+    return [Edit(object_ref("f", 2 * number + k, "label"), "mug", "cup", reason=LONG) for k in range(2)]
 
 
 def _until_refused(journal: Journal) -> tuple[int, NotSaved]:
@@ -86,12 +86,12 @@ def _save_again(journal: Journal, error: NotSaved, number: int) -> None:
     events = journal.events()
     journal.close()
     assert len(events) == 2 * (number + 2)
-    if "://" not in journal.place:
-        with sqlite3.connect(journal.place) as raw:
+    if "://" not in journal.location:
+        with sqlite3.connect(journal.location) as raw:
             assert raw.execute("PRAGMA integrity_check").fetchall() == [("ok",)]
             busy, pages, moved = raw.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()
             assert (busy, pages) == (0, moved)
-    with open_journal(journal.place) as again:
+    with open_journal(journal.location) as again:
         assert again.events() == events
 
 
@@ -181,7 +181,7 @@ def test_a_folder_that_goes_while_the_journal_is_open(tmp_path: Path, how: str) 
     if how == "moved":
         folder.rename(kept)
     else:
-        with sqlite3.connect(journal.place) as raw:
+        with sqlite3.connect(journal.location) as raw:
             kept.mkdir()
             raw.execute("VACUUM INTO ?", (str(kept / JOURNAL_FILE),))
         raw.close()

@@ -13,7 +13,7 @@ from journal_world import FRAME, an_expression, half_of, saved, widest
 from pipeline.corrections.journal import edits
 from pipeline.corrections.journal.effective import Corrector, effective_tables
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
-from pipeline.corrections.journal.field_refs import FieldRef, box_of, object_cell, relation_cell, same_value
+from pipeline.corrections.journal.field_refs import FieldRef, box_of, object_ref, relation_ref, same_value
 from pipeline.corrections.journal.journal import Journal, open_journal
 from pipeline.corrections.journal.undo import redo, undo
 from pipeline.datasets import Dataset
@@ -40,8 +40,8 @@ def test_labels_without_corrections_are_themselves(
         first, stop = full_corrector.index.span(name, frame.auto.index)
         schema = full_corrector.index.tables[name].schema
         assert table.cast(schema).equals(getattr(demo_labels, name).slice(first, stop - first)), name
-    assert frame.origin(relation_cell(FRAME, 0, 1, "left")).source == "auto"
-    assert "viewer-cone-v1" in str(frame.origin(relation_cell(FRAME, 0, 1, "left")))
+    assert frame.origin(relation_ref(FRAME, 0, 1, "left")).source == "auto"
+    assert "viewer-cone-v1" in str(frame.origin(relation_ref(FRAME, 0, 1, "left")))
 
 
 def test_lifting_anew_without_a_correction_changes_nothing(full_corrector: Corrector, journal: Journal) -> None:
@@ -77,20 +77,20 @@ def test_a_relation_takes_its_inverse_and_what_it_rules_out_with_it(
     i, j = np.argwhere(frame.pairs.states[..., left] == T)[0]
     a, b = int(frame.pairs.numbers[i]), int(frame.pairs.numbers[j])
     events = saved(journal, edits.set_relation(frame, a, b, "right", T, "the mirror"))
-    assert {(e.cell.key, e.cell.field, e.after) for e in events} == {(f"{a},{b}", "right", T), (f"{b},{a}", "left", T)}
+    assert {(e.ref.key, e.ref.field, e.after) for e in events} == {(f"{a},{b}", "right", T), (f"{b},{a}", "left", T)}
     after = bare_corrector.frame(FRAME, journal)
     assert after.pairs.state(a, b, "right") == after.pairs.state(b, a, "left") == T
     # T of left(a, b) was the labeller's: the person ruled it out.
     assert after.pairs.state(a, b, "left") == after.pairs.state(b, a, "right") == F
-    assert after.origin(relation_cell(FRAME, a, b, "right")).source == "human"
-    assert after.origin(relation_cell(FRAME, a, b, "right")).author == "ann"
-    ruled_out = after.origin(relation_cell(FRAME, a, b, "left"))
+    assert after.origin(relation_ref(FRAME, a, b, "right")).source == "human"
+    assert after.origin(relation_ref(FRAME, a, b, "right")).author == "ann"
+    ruled_out = after.origin(relation_ref(FRAME, a, b, "left"))
     assert (ruled_out.source, ruled_out.event) == ("recomputed", events[0].ulid)
     undo(journal, "ann")
     again = bare_corrector.frame(FRAME, journal)
     for name, table in again.tables().items():
         assert table.equals(frame.tables()[name]), name
-    assert again.origin(relation_cell(FRAME, a, b, "right")).source == "auto"
+    assert again.origin(relation_ref(FRAME, a, b, "right")).source == "auto"
 
 
 def expected_sets(frame: EffectiveFrame, row: dict[str, Any]) -> tuple[list[int], list[int]]:
@@ -192,7 +192,7 @@ def test_background_takes_no_part_in_relations(full_corrector: Corrector, journa
     number = an_expression(frame)["target_object"]
     saved(journal, edits.set_class(frame, number, "wall"))
     after = full_corrector.frame(FRAME, journal)
-    assert after.pairs.place(number) is None
+    assert after.pairs.index_of(number) is None
     assert (after.objects[number]["usable"], after.objects[number]["reason"]) == (False, "background")
     assert all(number not in (r["target_object"], r["reference_object"]) for r in after.expressions.values())
     saved(journal, edits.set_class(after, number, frame.objects[number]["label"]))
@@ -206,15 +206,15 @@ def test_a_rejected_object_goes_with_all_that_is_said_of_it_and_comes_back(
 ) -> None:
     frame = bare_corrector.frame(FRAME, journal)
     number = an_expression(frame)["reference_object"]
-    saved(journal, edits.remove_object(frame, number))
+    saved(journal, edits.set_status(frame, object_ref(frame.frame, number, "status"), "rejected"))
     after = bare_corrector.frame(FRAME, journal)
     assert number not in after.objects
     assert after.row["objects"] == len(frame.objects) - 1
-    assert after.pairs.place(number) is None
+    assert after.pairs.index_of(number) is None
     for row in after.expressions.values():
         assert number not in {row["target_object"], row["reference_object"], *row["acceptable"]}
     assert an_expression(frame)["id"] in {w.id for w in after.withdrawn}
-    saved(journal, edits.set_status(after, object_cell(FRAME, number, "status"), "accepted"))
+    saved(journal, edits.set_status(after, object_ref(FRAME, number, "status"), "accepted"))
     back = bare_corrector.frame(FRAME, journal)
     assert back.tables()["objects"].equals(frame.tables()["objects"])
     assert back.tables()["relations"].equals(frame.tables()["relations"])
@@ -237,10 +237,10 @@ def test_a_new_mask_brings_points_box_relations_and_answers(
     assert row["bbox"][2] < was["bbox"][2]
     assert row["points"] < was["points"]
     assert row["hi"][0] < was["hi"][0]
-    assert after.origin(object_cell(FRAME, number, "mask")).source == "human"
-    box = after.origin(object_cell(FRAME, number, "box"))
+    assert after.origin(object_ref(FRAME, number, "mask")).source == "human"
+    box = after.origin(object_ref(FRAME, number, "box"))
     assert (box.source, box.author, box.event) == ("recomputed", "bob", event.ulid)
-    moved, human = relation_cell(FRAME, number, other, "left"), relation_cell(FRAME, number, other, "near")
+    moved, human = relation_ref(FRAME, number, other, "left"), relation_ref(FRAME, number, other, "near")
     assert after.origin(moved).source == "recomputed"
     assert (after.value(human), after.origin(human).event) == (U, settled[0].ulid)
     untouched = [n for n in frame.objects if n != number]
@@ -260,7 +260,7 @@ def test_a_new_mask_brings_points_box_relations_and_answers(
     back = full_corrector.frame(FRAME, journal)
     assert back.objects == frame.objects
     assert back.unapplied
-    assert {u.event.cell.field for u in back.unapplied} >= {PAIRWISE[k]}
+    assert {u.event.ref.field for u in back.unapplied} >= {PAIRWISE[k]}
     undo(journal, "ann")
     saved(journal, edits.set_relation(full_corrector.frame(FRAME, journal), *pair, PAIRWISE[k], other_way))
     redo(journal, "bob")
@@ -271,7 +271,7 @@ def test_a_new_mask_brings_points_box_relations_and_answers(
     # Without the dataset the same is known to be out of date.
     stale = bare_corrector.frame(FRAME, journal)
     assert stale.objects[number]["mask_pixels"] == int(left.sum())
-    assert stale.origin(object_cell(FRAME, number, "box")).source == "stale"
+    assert stale.origin(object_ref(FRAME, number, "box")).source == "stale"
     assert stale.origin(moved).source == "stale"
     assert stale.value(human) == U
 
@@ -286,7 +286,7 @@ def test_objects_are_split_and_merged(full_corrector: Corrector, journal: Journa
     assert apart.objects[new]["points"] > 0
     assert apart.objects[new]["usable"]
     assert apart.pairs.state(number, new, "left") in (T, U, F)
-    assert apart.origin(object_cell(FRAME, new, "label")).event == events[1].ulid
+    assert apart.origin(object_ref(FRAME, new, "label")).event == events[1].ulid
     saved(journal, edits.merge_objects(apart, [number, new]))
     whole = full_corrector.frame(FRAME, journal)
     assert whole.objects.keys() == frame.objects.keys()
@@ -329,7 +329,7 @@ def test_a_new_object_is_lifted_from_what_it_is_made_of(
     assert row["mask_source"] == {"mask": "human", "bbox": "box", "box": "box3d"}[made_of]
     if made_of == "box":
         assert same_value(row["center"], like["center"])
-    assert after.pairs.present[after.pairs.place(new)].sum() == len(after.pairs.numbers) - 1
+    assert after.pairs.present[after.pairs.index_of(new)].sum() == len(after.pairs.numbers) - 1
     for name, table in after.tables().items():
         validate_rows(table, name)
     saved(journal, edits.set_class(after, new, "kettle"))
@@ -377,7 +377,7 @@ def test_what_was_ruled_out_can_be_corrected_again(bare_corrector: Corrector, jo
     frame = bare_corrector.frame(FRAME, journal)
     assert frame.unapplied == ()
     assert frame.pairs.state(a, b, "left") == frame.pairs.state(b, a, "right") == state
-    assert frame.origin(relation_cell(FRAME, a, b, "left")).author == "bob"
+    assert frame.origin(relation_ref(FRAME, a, b, "left")).author == "bob"
     undo(journal, "bob")
     assert bare_corrector.frame(FRAME, journal).pairs.state(a, b, "left") == F
 

@@ -14,7 +14,7 @@ from pipeline.corrections.journal import edits
 from pipeline.corrections.journal.batch import actions_of, apply_actions
 from pipeline.corrections.journal.effective import Corrector, effective_tables
 from pipeline.corrections.journal.events import Conflict, Saved
-from pipeline.corrections.journal.field_refs import FieldRef, object_cell
+from pipeline.corrections.journal.field_refs import FieldRef, object_ref
 from pipeline.corrections.journal.journal import Journal, journal_of
 from pipeline.corrections.journal.materialise import MARKS_FILE, UNAPPLIED_FILE, materialise
 from pipeline.corrections.journal.undo import undo
@@ -47,7 +47,7 @@ def test_corrections_outlive_labels_made_again(
     saved(journal, edits.set_class(frame, gone, "kettle"))
     saved(journal, edits.set_class(frame, another, "cup"))
     saved(journal, edits.set_text(frame, row["id"], "that one"))
-    taken_back = saved(journal, edits.set_status(frame, object_cell(FRAME, gone, "status"), "accepted"), "bob")
+    taken_back = saved(journal, edits.set_status(frame, object_ref(FRAME, gone, "status"), "accepted"), "bob")
     undo(journal, "bob")
 
     def change(name: str, rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
@@ -67,7 +67,7 @@ def test_corrections_outlive_labels_made_again(
 
     again = relabelled(demo_labels, tmp_path / "again", change)
     found = effective_tables(again, journal)
-    because = {(u.event.cell.kind, u.event.cell.key, u.event.cell.field): (u.kind, u.reason) for u in found.unapplied}
+    because = {(u.event.ref.kind, u.event.ref.key, u.event.ref.field): (u.kind, u.reason) for u in found.unapplied}
     assert because.keys() == {
         ("object", str(renamed), "label"), ("object", str(gone), "label"), ("object", str(another), "label"),
         ("expression", row["id"], "text"),
@@ -82,10 +82,10 @@ def test_corrections_outlive_labels_made_again(
     assert frame.pairs.state(a, b, relation) == U
     assert frame.objects[renamed]["label"] == "bowl"
     # What was seen to be out of date is corrected again, on what the labels say now.
-    saved(journal, edits.reapply(frame, object_cell(FRAME, renamed, "label"), "teapot"))
+    saved(journal, edits.set_value(frame, object_ref(FRAME, renamed, "label"), "teapot", "applied again"))
     after = corrector.frame(FRAME, journal)
     assert after.objects[renamed]["label"] == "teapot"
-    assert ("object", str(renamed)) not in {(u.event.cell.kind, u.event.cell.key) for u in after.unapplied}
+    assert ("object", str(renamed)) not in {(u.event.ref.kind, u.event.ref.key) for u in after.unapplied}
 
 
 def test_labels_that_agree_by_now_say_so_and_undo_does_not_turn_them_round(
@@ -104,7 +104,7 @@ def test_labels_that_agree_by_now_say_so_and_undo_does_not_turn_them_round(
     again = Corrector(relabelled(demo_labels, tmp_path / "again", change))
     found = again.frame(FRAME, journal)
     assert [u.kind for u in found.unapplied] == ["agreed"]
-    assert found.origin(object_cell(FRAME, number, "label")).source == "auto"
+    assert found.origin(object_ref(FRAME, number, "label")).source == "auto"
     undo(journal, "ann")
     assert again.frame(FRAME, journal).objects[number]["label"] == "teapot"
 

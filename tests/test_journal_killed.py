@@ -6,11 +6,11 @@ import os
 from pathlib import Path
 
 import pytest
+from benchmarks.journal_kills import GROUP, judge, survive
 from postgres_cluster import missing, started_cluster
 
-from pipeline.corrections.journal.bench_kill import GROUP, judge, survive
 from pipeline.corrections.journal.events import Edit, Saved
-from pipeline.corrections.journal.field_refs import object_cell
+from pipeline.corrections.journal.field_refs import object_ref
 from pipeline.corrections.journal.journal import JOURNAL_FILE, open_journal
 
 needs_killing = pytest.mark.skipif(os.name != "posix", reason="SIGKILL is of POSIX")
@@ -47,14 +47,14 @@ def test_writers_killed_and_the_server_too(tmp_path: Path) -> None:
         assert found.holds, found
         assert found.refused > 0, "the writers saw the server go"
         with open_journal(cluster.url) as journal:
-            assert isinstance(journal.append([Edit(object_cell("f", 1, "label"), None, "mug")], "ann"), Saved)
+            assert isinstance(journal.append([Edit(object_ref("f", 1, "label"), None, "mug")], "ann"), Saved)
 
 
 def test_broken_promises_are_seen(tmp_path: Path) -> None:
     with open_journal(tmp_path / JOURNAL_FILE) as journal:
         groups = []
         for number in range(3):
-            cells = [object_cell("f", k, "label") for k in range(GROUP)]
+            cells = [object_ref("f", k, "label") for k in range(GROUP)]
             done = journal.append([Edit(c, None, f"0 {number}", number) for c in cells], "writer 0")
             assert isinstance(done, Saved)
             groups.append(done.group)

@@ -11,23 +11,23 @@ from concurrent.futures import TimeoutError as NotYet
 from pathlib import Path
 
 import pytest
+from benchmarks.journal_writers import prove, read_report, write_many
 from journal_world import work_of
 from postgres_cluster import missing, running_cluster
 from sqlalchemy.exc import DBAPIError
 from waiting import wait_until
 
 from pipeline.corrections.journal import connection, postgres
-from pipeline.corrections.journal.bench import prove, read_report, write_many
 from pipeline.corrections.journal.connection import reading, writing
 from pipeline.corrections.journal.events import Conflict, Edit, NotSaved, Saved
 from pipeline.corrections.journal.examining import DamagedJournal
-from pipeline.corrections.journal.field_refs import object_cell, relation_cell
+from pipeline.corrections.journal.field_refs import object_ref, relation_ref
 from pipeline.corrections.journal.journal import open_journal
 from pipeline.corrections.journal.rescue import back_up, check_journal
 from pipeline.corrections.journal.undo import redo, undo
 from pipeline.system.errors import InputError
 
-LEFT = relation_cell("scene/0", 1, 2, "left")
+LEFT = relation_ref("scene/0", 1, 2, "left")
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +43,7 @@ def database() -> Iterator[str]:
 
 def test_events_conflicts_undo_and_redo(database: str) -> None:
     ann, bob = (open_journal(database, project="story", labels="v") for _ in range(2))
-    edit = Edit(object_cell("椅/0", 1, "label"), "mug", 'cup "🪴"\u2028', 0, "why", {"1": [0.1, 1 / 3, 4, 5]})
+    edit = Edit(object_ref("椅/0", 1, "label"), "mug", 'cup "🪴"\u2028', 0, "why", {"1": [0.1, 1 / 3, 4, 5]})
     done = ann.append([edit, Edit(LEFT, -1, 1)], "ann")
     assert isinstance(done, Saved)
     assert bob.events() == done.events
@@ -81,7 +81,7 @@ def test_a_change_in_the_server_is_noticed(tmp_path: Path) -> None:
     with running_cluster() as url:
         with open_journal(url, project="kitchen") as journal:
             for k in range(4):
-                journal.append([Edit(object_cell("f", k, "label"), "mug", "cup")], "ann")
+                journal.append([Edit(object_ref("f", k, "label"), "mug", "cup")], "ann")
             with writing(journal.engine) as connection:
                 connection.exec_driver_sql("ALTER TABLE events DISABLE TRIGGER ALL")
                 connection.exec_driver_sql("UPDATE events SET author = 'eve' WHERE id = 2")
@@ -158,7 +158,7 @@ def test_what_was_acknowledged_survives_a_killed_writer(database: str, tmp_path:
     told = [entry["saved"] for entry in read_report(report) if "saved" in entry]
     with open_journal(database) as journal:
         found = [e.ulid for e in journal.events() if e.ulid not in there]
-        assert isinstance(journal.append([Edit(object_cell("f", 5, "label"), "mug", "cup")], "ann"), Saved)
+        assert isinstance(journal.append([Edit(object_ref("f", 5, "label"), "mug", "cup")], "ann"), Saved)
     assert len(told) >= 30
     assert found[: len(told)] == told
     assert len(found) <= len(told) + 1

@@ -11,13 +11,13 @@ from hypothesis import strategies as st
 
 from pipeline.corrections.journal import undo as undoing
 from pipeline.corrections.journal.events import Conflict, Edit, Saved
-from pipeline.corrections.journal.field_refs import FieldRef, judged_item, relation_cell
+from pipeline.corrections.journal.field_refs import FieldRef, judged_item, relation_ref
 from pipeline.corrections.journal.journal import JOURNAL_FILE, Journal, open_journal
-from pipeline.corrections.journal.judgements import judgement_cell
-from pipeline.corrections.journal.undo import history, next_redo, next_undo, redo, undo
+from pipeline.corrections.journal.replay import judgement_ref
+from pipeline.corrections.journal.undo import history, newest, redo, undo
 from pipeline.system.errors import InputError
 
-CELLS = [relation_cell("f", 1, b, "left") for b in (2, 3, 4)]
+CELLS = [relation_ref("f", 1, b, "left") for b in (2, 3, 4)]
 
 
 @pytest.fixture(scope="module")
@@ -56,8 +56,8 @@ def test_what_is_taken_back_is_what_the_whole_history_says(
                 _take_back(journal, author, action, number)
             for name in ("ann", "bob"):
                 whole = history(journal.events(author=name))
-                assert next_undo(journal, name) == (whole.done[-1] if whole.done else None)
-                assert next_redo(journal, name) == (whole.undone[-1] if whole.undone else None)
+                assert newest(journal, name, "undo") == (whole.done[-1] if whole.done else None)
+                assert newest(journal, name, "redo") == (whole.undone[-1] if whole.undone else None)
 
 
 def _take_back(journal: Journal, author: str, action: str, number: int) -> None:
@@ -86,9 +86,9 @@ def _take_back(journal: Journal, author: str, action: str, number: int) -> None:
 def test_taking_back_reads_what_is_recent(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with open_journal(tmp_path / "j.sqlite") as journal:
         for first in range(0, 3000, 500):
-            edits = [Edit(relation_cell("f", 1, b, "left"), 0, 1) for b in range(first + 2, first + 502)]
+            edits = [Edit(relation_ref("f", 1, b, "left"), 0, 1) for b in range(first + 2, first + 502)]
             journal.append(edits, "ann")
-        journal.append([Edit(relation_cell("g", 1, 2, "left"), 0, 1)], "ann")
+        journal.append([Edit(relation_ref("g", 1, 2, "left"), 0, 1)], "ann")
         read: list[int] = []
         known = Journal._select
 
@@ -106,10 +106,10 @@ def test_taking_back_reads_what_is_recent(tmp_path: Path, monkeypatch: pytest.Mo
 def test_two_judgements_of_one_item_never_meet(tmp_path: Path) -> None:
     with open_journal(tmp_path / "j.sqlite") as journal:
         for author in ("ann", "bob", "Zoë 'the; eye'"):
-            cell = judgement_cell("f", "relation", 1, 2, "left", author)
+            cell = judgement_ref("f", "relation", 1, 2, "left", author)
             assert judged_item(cell.key) == (author, "relation", 1, 2, "left")
             assert isinstance(journal.append([Edit(cell, None, {"status": "accepted", "value": 1})], author), Saved)
-        shared = judgement_cell("f", "relation", 1, 2, "left", "")
+        shared = judgement_ref("f", "relation", 1, 2, "left", "")
         assert shared.field == "settled"
         assert isinstance(journal.append([Edit(shared, None, {"status": "accepted", "value": 1})], "ann"), Saved)
         late = journal.append([Edit(shared, None, {"status": "rejected"})], "bob")
@@ -134,4 +134,4 @@ def test_what_is_no_judgement_is_refused(key: str) -> None:
                                    {"status": "accepted", "why": "so"}, 1, []])  # fmt: skip
 def test_what_is_no_word_is_refused(value: object) -> None:
     with pytest.raises(InputError):
-        Edit(judgement_cell("f", "object", 3, None, "", "ann"), None, value)
+        Edit(judgement_ref("f", "object", 3, None, "", "ann"), None, value)

@@ -12,7 +12,7 @@ from review_labels import with_relations
 
 from pipeline.corrections.journal.edits import set_relation
 from pipeline.corrections.journal.events import Saved
-from pipeline.corrections.journal_place import JournalPlace
+from pipeline.corrections.journal_location import JournalLocation
 from pipeline.corrections.label_editor import LabelEditor
 from pipeline.corrections.review.retraining import RetrainConfig
 from pipeline.corrections.review.retraining_run import AFTER, BEFORE, RetrainingJob, RetrainingRun, run_retraining
@@ -75,7 +75,7 @@ def circle(
 ) -> RetrainingRun:
     """Every wrong cell corrected as a person does it, then retrained and replayed."""
     folder = tmp_path_factory.mktemp("circle")
-    place = JournalPlace(planted, folder / "journal.sqlite")
+    place = JournalLocation(planted, folder / "journal.sqlite")
     desk = LabelEditor(planted, place, "ann")
     for name in set(planted.frames.column("frame").to_pylist()) - held_out:
         frame = desk.frame(name)
@@ -138,7 +138,7 @@ def test_runs_of_the_circle_can_be_opened_and_name_what_made_them(circle: Retrai
 def test_without_corrections_nothing_is_trained(planted: Labels, tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no journal here"):
         run_retraining(RetrainingJob(planted.root, tmp_path / "out", str(tmp_path / "none.sqlite")))
-    JournalPlace(planted, tmp_path / "empty.sqlite").to_write().close()
+    JournalLocation(planted, tmp_path / "empty.sqlite").to_write().close()
     with pytest.raises(InputError, match="nothing was corrected"):
         run_retraining(RetrainingJob(planted.root, tmp_path / "out", str(tmp_path / "empty.sqlite")))
     assert not (tmp_path / "out").exists()

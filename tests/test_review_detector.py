@@ -113,7 +113,7 @@ def test_a_recording_speaks_in_the_queue(demo_labels: Labels, demo_dataset: Data
     by_key = {item.key: item.reason for item in found.items}
     assert set(by_key) == set(expected), (gone, other)
     assert all(expected[k] in reason for k, reason in by_key.items())
-    config = QueueConfig(doubts=None, linter=False, margins=False, doubtful=False)
+    config = QueueConfig(doubts=None, linter=False, margins=False, undecided=False)
     queue = review_queue(demo_labels, config, found_elsewhere=found.items)
     assert set(item_keys(queue)) == set(expected)
 
@@ -125,7 +125,7 @@ def test_what_is_missing_has_a_row_of_its_own(demo_labels: Labels, demo_dataset:
     recording.write_text(json.dumps({"frames": {frame: [more]}}))
     detector = make_detector("recorded", model=recording, class_names=demo_dataset.class_names)
     found = detector_evidence(demo_labels, demo_dataset, detector)
-    config = QueueConfig(doubts=None, linter=False, margins=False, doubtful=False)
+    config = QueueConfig(doubts=None, linter=False, margins=False, undecided=False)
     queue = review_queue(demo_labels, config, found_elsewhere=found.items)
     (row,) = [r for r in queue.to_pylist() if r["place"] is not None]
     assert (row["frame"], row["kind"], row["a"], row["b"], row["label"]) == (frame, "object", -1, None, "zebra")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -13,7 +14,6 @@ from hypothesis import strategies as st
 from review_labels import copied, with_relations
 from sklearn.metrics import cohen_kappa_score
 
-from pipeline.corrections.review.agreement import agreement_of
 from pipeline.corrections.review.evidence import matched_boxes
 from pipeline.corrections.review.items import (
     KINDS,
@@ -28,7 +28,7 @@ from pipeline.corrections.review.out_of_fold import DoubtConfig
 from pipeline.corrections.review.queue import QueueConfig, review_queue
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.labels.tables import write_table
-from pipeline.metrics.significance import cohen_kappa
+from pipeline.metrics.significance import Agreement, cohen_kappa
 from pipeline.system.errors import InputError
 from pipeline.training.train import TrainConfig
 
@@ -76,7 +76,7 @@ def test_a_turned_cell_comes_first_with_its_reasons(turned: tuple[Labels, ItemKe
 def test_networks_alone_do_not_ask_the_linter(turned: tuple[Labels, ItemKey]) -> None:
     labels, _ = turned
     train = TrainConfig(vocabulary="all", epochs=1, batch=256)
-    config = QueueConfig(DoubtConfig(folds=2, train=train), linter=False, margins=False, doubtful=False, limit=40)
+    config = QueueConfig(DoubtConfig(folds=2, train=train), linter=False, margins=False, undecided=False, limit=40)
     queue = review_queue(labels, config)
     assert queue.num_rows == 40
     assert set(queue.column("kind").to_pylist()) == {"relation"}
@@ -119,7 +119,7 @@ def test_other_labels_of_the_frames_dispute_names_places_and_relations(
     changed = states.copy()
     changed[row] = -1
     other = with_relations(open_labels(folder), tmp_path / "both", {"above": changed})
-    config = QueueConfig(doubts=None, linter=False, margins=False, doubtful=False)
+    config = QueueConfig(doubts=None, linter=False, margins=False, undecided=False)
     queue = review_queue(labels, config, other=other)
     frame = labels.objects.column("frame")[0].as_py()
     first, second = (labels.objects.column("object")[k].as_py() for k in (0, 1))
@@ -199,6 +199,13 @@ def test_kappa_is_that_of_scikit_learn(pairs: list[tuple[str, str]]) -> None:
     else:
         assert np.isnan(found.kappa)
         assert found.record()["kappa"] is None
+
+
+def agreement_of(first: Mapping[int, str], second: Mapping[int, str]) -> Agreement:
+    """Agreement on the items that both have reviewed: "unreviewed" is no judgement."""
+    none = "unreviewed"
+    both = [key for key, said in first.items() if said != none and second.get(key, none) != none]
+    return cohen_kappa([first[key] for key in both], [second[key] for key in both])
 
 
 def test_agreement_is_of_what_both_reviewed() -> None:

@@ -17,8 +17,7 @@ from pipeline.corrections.journal.journal import Journal
 from pipeline.corrections.review.detector_evidence import detector_evidence
 from pipeline.corrections.review.items import ItemKey, item_keys
 from pipeline.corrections.review.queue_job import QueueJob, Step, make_queue, second_setup
-from pipeline.corrections.review.worklist import read_queue, worklist
-from pipeline.corrections.review.worklist_refresh import mark_of
+from pipeline.corrections.review.worklist import mark_of, read_queue, worklist
 from pipeline.datasets import Dataset
 from pipeline.labels.reading import Labels
 from pipeline.relations.relations import F, T

@@ -8,9 +8,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pipeline.corrections.review.bench import ReviewBenchConfig, measure_recovery, review_rooms
+from pipeline.corrections.review.bench import (
+    ReviewBenchConfig,
+    measure_recovery,
+    plant_flips,
+    review_rooms,
+    with_labels,
+)
 from pipeline.corrections.review.out_of_fold import PASSES, DoubtConfig, doubt_labels, stacked, unstacked
-from pipeline.corrections.review.planted import plant_flips, with_labels
 from pipeline.labels.reading import Labels
 from pipeline.language.relation_names import DIRECTIONAL
 from pipeline.relations.relations import U

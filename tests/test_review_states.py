@@ -17,29 +17,37 @@ from pipeline.corrections.journal.batch import actions_of, apply_actions
 from pipeline.corrections.journal.effective import Corrector
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Conflict, Saved
-from pipeline.corrections.journal.field_refs import FieldRef, relation_cell
+from pipeline.corrections.journal.field_refs import FieldRef, relation_ref
 from pipeline.corrections.journal.journal import Journal, open_journal
-from pipeline.corrections.journal.judgements import judgement_cell
 from pipeline.corrections.journal.materialise import materialise
+from pipeline.corrections.journal.replay import judgement_ref
 from pipeline.corrections.journal.undo import redo, undo
-from pipeline.corrections.review.agreement import pair_agreements
+from pipeline.corrections.review.evidence import read_relation_labels
 from pipeline.corrections.review.items import NOBODY, SETTLED, ItemKey, State, item_keys, left_to_review
 from pipeline.corrections.review.out_of_fold import DoubtConfig, doubt_labels
-from pipeline.corrections.review.progress import review_progress, wrong_left
 from pipeline.corrections.review.queue import QueueConfig, review_queue
 from pipeline.corrections.review.queue_job import QueueJob, make_queue
-from pipeline.corrections.review.relation_labels import read_cells
 from pipeline.corrections.review.reviewed import (
+    left_for,
+    pair_agreements,
+    review_progress,
     reviewed_labels,
-    settled_cells,
+    settled_relations,
     states_on_labels,
     trusted_of_data,
     without_gone,
+    wrong_left,
 )
-from pipeline.corrections.review.second_opinions import left_for
 from pipeline.corrections.review.states import item_of, judgements_of, states_of
-from pipeline.corrections.review.worklist import read_queue, worklist
-from pipeline.corrections.review.worklist_refresh import NOTHING, frame_states, gone_items, mark_of, refreshed_worklist
+from pipeline.corrections.review.worklist import (
+    NOTHING,
+    frame_states,
+    gone_items,
+    mark_of,
+    read_queue,
+    refreshed_worklist,
+    worklist,
+)
 from pipeline.labels.reading import Labels
 from pipeline.relations.relations import F, T
 from pipeline.system.errors import InputError
@@ -89,7 +97,7 @@ def test_every_state_has_its_edit_and_undo_takes_it_back(frame: Any, journal: Jo
     }
     assert states_of(journal) == states_of(journal, "ann") == expected
     assert states_of(journal, "bob") == {}
-    assert judgements_of(journal).words[left(c, d)]["ann"].said == "T"
+    assert judgements_of(journal).words[left(c, d)]["ann"].verdict == "T"
     kept = [expected]
     while undo(journal, "ann") is not None:
         kept.append(states_of(journal))
@@ -107,7 +115,7 @@ def test_what_is_accepted_of_a_relation_is_not_asked_again_the_other_way_round(f
     mirrors = [ItemKey(FRAME, "relation", y, x, "right") for x, y in ((a, b), (c, d))]
     expected = dict.fromkeys((left(a, b), mirrors[0]), "accepted") | dict.fromkeys((left(c, d), mirrors[1]), "unsure")
     assert states_of(journal, "ann") == expected
-    assert judgements_of(journal).words[mirrors[0]]["ann"].said == "T"
+    assert judgements_of(journal).words[mirrors[0]]["ann"].verdict == "T"
     undo(journal, "ann")
     undo(journal, "ann")
     assert states_of(journal) == {}
@@ -128,10 +136,10 @@ def test_a_status_of_an_older_journal_counts_for_the_value_that_it_was_of(frame:
     saved(journal, actions.set_relation(frame(), a, b, "left", F), "bob")
     saved(journal, actions.set_status(frame(), status_cell(c, d), "accepted"))
     found = judgements_of(journal, automatic={left(c, d): T}.get)
-    assert {w.author: w.said for w in found.words[left(a, b)].values()} == {"ann": "T", "bob": "F"}
+    assert {w.author: w.verdict for w in found.words[left(a, b)].values()} == {"ann": "T", "bob": "F"}
     assert found.differ(left(a, b))
-    assert found.words[left(c, d)]["ann"].said == "T"
-    assert judgements_of(journal).words[left(c, d)]["ann"].said == "accepted"
+    assert found.words[left(c, d)]["ann"].verdict == "T"
+    assert judgements_of(journal).words[left(c, d)]["ann"].verdict == "accepted"
 
 
 def test_who_accepts_a_correction_agrees_with_it(frame: Any, journal: Journal) -> None:
@@ -168,7 +176,7 @@ def test_a_second_opinion_neither_conflicts_nor_changes_the_label(frame: Any, jo
     assert frame().pairs.state(a, b, "left") == T
     found = judgements_of(journal)
     assert found.state(left(a, b)) == "corrected"
-    assert found.said(left(a, b)) == "T"
+    assert found.verdict(left(a, b)) == "T"
     (pair,) = pair_agreements(found, frame().setting.inverse)
     assert [k for k, _, _ in pair.differ] == [folded(left(a, b))], "a settlement is no judgement"
     assert "cay" not in found.authors
@@ -249,7 +257,7 @@ def test_judgements_change_no_label(demo_labels: Labels, journal: Journal, frame
     for name in ("objects", "relations", "expressions", "frames"):
         assert manifest.tables[name].content_hash == demo_labels.manifest.tables[name].content_hash
     key = ItemKey(FRAME, "relation", *some_pairs(frame(), 1)[0], "left")
-    states = states_on_labels(judgements_of(journal), read_cells(demo_labels))
+    states = states_on_labels(judgements_of(journal), read_relation_labels(demo_labels))
     assert states[key] == "unsure", "the label is not what the only word on it says"
 
 
@@ -275,7 +283,7 @@ def test_the_queue_takes_what_was_said(demo_labels: Labels, journal: Journal, fr
     assert rows[settled]["score"] == 0
     assert rows[settled]["label"] == "F"
     assert rows[settled]["reasons"] == []
-    states = states_on_labels(reviewed.judgements, read_cells(reviewed.labels))
+    states = states_on_labels(reviewed.judgements, read_relation_labels(reviewed.labels))
     hidden = item_keys(left_to_review(queue, states))
     assert settled not in hidden
     assert disputed in hidden
@@ -291,10 +299,10 @@ def test_the_queue_takes_what_was_said(demo_labels: Labels, journal: Journal, fr
 
 
 def test_settled_labels_are_never_doubted(demo_labels: Labels) -> None:
-    cells = read_cells(demo_labels)
+    cells = read_relation_labels(demo_labels)
     rows = np.flatnonzero(cells.states[:, 0] != 0)[::3]
     keys = [ItemKey(str(cells.frame[r]), "relation", int(cells.a[r]), int(cells.b[r]), "left") for r in rows]
-    settled = settled_cells(cells, dict.fromkeys(keys, "accepted"))
+    settled = settled_relations(cells, dict.fromkeys(keys, "accepted"))
     assert settled.sum() == len(keys)
     data = read_label_data(demo_labels, "rel14", demo_labels.relation_names)
     trusted = trusted_of_data(cells, settled, data)
@@ -383,18 +391,18 @@ def test_states_are_followed_as_a_new_queue_has_them(
     newest = mark_of(journal.events())
     found = frame_states(frame(), journal.events(frame=FRAME))
     reviewed = reviewed_labels(demo_labels, journal, tmp_path / "labels")
-    expected = states_on_labels(reviewed.judgements, read_cells(reviewed.labels))
+    expected = states_on_labels(reviewed.judgements, read_relation_labels(reviewed.labels))
     assert {k: s for k, s in found.items() if s != "unreviewed"} == expected
     assert [found.get(left(*pair), "unreviewed") for pair in ((a, b), (c, d), (e, f), (g, h))] == [
         "accepted", "unsure", "corrected", "unreviewed",
     ]  # fmt: skip
     assert found.get(ItemKey(FRAME, "object", number, None, ""), "unreviewed") == "unreviewed"
     # Whoever works through a queue made now is shown the same.
-    job = QueueJob(demo_labels.root, tmp_path / "queue.parquet", str(journal.place), networks=False)
+    job = QueueJob(demo_labels.root, tmp_path / "queue.parquet", str(journal.location), networks=False)
     assert make_queue(job, lambda _: None)["last"] == newest
     work = worklist(read_queue(job.out))
-    assert {k: work.state(k) for k in expected if k in work.places} == {
-        k: s for k, s in expected.items() if k in work.places
+    assert {k: work.state(k) for k in expected if k in work.indices} == {
+        k: s for k, s in expected.items() if k in work.indices
     }
     assert work.counts["settled"] > 0
 
@@ -456,9 +464,9 @@ def test_of_a_journal_that_was_replaced_nothing_is_kept(
 
 def test_a_cell_names_the_item_that_it_is_about() -> None:
     said = {
-        "said of relation 21,22 on in f": judgement_cell("f", "relation", 21, 22, "on", "ann"),
-        "said of object 3 in f": judgement_cell("f", "object", 3, None, "", "ann"),
-        "said of expression e1 in f": judgement_cell("f", "expression", -1, None, "e1", "ann"),
-        "left of relation 2,5 in f": relation_cell("f", 2, 5, "left"),
+        "said of relation 21,22 on in f": judgement_ref("f", "relation", 21, 22, "on", "ann"),
+        "said of object 3 in f": judgement_ref("f", "object", 3, None, "", "ann"),
+        "said of expression e1 in f": judgement_ref("f", "expression", -1, None, "e1", "ann"),
+        "left of relation 2,5 in f": relation_ref("f", 2, 5, "left"),
     }
     assert {str(cell) for cell in said.values()} == set(said)

@@ -9,9 +9,8 @@ from typing import Any
 
 import pytest
 
-from pipeline.corrections.label_jobs import CANCELLED, LabelJobs, Making
 from pipeline.corrections.review.queue import QueueConfig, review_queue
-from pipeline.corrections.review.queue_job import QueueJob
+from pipeline.corrections.review.queue_job import CANCELLED, LabelJobs, QueueJob, QueueProgress
 from pipeline.corrections.review.worklist import write_queue
 from pipeline.labels.reading import Labels
 from pipeline.proposals.detector_setup import DetectorSetup
@@ -92,7 +91,7 @@ def test_the_first_queue_is_there_before_the_detector_is_asked(demo_labels: Labe
     recording = tmp_path / "recording.json"
     recording.write_text(json.dumps({"frames": {frame: []}}))
     held, jobs = Held(), LabelJobs()
-    jobs.queue = SharedJob(Making(), held.start)
+    jobs.queue = SharedJob(QueueProgress(), held.start)
     outs: list[Path] = []
 
     def job_for(out: Path) -> QueueJob:
@@ -129,6 +128,6 @@ def test_the_first_queue_is_there_before_the_detector_is_asked(demo_labels: Labe
 
 def quick(job: QueueJob, labels: Labels, report: Callable[[Any], None]) -> dict[str, Any]:
     """An empty queue, made without looking at the labels."""
-    config = QueueConfig(doubts=None, linter=False, margins=False, doubtful=False)
+    config = QueueConfig(doubts=None, linter=False, margins=False, undecided=False)
     write_queue(review_queue(labels, config), job.out)
     return {"items": 0, "last": (0, "")}

@@ -1,21 +1,29 @@
-"""A draft: pixels that are being drawn for one object, step by step, until they are saved as one edit or dropped."""
+"""A draft: pixels drawn for one object, step by step, until they are saved as one edit or dropped; masks cut in parts.
+
+A mask is cut by a polygon, along a line, or where its depth comes apart. Parts
+never share a pixel.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import cv2
 import numpy as np
 
-from pipeline.corrections.drawing.gestures import Canvas, Gesture, applied, goes_around
-from pipeline.corrections.drawing.splitting import split_by_depth, split_by_line, split_by_polygon
+from pipeline.corrections.drawing.depth_region import joined, link_grid
+from pipeline.corrections.drawing.gestures import Canvas, Gesture, applied, goes_around, polygon_mask
 from pipeline.corrections.journal.edits import Edits, add_object, pixels_of, set_mask, split_object
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
-from pipeline.corrections.journal.field_refs import FieldRef, object_cell
+from pipeline.corrections.journal.field_refs import FieldRef, object_ref
 from pipeline.geometry.lifting import LiftedObject, lift
 from pipeline.geometry.masks import decode_run_length, encode_run_length
 from pipeline.system.errors import InputError
 
 MOST_STEPS = 500
+LEAST_PIXELS, LEAST_SHARE = 30, 0.03
+"""A part of a mask in depth has at least so many pixels, and this share of the mask; less goes to its neighbour."""
+MOST_PARTS = 12
 
 
 @dataclass(frozen=True)
@@ -62,9 +70,9 @@ class Draft:
         return self.steps[self.at] != self.steps[0]
 
     @property
-    def cell(self) -> FieldRef | None:
+    def ref(self) -> FieldRef | None:
         """The cell that it will change; None for a new object."""
-        return None if self.number is None else object_cell(self.frame, self.number, "mask")
+        return None if self.number is None else object_ref(self.frame, self.number, "mask")
 
     def back(self) -> Draft:
         """Without its last step."""
@@ -84,15 +92,15 @@ class Draft:
         return replace(self, steps=(*self.steps[: self.at + 1], step), at=self.at + 1)
 
 
-def begun(frame: EffectiveFrame, number: int | None) -> Draft:
+def new_draft(frame: EffectiveFrame, number: int | None) -> Draft:
     """A draft of an object as it is now, or of a new one; InputError where there is no such object."""
     height, width = int(frame.row["height"]), int(frame.row["width"])
     mask = np.zeros((height, width), np.bool_) if number is None else pixels_of(frame, number)
-    version = 0 if number is None else frame.version(object_cell(frame.frame, number, "mask"))
+    version = 0 if number is None else frame.version(object_ref(frame.frame, number, "mask"))
     return Draft(frame.frame, number, height, width, version, ((encode_run_length(mask),),))
 
 
-def continued(draft: Draft, gesture: Gesture, canvas: Canvas | None = None) -> Draft:
+def with_gesture(draft: Draft, gesture: Gesture, canvas: Canvas | None = None) -> Draft:
     """A draft after a gesture.
 
     Raises
@@ -121,7 +129,7 @@ def continued(draft: Draft, gesture: Gesture, canvas: Canvas | None = None) -> D
     return draft.after(*pieces)
 
 
-def come_apart(draft: Draft, canvas: Canvas) -> Draft:
+def with_depth_split(draft: Draft, canvas: Canvas) -> Draft:
     """A draft split where the object's depth comes apart; raises as `split_by_depth`."""
     if draft.number is None:
         raise InputError("a new object cannot be cut yet", cause="apply it first")
@@ -155,9 +163,9 @@ def edits_of_draft(draft: Draft, frame: EffectiveFrame, label: str = "") -> Edit
         return add_object(frame, label.strip(), mask=parts[0])
     if not draft.changed:
         raise InputError("nothing has changed")
-    assert draft.cell is not None
-    if frame.version(draft.cell) != draft.version:
-        origin = frame.origin(draft.cell)
+    assert draft.ref is not None
+    if frame.version(draft.ref) != draft.version:
+        origin = frame.origin(draft.ref)
         raise InputError(
             f"the pixels of object {draft.number} have changed since you began: {origin}",
             cause="apply again to replace them, cancel to keep them",
@@ -169,10 +177,10 @@ def edits_of_draft(draft: Draft, frame: EffectiveFrame, label: str = "") -> Edit
 
 def rebased(draft: Draft, frame: EffectiveFrame) -> Draft:
     """The same draft on what the object's pixels are now: saving it replaces them."""
-    return draft if draft.cell is None else replace(draft, version=frame.version(draft.cell))
+    return draft if draft.ref is None else replace(draft, version=frame.version(draft.ref))
 
 
-def fitted(canvas: Canvas, mask: np.ndarray) -> LiftedObject | None:
+def lifted_draft(canvas: Canvas, mask: np.ndarray) -> LiftedObject | None:
     """What a mask becomes in 3D: its points and its 3D box (camera frame), lifted as labels are; None for no pixels."""
     if not mask.any():
         return None
@@ -184,3 +192,99 @@ def fitted(canvas: Canvas, mask: np.ndarray) -> LiftedObject | None:
     return found[0]
 
 
+def split_by_polygon(mask: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What of a mask is outside and inside of a polygon, the larger part first.
+
+    Parameters
+    ----------
+    mask : (H, W) bool
+    points : (N, 2) float
+        Corners x, y, pixels.
+
+    Raises
+    ------
+    InputError
+        One of the parts is empty.
+    """
+    return _parts(mask, polygon_mask(points, *mask.shape))
+
+
+def split_by_line(mask: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """What of a mask lies on either side of a line, the larger part first.
+
+    Parameters
+    ----------
+    mask : (H, W) bool
+    points : (N, 2) float
+        x, y, pixels; its ends go on straight.
+
+    Raises
+    ------
+    InputError
+        It is no line, or one of the parts is empty.
+    """
+    line = np.asarray(points, np.float64).reshape(-1, 2)
+    line = line[np.concatenate([[True], (np.diff(line, axis=0) != 0).any(axis=1)])]
+    if len(line) < 2:
+        raise InputError("a cut needs a line", got="one point")
+    height, width = mask.shape
+    reach = 4.0 * (height + width) + float(np.abs(line).max())
+    # The hand's first and last pixels jitter: the ends go on in the direction of a good piece of the line.
+    piece = max(1, len(line) // 4)
+    ahead, behind = _unit(line[-1] - line[-1 - piece]), _unit(line[0] - line[piece])
+    start, end = line[0] + reach * behind, line[-1] + reach * ahead
+    from_, to = np.arctan2(ahead[1], ahead[0]), np.arctan2(behind[1], behind[0])
+    turn = (to - from_) % (2 * np.pi)
+    # One side of the line is closed by an arc far outside of the picture.
+    angles = from_ + turn * np.linspace(0, 1, 34)[1:-1]
+    arc = line.mean(axis=0) + 2 * reach * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    return _parts(mask, polygon_mask(np.concatenate([[start], line, [end], arc]), height, width))
+
+
+def split_by_depth(mask: np.ndarray, depth: np.ndarray) -> tuple[np.ndarray, ...]:
+    """The parts of a mask that no surface joins, the largest first.
+
+    Pixels without depth, and parts too small to be an object, go to the part next to them.
+
+    Parameters
+    ----------
+    mask : (H, W) bool
+    depth : (H, W) float32
+        Metres, 0 where missing.
+
+    Raises
+    ------
+    InputError
+        There is only one part, or too many.
+    """
+    _, grid = cv2.connectedComponents(link_grid(mask & (depth > 0), *joined(depth)), connectivity=4)
+    labels = np.asarray(grid[::2, ::2], np.int64)
+    counts = np.bincount(labels[mask], minlength=int(labels.max()) + 1)
+    counts[0] = 0
+    least = max(LEAST_PIXELS, LEAST_SHARE * int(mask.sum()))
+    chosen = [int(k) for k in np.argsort(-counts, kind="stable") if counts[k] >= least]
+    if len(chosen) < 2:
+        raise InputError("the object is of one piece in depth", cause="draw a line across it")
+    if len(chosen) > MOST_PARTS:
+        raise InputError("the object falls into too many parts", got=len(chosen), expected=f"at most {MOST_PARTS}")
+    own = mask & np.isin(labels, chosen)
+    _, found = cv2.distanceTransformWithLabels(
+        (~own).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+    )
+    nearest = np.asarray(found, np.int64)
+    part_of = np.zeros(int(nearest.max()) + 1, np.int64)
+    part_of[nearest[own]] = labels[own]
+    whose = part_of[nearest]
+    return tuple(mask & (whose == k) for k in chosen)
+
+
+def _unit(direction: np.ndarray) -> np.ndarray:
+    length = float(np.linalg.norm(direction))
+    return direction / length if length > 0 else np.array([1.0, 0.0])
+
+
+def _parts(mask: np.ndarray, inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    one, other = mask & ~inside, mask & inside
+    if not one.any() or not other.any():
+        raise InputError("the cut leaves one of both parts empty")
+    return (one, other) if one.sum() >= other.sum() else (other, one)

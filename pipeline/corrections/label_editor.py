@@ -1,28 +1,27 @@
-"""A desk: one person who corrects labels, what they see, what is saved, and what could not be saved yet."""
+"""An editor: one person who corrects labels, what they see, what is saved, who changed what, what is not saved yet."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
+from dataclasses import dataclass
 from datetime import datetime, timezone
 from functools import cached_property
 from threading import Lock
+from typing import Any
 
-from pipeline.corrections.disputes import decided
-from pipeline.corrections.event_lines import EventLine, event_lines
 from pipeline.corrections.journal.effective import Corrector
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Conflict, Edit, Event, NotSaved, Saved, new_ulid
-from pipeline.corrections.journal.field_refs import LONGEST_NAME, plain_text
-from pipeline.corrections.journal.undo import redo, undo
-from pipeline.corrections.journal_place import JournalPlace
-from pipeline.corrections.unsaved import Waiting
+from pipeline.corrections.journal.field_refs import LONGEST_NAME, FieldRef, plain_text, shown_value
+from pipeline.corrections.journal.undo import history, redo, undo
+from pipeline.corrections.journal_location import JournalLocation
+from pipeline.corrections.unsaved import Waiting, decided
 from pipeline.datasets import Dataset
 from pipeline.labels.reading import Labels
 from pipeline.system.errors import InputError
 
 _NOT_IN_THE_JOURNAL = 2**62
 """Edits that wait to be saved come after every event of the journal."""
-
 Outcome = Saved | Conflict | Waiting
 """What comes of saving."""
 
@@ -33,7 +32,7 @@ class LabelEditor:
     Parameters
     ----------
     labels : Labels
-    place : JournalPlace
+    location : JournalLocation
         Keeps also what waits: other desks of the same author see it.
     author : str
         Under whose name edits are saved.
@@ -41,8 +40,8 @@ class LabelEditor:
         Without it, what follows from new pixels and boxes is marked stale.
     """
 
-    def __init__(self, labels: Labels, place: JournalPlace, author: str, dataset: Dataset | None = None) -> None:
-        self.labels, self.place, self.author, self._dataset = labels, place, author, dataset
+    def __init__(self, labels: Labels, location: JournalLocation, author: str, dataset: Dataset | None = None) -> None:
+        self.labels, self.location, self.author, self._dataset = labels, location, author, dataset
         self._events: dict[str, tuple[Event, ...]] = {}
         self._saved: tuple[Event, ...] = ()
         self._again: tuple[str, str] | None = None
@@ -59,12 +58,12 @@ class LabelEditor:
     @property
     def waiting(self) -> tuple[Waiting, ...]:
         """In the order in which they were made; frames show them as if they were saved."""
-        return self.place.unsaved.waiting(self.author)
+        return self.location.unsaved.waiting(self.author)
 
     @property
     def disputed(self) -> tuple[Conflict, ...]:
         """What this person has to decide, because others were faster; see `decide`."""
-        return self.place.unsaved.disputed(self.author)
+        return self.location.unsaved.disputed(self.author)
 
     def sign(self, author: str) -> None:
         """Save what follows under another name.
@@ -104,7 +103,7 @@ class LabelEditor:
 
     def saved(self, frame: str) -> EffectiveFrame:
         """A frame with what everybody saved, made before it is looked at. Any thread may ask; raises as `frame`."""
-        journal = self.place.to_read()
+        journal = self.location.to_read()
         return self.corrector.frame(frame, () if journal is None else journal.events(frame=frame))
 
     def corrected(self, frame: str) -> EffectiveFrame | None:
@@ -125,7 +124,7 @@ class LabelEditor:
         return [*found, *(e for e in self._unsaved(frame) if e.group not in groups)]
 
     def _unsaved(self, frame: str) -> list[Event]:
-        return [e for w in self.waiting for e in w.events(_NOT_IN_THE_JOURNAL, "") if e.cell.frame == frame]
+        return [e for w in self.waiting for e in w.events(_NOT_IN_THE_JOURNAL, "") if e.ref.frame == frame]
 
     def news(self, frame: str) -> tuple[Event, ...]:
         """What is saved in a frame that was not there when it was last looked at. Any thread may ask.
@@ -139,7 +138,7 @@ class LabelEditor:
 
     def has_seen(self, event: Event) -> bool:
         """Whether an event was there when its frame was last looked at."""
-        return any(e.ulid == event.ulid for e in self._events.get(event.cell.frame, ()))
+        return any(e.ulid == event.ulid for e in self._events.get(event.ref.frame, ()))
 
     def replaced(self, frame: str) -> bool:
         """Whether the journal lacks what it had in a frame: it is another one now, such as a copy that was put back.
@@ -153,7 +152,7 @@ class LabelEditor:
 
     def _now(self, frame: str) -> tuple[tuple[Event, ...], tuple[Event, ...]]:
         """What is known of a frame and still stands in the journal, and what came after it."""
-        journal, known = self.place.to_read(), self._events.get(frame, ())
+        journal, known = self.location.to_read(), self._events.get(frame, ())
         if journal is None:
             return known, ()
         if known:
@@ -173,13 +172,13 @@ class LabelEditor:
                 raise
             # Who works on while the database is away sees what they saw, and their own edits.
             seen = {e.ulid for e in known}
-            return (*known, *(e for e in self._saved if e.cell.frame == frame and e.ulid not in seen))
+            return (*known, *(e for e in self._saved if e.ref.frame == frame and e.ulid not in seen))
         found = self._events[frame] = (*standing, *newer)
         with self._lock:
             # What another thread saves after the reading is not in it; of a journal that was replaced, nothing is.
             last = found[-1].id if found else 0
             another = bool(known) and not standing
-            self._saved = tuple(e for e in self._saved if e.cell.frame != frame or (e.id > last and not another))
+            self._saved = tuple(e for e in self._saved if e.ref.frame != frame or (e.id > last and not another))
         if self._again is not None and any(e.group == self._again[1] for e in found):
             # It was done after all, and is seen: whoever asks once more means the next.
             self._again = None
@@ -214,7 +213,7 @@ class LabelEditor:
             # What is made on an edit that waits is saved after it.
             return self._keep(edits, new_ulid(), waiting[-1].problem)
         try:
-            journal = self.place.to_write()
+            journal = self.location.to_write()
         except InputError as error:
             return self._keep(edits, new_ulid(), str(error))
         try:
@@ -224,14 +223,14 @@ class LabelEditor:
 
     def _keep(self, edits: tuple[Edit, ...], group: str, problem: str) -> Waiting:
         action = Waiting(edits, self.author, group, datetime.now(timezone.utc), problem)
-        self.place.unsaved.keep(action)
+        self.location.unsaved.keep(action)
         return action
 
     def _kept(self, outcome: Saved | Conflict) -> Saved | Conflict:
         if isinstance(outcome, Saved):
             self._remember(outcome)
         else:
-            self.place.unsaved.dispute(self.author, outcome)
+            self.location.unsaved.dispute(self.author, outcome)
         return outcome
 
     def _remember(self, outcome: Saved) -> None:
@@ -248,15 +247,15 @@ class LabelEditor:
             None where nothing of one's own is left. Conflict where somebody
             has changed one of its fields again: that is to be decided anew.
         """
-        frames = {e.cell.frame for e in conflict.edits}
-        edits = [e for name in frames for e in decided(conflict, self.frame(name), mine) if e.cell.frame == name]
+        frames = {e.ref.frame for e in conflict.edits}
+        edits = [e for name in frames for e in decided(conflict, self.frame(name), mine) if e.ref.frame == name]
         outcome = self.save(edits) if edits else None
-        self.place.unsaved.settle(self.author, conflict)
+        self.location.unsaved.settle(self.author, conflict)
         return outcome
 
     def retry(self) -> tuple[Outcome, ...]:
         """Try again to save what waits: see `Unsaved.retry`. Any thread may ask."""
-        return self.place.unsaved.retry(self.author, self.place.to_write, self._remember)
+        return self.location.unsaved.retry(self.author, self.location.to_write, self._remember)
 
     def undo(self, group: str | None = None) -> Outcome | None:
         """Take back this person's newest action, or the one of a group; one that waits is dropped.
@@ -271,7 +270,7 @@ class LabelEditor:
         if waiting := self.waiting:
             if group is not None and group != waiting[-1].group:
                 raise InputError("newer edits wait to be saved", expected="save them or take them back first")
-            return self.place.unsaved.drop_last(self.author)
+            return self.location.unsaved.drop_last(self.author)
         return self._taken("undo", undo, group)
 
     def redo(self) -> Outcome | None:
@@ -279,7 +278,7 @@ class LabelEditor:
         return None if self.waiting else self._taken("redo", redo, None)
 
     def _taken(self, which: str, take: Callable[..., Saved | Conflict | None], group: str | None) -> Outcome | None:
-        journal = self.place.to_read()
+        journal = self.location.to_read()
         if journal is None:
             return None
         # One whose answer was lost may have been saved: asked for again, it is not followed by the next.
@@ -292,3 +291,96 @@ class LabelEditor:
             self._again = what, error.group
             raise
         return None if outcome is None else self._kept(outcome)
+
+
+@dataclass(frozen=True)
+class EventLine:
+    """One edit.
+
+    Attributes
+    ----------
+    event : Event
+    undone : Event or None
+        What took it back, where it was not brought back since.
+    group : str
+        The action that the one who looks may take back with it; "" where it is not theirs, or taken back already.
+    waiting : bool
+        It is not saved yet.
+    """
+
+    event: Event
+    undone: Event | None
+    group: str
+    waiting: bool = False
+
+    @property
+    def change(self) -> tuple[str, str]:
+        """From what to what, in words."""
+        e = self.event
+        return shown_value(e.ref, e.before), shown_value(e.ref, e.after)
+
+    def record(self) -> dict[str, Any]:
+        """As JSON."""
+        before, after = self.change
+        return {
+            "event": self.event.ulid,
+            "group": self.event.group,
+            "author": self.event.author,
+            "time": self.event.time.isoformat(),
+            "field": self.event.ref.field,
+            "key": self.event.ref.key,
+            "before": before,
+            "after": after,
+            "reason": self.event.reason or None,
+            "undone_by": None if self.undone is None else self.undone.author,
+            "saved": not self.waiting,
+        }
+
+
+def event_lines(
+    events: Sequence[Event],
+    author: str,
+    *,
+    objects: Iterable[int] = (),
+    pair: tuple[int, int] | None = None,
+    expression: str | None = None,
+    waiting: Iterable[str] = (),
+) -> tuple[EventLine, ...]:
+    """The edits of what is asked for, the newest first.
+
+    Parameters
+    ----------
+    events : sequence of Event
+        Of one frame, in the order of their saving.
+    author : str
+        Who looks.
+    objects : iterable of int
+    pair : tuple of int, optional
+    expression : str, optional
+    waiting : iterable of str
+        Groups that are not saved yet.
+    """
+    numbers, unsaved = set(objects), set(waiting)
+    mine = {members[0].group for members in history(e for e in events if e.author == author).done}
+    root: dict[str, str] = {}
+    newest: dict[str, Event] = {}
+    for event in events:
+        # An undo is of an edit or of a redo, a redo of an undo: in the end all are of one edit.
+        taken = event.undo_of if event.action != "edit" else None
+        root[event.ulid] = event.ulid if taken is None else root.get(taken, taken)
+        newest[root[event.ulid]] = event
+
+    def wanted(ref: FieldRef) -> bool:
+        if ref.kind == "relation":
+            return pair is not None and set(ref.numbers) == set(pair)
+        return (ref.kind == "object" and ref.numbers[0] in numbers) or (
+            ref.kind == "expression" and ref.key == expression
+        )
+
+    lines = []
+    for event in events:
+        if event.action == "edit" and wanted(event.ref):
+            last = newest[event.ulid]
+            undone, group = (last, "") if last.action == "undo" else (None, last.group)
+            lines.append(EventLine(event, undone, group if group in mine else "", event.group in unsaved))
+    return tuple(lines[::-1])

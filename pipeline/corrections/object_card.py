@@ -1,18 +1,18 @@
-"""What is known of one labelled object, field by field, and where it comes from."""
+"""What is known of a labelled object or an expression, field by field, where from, and how answers are changed."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
-from pipeline.corrections.journal.edits import Edits, judge, set_status, set_value
+from pipeline.corrections.journal.edits import Edits, judge, set_answers, set_status, set_value
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.effective_objects import object_value
-from pipeline.corrections.journal.field_refs import object_cell, same_value, shown_value
-from pipeline.corrections.journal.judgements import said_of_items
-from pipeline.corrections.journal.origins import Origin
+from pipeline.corrections.journal.field_refs import FieldRef, object_ref, same_value, shown_value
+from pipeline.corrections.journal.replay import Origin, statuses_of_items
 from pipeline.corrections.scene import labelled_box
 from pipeline.diagnosis.whatif.box_numbers import BoxNumbers, box_numbers
 from pipeline.geometry.viewer import ViewerAxes, viewer_axes
@@ -21,6 +21,10 @@ from pipeline.system.errors import InputError
 
 FIELDS = ("label", "status", "mask", "bbox", "box")
 """What of an object can be corrected, in the order in which it is shown."""
+Certainty = Literal["sure", "likely", "no"]
+"""Whether an expression is true of an object: beyond doubt, with doubt, or not."""
+CORRECTED_FIELDS = ("text", "targets", "acceptable", "ambiguous", "mark", "status")
+"""The fields that a person may set."""
 
 
 @dataclass(frozen=True)
@@ -32,7 +36,7 @@ class FieldLine:
     field : str
         Of `FIELDS`.
     value : JSON value
-    said : str
+    text : str
         The same in a few words.
     automatic : str or None
         What the labeller had, in a few words; None where it had no such object.
@@ -45,7 +49,7 @@ class FieldLine:
 
     field: str
     value: Any
-    said: str
+    text: str
     automatic: str | None
     origin: Origin
     version: int
@@ -81,7 +85,7 @@ class ObjectCard:
         Who added it; "" where the labeller found it.
     status : str or None
         For all: "rejected", or what was said before judgements were each person's own.
-    said : dict of str to str
+    statuses : dict of str to str
         Status by reviewer.
     concern : str
         Why it is not asked for; "" where it is.
@@ -104,7 +108,7 @@ class ObjectCard:
     stands: bool
     added_by: str
     status: str | None
-    said: dict[str, str]
+    statuses: dict[str, str]
     concern: str
     score: float
     mask_pixels: int
@@ -130,7 +134,7 @@ class ObjectCard:
             "stands": self.stands,
             "added_by": self.added_by or None,
             "status": self.status,
-            "said": self.said,
+            "said": self.statuses,
             "concern": self.concern or None,
             "score": self.score,
             "mask_pixels": self.mask_pixels,
@@ -162,7 +166,7 @@ def object_card(frame: EffectiveFrame, number: int) -> ObjectCard:
         row["label"],
         number in frame.objects,
         _added_by(frame, number) if created else "",
-        frame.statuses.get(object_cell(frame.frame, number, "status")),
+        frame.statuses.get(object_ref(frame.frame, number, "status")),
         judgements(frame, number),
         row["reason"] or "",
         float(row["score"]),
@@ -195,13 +199,13 @@ def back_to_automatic(frame: EffectiveFrame, number: int, field: str, reason: st
         raise InputError("an object has no such field", got=repr(field), expected=", ".join(FIELDS))
     if not line.settled:
         raise InputError(f"nobody has changed the {field} of object {number}")
-    said = {"status": "", "box": "as its points make it"}.get(field, "as the labeller had it")
-    return set_value(frame, object_cell(frame.frame, number, field), _automatic(frame, number, field), reason or said)
+    default = {"status": "", "box": "as its points make it"}.get(field, "as the labeller had it")
+    return set_value(frame, object_ref(frame.frame, number, field), _automatic(frame, number, field), reason or default)
 
 
 def judgements(frame: EffectiveFrame, number: int) -> dict[str, str]:
     """What reviewers say of an object: status by author."""
-    return said_of_items(frame.statuses).get(("object", number, None, ""), {})
+    return statuses_of_items(frame.statuses).get(("object", number, None, ""), {})
 
 
 def bring_back(frame: EffectiveFrame, number: int, author: str, reason: str = "") -> Edits:
@@ -214,9 +218,9 @@ def bring_back(frame: EffectiveFrame, number: int, author: str, reason: str = ""
     """
     if number not in frame.left_out:
         raise InputError(f"object {number} is not rejected")
-    cell = object_cell(frame.frame, number, "status")
-    own = judge(frame, cell, None, author, reason) if author in judgements(frame, number) else ()
-    return (*own, *set_status(frame, cell, None, reason))
+    ref = object_ref(frame.frame, number, "status")
+    own = judge(frame, ref, None, author, reason) if author in judgements(frame, number) else ()
+    return (*own, *set_status(frame, ref, None, reason))
 
 
 def _automatic(frame: EffectiveFrame, number: int, field: str) -> Any:
@@ -224,17 +228,17 @@ def _automatic(frame: EffectiveFrame, number: int, field: str) -> Any:
 
 
 def _line(frame: EffectiveFrame, number: int, field: str) -> FieldLine:
-    cell = object_cell(frame.frame, number, field)
-    value, origin = frame.value(cell), frame.origin(cell)
+    ref = object_ref(frame.frame, number, field)
+    value, origin = frame.value(ref), frame.origin(ref)
     auto = frame.auto.objects.get(number)
     was = None if auto is None else object_value(auto, field)
-    said = "unreviewed" if field == "status" and value is None else shown_value(cell, value)
+    text = "unreviewed" if field == "status" and value is None else shown_value(ref, value)
     known = auto is not None or field in ("status", "box")
-    settled = known and frame.version(cell) > 0 and origin.source == "human"
+    settled = known and frame.version(ref) > 0 and origin.source == "human"
     if field != "box":
         settled = settled and not same_value(value, _automatic(frame, number, field) if known else None)
-    automatic = None if auto is None else "unreviewed" if field == "status" else shown_value(cell, was)
-    return FieldLine(field, value, said, automatic, origin, frame.version(cell), settled)
+    automatic = None if auto is None else "unreviewed" if field == "status" else shown_value(ref, was)
+    return FieldLine(field, value, text, automatic, origin, frame.version(ref), settled)
 
 
 def _added_by(frame: EffectiveFrame, number: int) -> str:
@@ -244,8 +248,147 @@ def _added_by(frame: EffectiveFrame, number: int) -> str:
 
 
 def _states(frame: EffectiveFrame, number: int) -> dict[str, int]:
-    at = frame.pairs.place(number)
+    at = frame.pairs.index_of(number)
     if at is None:
         return {"T": 0, "U": 0, "F": 0}
     states = frame.pairs.states[at][frame.pairs.present[at]]
     return {name: int((states == state).sum()) for name, state in (("T", T), ("U", U), ("F", F))}
+
+
+@dataclass(frozen=True)
+class ExpressionCard:
+    """One expression, as it is now.
+
+    Attributes
+    ----------
+    frame, id, text : str
+    target, relation, reference : str
+        What it asks for.
+    target_object, reference_object : int
+        Numbers of the labelled pair.
+    targets, acceptable : tuple of int
+        Numbers of the objects that it is true of: beyond doubt, and with the undecided ones.
+    names : dict of int to str
+        Classes of all these objects; of one that is gone, "".
+    ambiguous : bool
+    mark, status : str or None
+    statuses : dict of str to str
+        What each reviewer says of it.
+    withdrawn : str
+        Why it is left out of the labels; "" where it stands.
+    origins : dict of str to Origin
+        Of each of CORRECTED_FIELDS.
+    versions : dict of str to int
+    """
+
+    frame: str
+    id: str
+    text: str
+    target: str
+    relation: str
+    reference: str
+    target_object: int
+    reference_object: int
+    targets: tuple[int, ...]
+    acceptable: tuple[int, ...]
+    names: dict[int, str]
+    ambiguous: bool
+    mark: str | None
+    status: str | None
+    statuses: dict[str, str]
+    withdrawn: str
+    origins: dict[str, Origin]
+    versions: dict[str, int]
+
+    def certainty(self, number: int) -> Certainty:
+        """Whether it is true of an object."""
+        return "sure" if number in self.targets else "likely" if number in self.acceptable else "no"
+
+    def is_of(self, pair: Iterable[int]) -> bool:
+        """Whether its labelled pair is these two objects, either way round."""
+        return {self.target_object, self.reference_object} == set(pair)
+
+    def record(self) -> dict[str, Any]:
+        """As JSON."""
+
+        def listed(numbers: tuple[int, ...]) -> list[dict[str, Any]]:
+            return [{"object": n, "label": self.names[n] or None} for n in numbers]
+
+        return {
+            "frame": self.frame,
+            "expression": self.id,
+            "text": self.text,
+            "target": {"object": self.target_object, "label": self.target},
+            "relation": self.relation,
+            "reference": {"object": self.reference_object, "label": self.reference},
+            "targets": listed(self.targets),
+            "acceptable": listed(self.acceptable),
+            "ambiguous": self.ambiguous,
+            "mark": self.mark,
+            "status": self.status,
+            "said": self.statuses,
+            "withdrawn": self.withdrawn or None,
+            "origin": {name: origin.source for name, origin in self.origins.items()},
+            "from": {name: str(origin) for name, origin in self.origins.items()},
+            "versions": dict(self.versions),
+        }
+
+
+def expression_cards(frame: EffectiveFrame, pair: Iterable[int] = ()) -> tuple[ExpressionCard, ...]:
+    """All expressions of a frame: those of a pair of objects first, those that were left out last."""
+    withdrawn = {w.id: w.reason for w in frame.withdrawn}
+    statuses = statuses_of_items(frame.statuses)
+    cards = [_card(frame, name, withdrawn.get(name, ""), statuses) for name in frame.auto.expressions]
+    chosen = tuple(pair)
+    return tuple(sorted(cards, key=lambda c: (not c.is_of(chosen), bool(c.withdrawn))))
+
+
+def expression_card(frame: EffectiveFrame, name: str) -> ExpressionCard:
+    """One expression, by its id; InputError where the frame has no such expression."""
+    if name not in frame.auto.expressions:
+        raise InputError(f"frame {frame.frame} has no such expression", got=repr(name)[:60])
+    withdrawn = next((w.reason for w in frame.withdrawn if w.id == name), "")
+    return _card(frame, name, withdrawn, statuses_of_items(frame.statuses))
+
+
+def _card(
+    frame: EffectiveFrame, name: str, withdrawn: str, statuses: dict[tuple[str, int, int | None, str], dict[str, str]]
+) -> ExpressionCard:
+    row = frame.expression(name)
+    assert row is not None
+    refs = {field: FieldRef("expression", frame.frame, name, field) for field in CORRECTED_FIELDS}
+    numbers = dict.fromkeys([row["target_object"], row["reference_object"], *row["targets"], *row["acceptable"]])
+    rows = {n: frame.objects.get(n) or frame.left_out.get(n) for n in numbers}
+    return ExpressionCard(
+        frame.frame, name, row["text"], row["target"], row["relation"], row["reference"], row["target_object"],
+        row["reference_object"], tuple(row["targets"]), tuple(row["acceptable"]),
+        {n: "" if r is None else r["label"] for n, r in rows.items()}, bool(row["ambiguous"]),
+        frame.marks.get(name), frame.statuses.get(refs["status"]), statuses.get(("expression", -1, None, name), {}),
+        withdrawn,
+        {field: frame.origin(ref) for field, ref in refs.items()},
+        {field: frame.version(ref) for field, ref in refs.items()},
+    )  # fmt: skip
+
+
+def answers_with(card: ExpressionCard, number: int, certainty: Certainty) -> tuple[tuple[int, ...], tuple[int, ...]]:
+    """The targets and the acceptable objects of an expression when one object is to be in, in doubt, or out."""
+    targets, acceptable = set(card.targets) - {number}, set(card.acceptable) - {number}
+    if certainty == "sure":
+        targets.add(number)
+    if certainty != "no":
+        acceptable.add(number)
+    return tuple(sorted(targets)), tuple(sorted(acceptable | targets))
+
+
+def set_answer(frame: EffectiveFrame, name: str, number: int, certainty: Certainty, reason: str = "") -> Edits:
+    """Say of one object whether an expression is true of it; of what it is true else stays.
+
+    Raises
+    ------
+    InputError
+        No such expression or object, nothing would be changed, or no answer would be left.
+    """
+    card = expression_card(frame, name)
+    if card.certainty(number) == certainty:
+        raise InputError("it says so already", got=f"object {number}: {certainty}")
+    return set_answers(frame, name, *answers_with(card, number, certainty), reason)

@@ -1,4 +1,4 @@
-"""What an object stands on, found in the depth around its box, and the box brought down to it."""
+"""Edits of an object's 3D box that the picture decides: fitted to its points, brought down to what it stands on."""
 
 from __future__ import annotations
 
@@ -9,17 +9,22 @@ from typing import Any, Literal
 import cv2
 import numpy as np
 
-from pipeline.answering.objects import PreparedFrame, SceneObject
+from pipeline.answering.objects import PreparedFrame, SceneObject, pixels_inside
+from pipeline.corrections.journal.edits import Edits, set_box
+from pipeline.corrections.journal.effective import Corrector, Relifter
+from pipeline.corrections.journal.effective_frame import EffectiveFrame
+from pipeline.corrections.journal.field_refs import object_ref
+from pipeline.corrections.scene import labelled_box, labelled_objects
 from pipeline.diagnosis.whatif.box_numbers import SMALLEST_SIDE
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.camera import lift_pixels
+from pipeline.geometry.lifting import lift
 from pipeline.geometry.normals import surface_normals
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.system.errors import InputError
 
-Way = Literal["extend", "move"]
+SnapMode = Literal["extend", "move"]
 """extend: the top stays, the bottom goes to the support. move: the whole box does, with the height that it has."""
-
 LEVEL_DEG = 25.0
 """A pixel's surface is level up to this tilt: normals of a depth camera are some 10 degrees off."""
 STEEPEST_DEG = 8.0
@@ -43,6 +48,8 @@ OWN_BORDER_PX = 3
 """Pixels just outside a mask may still be the object's."""
 MOST_LEVELS = 6
 _SAMPLES = 60_000
+SAME_M = 0.0005
+"""A box that would be moved by less is where it should be."""
 
 
 @dataclass(frozen=True)
@@ -152,7 +159,7 @@ def find_support(context: PreparedFrame, box: Box3D, objects: Sequence[SceneObje
     return support
 
 
-def snapped(box: Box3D, support: Support, viewer: ViewerAxes, way: Way = "extend") -> Box3D:
+def snapped(box: Box3D, support: Support, viewer: ViewerAxes, way: SnapMode = "extend") -> Box3D:
     """The box with the middle of its bottom at the height of a support; its size in plan stays.
 
     Parameters
@@ -160,7 +167,7 @@ def snapped(box: Box3D, support: Support, viewer: ViewerAxes, way: Way = "extend
     box : Box3D
         Camera frame.
     way : str
-        See `Way`. A box too flat to be extended up to a support inside of it is moved.
+        See `SnapMode`. A box too flat to be extended up to a support inside of it is moved.
     """
     up = viewer.up
     axis = int(np.abs(box.R.T @ up).argmax())
@@ -283,3 +290,82 @@ def _plane(plan: np.ndarray, heights: np.ndarray) -> tuple[float, float]:
         return middle, float(np.sqrt(np.mean((heights - middle) ** 2)))
     off = heights[kept] - plan[kept] @ fitted[:2] - fitted[2]
     return float(fitted[2]), float(np.sqrt(np.mean(off**2)))
+
+
+def fit_to_points(frame: EffectiveFrame, number: int, corrector: Corrector, reason: str = "") -> Edits:
+    """The box that the object's cleaned points make, by the labels' own estimator; the one that a person set goes.
+
+    An object that somebody added as a 3D box is fitted to the points inside of it.
+
+    Raises
+    ------
+    InputError
+        There is no such object, its box is the one of its points already, or the dataset is needed and not at hand.
+    """
+    reason = reason or "fitted to its points"
+    row = _standing(frame, number)
+    made_of_box = number not in frame.auto.objects and row["mask_source"] == "box3d"
+    if not made_of_box:
+        ref = object_ref(frame.frame, number, "box")
+        if frame.version(ref) == 0 or frame.origin(ref).source != "human":
+            raise InputError(f"the box of object {number} is the one of its points already")
+        return set_box(frame, number, None, reason)
+    box, context = _box(frame, number), _relifter(corrector).context(frame.frame)
+    (mask,) = (o.mask for o in labelled_objects(frame) if o.id == number)
+    inside = pixels_inside(box, mask, context.frame)
+    (lifted,) = lift(
+        context.frame.depth, context.frame.camera, [inside], context.viewer, config=context.config, edges=context.edges
+    )
+    if lifted.box is None:
+        raise InputError("no point with a depth lies in the box")
+    return set_box(frame, number, lifted.box, reason)
+
+
+def support_of(frame: EffectiveFrame, number: int, corrector: Corrector) -> tuple[Support, float]:
+    """What an object stands on, and how far its box ends above that, metres; raises as `find_support`."""
+    context, box = _relifter(corrector).context(frame.frame), _box(frame, number)
+    support = find_support(context, box, labelled_objects(frame), number)
+    return support, gap_below(box, support, context.viewer)
+
+
+def snap_to_support(
+    frame: EffectiveFrame, number: int, corrector: Corrector, way: SnapMode = "extend", reason: str = ""
+) -> Edits:
+    """The box brought down (or up) to the level surface that the object stands on.
+
+    Raises
+    ------
+    InputError
+        As `find_support`; there is no such object, it has no box, it stands there already, or there is no dataset.
+    """
+    support, gap = support_of(frame, number, corrector)
+    on = support_name(frame, support)
+    if abs(gap) < SAME_M:
+        raise InputError(f"object {number} stands on {on} already")
+    box = snapped(_box(frame, number), support, _relifter(corrector).context(frame.frame).viewer, way)
+    return set_box(frame, number, box, reason or f"{'extended' if way == 'extend' else 'moved'} to {on}")
+
+
+def support_name(frame: EffectiveFrame, support: Support) -> str:
+    """What carries, in words."""
+    row = None if support.number is None else frame.objects.get(support.number)
+    return "the level surface below" if row is None else f"{row['label']}·{support.number}"
+
+
+def _standing(frame: EffectiveFrame, number: int) -> dict:
+    if number not in frame.objects:
+        raise InputError(f"frame {frame.frame} has no object {number} that stands")
+    return frame.objects[number]
+
+
+def _box(frame: EffectiveFrame, number: int) -> Box3D:
+    box = labelled_box(_standing(frame, number))
+    if box is None:
+        raise InputError(f"object {number} has no 3D box: there is no depth in its pixels")
+    return box
+
+
+def _relifter(corrector: Corrector) -> Relifter:
+    if corrector.relifter is None:
+        raise InputError("this needs the dataset's depth, and the dataset is not at hand")
+    return corrector.relifter

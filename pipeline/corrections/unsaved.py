@@ -1,20 +1,25 @@
 """Actions that could not be saved yet, or that somebody else was in the way of: kept until they are saved or given up.
 
 They belong to the process and to the author, not to a page: a page that is
-loaded again finds them, and two pages of one author share them.
+loaded again finds them, and two pages of one author share them. Where two people
+have changed the same fields, the second decides, field by field.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass, replace
 from datetime import datetime
 from threading import Lock
 from typing import Any
 
+from pipeline.corrections.journal.effective_expressions import SETS
+from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Conflict, Edit, Event, Rival, Saved
-from pipeline.corrections.journal.field_refs import FieldRef
+from pipeline.corrections.journal.field_refs import FieldRef, shown_value
+from pipeline.corrections.journal.frame_rows import Setting
 from pipeline.corrections.journal.journal import Journal
+from pipeline.language.relation_names import PAIRWISE
 from pipeline.system.errors import InputError
 
 
@@ -41,7 +46,7 @@ class Waiting:
     def events(self, first: int, labels: str) -> list[Event]:
         """As they will stand in the journal, numbered from `first` on."""
         return [
-            Event(first + k, f"{self.group}-{k}", self.author, self.time, e.cell, e.before, e.after, e.base, e.base + 1,
+            Event(first + k, f"{self.group}-{k}", self.author, self.time, e.ref, e.before, e.after, e.base, e.base + 1,
                   labels, e.reason, self.group, "edit", None, e.anchor)
             for k, e in enumerate(self.edits)
         ]  # fmt: skip
@@ -144,15 +149,15 @@ class Unsaved:
         with self._lock:
             first, *rest = self.waiting(author)
             edits, left = list(conflict.edits or first.edits), []
-            cells = {e.cell for e in edits}
+            refs = {e.ref for e in edits}
             for action in rest:
-                if cells.isdisjoint(e.cell for e in action.edits):
+                if refs.isdisjoint(e.ref for e in action.edits):
                     left.append(action)
                 else:
                     edits += action.edits
-                    cells |= {e.cell for e in action.edits}
-            wanted = {e.cell: e for e in _merged(edits)}
-            rivals = tuple(Rival(wanted[r.edit.cell], r.event) for r in conflict.rivals)
+                    refs |= {e.ref for e in action.edits}
+            wanted = {e.ref: e for e in _merged(edits)}
+            rivals = tuple(Rival(wanted[r.edit.ref], r.event) for r in conflict.rivals)
             whole = Conflict(rivals, tuple(wanted.values()))
             self._waiting[author] = tuple(left)
             self._disputed[author] = (*self.disputed(author), whole)
@@ -172,8 +177,8 @@ def unsaved_actions(unsaved: Unsaved, author: str) -> list[list[dict[str, Any]]]
     """
     lists: list[list[Edit]] = []
     waiting = _merged(e for w in unsaved.waiting(author) for e in w.edits)
-    new = {(e.cell.frame, n) for e in waiting if e.cell.field == "exists" for n in e.cell.numbers}
-    later = [e for e in waiting if e.cell.field != "exists" and new & {(e.cell.frame, n) for n in e.cell.numbers}]
+    new = {(e.ref.frame, n) for e in waiting if e.ref.field == "exists" for n in e.ref.numbers}
+    later = [e for e in waiting if e.ref.field != "exists" and new & {(e.ref.frame, n) for n in e.ref.numbers}]
     lists += [[e for e in waiting if e not in later], later]
     lists += [list(_merged(c.edits)) for c in unsaved.disputed(author)]
     return [[_action(e) for e in edits] for edits in lists if edits]
@@ -183,14 +188,111 @@ def _merged(edits: Iterable[Edit]) -> tuple[Edit, ...]:
     """One edit a cell: from what was first seen to what was last wanted."""
     found: dict[FieldRef, Edit] = {}
     for edit in edits:
-        first = found.get(edit.cell)
-        found[edit.cell] = edit if first is None else replace(first, after=edit.after, reason=edit.reason)
+        first = found.get(edit.ref)
+        found[edit.ref] = edit if first is None else replace(first, after=edit.after, reason=edit.reason)
     return tuple(found.values())
 
 
 def _action(edit: Edit) -> dict[str, Any]:
-    cell = edit.cell
+    ref = edit.ref
     return {
-        "edit": "value", "frame": cell.frame, "kind": cell.kind, "key": cell.key, "field": cell.field, "to": edit.after,
+        "edit": "value", "frame": ref.frame, "kind": ref.kind, "key": ref.key, "field": ref.field, "to": edit.after,
         "base": edit.base, "reason": edit.reason,
     }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Dispute:
+    """A field that somebody else was faster to change, with the fields of one's action that stand or fall with it.
+
+    Attributes
+    ----------
+    edits : tuple of Edit
+        What one wanted.
+    rivals : tuple of Rival
+        At least one.
+    """
+
+    edits: tuple[Edit, ...]
+    rivals: tuple[Rival, ...]
+
+    @property
+    def ref(self) -> FieldRef:
+        """The field that it is told by."""
+        return self.rivals[0].edit.ref
+
+    def record(self) -> dict[str, Any]:
+        """As JSON: `theirs`, `by` and `time` are null where one has seen more than there is."""
+        first = self.rivals[0]
+        event, ref = first.event, first.edit.ref
+        return {
+            "kind": ref.kind,
+            "frame": ref.frame,
+            "key": ref.key,
+            "field": ref.field,
+            "seen": shown_value(ref, first.edit.before),
+            "mine": shown_value(ref, first.edit.after),
+            "theirs": None if event is None else shown_value(ref, event.after),
+            "by": None if event is None else event.author,
+            "time": None if event is None else event.time.isoformat(),
+            "reason": None if event is None else event.reason or None,
+        }
+
+
+def disputes(conflict: Conflict, setting: Setting) -> tuple[Dispute, ...]:
+    """The disputed fields of an action: a relation with its inverse is one, and so are the answers of an expression."""
+    groups: dict[Any, list[Edit]] = {}
+    for edit in conflict.edits or tuple(r.edit for r in conflict.rivals):
+        groups.setdefault(_together(edit.ref, setting), []).append(edit)
+    found = []
+    for members in groups.values():
+        refs = {e.ref for e in members}
+        rivals = tuple(r for r in conflict.rivals if r.edit.ref in refs)
+        if rivals:
+            found.append(Dispute(tuple(members), rivals))
+    return tuple(found)
+
+
+def decided(conflict: Conflict, frame: EffectiveFrame, mine: Collection[int]) -> tuple[Edit, ...]:
+    """The edits that a person saves after all: what nobody disputes, and of the disputes those that `mine` numbers.
+
+    They are made on what the person was shown: who changes it again meanwhile
+    is in conflict again, and overwritten by nobody.
+
+    Parameters
+    ----------
+    conflict : Conflict
+    frame : EffectiveFrame
+        As it is now.
+    mine : collection of int
+        Places in `disputes`.
+    """
+    found = disputes(conflict, frame.setting)
+    disputed = {e.ref for d in found for e in d.edits}
+    kept = [e for e in conflict.edits if e.ref not in disputed]
+    for k, dispute in enumerate(found):
+        if k in mine:
+            rivals = {r.edit.ref: r for r in dispute.rivals}
+            kept += [_instead(e, rivals.get(e.ref), frame) for e in dispute.edits]
+    return tuple(kept)
+
+
+def _instead(edit: Edit, rival: Rival | None, frame: EffectiveFrame) -> Edit:
+    if rival is None:
+        return edit
+    event, version = rival.event, 0 if rival.event is None else rival.event.version
+    before = frame.value(edit.ref)
+    if event is not None and version != frame.version(edit.ref):
+        before = event.after
+    over = "" if event is None else f"instead of {event.author}'s {shown_value(edit.ref, event.after)}"
+    return replace(edit, before=before, base=version, reason="; ".join(filter(None, (edit.reason, over))))
+
+
+def _together(ref: FieldRef, setting: Setting) -> Any:
+    if ref.kind == "expression" and ref.field in SETS:
+        return ref.kind, ref.key, SETS
+    if ref.kind == "relation" and ref.field in PAIRWISE:
+        a, b = ref.numbers
+        inverse = setting.inverse(ref.field)
+        return ref.kind, min((a, b, ref.field), (b, a, inverse or ref.field))
+    return ref

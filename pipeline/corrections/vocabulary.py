@@ -96,8 +96,8 @@ def vocabulary_of(labels: Labels, dataset: Dataset | None = None, journal: Journ
     """The class names of labels, of their dataset, and those that people have given since."""
     words = Vocabulary.of(labels.objects.column("label").to_pylist(), () if dataset is None else dataset.class_names)
     events = () if journal is None else journal.events(kind="object")
-    given = (e.after if e.cell.field == "label" else e.after.get("label") for e in events
-             if e.cell.field == "label" or (e.cell.field == "exists" and e.after is not None))  # fmt: skip
+    given = (e.after if e.ref.field == "label" else e.after.get("label") for e in events
+             if e.ref.field == "label" or (e.ref.field == "exists" and e.after is not None))  # fmt: skip
     return words.with_names(name for name in given if name)
 
 
@@ -142,11 +142,7 @@ def _how(wanted: str, spoken: str) -> int:
         return _EXACT
     if joined.startswith(short):
         return _PREFIX
-    if any(word.startswith(wanted) for word in _tails(spoken)):
+    words = spoken.split()
+    if any(" ".join(words[k:]).startswith(wanted) for k in range(1, len(words))):
         return _WORD
     return _WITHIN if short in joined else _NONE
-
-
-def _tails(name: str) -> list[str]:
-    words = name.split()
-    return [" ".join(words[k:]) for k in range(1, len(words))]

@@ -1,18 +1,22 @@
-"""Corrections in words, with the classes of the objects instead of bare numbers."""
+"""Corrections in words, and what followed from them, with the classes of the objects instead of bare numbers."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Conflict, Event, Saved
-from pipeline.corrections.journal.field_refs import FieldRef, box_of, judged_item, shown_value
+from pipeline.corrections.journal.field_refs import FieldRef, box_of, judged_item, object_ref, shown_value
+from pipeline.corrections.journal.frame_rows import NO_STATE
+from pipeline.corrections.scene import labelled_box
 from pipeline.corrections.unsaved import Waiting
 from pipeline.geometry.boxes import Box3D
-from pipeline.language.relation_names import MIRRORED, PHRASE
+from pipeline.language.counted import counted
+from pipeline.language.relation_names import MIRRORED, PAIRWISE, PHRASE
 from pipeline.relations.relations import letter
 
 FIELDS = {
@@ -24,9 +28,13 @@ SMALLEST_MOVE = 5e-4
 """Metres: less is not told of a box."""
 SMALLEST_TURN = 0.05
 """Degrees."""
+SAME_PLACE = 1e-3
+"""A box that moves or grows by less, metres, is the same."""
+SAID = 3
+"""So many changed relations are told one by one."""
 
 
-def said_object(number: int, frame: EffectiveFrame | None) -> str:
+def object_text(number: int, frame: EffectiveFrame | None) -> str:
     """ "mug·3"; "object·3" where nothing is known of it."""
     row = None
     if frame is not None:
@@ -34,7 +42,7 @@ def said_object(number: int, frame: EffectiveFrame | None) -> str:
     return f"{'object' if row is None else row['label']}·{number}"
 
 
-def said_sentence(name: str, frame: EffectiveFrame | None) -> str:
+def sentence_text(name: str, frame: EffectiveFrame | None) -> str:
     """The words of an expression, in quotes; its id where nothing is known of it."""
     row = None if frame is None else frame.expression(name)
     if row is None:
@@ -43,48 +51,48 @@ def said_sentence(name: str, frame: EffectiveFrame | None) -> str:
     return f"“{text if len(text) <= LONGEST else f'{text[: LONGEST - 1]}…'}”"
 
 
-def said_cell(cell: FieldRef, frame: EffectiveFrame | None) -> str:
+def ref_text(ref: FieldRef, frame: EffectiveFrame | None) -> str:
     """A field in words."""
-    field = FIELDS.get(cell.field, cell.field)
-    if cell.kind == "review":
-        return f"judgement of {_judged(cell, frame)}"
-    if cell.kind == "relation":
-        a, b = (said_object(n, frame) for n in cell.numbers)
-        relation, _, status = cell.field.partition(".")
+    field = FIELDS.get(ref.field, ref.field)
+    if ref.kind == "review":
+        return f"judgement of {_judged(ref, frame)}"
+    if ref.kind == "relation":
+        a, b = (object_text(n, frame) for n in ref.numbers)
+        relation, _, status = ref.field.partition(".")
         return f"{status and 'status of '}{a} {PHRASE.get(relation, relation)} {b}"
-    if cell.kind == "object":
-        return f"{field} of {said_object(cell.numbers[0], frame)}"
-    if cell.kind == "expression":
-        return f"{field} of {said_sentence(cell.key, frame)}"
-    return f"{field} of the {cell.kind}"
+    if ref.kind == "object":
+        return f"{field} of {object_text(ref.numbers[0], frame)}"
+    if ref.kind == "expression":
+        return f"{field} of {sentence_text(ref.key, frame)}"
+    return f"{field} of the {ref.kind}"
 
 
-def said_value(cell: FieldRef, value: Any, frame: EffectiveFrame | None) -> str:
+def value_text(ref: FieldRef, value: Any, frame: EffectiveFrame | None) -> str:
     """A value in words."""
-    if cell.kind == "expression" and isinstance(value, list):
-        return ", ".join(said_object(n, frame) for n in value) or "nothing"
+    if ref.kind == "expression" and isinstance(value, list):
+        return ", ".join(object_text(n, frame) for n in value) or "nothing"
     if isinstance(value, bool):
         return "yes" if value else "no"
-    if cell.kind == "object" and cell.field == "box":
+    if ref.kind == "object" and ref.field == "box":
         return "as its points make it" if value is None else "placed by hand"
-    return shown_value(cell, value)
+    return shown_value(ref, value)
 
 
-def said_event(event: Event, frame: EffectiveFrame | None) -> str:
+def event_text(event: Event, frame: EffectiveFrame | None) -> str:
     """What an event changed, or what somebody said of an item."""
-    cell = event.cell
-    if cell.kind == "review":
+    ref = event.ref
+    if ref.kind == "review":
         if event.after is None:
-            return f"{_judged(cell, frame)}: judgement withdrawn"
+            return f"{_judged(ref, frame)}: judgement withdrawn"
         value = event.after.get("value")
         state = "" if value is None else f" is {letter(value)}"
-        return f"{_judged(cell, frame)}{state}: {event.after['status']}"
-    if cell.kind == "object" and cell.field == "box" and event.before is not None and event.after is not None:
-        return f"{said_cell(cell, frame)}: {_box_change(box_of(event.before), box_of(event.after))}"
-    if cell.field == "exists" and event.before is None and event.after is not None:
-        return shown_value(cell, event.after)
-    before, after = (said_value(cell, value, frame) for value in (event.before, event.after))
-    return f"{said_cell(cell, frame)}: {before} → {after}"
+        return f"{_judged(ref, frame)}{state}: {event.after['status']}"
+    if ref.kind == "object" and ref.field == "box" and event.before is not None and event.after is not None:
+        return f"{ref_text(ref, frame)}: {_box_change(box_of(event.before), box_of(event.after))}"
+    if ref.field == "exists" and event.before is None and event.after is not None:
+        return shown_value(ref, event.after)
+    before, after = (value_text(ref, value, frame) for value in (event.before, event.after))
+    return f"{ref_text(ref, frame)}: {before} → {after}"
 
 
 def _box_change(before: Box3D, after: Box3D) -> str:
@@ -99,7 +107,7 @@ def _box_change(before: Box3D, after: Box3D) -> str:
     return ", ".join(parts) or "less than a millimetre"
 
 
-def said_events(events: Sequence[Event], frame: EffectiveFrame | None) -> str:
+def events_text(events: Sequence[Event], frame: EffectiveFrame | None) -> str:
     """What an action changed: its first change in words, and how many more there are.
 
     What follows for "b ... a" from what was said of "a ... b" is not counted.
@@ -108,19 +116,19 @@ def said_events(events: Sequence[Event], frame: EffectiveFrame | None) -> str:
     if not changes:
         return ""
     more = sum(not _mirrors(changes[0], e) for e in changes[1:])
-    return said_event(changes[0], frame) + (f" (and {more} more)" if more else "")
+    return event_text(changes[0], frame) + (f" (and {more} more)" if more else "")
 
 
-def said_outcome(
+def outcome_text(
     outcome: Saved | Conflict | Waiting | None, verb: str, frame: EffectiveFrame | None = None
 ) -> tuple[str, bool]:
     """What came of an action in words, and whether it was not done."""
     if isinstance(outcome, Saved):
-        return f"{verb}: {said_events(outcome.events, frame)}", False
+        return f"{verb}: {events_text(outcome.events, frame)}", False
     if isinstance(outcome, Conflict):
         rival = outcome.rivals[0]
         who = "somebody" if rival.event is None else rival.event.author
-        return f"not saved, {who} was faster: {said_cell(rival.edit.cell, frame)}", True
+        return f"not saved, {who} was faster: {ref_text(rival.edit.ref, frame)}", True
     if isinstance(outcome, Waiting) and verb == "taken back":
         return "taken back before it was saved", False
     if isinstance(outcome, Waiting):
@@ -128,29 +136,213 @@ def said_outcome(
     return "", False
 
 
-def _judged(cell: FieldRef, frame: EffectiveFrame | None) -> str:
-    _, kind, a, b, what = judged_item(cell.key)
+def _judged(ref: FieldRef, frame: EffectiveFrame | None) -> str:
+    _, kind, a, b, what = judged_item(ref.key)
     if kind == "relation":
-        return f"{said_object(a, frame)} {PHRASE.get(what, what)} {said_object(int(b or 0), frame)}"
+        return f"{object_text(a, frame)} {PHRASE.get(what, what)} {object_text(int(b or 0), frame)}"
     if kind == "object":
-        return said_object(a, frame) if a >= 0 else "a place without a label"
-    return said_sentence(what, frame)
+        return object_text(a, frame) if a >= 0 else "a place without a label"
+    return sentence_text(what, frame)
 
 
 def _mirrors(one: Event, other: Event) -> bool:
-    first, second = _pair(one.cell), _pair(other.cell)
+    first, second = _pair(one.ref), _pair(other.ref)
     if first is None or second is None:
         return False
     (a, b, relation), (c, d, mirrored) = first, second
     return (a, b) == (d, c) and mirrored == MIRRORED.get(relation)
 
 
-def _pair(cell: FieldRef) -> tuple[int, int, str] | None:
-    if cell.kind == "relation":
-        a, b = cell.numbers
-        return a, b, cell.field
-    if cell.kind == "review":
-        _, kind, a, b, what = judged_item(cell.key)
+def _pair(ref: FieldRef) -> tuple[int, int, str] | None:
+    if ref.kind == "relation":
+        a, b = ref.numbers
+        return a, b, ref.field
+    if ref.kind == "review":
+        _, kind, a, b, what = judged_item(ref.key)
         if kind == "relation" and b is not None:
             return a, b, what
     return None
+
+
+@dataclass(frozen=True)
+class BoxChange:
+    """A 3D box that is not what it was.
+
+    Attributes
+    ----------
+    number : int
+    name : str
+        "mug·3".
+    moved, grown : float or None
+        Metres by which its centre moved; factor by which its volume grew. None where there was or is no box.
+    gone : bool
+        There is no box any more.
+    """
+
+    number: int
+    name: str
+    moved: float | None
+    grown: float | None
+    gone: bool = False
+
+    def __str__(self) -> str:
+        if self.gone:
+            return f"{self.name} has no 3D box any more"
+        if self.moved is None or self.grown is None:
+            return f"3D box of {self.name} fitted"
+        percent = f", {100 * (self.grown - 1):+.0f} % volume" if abs(self.grown - 1) >= 0.005 else ""
+        return f"3D box of {self.name} recomputed: moved {100 * self.moved:.1f} cm{percent}"
+
+
+@dataclass(frozen=True)
+class RelationChange:
+    """A relation whose state is not what it was; None is no state."""
+
+    a: str
+    b: str
+    relation: str
+    before: int | None
+    after: int | None
+
+    def __str__(self) -> str:
+        was, now = ("none" if s is None else letter(s) for s in (self.before, self.after))
+        return f"{self.a} {PHRASE[self.relation]} {self.b} {was}→{now}"
+
+
+@dataclass(frozen=True)
+class Consequences:
+    """What is different in a frame after an edit.
+
+    Attributes
+    ----------
+    appeared, gone : tuple of str
+        Names of objects.
+    unusable : tuple of str
+        Objects that stand but are not asked for, and were before, with the reason.
+    boxes : tuple of BoxChange
+        Without those that a person placed.
+    recomputed : int
+        Relations that were judged anew; a relation and its mirror image are one.
+    changed : tuple of RelationChange
+        Those of objects that were there before that came out otherwise; what a person set is not among them.
+    stale : bool
+        Something could not be recomputed, because the dataset is not at hand.
+    answers : tuple of str
+        Texts of expressions with other answers.
+    withdrawn, returned : tuple of str
+        Texts of expressions that are left out now, or no longer.
+    """
+
+    appeared: tuple[str, ...] = ()
+    gone: tuple[str, ...] = ()
+    unusable: tuple[str, ...] = ()
+    boxes: tuple[BoxChange, ...] = ()
+    recomputed: int = 0
+    changed: tuple[RelationChange, ...] = ()
+    stale: bool = False
+    answers: tuple[str, ...] = ()
+    withdrawn: tuple[str, ...] = ()
+    returned: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        parts = [f"{name} added" for name in self.appeared] + [f"{name} left out" for name in self.gone]
+        parts += [str(b) for b in self.boxes] + list(self.unusable)
+        if self.recomputed or self.changed:
+            count = f"{counted(self.recomputed, 'relation')} recomputed, " if self.recomputed else "relations: "
+            told = "; ".join(map(str, self.changed[:SAID])) + (" ..." if len(self.changed) > SAID else "")
+            parts.append(f"{count}{len(self.changed) or 'none'} changed" + (f": {told}" if told else ""))
+        if self.answers:
+            parts.append(f"{counted(len(self.answers), 'expression')} answered otherwise")
+        if self.withdrawn:
+            parts.append(f"{counted(len(self.withdrawn), 'expression')} withdrawn")
+        if self.returned:
+            parts.append(f"{counted(len(self.returned), 'expression')} back")
+        if self.stale:
+            parts.append("what follows is stale: the dataset is not at hand")
+        return " · ".join(parts)
+
+
+def consequences(before: EffectiveFrame, after: EffectiveFrame) -> Consequences:
+    """Compare two states of one frame."""
+    old, new = before.objects, after.objects
+    both = sorted(old.keys() & new.keys())
+    unusable = tuple(
+        f"{_name(after, n)} is not asked for: {new[n]['reason']}"
+        for n in sorted(new)
+        if not new[n]["usable"] and (n not in old or old[n]["usable"]) and new[n]["reason"]
+    )
+    told = before.origins.found
+    renewed = {
+        (key, column): origin.source
+        for (table, key, column), (origin, _) in after.origins.found.items()
+        if table == "relations"
+        and origin.source in ("recomputed", "stale")
+        and ((table, key, column) not in told or told[table, key, column][0].event != origin.event)
+    }
+    human = {
+        (key, column)
+        for (table, key, column), (origin, _) in after.origins.found.items()
+        if table == "relations" and origin.source == "human"
+    }
+    pairs = ((*map(int, key.split(",")), column) for key, column in renewed)
+    mirrored = {_folded(after, a, b, column) for a, b, column in pairs}
+    texts = {i: row["text"] for i, row in (*after.expressions.items(), *before.expressions.items())}
+    kept = before.expressions.keys() & after.expressions.keys()
+    sets = ("targets", "acceptable")
+    return Consequences(
+        tuple(_name(after, n) for n in sorted(new.keys() - old.keys())),
+        tuple(_name(before, n) for n in sorted(old.keys() - new.keys())),
+        unusable,
+        tuple(_box_changes(before, after, both)),
+        len(mirrored),
+        tuple(_relation_changes(before, after, both, human)),
+        "stale" in renewed.values(),
+        _texts(texts, (i for i in kept if any(before.expressions[i][s] != after.expressions[i][s] for s in sets))),
+        _texts(texts, before.expressions.keys() - kept),
+        _texts(texts, after.expressions.keys() - kept),
+    )
+
+
+def _box_changes(before: EffectiveFrame, after: EffectiveFrame, both: Iterable[int]) -> Iterable[BoxChange]:
+    for n in sorted({*both, *(after.objects.keys() - before.objects.keys())}):
+        was = labelled_box(before.objects[n]) if n in before.objects else None
+        now = labelled_box(after.objects[n])
+        if after.origin(object_ref(after.frame, n, "box")).source == "human":
+            continue
+        if now is None:
+            if was is not None:
+                yield BoxChange(n, _name(after, n), None, None, gone=True)
+        elif was is None:
+            yield BoxChange(n, _name(after, n), None, None)
+        else:
+            moved = float(np.linalg.norm(now.center - was.center))
+            if moved >= SAME_PLACE or float(np.abs(now.corners - was.corners).max()) >= SAME_PLACE:
+                yield BoxChange(n, _name(after, n), moved, float(now.volume / max(was.volume, 1e-12)))
+
+
+def _relation_changes(
+    before: EffectiveFrame, after: EffectiveFrame, both: list[int], human: set[tuple[str, str]]
+) -> Iterable[RelationChange]:
+    was, now = before.pairs.of_objects(both), after.pairs.of_objects(both)
+    seen: set[tuple[int, int, str]] = set()
+    for i, j, k in np.argwhere(was.states != now.states):
+        a, b, relation = both[i], both[j], PAIRWISE[k]
+        if (f"{a},{b}", relation) in human or (folded := _folded(after, a, b, relation)) in seen:
+            continue
+        seen.add(folded)
+        states = [None if s == NO_STATE else int(s) for s in (was.states[i, j, k], now.states[i, j, k])]
+        yield RelationChange(_name(after, a), _name(after, b), relation, *states)
+
+
+def _folded(frame: EffectiveFrame, a: int, b: int, relation: str) -> tuple[int, int, str]:
+    """One name for a relation and its mirror image."""
+    inverse = frame.setting.inverse(relation)
+    return (a, b, relation) if inverse is None else min((a, b, relation), (b, a, inverse))
+
+
+def _name(frame: EffectiveFrame, number: int) -> str:
+    return f"{frame.objects[number]['label']}·{number}"
+
+
+def _texts(texts: dict[str, str], ids: Iterable[str]) -> tuple[str, ...]:
+    return tuple(texts[i] for i in sorted(ids))

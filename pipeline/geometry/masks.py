@@ -132,3 +132,11 @@ class MaskCrop:
         """Set its pixels in an empty mask of the whole picture, (H, W) bool."""
         h, w = self.mask.shape
         picture[self.y : self.y + h, self.x : self.x + w] = self.mask
+
+
+def fill_polygons(size: tuple[int, int], polygons: Sequence[np.ndarray]) -> np.ndarray:
+    """(H, W) bool: the pixels inside any of the polygons, (N, 2) x, y within the picture, as the COCO API has them."""
+    from pycocotools import mask as coco
+
+    encoded: Any = coco.merge(coco.frPyObjects([p.ravel().tolist() for p in polygons], *size))
+    return coco.decode(encoded).astype(np.bool_)

@@ -52,7 +52,7 @@ def assign(
     if not len(boxes) or not len(segments.boxes):
         return chosen
     overlap = iou_2d(boxes, segments.boxes)
-    value = overlap + 1e-3 * _share_inside(segments.boxes, boxes).T
+    value = overlap + 1e-3 * share_inside(segments.boxes, boxes).T
     value += 2.0 * _same_name(labels, segments.labels, synonyms)
     value = np.where(overlap >= MIN_IOU, value, 0.0)
     row, column = linear_sum_assignment(value, maximize=True)
@@ -73,7 +73,7 @@ def segment_from(
     return masks, has_mask
 
 
-def _share_inside(inner: np.ndarray, outer: np.ndarray) -> np.ndarray:
+def share_inside(inner: np.ndarray, outer: np.ndarray) -> np.ndarray:
     """(S, N): which share of each of `inner` lies in each of `outer`."""
     low = np.maximum(inner[:, None, :2], outer[None, :, :2])
     high = np.minimum(inner[:, None, 2:], outer[None, :, 2:])

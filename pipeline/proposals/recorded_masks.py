@@ -18,7 +18,7 @@ import numpy as np
 from pydantic import BaseModel, Field, FiniteFloat, ValidationError
 
 from pipeline.geometry.frame import Frame
-from pipeline.geometry.masks import RunLength, decode_run_length
+from pipeline.geometry.masks import RunLength, decode_run_length, fill_polygons
 from pipeline.language.naming import Synonyms
 from pipeline.proposals.assignment import Segments, segment_from
 from pipeline.proposals.detector_masks import DetectorSegmenter
@@ -190,17 +190,12 @@ class CocoMasks:
 
 def _filled(polygons: list[list[float]], shape: tuple[int, int], where: str, path: Path) -> np.ndarray:
     """(H, W) bool: the pixels inside COCO polygons (x, y, x, y, ...), their coordinates clipped to the picture."""
-    from pycocotools import mask as coco
-
-    height, width = shape
     if any(len(p) < 6 or len(p) % 2 for p in polygons):
         raise InputError(f"{where}: a polygon needs x, y of three corners or more", path=path)
     if not polygons:
         return np.zeros(shape, np.bool_)
-    limit = np.array([width, height], np.float64)
-    clipped = [np.clip(np.reshape(p, (-1, 2)), 0, limit).ravel().tolist() for p in polygons]
-    encoded: Any = coco.merge(coco.frPyObjects(clipped, height, width))
-    return coco.decode(encoded).astype(np.bool_)
+    limit = np.array(shape[::-1], np.float64)
+    return fill_polygons(shape, [np.clip(np.reshape(p, (-1, 2)), 0, limit) for p in polygons])
 
 
 class PngMasks:

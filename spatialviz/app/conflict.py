@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from datetime import datetime, timezone
 
-from pipeline.corrections.disputes import Dispute, disputes
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Conflict
-from pipeline.corrections.wording import said_cell, said_value
+from pipeline.corrections.unsaved import Dispute, disputes
+from pipeline.corrections.wording import ref_text, value_text
 from pipeline.system.errors import InputError
 from spatialviz.app.correct import Correct
 from spatialviz.app.dialog import Dialog
@@ -74,11 +74,11 @@ def conflict_html(found: tuple[Dispute, ...], frame: EffectiveFrame | None) -> s
     rows = []
     for k, dispute in enumerate(found):
         rival = dispute.rivals[0]
-        event, cell, edit = rival.event, rival.edit.cell, rival.edit
+        event, cell, edit = rival.event, rival.edit.ref, rival.edit
         if event is None:
             theirs, who = "not what you saw", "It was taken back in the meantime"
         else:
-            theirs = said_value(cell, event.after, frame)
+            theirs = value_text(cell, event.after, frame)
             who = f"<b>{safe(event.author)}</b> changed it {safe(_when(event.time))}"
             who += f" · {safe(event.reason)}" if event.reason else ""
         buttons = ""
@@ -89,10 +89,10 @@ def conflict_html(found: tuple[Dispute, ...], frame: EffectiveFrame | None) -> s
                 f'<span data-mine="1" onclick="{click}">mine instead</span></div>'
             )
         rows.append(
-            f'<div class="dispute"><div class="what">{safe(said_cell(cell, frame))}</div><div class="dim">{who}</div>'
-            f'<div class="two"><span>you saw</span><b>{safe(said_value(cell, edit.before, frame))}</b>'
+            f'<div class="dispute"><div class="what">{safe(ref_text(cell, frame))}</div><div class="dim">{who}</div>'
+            f'<div class="two"><span>you saw</span><b>{safe(value_text(cell, edit.before, frame))}</b>'
             f"<span>theirs</span><b>{safe(theirs)}</b>"
-            f"<span>yours</span><b>{safe(said_value(cell, edit.after, frame))}</b></div>{buttons}</div>"
+            f"<span>yours</span><b>{safe(value_text(cell, edit.after, frame))}</b></div>{buttons}</div>"
         )
     said = "Nothing of yours was saved, and nothing of theirs is lost." if len(found) == 1 else (
         "Nothing of yours was saved yet, and nothing of theirs is lost. Choose for each field."

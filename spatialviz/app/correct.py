@@ -8,15 +8,14 @@ from dataclasses import replace
 import viser
 
 from pipeline.corrections.cards import ASKED_BEYOND_M, PairCard, RelationLine, pair_card
-from pipeline.corrections.consequences import consequences
-from pipeline.corrections.expression_cards import expression_cards
 from pipeline.corrections.journal.edits import Edits, judge_relation, set_relation, settle
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Conflict, Event, Saved
-from pipeline.corrections.journal.field_refs import LONGEST_NAME, plain_text, relation_cell
+from pipeline.corrections.journal.field_refs import LONGEST_NAME, plain_text, relation_ref
 from pipeline.corrections.label_editor import LabelEditor, Outcome
+from pipeline.corrections.object_card import expression_cards
 from pipeline.corrections.scene import labelled_objects
-from pipeline.corrections.wording import said_events, said_outcome
+from pipeline.corrections.wording import consequences, events_text, outcome_text
 from pipeline.system.errors import InputError
 from spatialviz.app.label_view import LabelView, Target
 from spatialviz.app.layout import Page
@@ -289,7 +288,7 @@ class Correct:
 
         def made(frame: EffectiveFrame) -> Edits:
             if last_word:
-                cell = relation_cell(frame.frame, card.a, card.b, f"{line.relation}.status")
+                cell = relation_ref(frame.frame, card.a, card.b, f"{line.relation}.status")
                 status = "accepted" if line.state == state else "corrected"
                 return settle(frame, cell, status, state=state)
             if line.state == state or others:
@@ -318,7 +317,7 @@ class Correct:
     def came_to(self, outcome: Outcome | None, verb: str, draw: bool = True) -> None:
         """Show what came of an action, and what followed from it."""
         before = self._state().labels
-        said, bad = said_outcome(outcome, verb, None if before is None else before.frame)
+        said, bad = outcome_text(outcome, verb, None if before is None else before.frame)
         own = None if before is None or isinstance(outcome, Conflict) else before.frame
         self.tell(said, bad, draw=False, before=own)
         if isinstance(outcome, Saved):
@@ -358,13 +357,13 @@ class Correct:
         if desk.replaced(frame):
             self.tell("the journal was replaced by another, such as an older copy: this is what it has", True)
         elif events:
-            self.tell(f"{events[-1].author}: {said_events(events[::-1], state.labels.frame)}")
+            self.tell(f"{events[-1].author}: {events_text(events[::-1], state.labels.frame)}")
 
     def frame_of(self, conflict: Conflict) -> EffectiveFrame | None:
         """The labels of the frame that a conflict is in, as they are now; None where they cannot be read."""
         desk = self.desk
         try:
-            return None if desk is None else desk.frame(conflict.rivals[0].edit.cell.frame)
+            return None if desk is None else desk.frame(conflict.rivals[0].edit.ref.frame)
         except InputError:
             return None
 

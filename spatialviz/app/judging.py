@@ -10,7 +10,7 @@ from pipeline.answering.objects import PreparedFrame
 from pipeline.answering.opening import Pipeline
 from pipeline.answering.ranking import RankConfig
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
-from pipeline.corrections.truth import answered_case, effective_mark, effective_truth, withdrawn_by
+from pipeline.corrections.scene import answered_case, effective_mark, effective_truth, withdrawn_by
 from pipeline.diagnosis.asking import annotated_truth, judge_trace, labelled_case, labelled_truth
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.evaluation.run_folder import Run

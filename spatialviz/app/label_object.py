@@ -9,15 +9,15 @@ from threading import Lock
 import numpy as np
 import viser
 
-from pipeline.corrections.box_edits import fit_to_points, snap_to_support
+from pipeline.corrections.cards import MovingBox
 from pipeline.corrections.journal.edits import Edits, set_box, set_class, set_status
 from pipeline.corrections.journal.effective import Corrector
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Saved
-from pipeline.corrections.journal.field_refs import object_cell
+from pipeline.corrections.journal.field_refs import object_ref
 from pipeline.corrections.label_editor import LabelEditor
-from pipeline.corrections.moving import MovingBox
 from pipeline.corrections.object_card import back_to_automatic, bring_back, judgements, object_card
+from pipeline.corrections.support import fit_to_points, snap_to_support
 from pipeline.corrections.vocabulary import Vocabulary, completions, vocabulary_of
 from pipeline.diagnosis.whatif.box_numbers import SMALLEST_SIDE, box_numbers, with_numbers
 from pipeline.geometry.boxes import Box3D
@@ -122,7 +122,7 @@ class LabelObject:
         if source not in self._words:
             labels, dataset = desk.labels, desk.corrector.dataset
             try:
-                self._words[source] = vocabulary_of(labels, dataset, desk.place.to_read())
+                self._words[source] = vocabulary_of(labels, dataset, desk.location.to_read())
             except InputError:
                 # While the journal is away, class names that people have given are unknown; the next time they may not.
                 return vocabulary_of(labels, dataset)
@@ -167,7 +167,7 @@ class LabelObject:
         if chosen is None or desk is None or status not in STATUS_WORDS:
             return
         view, number = chosen
-        cell, author = object_cell(view.frame.frame, number, "status"), desk.author
+        cell, author = object_ref(view.frame.frame, number, "status"), desk.author
         wanted = None if judgements(view.frame, number).get(author) == status else status
         if self._edit(lambda f, n, c: set_status(f, cell, wanted, author=author)) and wanted == "rejected":
             self._rejected.append((view.frame.frame, number))

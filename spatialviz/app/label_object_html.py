@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from pipeline.corrections.moving import Moved
+from pipeline.corrections.cards import Moved
 from pipeline.corrections.object_card import FieldLine, ObjectCard
 from pipeline.diagnosis.whatif.box_numbers import BoxNumbers
 from pipeline.geometry.palette import RGB
@@ -85,13 +85,13 @@ def _class_row(card: ObjectCard) -> str:
 
 def _status_row(card: ObjectCard, author: str) -> str:
     """What this person says of it; beside, what others do."""
-    own = card.said.get(author)
+    own = card.statuses.get(author)
     cells = "".join(
         f'<span class="{"go" if own == status else ""}" style="--c:{color}" title="{key}" '
         f"onclick=\"sv('object-status:{status}')\">{word}</span>"
         for status, (word, color, key) in STATUS_WORDS.items()
     )
-    others = ", ".join(f"{name}: {status}" for name, status in card.said.items() if name != author)
+    others = ", ".join(f"{name}: {status}" for name, status in card.statuses.items() if name != author)
     beside = f'<div class="dim" style="padding:0 0 4px 60px">{safe(others)}</div>' if others else ""
     return f'<div class="row"><label>Status</label><div class="seg">{cells}</div></div>{beside}'
 
@@ -132,7 +132,7 @@ def _from(line: FieldLine, card: ObjectCard) -> str:
     when = line.origin.time
     more = "" if when is None or line.origin.source != "human" else when.astimezone().strftime(" %H:%M")
     hint = f"{line.origin}{': ' + line.origin.reason if line.origin.reason else ''}"
-    if line.automatic is not None and line.automatic != line.said:
+    if line.automatic is not None and line.automatic != line.text:
         hint += f"; the labeller had {line.automatic}"
     back = ""
     if line.settled:
@@ -156,9 +156,9 @@ def _short(line: FieldLine, card: ObjectCard) -> str:
         return f"{x0:.0f}, {y0:.0f}, {x1 - x0:.0f} × {y1 - y0:.0f} px"
     if line.field == "box":
         return "none" if card.numbers is None else " × ".join(f"{100 * s:.0f}" for s in card.numbers.size) + " cm"
-    if line.field == "status" and value is None and card.said:
-        return ", ".join(f"{status} ({name})" for name, status in card.said.items())
-    return line.said
+    if line.field == "status" and value is None and card.statuses:
+        return ", ".join(f"{status} ({name})" for name, status in card.statuses.items())
+    return line.text
 
 
 def rejected_html(left_out: Mapping[int, Mapping[str, Any]]) -> str:

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from pipeline.corrections.cards import PairCard
-from pipeline.corrections.event_lines import EventLine
-from pipeline.corrections.expression_cards import ExpressionCard
+from pipeline.corrections.cards import Moved, PairCard
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
-from pipeline.corrections.moving import Moved
+from pipeline.corrections.label_editor import EventLine
+from pipeline.corrections.object_card import ExpressionCard
 from pipeline.corrections.review.items import ItemKey
 
 

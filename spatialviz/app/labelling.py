@@ -10,7 +10,7 @@ from typing import Any
 import viser
 from platformdirs import user_data_path
 
-from pipeline.corrections.journal_place import JournalPlace
+from pipeline.corrections.journal_location import JournalLocation
 from pipeline.corrections.label_editor import LabelEditor
 from pipeline.evaluation.run_folder import Run
 from spatialviz.app.bridge import Bridge
@@ -74,7 +74,7 @@ class Labelling:
         selection: Selection,
         store: FrameStore,
         runs: Mapping[str, Run],
-        journals: Mapping[str, JournalPlace],
+        journals: Mapping[str, JournalLocation],
         author: str | None,
         closed: threading.Event,
         *,
@@ -87,7 +87,7 @@ class Labelling:
         handle: Callable[[str], None],
         note: Callable[[str], None],
     ) -> None:
-        def opener(name: str, place: JournalPlace) -> Callable[[], LabelEditor]:
+        def opener(name: str, place: JournalLocation) -> Callable[[], LabelEditor]:
             return lambda: LabelEditor(place.labels, place, author or login_name(), store.sources[name].dataset)
 
         def whole() -> None:

@@ -9,7 +9,15 @@ from typing import Any
 
 import viser
 
-from pipeline.corrections.draft import Draft, begun, come_apart, continued, edits_of_draft, fitted, rebased
+from pipeline.corrections.draft import (
+    Draft,
+    edits_of_draft,
+    lifted_draft,
+    new_draft,
+    rebased,
+    with_depth_split,
+    with_gesture,
+)
 from pipeline.corrections.drawing.depth_region import TOLERANCE
 from pipeline.corrections.drawing.gestures import Canvas, Gesture, gesture_of, read_gesture
 from pipeline.corrections.journal.edits import merge_objects
@@ -86,7 +94,7 @@ class Pixels:
             "px-hand": self.hand,
             "px-undo": lambda _: self._stepped("undo"),
             "px-redo": lambda _: self._stepped("redo"),
-            "px-apart": lambda _: self._changed(lambda draft, canvas: come_apart(draft, canvas)),
+            "px-apart": lambda _: self._changed(lambda draft, canvas: with_depth_split(draft, canvas)),
             "px-apply": self.apply,
             "px-cancel": lambda _: self.close(),
             "px-view": self.look,
@@ -142,7 +150,7 @@ class Pixels:
         self._begin(view, None)
         if where not in ("", "scene"):
             corners = where.split(",")
-            self._changed(lambda d, c: continued(d, _rectangle(corners, d), c))
+            self._changed(lambda d, c: with_gesture(d, _rectangle(corners, d), c))
         self.follow()
 
     def _begin(self, view: LabelView, number: int | None, resume: bool = False) -> None:
@@ -151,7 +159,7 @@ class Pixels:
         if resume and known is not None and known.changed:
             self._tell("this was not applied yet")
             return
-        self._drafts[self._key] = begun(view.frame, number)
+        self._drafts[self._key] = new_draft(view.frame, number)
         if number is None and self._tool == "cut":
             self._tool = "brush"
 
@@ -187,7 +195,7 @@ class Pixels:
                 raise InputError("not a movement of a tool", got=repr(text)[:60]) from error
             return read_gesture(message, draft.height, draft.width)
 
-        self._changed(lambda draft, canvas: continued(draft, gesture(draft), canvas))
+        self._changed(lambda draft, canvas: with_gesture(draft, gesture(draft), canvas))
 
     def hand(self, said: str) -> None:
         """How clicks in the scene count: "true:0.015", adding or removing, and how alike a surface must be."""
@@ -210,7 +218,7 @@ class Pixels:
 
         def grown(draft: Draft, canvas: Canvas) -> Draft:
             made = gesture_of("depth", at, draft.height, draft.width, adds=self._adds, tolerance=self._tolerance)
-            return continued(draft, made, canvas)
+            return with_gesture(draft, made, canvas)
 
         self._changed(grown)
         return True
@@ -284,7 +292,7 @@ class Pixels:
             self._tell("not saved" if after is None else after.said, True)
             self.follow()
             return
-        number, self._label, self._disputed = made[0].cell.numbers[0], "", None
+        number, self._label, self._disputed = made[0].ref.numbers[0], "", None
         self._drafts.pop(self._key, None)
         state = self._state()
         self._take(replace(state, selected=after.place(number)))
@@ -300,7 +308,7 @@ class Pixels:
         if self._saving or self._disputed is None or self._disputed[0] != self._key:
             return
         wanted = self._disputed[1].edits
-        if any(e.cell == edit.cell and same_value(e.after, edit.after) for e in events for edit in wanted):
+        if any(e.ref == edit.ref and same_value(e.after, edit.after) for e in events for edit in wanted):
             self._disputed = None
             self.close()
 
@@ -369,7 +377,7 @@ class Pixels:
     def _show(self, draft: Draft, view: LabelView, state: State) -> None:
         canvas = self._canvas_now()
         parts = draft.parts
-        lifted = fitted(canvas, parts[0]) if len(parts) == 1 else None
+        lifted = lifted_draft(canvas, parts[0]) if len(parts) == 1 else None
         box = None if lifted is None else lifted.box
         frame = canvas.context.frame
         if self._view == "scene":

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from pipeline.corrections.label_jobs import CANCELLED, Making
 from pipeline.corrections.review.items import ItemKey
+from pipeline.corrections.review.queue_job import CANCELLED, QueueProgress
 from pipeline.corrections.review.worklist import Worklist
 from pipeline.language.counted import counted
 from pipeline.language.relation_names import PHRASE
@@ -60,7 +60,7 @@ def item_html(work: Worklist, names: Names, item: ItemKey) -> str:
 
 
 def queue_html(
-    work: Worklist | None, making: Making, asked: Asked, kind: str, item: ItemKey | None, names: Names
+    work: Worklist | None, making: QueueProgress, asked: Asked, kind: str, item: ItemKey | None, names: Names
 ) -> str:
     """What the queue is made of, how far that is, and the list from the current item on."""
     again = "make again" if work is not None else "make"
@@ -102,7 +102,7 @@ def _switch(name: str, label: str, on: bool, hint: str) -> str:
     )
 
 
-def _busy(making: Making) -> str:
+def _busy(making: QueueProgress) -> str:
     """How far a queue that is made is, or why there is none."""
     if not making.running:
         failed = making.problem and making.problem != CANCELLED
@@ -138,7 +138,7 @@ def _known(made: Mapping[str, Any] | None) -> str:
 
 def shown_places(work: Worklist, kind: str, item: ItemKey | None) -> Sequence[int]:
     """The rows around the current one."""
-    at = 0 if item is None else work.places.get(item.plain, 0)
+    at = 0 if item is None else work.indices.get(item.plain, 0)
     start = max(0, at - 3)
     places = []
     for place in range(start, len(work)):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from pipeline.corrections.label_jobs import CANCELLED, Training
+from pipeline.corrections.review.queue_job import CANCELLED, TrainingProgress
 from pipeline.language.relation_names import PHRASE
 from spatialviz.app.text import BAD, DOUBT, GOOD, heading, note, safe, tail
 
@@ -18,7 +18,7 @@ STEPS = {
 LISTED = 6
 
 
-def retrain_html(training: Training, corrections: int | None, with_run: bool) -> str:
+def retrain_html(training: TrainingProgress, corrections: int | None, with_run: bool) -> str:
     """The section of the Review tab; `corrections` is None where the journal cannot be read."""
     head = heading("Retrain", _action(training, corrections))
     if training.running:
@@ -39,7 +39,7 @@ def retrain_html(training: Training, corrections: int | None, with_run: bool) ->
     return head + _figures(training) + _replayed(training.record) + _install(training)
 
 
-def _action(training: Training, corrections: int | None) -> str:
+def _action(training: TrainingProgress, corrections: int | None) -> str:
     if training.running:
         return '<span class="try" role="button" onclick="sv(\'stop-training\')">stop</span>'
     if not corrections:
@@ -48,7 +48,7 @@ def _action(training: Training, corrections: int | None) -> str:
     return f'<span class="try" role="button" onclick="sv(\'retrain\')" title="{hint}">retrain</span>'
 
 
-def _figures(training: Training) -> str:
+def _figures(training: TrainingProgress) -> str:
     """F1 by relation: learnt from the labels before, after, and of the network in use, on pairs that none has seen."""
     record = training.record
     assert record is not None
@@ -138,7 +138,7 @@ def _sends(message: str) -> str:
     return f"sv(this.dataset.m)\" data-m=\"{safe(message)}"
 
 
-def _install(training: Training) -> str:
+def _install(training: TrainingProgress) -> str:
     record = training.record
     assert record is not None
     where = f'<div class="dim path" title="{safe(record["folder"])}">{tail(record["folder"])}</div>'

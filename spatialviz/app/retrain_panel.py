@@ -10,8 +10,8 @@ from pathlib import Path
 import viser
 
 from pipeline.answering.opening import Pipeline
-from pipeline.corrections.journal_place import JournalPlace
-from pipeline.corrections.label_jobs import CANCELLED, Training
+from pipeline.corrections.journal_location import JournalLocation
+from pipeline.corrections.review.queue_job import CANCELLED, TrainingProgress
 from pipeline.corrections.review.retraining_run import RetrainingJob
 from pipeline.evaluation.run_folder import Run
 from pipeline.relations.installed import install_network
@@ -52,7 +52,7 @@ class RetrainPanel:
         page: Page,
         sources: Mapping[str, Pipeline],
         runs: Mapping[str, Run],
-        journals: Mapping[str, JournalPlace],
+        journals: Mapping[str, JournalLocation],
         folder: Path,
         *,
         state: Callable[[], State],
@@ -85,9 +85,9 @@ class RetrainPanel:
             leave()
 
     @property
-    def _training(self) -> Training:
+    def _training(self) -> TrainingProgress:
         place = self._journals.get(self._state().source)
-        return Training() if place is None else place.jobs.training.seen
+        return TrainingProgress() if place is None else place.jobs.training.seen
 
     def _follow(self, name: str) -> None:
         """Say what has begun or ended, whoever began it, and draw."""

@@ -11,14 +11,11 @@ from pipeline.corrections.cards import PairCard, RelationLine
 from pipeline.corrections.journal.edits import Edits, judge_both_ways, judge_missing, set_status
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Event
-from pipeline.corrections.journal.field_refs import FieldRef, object_cell
-from pipeline.corrections.journal_place import JournalPlace
-from pipeline.corrections.label_jobs import CANCELLED, Making
-from pipeline.corrections.review.items import ItemKey
-from pipeline.corrections.review.ordering import BLOCK
-from pipeline.corrections.review.queue_job import QueueJob, second_setup
-from pipeline.corrections.review.worklist import Worklist
-from pipeline.corrections.review.worklist_refresh import NOTHING, Mark, refreshed_worklist
+from pipeline.corrections.journal.field_refs import FieldRef, object_ref
+from pipeline.corrections.journal_location import JournalLocation
+from pipeline.corrections.review.items import BLOCK, ItemKey
+from pipeline.corrections.review.queue_job import CANCELLED, QueueJob, QueueProgress, second_setup
+from pipeline.corrections.review.worklist import NOTHING, Mark, Worklist, refreshed_worklist
 from pipeline.corrections.scene import labelled_objects
 from pipeline.language.counted import counted
 from pipeline.relations.relations import F, T, U, letter
@@ -60,7 +57,7 @@ class ReviewQueue:
         self,
         page: Page,
         store: FrameStore,
-        journals: Mapping[str, JournalPlace],
+        journals: Mapping[str, JournalLocation],
         correct: Correct,
         dialog: Dialog,
         *,
@@ -73,7 +70,7 @@ class ReviewQueue:
         self._state, self._note, self._post = state, note, post
         self._works: dict[str, Worklist] = {}
         self._newest: dict[str, Mark] = {}
-        self._makings: dict[str, Making] = {}
+        self._makings: dict[str, QueueProgress] = {}
         self._behind: set[str] = set()
         self._asked: dict[str, Asked] = {}
         self._names: dict[str, dict[tuple[str, int], str]] = {}
@@ -135,7 +132,7 @@ class ReviewQueue:
                 None if place.where is None else str(place.where),
                 place.project,
                 str(source.dataset.root),
-                asked.networks,
+                networks=asked.networks,
                 detector=None if second is None else second[1],
                 called=None if second is None else second[0],
             )
@@ -166,8 +163,8 @@ class ReviewQueue:
         self._taken(name)
         self.follow()
 
-    def _taken(self, name: str) -> Making:
-        was, now = self._makings.get(name, Making()), self._journals[name].jobs.queue.seen
+    def _taken(self, name: str) -> QueueProgress:
+        was, now = self._makings.get(name, QueueProgress()), self._journals[name].jobs.queue.seen
         self._makings[name] = now
         if now.work is not None and now.work is not was.work:
             self._works[name], self._newest[name] = now.work, (now.made or {}).get("last", NOTHING)
@@ -179,7 +176,7 @@ class ReviewQueue:
             self._note("the review queue is not made" if stopped else f"no review queue: {now.problem}")
         return now
 
-    def _note_skipped(self, making: Making) -> None:
+    def _note_skipped(self, making: QueueProgress) -> None:
         asked = (making.made or {}).get("detector")
         if asked is not None and (skipped := asked["skipped"]):
             frame, why = next(iter(skipped.items()))
@@ -194,7 +191,7 @@ class ReviewQueue:
         self._behind.discard(name)
         # Where the journal cannot be read now, what waits says so already.
         with suppress(InputError):
-            journal = desk.place.to_read()
+            journal = desk.location.to_read()
             if journal is not None:
                 work, self._newest[name] = refreshed_worklist(
                     work, desk.corrector, journal, self._newest.get(name, NOTHING)
@@ -244,7 +241,7 @@ class ReviewQueue:
             self._correct.refuse(str(error))
             return
         ends = (key.a, key.b)
-        if work is not None and key.kind == "expression" and key.plain in work.places:
+        if work is not None and key.kind == "expression" and key.plain in work.indices:
             row = work.row(key)
             ends = (row["a"], row["b"])
         numbers = tuple(n for n in ends if n is not None and n >= 0)
@@ -350,7 +347,7 @@ class ReviewQueue:
         def made(frame: EffectiveFrame) -> Edits:
             if item is not None and item.kind == "object" and item.a < 0:
                 return judge_missing(frame, item.what, status, desk.author)
-            cell = object_cell(frame.frame, int(number or 0), "status") if item is None else status_cell(item)
+            cell = object_ref(frame.frame, int(number or 0), "status") if item is None else status_cell(item)
             if cell.kind == "relation" and status == "rejected":
                 raise InputError("a relation is not rejected", expected="T, U or F")
             if cell.kind == "relation":
@@ -380,12 +377,12 @@ class ReviewQueue:
             if name in self._behind:
                 self._caught_up()
                 self._prefetch(self._item)
-            if making == Making():
+            if making == QueueProgress():
                 self.make()
                 making = self._taken(name)
         work, names, item = self._work, self._known_names(name), self._item
         shown = ""
-        if work is not None and item is not None and item.plain in work.places and not work.is_gone(item):
+        if work is not None and item is not None and item.plain in work.indices and not work.is_gone(item):
             shown = f'<div class="sv">{item_html(work, names, item)}</div>'
         page.review_item.content = shown
         page.review_list.content = queue_html(work, making, self._asks(name), self._kind, item, names)
@@ -408,5 +405,5 @@ def status_cell(item: ItemKey) -> FieldRef:
     if item.kind == "relation":
         return FieldRef("relation", item.frame, f"{item.a},{item.b}", f"{item.what}.status")
     if item.kind == "object":
-        return object_cell(item.frame, item.a, "status")
+        return object_ref(item.frame, item.a, "status")
     return FieldRef("expression", item.frame, item.what, "status")

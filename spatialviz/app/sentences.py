@@ -6,10 +6,10 @@ import json
 from collections.abc import Callable
 from dataclasses import replace
 
-from pipeline.corrections.expression_cards import ExpressionCard, set_answer
 from pipeline.corrections.journal.edits import Edits, set_ambiguous, set_mark, set_status, set_text
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.field_refs import FieldRef
+from pipeline.corrections.object_card import ExpressionCard, set_answer
 from pipeline.diagnosis.verdict import MARKS, Diagnosis
 from pipeline.system.errors import InputError
 from spatialviz.app.bridge import Bridge
@@ -130,7 +130,7 @@ class Sentences:
             self._correct.refuse("select an object that the expression is true of")
             return
         which = int(number) if number else view.numbers[state.selected or 0]
-        now = "no" if view.sentence.doubt(which) == doubt else doubt
+        now = "no" if view.sentence.certainty(which) == doubt else doubt
         self._save(lambda frame, card: set_answer(frame, card.id, which, now))
 
     def mark(self, mark: str) -> None:
@@ -150,7 +150,7 @@ class Sentences:
 
         def made(frame: EffectiveFrame, card: ExpressionCard) -> Edits:
             cell = FieldRef("expression", card.frame, card.id, "status")
-            return set_status(frame, cell, None if card.said.get(author) == status else status, author=author)
+            return set_status(frame, cell, None if card.statuses.get(author) == status else status, author=author)
 
         self._save(made)
 

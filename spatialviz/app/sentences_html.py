@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import json
 
-from pipeline.corrections.event_lines import EventLine
-from pipeline.corrections.expression_cards import ExpressionCard
-from pipeline.corrections.wording import said_cell, said_value
+from pipeline.corrections.label_editor import EventLine
+from pipeline.corrections.object_card import ExpressionCard
+from pipeline.corrections.wording import ref_text, value_text
 from pipeline.geometry.palette import RGB, hex_color, palette
 from pipeline.language.relation_names import PHRASE
 from spatialviz.app.label_view import LabelView
@@ -75,7 +75,7 @@ def _chip(state: State, view: LabelView, card: ExpressionCard, number: int, smal
     colors = palette(state.dark)
     color: RGB = colors["target"] if number == card.target_object else colors["other"]
     kinds = ["ob"]
-    sure = card.doubt(number) == "sure"
+    sure = card.certainty(number) == "sure"
     kinds += [] if sure else ["maybe"]
     kinds += ["gone"] if view.place(number) is None else []
     kinds += ["at"] if state.selected is not None and view.numbers[state.selected] == number else []
@@ -93,7 +93,7 @@ def _selected(state: State, view: LabelView, card: ExpressionCard) -> str:
     if state.selected is None:
         return '<span class="dim">no object: click one in the scene or the picture</span>'
     number = view.numbers[state.selected]
-    doubt = card.doubt(number)
+    doubt = card.certainty(number)
     cells = "".join(
         f'<span class="{"on" if doubt == key else ""}" style="--c:{color}" onclick="sv(\'true-of:{key}\')" '
         f'title="{key_} (again: not true of it)">{word}</span>'
@@ -110,8 +110,8 @@ def _verdicts(card: ExpressionCard, author: str) -> str:
             f'title="{safe(title)}">{words}</span>'
         )
 
-    status, own = "expression-status:", card.said.get(author, card.status)
-    others = "".join(f" · {name}: {said}" for name, said in card.said.items() if name != author)
+    status, own = "expression-status:", card.statuses.get(author, card.status)
+    others = "".join(f" · {name}: {said}" for name, said in card.statuses.items() if name != author)
     accept, reject = (_hint(card, "status", key) + others for key in ("Alt+Y", "Alt+N"))
     cells = [
         cell(own == "accepted", GOOD, f"{status}accepted", "accepted", accept),
@@ -159,7 +159,7 @@ def _row(state: State, view: LabelView, card: ExpressionCard) -> str:
     tags = []
     if card.mark is not None:
         tags.append(f'<b style="--c:{BAD}">{MARKED[card.mark]}</b>')
-    tags += [f'<b style="--c:{GOOD}">{safe(s)}</b>' for s in sorted({*card.said.values()} - {"rejected"})]
+    tags += [f'<b style="--c:{GOOD}">{safe(s)}</b>' for s in sorted({*card.statuses.values()} - {"rejected"})]
     if card.ambiguous:
         tags.append(f'<b style="--c:{DOUBT}">ambiguous</b>')
     changed = {ORIGINS[o.source] for f, o in card.origins.items() if f not in ("mark", "status")} - {"auto"}
@@ -195,8 +195,8 @@ def history_html(state: State) -> str:
 
 def _event(view: LabelView, line: EventLine) -> str:
     event = line.event
-    before, after = (said_value(event.cell, value, view.frame) for value in (event.before, event.after))
-    what = said_cell(event.cell, view.frame)
+    before, after = (value_text(event.ref, value, view.frame) for value in (event.before, event.after))
+    what = ref_text(event.ref, view.frame)
     change = f"{safe(before)} → <b>{safe(after)}</b>"
     when = event.time.astimezone().strftime("%d %b %H:%M:%S")
     told = f"{safe(event.author)} · {when}"

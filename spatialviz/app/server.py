@@ -16,8 +16,7 @@ from contextlib import redirect_stdout
 import viser
 
 from pipeline.answering.opening import Pipeline
-from pipeline.corrections.journal_place import JournalPlace
-from pipeline.corrections.unsaved_dump import dump_unsaved
+from pipeline.corrections.journal_location import JournalLocation, dump_unsaved
 from pipeline.datasets.demo import DEMO_EXPRESSION, DEMO_NAME
 from pipeline.diagnosis.whatif.state import ViewState
 from pipeline.evaluation.run_folder import Run
@@ -41,7 +40,7 @@ def start(
     runs: Mapping[str, Run] | None = None,
     others: Mapping[str, Run] | None = None,
     labels: Mapping[str, Labels] | None = None,
-    journals: Mapping[str, JournalPlace] | None = None,
+    journals: Mapping[str, JournalLocation] | None = None,
     author: str | None = None,
     opened_by: Sequence[str] = (),
     first_view: ViewState | None = None,
@@ -138,7 +137,7 @@ def serve(
     runs: Mapping[str, Run] | None = None,
     others: Mapping[str, Run] | None = None,
     labels: Mapping[str, Labels] | None = None,
-    journals: Mapping[str, JournalPlace] | None = None,
+    journals: Mapping[str, JournalLocation] | None = None,
     author: str | None = None,
     opened_by: Sequence[str] = (),
     first_view: ViewState | None = None,
@@ -201,7 +200,7 @@ def _end_in_order() -> None:
                 signal.signal(number, end)
 
 
-def _say_unsaved(place: JournalPlace) -> None:
+def _say_unsaved(place: JournalLocation) -> None:
     """Say which corrections could not be saved, and how they can be later."""
     for found in dump_unsaved(place):
         count = len(found.edits)

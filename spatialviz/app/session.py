@@ -14,7 +14,7 @@ from pipeline.answering.opening import Pipeline
 from pipeline.answering.ranking import RankConfig
 from pipeline.answering.suggestions import suggest_expressions
 from pipeline.answering.told_answer import holds
-from pipeline.corrections.journal_place import JournalPlace
+from pipeline.corrections.journal_location import JournalLocation
 from pipeline.datasets import has_moves
 from pipeline.datasets.capabilities import dataset_notes
 from pipeline.datasets.demo import DEMO_EXPRESSION
@@ -75,7 +75,7 @@ class Session:
         labels: Mapping[str, Labels] | None = None,
         opened_by: Sequence[str] = (),
         first_view: ViewState | None = None,
-        journals: Mapping[str, JournalPlace] | None = None,
+        journals: Mapping[str, JournalLocation] | None = None,
         author: str | None = None,
     ) -> None:
         self._client = client

@@ -1,6 +1,5 @@
-"""Pixels by hand: strokes, polygons, rectangles and depth regions as masks, and masks cut in parts.
+"""Pixels by hand: strokes, polygons, rectangles and depth regions as masks.
 
-`gestures` is what a hand has done, checked, and the masks that come of it;
-`strokes` are exact shapes of pixels, `depth_region` grows over a surface from a
-click, `splitting` cuts a mask. Nothing here knows of labels.
+`gestures` is what a hand has done, checked, and the exact masks that come of it;
+`depth_region` grows over a surface from a click. Nothing here knows of labels.
 """

@@ -223,9 +223,9 @@ def _with_rim(surface: Surface, region: np.ndarray, tolerance: float) -> np.ndar
     )
     label = np.asarray(labels, np.int64)
     candidates = (np.asarray(far) <= RIM) & ~region & ~surface.known & surface.measured
-    place = np.zeros(int(label.max()) + 1, np.int64)
-    place[label[region]] = np.flatnonzero(region)
-    nearest = place[label[candidates]]
+    flat = np.zeros(int(label.max()) + 1, np.int64)
+    flat[label[region]] = np.flatnonzero(region)
+    nearest = flat[label[candidates]]
     normals, points = surface.normals.reshape(-1, 3)[nearest], surface.points.reshape(-1, 3)[nearest]
     # A round thing falls away behind its last normal; what rises there is something else.
     rises = (normals * (surface.points[candidates] - points)).sum(axis=1)

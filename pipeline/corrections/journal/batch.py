@@ -1,17 +1,21 @@
-"""Edits as a file: a JSON list of actions, checked as a whole and saved as one."""
+"""Edits as a file: a JSON list of actions, checked as a whole and saved as one.
+
+Pixels are run-length codes, polygons, rectangles, strokes, or seeds of a surface.
+"""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
+import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, model_validator
 
-from pipeline.corrections.drawing.gestures import Canvas
+from pipeline.corrections.drawing.depth_region import TOLERANCE
+from pipeline.corrections.drawing.gestures import Canvas, drawn, gesture_of
 from pipeline.corrections.journal import edits as actions
-from pipeline.corrections.journal.batch_shapes import Mode, Shapes, combined
 from pipeline.corrections.journal.effective import Corrector
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Conflict, Edit, Rival, Saved
@@ -21,6 +25,69 @@ from pipeline.relations.relations import F, T, U
 from pipeline.system.errors import InputError
 
 _STATES = {"T": T, "U": U, "F": F}
+SHAPES = ("polygon", "rectangle", "strokes", "seeds")
+Mode = Literal["add", "remove", "replace"]
+
+
+class Stroke(BaseModel):
+    """Where a round brush went; pixels."""
+
+    model_config = ConfigDict(extra="forbid", strict=True)
+
+    points: list[list[float]]
+    radius: float
+
+
+class Shapes(BaseModel):
+    """Pixels by one of several shapes; all numbers are pixels, x before y.
+
+    Attributes
+    ----------
+    polygon : list of [x, y]
+    rectangle : list of four numbers
+        x0, y0, x1, y1; of a new object the surface of the depth segmenter inside.
+    strokes : list of Stroke
+    seeds : list of [x, y]
+        The surfaces that these lie on.
+    tolerance : float
+        Of the seeds.
+    """
+
+    polygon: list[list[float]] | None = None
+    rectangle: list[float] | None = None
+    strokes: list[Stroke] | None = None
+    seeds: list[list[float]] | None = None
+    tolerance: float = TOLERANCE
+
+    @property
+    def shaped(self) -> bool:
+        """Whether there is a shape."""
+        return any(getattr(self, name) is not None for name in SHAPES)
+
+    @model_validator(mode="after")
+    def _one(self) -> Shapes:
+        given = [name for name in SHAPES if getattr(self, name) is not None]
+        if len(given) > 1:
+            raise ValueError(f"only one of {', '.join(given)} can be meant")
+        if self.rectangle is not None and len(self.rectangle) != 4:
+            raise ValueError("a rectangle has four numbers")
+        if self.strokes == []:
+            raise ValueError("there are no strokes")
+        return self
+
+    def pixels(self, height: int, width: int, canvas: Canvas | None, *, surface: bool = False) -> np.ndarray:
+        """(H, W) bool of the shape; InputError where it has no pixels or what it needs is not at hand."""
+        if self.strokes is not None:
+            each = [gesture_of("stroke", s.points, height, width, radius=s.radius) for s in self.strokes]
+            return np.logical_or.reduce([drawn(g, height, width) for g in each])
+        if self.polygon is not None:
+            found = gesture_of("polygon", self.polygon, height, width)
+        elif self.rectangle is not None:
+            corners = [self.rectangle[:2], self.rectangle[2:]]
+            found = gesture_of("surface" if surface else "rectangle", corners, height, width)
+        else:
+            found = gesture_of("depth", self.seeds, height, width, tolerance=self.tolerance)
+        return drawn(found, height, width, canvas)
 
 
 class Action(BaseModel):
@@ -179,6 +246,8 @@ AnyAction = Annotated[
     | Answers | Ambiguous | Mark | Note | Value,
     Field(discriminator="edit"),
 ]  # fmt: skip
+
+
 _LIST: TypeAdapter[list[AnyAction]] = TypeAdapter(list[AnyAction])
 
 
@@ -208,9 +277,9 @@ def actions_of(entries: Any, path: Path | None = None) -> list[AnyAction]:
         return _LIST.validate_python(entries)
     except ValidationError as error:
         first = error.errors()[0]
-        place, where = first["loc"][0], ".".join(str(p) for p in first["loc"][2:])
-        said = f"edit {place}: {where}: {first['msg']}" if where else f"edit {place}: {first['msg']}"
-        raise InputError(said, got=repr(first.get("input"))[:60], path=path) from error
+        index, where = first["loc"][0], ".".join(str(p) for p in first["loc"][2:])
+        message = f"edit {index}: {where}: {first['msg']}" if where else f"edit {index}: {first['msg']}"
+        raise InputError(message, got=repr(first.get("input"))[:60], path=path) from error
 
 
 def edits_of(action: AnyAction, frame: EffectiveFrame, author: str, canvas: Canvas | None = None) -> tuple[Edit, ...]:
@@ -218,61 +287,66 @@ def edits_of(action: AnyAction, frame: EffectiveFrame, author: str, canvas: Canv
 
     `canvas` is the frame's picture, for shapes that follow its depth.
     """
-    a, why = action, action.reason
-    size = int(frame.row["height"]), int(frame.row["width"])
-    if isinstance(a, ClassName):
-        return actions.set_class(frame, a.object, a.to, why)
-    if isinstance(a, Mask):
-        if a.shaped:
-            mask = combined(actions.pixels_of(frame, a.object), a.pixels(*size, canvas), a.mode)
-            return actions.set_mask(frame, a.object, mask, why)
-        return actions.set_mask(frame, a.object, a.to, why)
-    if isinstance(a, Rectangle):
-        return actions.set_bbox(frame, a.object, a.to, why)
-    if isinstance(a, Solid):
-        return actions.set_box(frame, a.object, None if a.to is None else box_of(a.to), why)
-    if isinstance(a, Status):
-        return actions.set_status(frame, _status_cell(a), a.to, why)
-    if isinstance(a, Judge | Settle):
-        return _judged(a, frame, author)
-    if isinstance(a, NewObject):
-        box = None if a.box is None else box_of(a.box)
-        mask = a.pixels(*size, canvas, surface=True) if a.shaped else a.mask
-        return actions.add_object(frame, a.label, mask=mask, bbox=a.bbox, box=box, reason=why)
-    if isinstance(a, Merge):
-        return actions.merge_objects(frame, a.objects, why)
-    if isinstance(a, Split):
-        return actions.split_object(frame, a.object, a.masks, why)
-    if isinstance(a, Relation):
-        return actions.set_relation(frame, a.a, a.b, a.relation, _STATES[a.to], why)
-    if isinstance(a, Text):
-        return actions.set_text(frame, a.expression, a.to, why)
-    if isinstance(a, Answers):
-        return actions.set_answers(frame, a.expression, a.targets, a.acceptable, why)
-    if isinstance(a, Ambiguous):
-        return actions.set_ambiguous(frame, a.expression, a.to, why)
-    if isinstance(a, Mark):
-        return actions.set_mark(frame, a.expression, a.to, why)
-    if isinstance(a, Value):
-        cell = FieldRef(a.kind, a.frame, a.key, a.field)
-        if cell.kind == "review" and judged_item(cell.key)[0] not in (author.strip(), OF_ALL):
-            raise InputError("a judgement of another person", got=judged_item(cell.key)[0], expected=author)
-        return actions.set_value(frame, cell, a.to, why)
-    return actions.set_note(frame, a.to, why)
+    return _EDITS[action.edit](action, frame, author, canvas)
 
 
-def _judged(action: Judge | Settle, frame: EffectiveFrame, author: str) -> tuple[Edit, ...]:
-    cell, to, why = _status_cell(action), action.to, action.reason
-    if isinstance(action, Settle):
-        state = _STATES.get(action.to) if cell.kind == "relation" else None
-        if state is None:
-            return actions.settle(frame, cell, action.to, why)
-        now = frame.value(FieldRef("relation", cell.frame, cell.key, cell.field.removesuffix(".status")))
-        return actions.settle(frame, cell, "accepted" if state == now else "corrected", why, state)
-    if cell.kind == "relation" and to is not None and to in _STATES:
-        a, b = cell.numbers
-        return actions.judge_relation(frame, a, b, cell.field.removesuffix(".status"), _STATES[to], author, why)
-    return actions.judge(frame, cell, to, author, why)
+def _mask(a: Mask, frame: EffectiveFrame, author: str, canvas: Canvas | None) -> actions.Edits:
+    mask = a.to
+    if a.shaped:
+        mask = combined(actions.pixels_of(frame, a.object), a.pixels(*actions.size_of(frame), canvas), a.mode)
+    return actions.set_mask(frame, a.object, mask, a.reason)
+
+
+def _new_object(a: NewObject, frame: EffectiveFrame, author: str, canvas: Canvas | None) -> actions.Edits:
+    box = None if a.box is None else box_of(a.box)
+    mask = a.pixels(*actions.size_of(frame), canvas, surface=True) if a.shaped else a.mask
+    return actions.add_object(frame, a.label, mask=mask, bbox=a.bbox, box=box, reason=a.reason)
+
+
+def _value(a: Value, frame: EffectiveFrame, author: str, canvas: Canvas | None) -> actions.Edits:
+    ref = FieldRef(a.kind, a.frame, a.key, a.field)
+    if ref.kind == "review" and judged_item(ref.key)[0] not in (author.strip(), OF_ALL):
+        raise InputError("a judgement of another person", got=judged_item(ref.key)[0], expected=author)
+    return actions.set_value(frame, ref, a.to, a.reason)
+
+
+def _judge(a: Judge, frame: EffectiveFrame, author: str, canvas: Canvas | None) -> actions.Edits:
+    ref = _status_cell(a)
+    if ref.kind == "relation" and a.to in _STATES:
+        (one, other), relation = ref.numbers, ref.field.removesuffix(".status")
+        return actions.judge_relation(frame, one, other, relation, _STATES[a.to], author, a.reason)
+    return actions.judge(frame, ref, a.to, author, a.reason)
+
+
+def _settle(a: Settle, frame: EffectiveFrame, author: str, canvas: Canvas | None) -> actions.Edits:
+    ref = _status_cell(a)
+    state = _STATES.get(a.to) if ref.kind == "relation" else None
+    if state is None:
+        return actions.settle(frame, ref, a.to, a.reason)
+    now = frame.value(actions.state_ref(ref))
+    return actions.settle(frame, ref, "accepted" if state == now else "corrected", a.reason, state)
+
+
+_EDITS: dict[str, Callable[[Any, EffectiveFrame, str, Canvas | None], actions.Edits]] = {
+    "class": lambda a, frame, *_: actions.set_class(frame, a.object, a.to, a.reason),
+    "mask": _mask,
+    "bbox": lambda a, frame, *_: actions.set_bbox(frame, a.object, a.to, a.reason),
+    "box": lambda a, frame, *_: actions.set_box(frame, a.object, None if a.to is None else box_of(a.to), a.reason),
+    "status": lambda a, frame, *_: actions.set_status(frame, _status_cell(a), a.to, a.reason),
+    "judge": _judge,
+    "settle": _settle,
+    "new": _new_object,
+    "merge": lambda a, frame, *_: actions.merge_objects(frame, a.objects, a.reason),
+    "split": lambda a, frame, *_: actions.split_object(frame, a.object, a.masks, a.reason),
+    "relation": lambda a, frame, *_: actions.set_relation(frame, a.a, a.b, a.relation, _STATES[a.to], a.reason),
+    "text": lambda a, frame, *_: actions.set_text(frame, a.expression, a.to, a.reason),
+    "answers": lambda a, frame, *_: actions.set_answers(frame, a.expression, a.targets, a.acceptable, a.reason),
+    "ambiguous": lambda a, frame, *_: actions.set_ambiguous(frame, a.expression, a.to, a.reason),
+    "mark": lambda a, frame, *_: actions.set_mark(frame, a.expression, a.to, a.reason),
+    "note": lambda a, frame, *_: actions.set_note(frame, a.to, a.reason),
+    "value": _value,
+}
+"""What makes the edits of an action, by its `edit`."""
 
 
 def _status_cell(action: OfItem) -> FieldRef:
@@ -322,9 +396,22 @@ def apply_actions(
             raise InputError(f"edit {k}: {error}") from error
         if action.base is not None:
             first = made[0]
-            made = (Edit(first.cell, first.before, first.after, action.base, first.reason, first.anchor), *made[1:])
+            made = (Edit(first.ref, first.before, first.after, action.base, first.reason, first.anchor), *made[1:])
         else:
-            heads = journal.heads([e.cell for e in made])
-            rivals += [Rival(e, heads[e.cell]) for e in made if e.cell in heads and heads[e.cell].author != author]
+            heads = journal.heads([e.ref for e in made])
+            rivals += [Rival(e, heads[e.ref]) for e in made if e.ref in heads and heads[e.ref].author != author]
         edits += made
     return Conflict(tuple(rivals), tuple(edits)) if rivals else journal.append(edits, author, group=again)
+
+
+def combined(mask: np.ndarray, pixels: np.ndarray, mode: Mode) -> np.ndarray:
+    """A mask with other pixels added to it, taken from it, or in its place."""
+    if mode == "add":
+        return mask | pixels
+    return mask & ~pixels if mode == "remove" else pixels
+
+
+def needs_pictures(actions: Sequence[Any]) -> bool:
+    """Whether one of the actions follows the depth of a picture."""
+    shapes = [a for a in actions if isinstance(a, Shapes)]
+    return any(a.seeds is not None or (a.rectangle is not None and not hasattr(a, "object")) for a in shapes)

@@ -1,13 +1,24 @@
-"""The chain: each event carries a hash of the one before it and of all that is in it, so that no change goes unseen."""
+"""The journal's two tables, and the chain: each event carries a hash of the one before it and of all that is in it.
+
+So no change goes unseen. Events of version 1 have no hashes: they are judged by
+what is possible in them, and by what they say of each other.
+"""
 
 from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from datetime import timezone
-from typing import Any
+from datetime import datetime, timedelta, timezone
+from typing import Any, get_args
+
+import sqlalchemy as sa
+
+from pipeline.corrections.journal.events import CROCKFORD, Action
+from pipeline.corrections.journal.field_refs import LONGEST_NAME, LONGEST_TEXT, FieldRef, checked, plain_text
+from pipeline.system.errors import InputError
 
 FIRST = "0" * 64
 """What the first event is chained to."""
@@ -18,6 +29,31 @@ CONTENT = (
 """All columns but the hash, in the order in which they are hashed."""
 Row = Mapping[str, Any]
 _JSON = json.JSONEncoder(sort_keys=True, separators=(",", ":"))
+_APART = timedelta(seconds=2)
+"""An event's two times were taken one right after the other."""
+_BEGAN = datetime(2020, 1, 1, tzinfo=timezone.utc)
+_LOOSE = ("relation", "review")
+"""Kinds whose values are so short that an ordinary change of one is a change of one bit."""
+VERSION = 2
+"""Of this release. 1 had no chain, and kept its version in a table of Alembic's."""
+TABLES = ("events", "journal_head")
+BEFORE, REVISION = "alembic_version", "0001"
+"""That table, and all that it ever held."""
+_FORBIDDEN = "the journal can only grow"
+METADATA = sa.MetaData()
+HEAD = sa.Table(
+    "journal_head",
+    METADATA,
+    sa.Column("one", sa.Integer, primary_key=True, autoincrement=False),
+    sa.Column("version", sa.Integer, nullable=False),
+    sa.Column("events", sa.BigInteger, nullable=False),
+    sa.Column("last", sa.BigInteger, nullable=False),
+    sa.Column("hash", sa.String(64), nullable=False),
+    # Of the statements that made the tables: SQLite keeps them as text.
+    sa.Column("tables", sa.String(64), nullable=False),
+)
+STATEMENTS = f"SELECT sql FROM sqlite_master WHERE tbl_name IN {TABLES} AND sql IS NOT NULL ORDER BY name"
+"""Asks SQLite for what made the tables."""
 
 
 def link(previous: str, row: Row) -> str:
@@ -128,3 +164,217 @@ def _link(previous: str, row: Row) -> str | None:
         return link(previous, row)
     except (TypeError, ValueError, AttributeError, RecursionError):
         return None
+
+
+def judged_alone(rows: Sequence[tuple[int, Row | None]]) -> Verdict:
+    """Which events can be as they were saved.
+
+    A bit that makes another possible value of a text goes unseen where no
+    other event speaks of it: that is what the chain is for.
+
+    Parameters
+    ----------
+    rows : sequence of (int, dict or None)
+        As `chain.judged`.
+    """
+    intact: list[Row] = []
+    damage: list[str] = []
+    known: dict[str, Row] = {}
+    heads: dict[tuple[Any, ...], Row] = {}
+    groups: dict[str, Row] = {}
+    for number, row in rows:
+        message = "it cannot be read" if row is None else _wrong(row)
+        if row is not None and message is None:
+            ref = row["project"], row["kind"], row["frame"], row["key"], row["field"]
+            message = _against(row, known, heads.get(ref), groups.get(row["group"]))
+            if message is None:
+                known[row["ulid"]] = heads[ref] = groups[row["group"]] = row
+                intact.append(row)
+        if message is not None:
+            damage.append(f"event {number}: {message}")
+    return Verdict(tuple(intact), tuple(damage))
+
+
+def _wrong(row: Row) -> str | None:
+    """What is impossible in one event."""
+    try:
+        ref = FieldRef(row["kind"], row["frame"], row["key"], row["field"])
+        for value in (row["after"], *([] if row["before"] is None else [row["before"]])):
+            if checked(ref, value) != value:
+                return "a value is not as it is kept"
+        if plain_text(row["author"], "an author", LONGEST_NAME).strip() != row["author"]:
+            return "its author is no name"
+        for name in ("reason", "project", "labels"):
+            if row[name] != "":
+                plain_text(row[name], name, LONGEST_TEXT)
+    except InputError as error:
+        return error.what
+    except (TypeError, ValueError, AttributeError, RecursionError):
+        return "it cannot be read"
+    if row["action"] not in get_args(Action) or (row["action"] == "edit") != (row["undo_of"] is None):
+        return "there is no such action"
+    numbers = row["base"], row["version"]
+    if any(type(n) is not int for n in numbers) or row["base"] < 0 or row["version"] != row["base"] + 1:
+        return "its version does not follow"
+    times = [_made(row["ulid"]), _made(row["group"])]
+    if times[0] is None or times[1] is None or (row["undo_of"] is not None and _made(row["undo_of"]) is None):
+        return "its ULID is none"
+    if abs(row["time"] - times[0]) > _APART or times[1] > times[0] + _APART or row["time"] < _BEGAN:
+        return "its time is not that of its ULID"
+    return None if _is_anchor(row["anchor"]) else "its anchor is none"
+
+
+def _against(row: Row, known: Mapping[str, Row], head: Row | None, group: Row | None) -> str | None:
+    """What contradicts the events before it."""
+    if row["ulid"] in known:
+        return "its ULID stands twice"
+    if row["version"] != (1 if head is None else head["version"] + 1):
+        return "its version does not follow"
+    if head is not None and row["kind"] not in _LOOSE and _one_bit_apart(head["after"], row["before"]):
+        return "what it was made on is not what was saved before it"
+    if group is not None:
+        alike = all(row[name] == group[name] for name in ("project", "author", "action", "labels"))
+        if not alike:
+            return "it is not of its action"
+    if row["undo_of"] is None:
+        return None
+    source = known.get(row["undo_of"])
+    if source is None:
+        return "what it takes back is not there"
+    same = ("project", "kind", "frame", "key", "field", "author", "reason", "anchor")
+    turned = row["before"] == source["after"] and row["after"] == source["before"]
+    if not turned or any(row[name] != source[name] for name in same):
+        return "it is not the reverse of what it takes back"
+    return None
+
+
+def _made(ulid: Any) -> datetime | None:
+    """When a ULID was made; None where it is none."""
+    if not isinstance(ulid, str) or len(ulid) != 26 or any(c not in CROCKFORD for c in ulid):
+        return None
+    number = 0
+    for c in ulid[:10]:
+        number = number << 5 | CROCKFORD.index(c)
+    try:
+        return datetime.fromtimestamp(number / 1000, timezone.utc)
+    except (OverflowError, ValueError, OSError):
+        return None
+
+
+def _is_anchor(value: Any) -> bool:
+    return isinstance(value, dict) and all(
+        name.isdecimal() and isinstance(box, list) and len(box) == 4
+        and all(isinstance(x, (int, float)) and math.isfinite(x) for x in box)
+        for name, box in value.items()
+    )  # fmt: skip
+
+
+def _one_bit_apart(a: Any, b: Any) -> bool:
+    """Whether the JSON of two values differs in one bit, as it does where one was flipped."""
+    one, other = (json.dumps(v).encode() for v in (a, b))
+    if len(one) != len(other):
+        return False
+    return sum((x ^ y).bit_count() for x, y in zip(one, other, strict=True)) == 1
+
+
+class UtcTime(sa.types.TypeDecorator[datetime]):
+    """A time with its zone, also where the database knows none."""
+
+    impl = sa.DateTime(timezone=True)
+    cache_ok = True
+
+    def process_bind_param(self, value: datetime | None, dialect: sa.Dialect) -> datetime | None:
+        return None if value is None else value.astimezone(timezone.utc)
+
+    def process_result_value(self, value: datetime | None, dialect: sa.Dialect) -> datetime | None:
+        if value is None:
+            return None
+        return value.replace(tzinfo=timezone.utc) if value.tzinfo is None else value.astimezone(timezone.utc)
+
+
+EVENTS = sa.Table(
+    "events",
+    METADATA,
+    sa.Column("id", sa.BigInteger().with_variant(sa.Integer, "sqlite"), primary_key=True, autoincrement=False),
+    sa.Column("ulid", sa.String(26), nullable=False),
+    sa.Column("project", sa.Text, nullable=False),
+    sa.Column("author", sa.Text, nullable=False),
+    sa.Column("time", UtcTime, nullable=False),
+    sa.Column("kind", sa.String(16), nullable=False),
+    sa.Column("frame", sa.Text, nullable=False),
+    sa.Column("key", sa.Text, nullable=False),
+    sa.Column("field", sa.String(32), nullable=False),
+    sa.Column("before", sa.JSON, nullable=False),
+    sa.Column("after", sa.JSON, nullable=False),
+    sa.Column("base", sa.Integer, nullable=False),
+    sa.Column("version", sa.Integer, nullable=False),
+    sa.Column("labels", sa.Text, nullable=False),
+    sa.Column("reason", sa.Text, nullable=False),
+    sa.Column("group", sa.String(26), nullable=False),
+    sa.Column("action", sa.String(8), nullable=False),
+    sa.Column("undo_of", sa.String(26), nullable=True),
+    sa.Column("anchor", sa.JSON, nullable=False),
+    # Of the event before it and of all that is in this one: see `pipeline.corrections.journal.chain`.
+    sa.Column("hash", sa.String(64), nullable=False),
+    sa.UniqueConstraint("ulid", name="one_ulid"),
+    # What locks: of two who edit the same version of a cell, one is refused by the database itself.
+    sa.UniqueConstraint("project", "kind", "frame", "key", "field", "version", name="one_successor"),
+    sa.Index("events_of_author", "project", "author", "id"),
+    sa.Index("events_of_frame", "project", "frame", "id"),
+    sa.Index("events_of_group", "project", "group"),
+)
+
+
+def version_of(connection: sa.Connection) -> int | None:
+    """The version of a journal's tables; None of an empty database.
+
+    0 is of a database that holds something else.
+    """
+    found = sa.inspect(connection).get_table_names()
+    if HEAD.name in found:
+        return int(connection.execute(sa.select(HEAD.c.version)).scalar_one())
+    if BEFORE in found and EVENTS.name in found:
+        return 1
+    return 0 if EVENTS.name in found else None
+
+
+def create(connection: sa.Connection, first: str) -> None:
+    """Make the tables, and the triggers that refuse to change or remove events, in the connection's transaction.
+
+    Parameters
+    ----------
+    first : str
+        What the first event is chained to.
+    """
+    METADATA.create_all(connection)
+    made = ""
+    if connection.dialect.name == "sqlite":
+        for what in ("UPDATE", "DELETE"):
+            connection.exec_driver_sql(
+                f"CREATE TRIGGER events_no_{what.lower()} BEFORE {what} ON events "
+                f"BEGIN SELECT RAISE(ABORT, '{_FORBIDDEN}'); END"
+            )
+        connection.exec_driver_sql(f"PRAGMA user_version = {VERSION}")
+        made = fingerprint(text for (text,) in connection.exec_driver_sql(STATEMENTS))
+    else:
+        connection.exec_driver_sql(
+            "CREATE OR REPLACE FUNCTION refuse_change() RETURNS trigger LANGUAGE plpgsql AS "
+            f"$$ BEGIN RAISE EXCEPTION '{_FORBIDDEN}'; END $$"
+        )
+        connection.exec_driver_sql(
+            "CREATE TRIGGER events_only_grow BEFORE UPDATE OR DELETE OR TRUNCATE ON events "
+            "FOR EACH STATEMENT EXECUTE FUNCTION refuse_change()"
+        )
+    head = {"one": 1, "version": VERSION, "events": 0, "last": 0, "hash": first, "tables": made}
+    connection.execute(HEAD.insert(), head)
+
+
+def drop_before(connection: sa.Connection) -> None:
+    """Remove the tables of version 1, whose events are at hand."""
+    for table in (BEFORE, EVENTS.name):
+        connection.exec_driver_sql(f"DROP TABLE {table}")
+
+
+def fingerprint(statements: Iterable[str]) -> str:
+    """Of the statements that made the tables: 64 hexadecimal digits."""
+    return hashlib.sha256("\n".join(statements).encode("utf-8", "surrogateescape")).hexdigest()

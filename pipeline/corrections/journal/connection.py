@@ -1,22 +1,41 @@
-"""Connections to a journal's database: SQLite so that what is saved is on the disk, or PostgreSQL by URL."""
+"""Connections to a journal's database: SQLite so that what is saved is on the disk, or PostgreSQL by URL.
+
+A journal of the release before is checked, kept beside as it was, and its events
+are chained, in one transaction.
+"""
 
 from __future__ import annotations
 
+import os
 import re
 import sqlite3
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import Any
 
 import sqlalchemy as sa
 from sqlalchemy.exc import DBAPIError, SQLAlchemyError
 
-from pipeline.corrections.journal.chain import FIRST
-from pipeline.corrections.journal.examining import examine
+from pipeline.corrections.journal.chain import (
+    CONTENT,
+    EVENTS,
+    FIRST,
+    HEAD,
+    VERSION,
+    Head,
+    Row,
+    Verdict,
+    chained,
+    create,
+    drop_before,
+    judged,
+    judged_alone,
+    version_of,
+)
+from pipeline.corrections.journal.examining import Examined, examine, read_only
 from pipeline.corrections.journal.postgres import ask_for_turn, postgres_engine, state_of
-from pipeline.corrections.journal.schema import VERSION, create, version_of
 from pipeline.corrections.journal.sqlite_file import (
     BUSY_S,
     READING,
@@ -25,7 +44,6 @@ from pipeline.corrections.journal.sqlite_file import (
     plain_reason,
     sqlite_engine,
 )
-from pipeline.corrections.journal.taking_over import believed, take_over
 from pipeline.system.errors import InputError
 
 NETWORK_FILE_SYSTEMS = frozenset(
@@ -49,6 +67,8 @@ _HELP = (
 _ADVISORY = 0x5350_4A4C
 """Key of the lock by which PostgreSQL's writers take turns: events are numbered in the order of their saving."""
 _ESCAPE = re.compile(r"\\([0-7]{3})")
+ORIGINAL, _TABLE = "before-chain", "events_before_chain"
+"""What the name of the copy ends with, and PostgreSQL's table."""
 
 
 def is_url(where: str | Path) -> bool:
@@ -78,7 +98,7 @@ def _come_instead(path: Path) -> None:
         raise InputError("another file stands in the place of the journal", cause="open it anew", path=path)
 
 
-def place_of(engine: sa.Engine) -> str:
+def location_of(engine: sa.Engine) -> str:
     """Where a journal is, without its password."""
     if engine.dialect.name == "sqlite":
         return str(engine.url.database)
@@ -102,14 +122,15 @@ def reading(engine: sa.Engine) -> Iterator[sa.Connection]:
     except (*DATABASE_ERRORS, ValueError, TypeError) as error:
         # Of a file that was whole when it was opened.
         cause = None if isinstance(error, DATABASE_ERRORS) else "spatialviz journal LABELS --check says what is wrong"
-        place = place_of(engine)
-        raise InputError("the journal cannot be read", got=reason_of(error, place), cause=cause, path=place) from error
+        location = location_of(engine)
+        reason = reason_of(error, location)
+        raise InputError("the journal cannot be read", got=reason, cause=cause, path=location) from error
 
 
 @contextmanager
 def writing(engine: sa.Engine) -> Iterator[sa.Connection]:
     """A connection whose turn it is to write; when the block ends, what it wrote is on the disk."""
-    file = Path(place_of(engine)) if engine.dialect.name == "sqlite" else None
+    file = Path(location_of(engine)) if engine.dialect.name == "sqlite" else None
     if file is not None and file.exists() and not can_be_written(file):
         raise sqlite3.OperationalError("attempt to write a readonly database")
     with engine.connect() as connection, _turn(connection):
@@ -142,10 +163,10 @@ def prepare(engine: sa.Engine) -> tuple[str, ...]:
     DamagedJournal
         Events of a server, or of an older journal, are not as they were saved.
     """
-    place = place_of(engine)
+    location = location_of(engine)
     try:
         on_server = engine.dialect.name != "sqlite"
-        writable = on_server or can_be_written(Path(place))
+        writable = on_server or can_be_written(Path(location))
         if not on_server and writable:
             _use_write_ahead_log(engine)
         # Head and events of one moment: on a server others go on writing while they are read.
@@ -154,30 +175,31 @@ def prepare(engine: sa.Engine) -> tuple[str, ...]:
             found = version_of(connection)
             if found == VERSION:
                 if on_server:
-                    believed(connection, place, chain=True)
+                    examined_server(connection, location, chain=True).believe()
                 return ()
         if not writable:
             if found != 1:
-                raise InputError("no journal can be made", cause="the folder cannot be written", path=place)
-            return (f"{place} can only be read here: its events are checked, and not chained",)
+                raise InputError("no journal can be made", cause="the folder cannot be written", path=location)
+            return (f"{location} can only be read here: its events are checked, and not chained",)
         with writing(engine) as connection:
             found = version_of(connection)
             if found is not None and found > VERSION:
                 raise InputError(
                     "the journal is of a newer release", got=f"version {found}", expected=f"at most {VERSION}",
-                    cause="install the release that wrote it", path=place,
+                    cause="install the release that wrote it", path=location,
                 )  # fmt: skip
             if found == 0:
-                raise InputError("the database holds something else than a journal", path=place)
+                raise InputError("the database holds something else than a journal", path=location)
             if found is None:
                 create(connection, FIRST)
             elif found < VERSION:
-                kept = take_over(connection, place)
-                return (f"{place} is chained now: as the release before left it, it stands in {kept}",)
+                kept = take_over(connection, location)
+                return (f"{location} is chained now: as the release before left it, it stands in {kept}",)
         return ()
     except DATABASE_ERRORS as error:
-        reason = reason_of(error, place)
-        raise InputError("the journal cannot be opened", got=reason, cause=likely_cause(reason), path=place) from error
+        reason = reason_of(error, location)
+        cause = likely_cause(reason)
+        raise InputError("the journal cannot be opened", got=reason, cause=cause, path=location) from error
 
 
 def _use_write_ahead_log(engine: sa.Engine) -> None:
@@ -196,20 +218,20 @@ def _use_write_ahead_log(engine: sa.Engine) -> None:
             connection.close()
 
 
-def reason_of(error: BaseException, place: str = "") -> str:
-    """The database's own words, in one line; of a full disk plainer ones, where `place` is a file."""
+def reason_of(error: BaseException, location: str = "") -> str:
+    """The database's own words, in one line; of a full disk plainer ones, where `location` is a file."""
     inner = error.orig if isinstance(error, DBAPIError) and error.orig is not None else error
-    said = state_of(inner).get("M") or str(inner)
-    if isinstance(inner.__cause__, OSError) and str(inner.__cause__) not in said:
-        said = f"{said}: {inner.__cause__}"
-    said = next((line.strip() for line in said.splitlines() if line.strip()), type(inner).__name__)
-    return said if not place else plain_reason(said, Path(place))
+    message = state_of(inner).get("M") or str(inner)
+    if isinstance(inner.__cause__, OSError) and str(inner.__cause__) not in message:
+        message = f"{message}: {inner.__cause__}"
+    message = next((line.strip() for line in message.splitlines() if line.strip()), type(inner).__name__)
+    return message if not location else plain_reason(message, Path(location))
 
 
 def likely_cause(reason: str) -> str | None:
     """What helps against a reason of `reason_of`."""
-    said = reason.lower()
-    return next((help for words, help in _HELP if any(word in said for word in words)), None)
+    message = reason.lower()
+    return next((help for words, help in _HELP if any(word in message for word in words)), None)
 
 
 def network_file_system(path: str | Path, mounts: str | Path = "/proc/self/mounts") -> str | None:
@@ -221,14 +243,98 @@ def network_file_system(path: str | Path, mounts: str | Path = "/proc/self/mount
         lines = Path(mounts).read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
         return None
-    place = str(Path(path).expanduser().resolve())
+    location = str(Path(path).expanduser().resolve())
     found = ("", "")
     for line in lines:
         fields = line.split(" ")
         if len(fields) < 3:
             continue
         point = _ESCAPE.sub(lambda m: chr(int(m[1], 8)), fields[1])
-        within = place == point or place.startswith(point.rstrip("/") + "/")
+        within = location == point or location.startswith(point.rstrip("/") + "/")
         if within and len(point) >= len(found[0]):
             found = point, fields[2]
     return found[1] if found[1] in NETWORK_FILE_SYSTEMS else None
+
+
+def take_over(connection: sa.Connection, location: str) -> str:
+    """Chain the events of version 1, in the connection's turn to write; the original is kept beside.
+
+    Returns
+    -------
+    str
+        Where it is kept: a file, or a table.
+
+    Raises
+    ------
+    DamagedJournal
+        Its events are not all as they can have been saved. Nothing was changed.
+    """
+    if connection.dialect.name == "sqlite":
+        path = Path(location)
+        # Nobody else writes now, so this is what the transaction sees.
+        rows = examine(path).believe().intact
+        kept = str(_free(path))
+        copy_whole(path, Path(kept))
+    else:
+        rows, kept = examined_server(connection, location, chain=False).believe().intact, _TABLE
+        connection.exec_driver_sql(f"CREATE TABLE IF NOT EXISTS {kept} AS TABLE events")
+    drop_before(connection)
+    create(connection, FIRST)
+    write_rows(connection, rows)
+    return kept
+
+
+def write_rows(connection: sa.Connection, rows: tuple[Row, ...]) -> None:
+    """Chain events, and write them into a journal that has none."""
+    made = chained(FIRST, rows)
+    if made:
+        connection.execute(EVENTS.insert(), made)
+        move_head(connection, Head(len(made), made[-1]["id"], made[-1]["hash"]))
+
+
+def move_head(connection: sa.Connection, head: Head) -> None:
+    """Say which event is the last one now."""
+    connection.execute(HEAD.update().values(events=head.events, last=head.last, hash=head.hash))
+
+
+def examined_server(connection: sa.Connection, location: str, *, chain: bool) -> Examined:
+    """As `examine`, of a journal in PostgreSQL; `chain` is whether its events are chained."""
+    names = (*CONTENT, "hash") if chain else CONTENT
+    query = sa.select(*(EVENTS.c[name] for name in names)).order_by(EVENTS.c.id)
+    rows = [(int(row["id"]), dict(row)) for row in connection.execute(query).mappings()]
+    kept = connection.execute(sa.select(HEAD.c.events, HEAD.c.last, HEAD.c.hash)).one_or_none() if chain else None
+    head = None if kept is None else Head(*kept)
+    found: Verdict = judged(rows, head) if chain else judged_alone(rows)
+    return Examined(location, 2 if chain else 1, head.events if head else len(rows), found.intact, found.damage)
+
+
+def _free(path: Path) -> Path:
+    """A name beside the journal that nothing has."""
+    name = Path(f"{path}.{ORIGINAL}")
+    number = 1
+    while name.exists():
+        number += 1
+        name = Path(f"{path}.{ORIGINAL}-{number}")
+    return name
+
+
+def copy_whole(path: Path, to: Path) -> None:
+    """A copy of a journal with what is in its log, on the disk and examined before it has its name.
+
+    Raises
+    ------
+    DamagedJournal
+        The copy is not whole.
+    OSError, sqlite3.Error
+        It cannot be written.
+    """
+    part = Path(f"{to}.part")
+    try:
+        with read_only(path, not Path(f"{path}-wal").exists()) as source, closing(sqlite3.connect(part)) as target:
+            source.backup(target)
+        with open(part, "rb+") as file:
+            os.fsync(file.fileno())
+        examine(part).believe()
+        os.replace(part, to)
+    finally:
+        part.unlink(missing_ok=True)

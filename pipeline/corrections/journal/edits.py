@@ -21,10 +21,10 @@ from pipeline.corrections.journal.field_refs import (
     FieldRef,
     box_value,
     checked,
-    object_cell,
-    relation_cell,
+    object_ref,
+    relation_ref,
 )
-from pipeline.corrections.journal.judgements import judgement_cell
+from pipeline.corrections.journal.replay import judgement_ref
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.masks import decode_run_length, encode_run_length
 from pipeline.system.errors import InputError
@@ -39,31 +39,31 @@ def set_class(frame: EffectiveFrame, number: int, label: str, reason: str = "") 
 
 
 def set_status(
-    frame: EffectiveFrame, cell: FieldRef, status: str | None, reason: str = "", author: str | None = None
+    frame: EffectiveFrame, ref: FieldRef, status: str | None, reason: str = "", author: str | None = None
 ) -> Edits:
     """Accept or reject an object, an expression, a frame, or a relation of a pair ("left.status"): see `STATUSES`.
 
     With an author the status is that person's own judgement, which no other's
-    gets in the way of (`pipeline.corrections.journal.judgements`); only what leaves an
+    gets in the way of (`pipeline.corrections.journal.replay`); only what leaves an
     object or expression out of the labels, or brings back what this person
     has left out, is set for all then.
     """
     if author is not None:
-        own = judge(frame, cell, status, author, reason)
-        if cell.kind not in ("object", "expression"):
+        own = judge(frame, ref, status, author, reason)
+        if ref.kind not in ("object", "expression"):
             return own
-        out = frame.statuses.get(cell) == "rejected"
+        out = frame.statuses.get(ref) == "rejected"
         if status == "rejected":
-            return own if out else (*own, *set_status(frame, cell, status, reason))
-        mine = out and frame.origin(cell).author == author
-        return (*own, *set_status(frame, cell, None, reason)) if mine else own
-    if not cell.field.endswith("status"):
-        raise InputError("not a status", got=cell.field)
-    if cell.kind == "object":
-        return (_object_edit(frame, cell.numbers[0], "status", status, reason),)
-    _check_expression(frame, cell)
-    _check_pair(frame, cell)
-    return (_edit(frame, cell, status, reason),)
+            return own if out else (*own, *set_status(frame, ref, status, reason))
+        mine = out and frame.origin(ref).author == author
+        return (*own, *set_status(frame, ref, None, reason)) if mine else own
+    if not ref.field.endswith("status"):
+        raise InputError("not a status", got=ref.field)
+    if ref.kind == "object":
+        return (_object_edit(frame, ref.numbers[0], "status", status, reason),)
+    _check_expression(frame, ref)
+    _check_pair(frame, ref)
+    return (_edit(frame, ref, status, reason),)
 
 
 def set_mask(frame: EffectiveFrame, number: int, mask: np.ndarray | str | None, reason: str = "") -> Edits:
@@ -112,12 +112,7 @@ def add_object(
         seed["bbox"] = _within(frame, bbox)
     if box is not None:
         seed["box"] = box_value(box)
-    return (_edit(frame, object_cell(frame.frame, number, "exists"), seed, reason),)
-
-
-def remove_object(frame: EffectiveFrame, number: int, reason: str = "") -> Edits:
-    """Reject an object: it is left out, with its relations and what is said of it."""
-    return (_object_edit(frame, number, "status", "rejected", reason),)
+    return (_edit(frame, object_ref(frame.frame, number, "exists"), seed, reason),)
 
 
 def merge_objects(frame: EffectiveFrame, numbers: Iterable[int], reason: str = "") -> Edits:
@@ -153,26 +148,26 @@ def set_relation(
     InputError
         No such pair or relation, or a state that is none.
     """
-    cells = [relation_cell(frame.frame, a, b, relation)]
-    _check_pair(frame, cells[0])
+    refs = [relation_ref(frame.frame, a, b, relation)]
+    _check_pair(frame, refs[0])
     inverse = frame.setting.inverse(relation)
     if inverse is not None:
-        cells.append(relation_cell(frame.frame, b, a, inverse))
-    return tuple(_edit(frame, cell, state, reason) for cell in cells)
+        refs.append(relation_ref(frame.frame, b, a, inverse))
+    return tuple(_edit(frame, ref, state, reason) for ref in refs)
 
 
-def judge(frame: EffectiveFrame, cell: FieldRef, status: str | None, author: str, reason: str = "") -> Edits:
+def judge(frame: EffectiveFrame, ref: FieldRef, status: str | None, author: str, reason: str = "") -> Edits:
     """What a reviewer says of an item, for this person alone; None takes it back. No label changes by it.
 
     Parameters
     ----------
-    cell : FieldRef
+    ref : FieldRef
         The status of an object, an expression, or of a relation ("left.status"). What is accepted of a relation is
         its state as it is now.
     """
-    _check_judged(frame, cell)
-    state = frame.value(_state_cell(cell)) if cell.kind == "relation" and status == "accepted" else None
-    return (_judgement(frame, cell, status, state, author, reason),)
+    _check_judged(frame, ref)
+    state = frame.value(state_ref(ref)) if ref.kind == "relation" and status == "accepted" else None
+    return (_judgement(frame, ref, status, state, author, reason),)
 
 
 def judge_relation(
@@ -182,82 +177,83 @@ def judge_relation(
 
     It is "accepted" where the label says so, else "corrected", and the label stays what it is: for a second opinion.
     """
-    cells = [FieldRef("relation", frame.frame, f"{a},{b}", f"{relation}.status")]
-    _check_judged(frame, cells[0])
+    refs = [FieldRef("relation", frame.frame, f"{a},{b}", f"{relation}.status")]
+    _check_judged(frame, refs[0])
     inverse = frame.setting.inverse(relation)
     if inverse is not None:
-        cells.append(FieldRef("relation", frame.frame, f"{b},{a}", f"{inverse}.status"))
+        refs.append(FieldRef("relation", frame.frame, f"{b},{a}", f"{inverse}.status"))
     return tuple(
-        _judgement(frame, c, "accepted" if frame.value(_state_cell(c)) == state else "corrected", state, author, reason)
-        for c in cells
+        _judgement(frame, c, "accepted" if frame.value(state_ref(c)) == state else "corrected", state, author, reason)
+        for c in refs
     )
 
 
 def judge_both_ways(
-    frame: EffectiveFrame, cell: FieldRef, status: str | None, author: str, reason: str = ""
+    frame: EffectiveFrame, ref: FieldRef, status: str | None, author: str, reason: str = ""
 ) -> Edits:
     """As `judge` of a relation, and of what says the same the other way round, unless the labels contradict it."""
-    _check_judged(frame, cell)
-    cells, inverse = [cell], frame.setting.inverse(cell.field.removesuffix(".status"))
+    _check_judged(frame, ref)
+    refs, inverse = [ref], frame.setting.inverse(ref.field.removesuffix(".status"))
     if inverse is not None:
-        a, b = cell.numbers
+        a, b = ref.numbers
         mirror = FieldRef("relation", frame.frame, f"{b},{a}", f"{inverse}.status")
-        if frame.value(_state_cell(mirror)) == frame.value(_state_cell(cell)):
-            cells.append(mirror)
-    return tuple(e for c in cells for e in judge(frame, c, status, author, reason))
+        if frame.value(state_ref(mirror)) == frame.value(state_ref(ref)):
+            refs.append(mirror)
+    return tuple(e for c in refs for e in judge(frame, c, status, author, reason))
 
 
 def judge_missing(frame: EffectiveFrame, what: str, status: str | None, author: str, reason: str = "") -> Edits:
     """What a reviewer says of a place where an object may be missing: "rejected" where there is none."""
-    cell = judgement_cell(frame.frame, "object", -1, None, what, author)
-    return (_edit(frame, cell, None if status is None else {"status": status}, reason),)
+    ref = judgement_ref(frame.frame, "object", -1, None, what, author)
+    return (_edit(frame, ref, None if status is None else {"status": status}, reason),)
 
 
-def settle(frame: EffectiveFrame, cell: FieldRef, status: str, reason: str = "", state: int | None = None) -> Edits:
+def settle(frame: EffectiveFrame, ref: FieldRef, status: str, reason: str = "", state: int | None = None) -> Edits:
     """The last word on an item that reviewers judge differently: for all of them, and a judgement of none.
 
     Parameters
     ----------
-    cell : FieldRef
+    ref : FieldRef
         As of `judge`.
     state : int, optional
         Of a relation: what it is to be, T, U or F; the labels follow. Default: what it is.
     """
-    _check_judged(frame, cell)
+    _check_judged(frame, ref)
     made: Edits = ()
-    if cell.kind == "relation":
-        now = frame.value(_state_cell(cell))
+    if ref.kind == "relation":
+        now = frame.value(state_ref(ref))
         state = now if state is None else state
         if state != now:
-            a, b = cell.numbers
-            made = set_relation(frame, a, b, cell.field.removesuffix(".status"), state, reason)
-    elif (status == "rejected") != (frame.statuses.get(cell) == "rejected"):
-        made = set_status(frame, cell, status, reason)
-    return (*made, _judgement(frame, cell, status, state, OF_ALL, reason))
+            a, b = ref.numbers
+            made = set_relation(frame, a, b, ref.field.removesuffix(".status"), state, reason)
+    elif (status == "rejected") != (frame.statuses.get(ref) == "rejected"):
+        made = set_status(frame, ref, status, reason)
+    return (*made, _judgement(frame, ref, status, state, OF_ALL, reason))
 
 
-def _state_cell(cell: FieldRef) -> FieldRef:
-    return FieldRef(cell.kind, cell.frame, cell.key, cell.field.removesuffix(".status"))
+def state_ref(ref: FieldRef) -> FieldRef:
+    """The relation that a status is of."""
+    return FieldRef(ref.kind, ref.frame, ref.key, ref.field.removesuffix(".status"))
 
 
-def _check_judged(frame: EffectiveFrame, cell: FieldRef) -> None:
-    if cell.kind not in ("object", "relation", "expression") or not cell.field.endswith("status"):
-        raise InputError("only objects, relations and expressions are judged", got=str(cell))
-    if cell.kind == "object":
-        _row(frame, cell.numbers[0])
-    _check_expression(frame, cell)
-    _check_pair(frame, cell)
+def _check_judged(frame: EffectiveFrame, ref: FieldRef) -> None:
+    if ref.kind not in ("object", "relation", "expression") or not ref.field.endswith("status"):
+        raise InputError("only objects, relations and expressions are judged", got=str(ref))
+    if ref.kind == "object":
+        _row(frame, ref.numbers[0])
+    _check_expression(frame, ref)
+    _check_pair(frame, ref)
 
 
 def _judgement(
-    frame: EffectiveFrame, cell: FieldRef, status: str | None, state: int | None, author: str, reason: str
+    frame: EffectiveFrame, ref: FieldRef, status: str | None, state: int | None, author: str, reason: str
 ) -> Edit:
-    a, b, what = -1, None, cell.key
-    if cell.kind == "object":
-        a, what = cell.numbers[0], ""
-    elif cell.kind == "relation":
-        (a, b), what = cell.numbers, cell.field.removesuffix(".status")
-    own = judgement_cell(frame.frame, cell.kind, a, b, what, author)
+    a, b, what = -1, None, ref.key
+    if ref.kind == "object":
+        a, what = ref.numbers[0], ""
+    elif ref.kind == "relation":
+        (a, b), what = ref.numbers, ref.field.removesuffix(".status")
+    own = judgement_ref(frame.frame, ref.kind, a, b, what, author)
     return _edit(frame, own, None if status is None else {"status": status, "value": state}, reason)
 
 
@@ -308,37 +304,32 @@ def set_note(frame: EffectiveFrame, note: str | None, reason: str = "") -> Edits
     return (_edit(frame, FieldRef("frame", frame.frame, "", "note"), note, reason),)
 
 
-def set_value(frame: EffectiveFrame, cell: FieldRef, value: Any, reason: str = "") -> Edits:
+def set_value(frame: EffectiveFrame, ref: FieldRef, value: Any, reason: str = "") -> Edits:
     """Any one cell, as it is kept; nothing else is set with it."""
-    if cell.kind == "object" and cell.field != "exists":
-        return (_object_edit(frame, cell.numbers[0], cell.field, value, reason),)
-    _check_expression(frame, cell)
-    _check_pair(frame, cell)
-    return (_edit(frame, cell, value, reason),)
+    if ref.kind == "object" and ref.field != "exists":
+        return (_object_edit(frame, ref.numbers[0], ref.field, value, reason),)
+    _check_expression(frame, ref)
+    _check_pair(frame, ref)
+    return (_edit(frame, ref, value, reason),)
 
 
-def reapply(frame: EffectiveFrame, cell: FieldRef, value: Any, reason: str = "") -> Edits:
-    """Correct again what no longer applied since the labels were made again; as `set_value`."""
-    return set_value(frame, cell, value, reason or "applied again")
-
-
-def _edit(frame: EffectiveFrame, cell: FieldRef, after: Any, reason: str) -> Edit:
-    if cell.frame != frame.frame:
-        raise InputError("an edit of another frame", got=cell.frame, expected=frame.frame)
+def _edit(frame: EffectiveFrame, ref: FieldRef, after: Any, reason: str) -> Edit:
+    if ref.frame != frame.frame:
+        raise InputError("an edit of another frame", got=ref.frame, expected=frame.frame)
     boxes = frame.auto.objects
-    anchor = {str(n): [float(x) for x in boxes[n]["bbox"]] for n in cell.numbers if n in boxes}
-    return Edit(cell, frame.value(cell), checked(cell, after), frame.version(cell), reason, anchor)
+    anchor = {str(n): [float(x) for x in boxes[n]["bbox"]] for n in ref.numbers if n in boxes}
+    return Edit(ref, frame.value(ref), checked(ref, after), frame.version(ref), reason, anchor)
 
 
 def _object_edit(frame: EffectiveFrame, number: int, field: str, after: Any, reason: str) -> Edit:
     _row(frame, number)
-    return _edit(frame, object_cell(frame.frame, number, field), after, reason)
+    return _edit(frame, object_ref(frame.frame, number, field), after, reason)
 
 
 def _expression_edit(frame: EffectiveFrame, expression: str, field: str, after: Any, reason: str) -> Edit:
-    cell = FieldRef("expression", frame.frame, expression, field)
-    _check_expression(frame, cell)
-    return _edit(frame, cell, after, reason)
+    ref = FieldRef("expression", frame.frame, expression, field)
+    _check_expression(frame, ref)
+    return _edit(frame, ref, after, reason)
 
 
 def _row(frame: EffectiveFrame, number: int) -> dict[str, Any]:
@@ -348,29 +339,34 @@ def _row(frame: EffectiveFrame, number: int) -> dict[str, Any]:
     return row
 
 
-def _check_expression(frame: EffectiveFrame, cell: FieldRef) -> None:
-    if cell.kind == "expression" and cell.key not in frame.auto.expressions:
-        raise InputError(f"frame {frame.frame} has no such expression", got=repr(cell.key))
+def _check_expression(frame: EffectiveFrame, ref: FieldRef) -> None:
+    if ref.kind == "expression" and ref.key not in frame.auto.expressions:
+        raise InputError(f"frame {frame.frame} has no such expression", got=repr(ref.key))
 
 
-def _check_pair(frame: EffectiveFrame, cell: FieldRef) -> None:
-    if cell.kind != "relation":
+def _check_pair(frame: EffectiveFrame, ref: FieldRef) -> None:
+    if ref.kind != "relation":
         return
-    relation = cell.field.removesuffix(".status")
+    relation = ref.field.removesuffix(".status")
     if relation not in frame.setting.relations:
         expected = _listed(frame.setting.relations)
         raise InputError("the labels hold no such relation", got=repr(relation), expected=expected)
-    a, b = cell.numbers
+    a, b = ref.numbers
     if a == b:
         raise InputError("an object has no relation to itself", got=a)
     for number in (a, b):
         _row(frame, number)
-        if frame.pairs.place(number) is None:
+        if frame.pairs.index_of(number) is None:
             raise InputError(f"object {number} takes part in no relation", cause="is it background, or rejected?")
 
 
+def size_of(frame: EffectiveFrame) -> tuple[int, int]:
+    """Height and width of a frame's picture."""
+    return int(frame.row["height"]), int(frame.row["width"])
+
+
 def _code(frame: EffectiveFrame, mask: np.ndarray | str) -> str:
-    size = frame.row["height"], frame.row["width"]
+    size = size_of(frame)
     if isinstance(mask, str):
         pixels = decode_run_length(size, mask)
     else:
@@ -394,8 +390,8 @@ def pixels_of(frame: EffectiveFrame, number: int) -> np.ndarray:
 
 
 def _within(frame: EffectiveFrame, bbox: Rectangle) -> list[float]:
-    cell = object_cell(frame.frame, 0, "bbox")
-    x0, y0, x1, y1 = checked(cell, [float(x) for x in bbox])
+    ref = object_ref(frame.frame, 0, "bbox")
+    x0, y0, x1, y1 = checked(ref, [float(x) for x in bbox])
     width, height = float(frame.row["width"]), float(frame.row["height"])
     inside = [max(x0, 0.0), max(y0, 0.0), min(x1, width), min(y1, height)]
     if inside[2] <= inside[0] or inside[3] <= inside[1]:
@@ -406,5 +402,3 @@ def _within(frame: EffectiveFrame, bbox: Rectangle) -> list[float]:
 def _listed(names: Iterable[Any], most: int = 12) -> str:
     found = [str(n) for n in names]
     return ", ".join(found[:most]) + (" ..." if len(found) > most else "")
-
-

@@ -1,31 +1,41 @@
-"""Effective labels: what the labeller made with what people corrected, as the same four tables, with provenance."""
+"""Effective labels: what the labeller made with what people corrected, as the same four tables, with provenance.
+
+What follows from corrected pixels and boxes is lifted and judged as the labeller does it.
+"""
 
 from __future__ import annotations
 
 import threading
 from collections import Counter, OrderedDict
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
+
+from pipeline.answering.objects import PreparedFrame, SceneObject, pixels_inside, prepare_frame
 from pipeline.corrections.journal.effective_expressions import Withdrawn
 from pipeline.corrections.journal.effective_frame import EffectiveFrame, effective_frame
 from pipeline.corrections.journal.events import Event
-from pipeline.corrections.journal.field_refs import FieldRef, judged_item
-from pipeline.corrections.journal.frame_rows import FrameIndex
+from pipeline.corrections.journal.field_refs import FieldRef, box_of, judged_item
+from pipeline.corrections.journal.frame_rows import FrameIndex, FrameRows, Pairs, Setting, setting_of
 from pipeline.corrections.journal.journal import Journal
-from pipeline.corrections.journal.origins import provenance_schema
-from pipeline.corrections.journal.relifting import Relifter, labelled_ups
-from pipeline.corrections.journal.replay import Unapplied, all_gone, by_cell
-from pipeline.corrections.journal.setting import Setting, setting_of
+from pipeline.corrections.journal.replay import Unapplied, all_gone, by_ref, provenance_schema
 from pipeline.datasets import Dataset
+from pipeline.geometry.camera import UpSource
+from pipeline.geometry.lifting import LiftedObject, lift
+from pipeline.geometry.masks import MaskCrop, decode_run_length
+from pipeline.labels.labelling import label_objects
 from pipeline.labels.reading import Labels
-from pipeline.labels.schema import TABLES, Manifest
+from pipeline.labels.schema import TABLES
+from pipeline.labels.second_opinion import NONE, open_second_opinion
+from pipeline.proposals.annotations import box_mask
+from pipeline.relations.model import OnnxScorer
+from pipeline.system.errors import InputError
 
 if TYPE_CHECKING:
     import pyarrow as pa
-
 
 _NAMED = ("table", "frame", "key", "column")
 _KEYS = {"objects": ("object",), "relations": ("a", "b"), "expressions": ("id",)}
@@ -35,6 +45,10 @@ FRAMES_KEPT = 8
 """Effective frames that a corrector keeps: the one that is looked at, and those next in a queue."""
 GEOMETRY = ("bbox", "mask", "center")
 """Columns of which a correction makes another object of what the dataset annotates."""
+Row = dict[str, Any]
+LabelledUp = tuple[tuple[float, ...], UpSource]
+FRAMES_LOADED = 4
+"""Frames that stay loaded: who corrects one goes on correcting it."""
 
 
 class Corrector:
@@ -65,8 +79,6 @@ class Corrector:
         InputError
             The labels have no such frame, or the dataset cannot load it.
         """
-        from pipeline.system.errors import InputError
-
         if frame not in self.index.of_frame:
             raise InputError("the labels have no such frame", got=repr(frame), path=self.labels.root)
         events = journal.events(frame=frame) if isinstance(journal, Journal) else tuple(journal)
@@ -81,16 +93,16 @@ class Corrector:
 
 
 @dataclass(frozen=True)
-class EffectiveLabels:
+class EffectiveLabels(Labels):
     """Labels after all corrections; tables as those of `pipeline.labels.reading.Labels`.
 
     Attributes
     ----------
-    labels : Labels
-        The automatic ones.
+    root, manifest
+        Of the automatic ones.
     tables : dict of str to pyarrow.Table
     provenance : pyarrow.Table
-        See `origins.provenance_schema`: a value that is not listed is the labeller's.
+        See `replay.provenance_schema`: a value that is not listed is the labeller's.
     unapplied : tuple of Unapplied
         Events that say nothing of these labels, each with the reason.
     withdrawn : tuple of Withdrawn
@@ -98,7 +110,7 @@ class EffectiveLabels:
         BAD_LABEL or BAD_BOX by (frame, id of the expression).
     events : int
         How many there are in the journal.
-    statuses : dict of Cell to JSON value
+    statuses : dict of FieldRef to JSON value
         What reviewers said, and notes.
     last : str or None
         ULID of the newest event.
@@ -106,7 +118,6 @@ class EffectiveLabels:
         Whether the dataset was at hand.
     """
 
-    labels: Labels
     tables: dict[str, pa.Table]
     provenance: pa.Table
     unapplied: tuple[Unapplied, ...]
@@ -117,33 +128,9 @@ class EffectiveLabels:
     last: str | None
     relifted: bool
 
-    @property
-    def manifest(self) -> Manifest:
-        return self.labels.manifest
-
-    @property
-    def relation_names(self) -> tuple[str, ...]:
-        return self.labels.relation_names
-
     def table(self, name: str) -> pa.Table:
         """One of the four tables, in canonical order."""
         return self.tables[name]
-
-    @property
-    def frames(self) -> pa.Table:
-        return self.tables["frames"]
-
-    @property
-    def objects(self) -> pa.Table:
-        return self.tables["objects"]
-
-    @property
-    def relations(self) -> pa.Table:
-        return self.tables["relations"]
-
-    @property
-    def expressions(self) -> pa.Table:
-        return self.tables["expressions"]
 
     @cached_property
     def counts(self) -> dict[str, int]:
@@ -168,19 +155,19 @@ class EffectiveLabels:
             # What is said of a label is no value of it.
             if origin == "human" and table in by_table and column.rpartition(".")[2] not in ("status", "mark", "note"):
                 by_table[table].add((frame, key, column if table == "relations" else ""))
-        for cell, value in self.statuses.items():
-            if cell.kind in ("object", "relation", "expression") and value in DECIDED:
-                by_table[f"{cell.kind}s"].add((cell.frame, cell.key, cell.field.removesuffix("status").rstrip(".")))
-            elif cell.kind == "review" and cell.field == "said" and value["status"] == "accepted":
-                _, kind, a, b, what = judged_item(cell.key)
+        for ref, value in self.statuses.items():
+            if ref.kind in ("object", "relation", "expression") and value in DECIDED:
+                by_table[f"{ref.kind}s"].add((ref.frame, ref.key, ref.field.removesuffix("status").rstrip(".")))
+            elif ref.kind == "review" and ref.field == "said" and value["status"] == "accepted":
+                _, kind, a, b, what = judged_item(ref.key)
                 key = what if kind == "expression" else f"{a}" if b is None else f"{a},{b}"
-                by_table[f"{kind}s"].add((cell.frame, key, what if kind == "relation" else ""))
+                by_table[f"{kind}s"].add((ref.frame, key, what if kind == "relation" else ""))
         counted = {}
         for table, found in by_table.items():
             columns = (self.tables[table].column(n).to_pylist() for n in ("frame", *_KEYS[table]))
             there = {(frame, ",".join(map(str, key))) for frame, *key in zip(*columns, strict=True)}
-            cells = len(self.relation_names) if table == "relations" else 1
-            counted[table] = (sum((frame, key) in there for frame, key, _ in found), len(there) * cells)
+            refs = len(self.relation_names) if table == "relations" else 1
+            counted[table] = (sum((frame, key) in there for frame, key, _ in found), len(there) * refs)
         return counted
 
 
@@ -210,7 +197,7 @@ def effective_tables(
     corrector = Corrector(labels, dataset)
     by_frame: dict[str, list[Event]] = {}
     for event in events:
-        by_frame.setdefault(event.cell.frame, []).append(event)
+        by_frame.setdefault(event.ref.frame, []).append(event)
     known = [name for name in by_frame if name in corrector.index.of_frame]
     pieces: dict[str, list[pa.Table]] = {name: [] for name in TABLES}
     at = dict.fromkeys(TABLES, 0)
@@ -232,17 +219,18 @@ def effective_tables(
         provenance += found.origins.rows()
         unapplied += found.unapplied
         withdrawn += found.withdrawn
-        statuses |= {cell: value for cell, value in found.statuses.items() if cell.field != "exists"}
+        statuses |= {ref: value for ref, value in found.statuses.items() if ref.field != "exists"}
         marks |= {(name, key): mark for key, mark in found.marks.items()}
     tables = {
         name: pa.concat_tables([*pieces[name], whole.slice(at[name])]).combine_chunks()
         for name, whole in corrector.index.tables.items()
     }
     for name in by_frame.keys() - set(known):
-        for members in by_cell(by_frame[name]).values():
+        for members in by_ref(by_frame[name]).values():
             unapplied += all_gone(None, members, "the labels have no such frame any more").unapplied
     return EffectiveLabels(
-        labels,
+        labels.root,
+        labels.manifest,
         tables,
         pa.Table.from_pylist(provenance, provenance_schema()),
         tuple(sorted(unapplied, key=lambda u: u.event.id)),
@@ -253,3 +241,104 @@ def effective_tables(
         events[-1].ulid if events else None,
         dataset is not None,
     )
+
+
+def labelled_ups(frames: pa.Table) -> dict[str, LabelledUp]:
+    """The up vectors of the table `frames`, by frame, where there is one."""
+    columns = (frames.column(name).to_pylist() for name in ("frame", "up", "up_source"))
+    return {name: (tuple(up), source or "assumed") for name, up, source in zip(*columns, strict=True) if up and any(up)}
+
+
+@dataclass
+class Relifter:
+    """Lifts the objects of frames of one dataset; see `effective_frame.Relift`.
+
+    Attributes
+    ----------
+    dataset : Dataset
+    setting : Setting
+    ups : mapping of str to (tuple of float, str)
+        The up vector (camera frame) that each frame was labelled with, and how it was known: what follows from a
+        correction is judged in the same level frame, whatever would be found now.
+    """
+
+    dataset: Dataset
+    setting: Setting
+    ups: Mapping[str, LabelledUp]
+    _contexts: OrderedDict[str, PreparedFrame] = field(default_factory=OrderedDict, repr=False)
+    _lifted: dict[tuple[str, str, str], LiftedObject] = field(default_factory=dict, repr=False)
+    _network: OnnxScorer | None = field(default=None, repr=False)
+
+    def context(self, frame: str) -> PreparedFrame:
+        """A frame of the dataset, ready to lift from; raises as `Dataset.load`."""
+        if frame not in self._contexts:
+            loaded = self.dataset.load(frame)
+            if frame in self.ups:
+                up, source = self.ups[frame]
+                loaded = replace(loaded, camera=loaded.camera.with_up(np.array(up), source))
+            self._contexts[frame] = prepare_frame(self.dataset, loaded, self.setting.config.lift)
+            while len(self._contexts) > FRAMES_LOADED:
+                gone, _ = self._contexts.popitem(last=False)
+                self._lifted = {key: value for key, value in self._lifted.items() if key[0] != gone}
+        self._contexts.move_to_end(frame)
+        return self._contexts[frame]
+
+    @property
+    def network(self) -> OnnxScorer | None:
+        """The second opinion of the labels, opened when it is first asked."""
+        if self._network is None and self.setting.config.second_opinion != NONE:
+            self._network = open_second_opinion(self.setting.config.second_opinion)
+        return self._network
+
+    def lifted(self, frame: str, row: Row, box: Any) -> SceneObject:
+        """An object of a frame as its effective row and the 3D box that a person set have it."""
+        return self._object(self.context(frame), row, box, human_bbox=True)
+
+    def __call__(
+        self, auto: FrameRows, rows: Mapping[int, Row], boxes: Mapping[int, Any], human_bbox: Iterable[int]
+    ) -> tuple[dict[int, Row], Pairs]:
+        context = self.context(auto.frame)
+        numbers, kept = sorted(rows), set(human_bbox)
+        objects = [self._object(context, rows[n], boxes.get(n), n in kept) for n in numbers]
+        labels = label_objects(
+            context,
+            objects,
+            self.setting.config,
+            frame_index=auto.index,
+            scene=auto.row["scene"],
+            exact=self.setting.exact,
+            network=self.network,
+            numbers=numbers,
+        )
+        columns = labels.objects
+        found = {n: {name: values[k] for name, values in columns.items()} for k, n in enumerate(numbers)}
+        return found, Pairs.of_columns(numbers, labels.relations)
+
+    def _object(self, context: PreparedFrame, row: Row, box: Any, human_bbox: bool) -> SceneObject:
+        """An object as its row and corrections have it: its mask, else the pixels in its 3D box, else its 2D box."""
+        frame, source = context.frame, row["mask_source"]
+        bbox = np.array(row["bbox"], np.float32)
+        if row["mask"] is not None and source != "box":
+            mask = decode_run_length((frame.height, frame.width), row["mask"], f"object {row['object']}")
+        else:
+            mask = box_mask(bbox, frame.height, frame.width)
+            if source == "box3d" and box is not None:
+                within = pixels_inside(box_of(box), mask, frame)
+                mask, source = (within, "box3d") if within.any() else (mask, "box")
+        lifted = self._lift(context, mask, source)
+        if box is not None:
+            lifted = lifted.moved_to(box_of(box), context.viewer)
+        if source == "human" and not human_bbox and mask.any():
+            bbox = np.array(MaskCrop(0, 0, mask).box, np.float32)
+        return SceneObject(row["object"], row["label"], row["score"], bbox, mask, lifted)
+
+    def _lift(self, context: PreparedFrame, mask: np.ndarray, source: Any) -> LiftedObject:
+        import xxhash
+
+        key = context.frame.id, xxhash.xxh3_128_hexdigest(np.ascontiguousarray(mask).data), str(source)
+        if key not in self._lifted:
+            (self._lifted[key],) = lift(
+                context.frame.depth, context.frame.camera, [mask], context.viewer, config=context.config,
+                mask_source=source, edges=context.edges,
+            )  # fmt: skip
+        return self._lifted[key]

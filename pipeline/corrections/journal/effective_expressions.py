@@ -8,14 +8,11 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.corrections.journal.effective_objects import CorrectedObjects
-from pipeline.corrections.journal.effective_pairs import CorrectedPairs
+from pipeline.corrections.journal.effective_objects import CorrectedObjects, CorrectedPairs
 from pipeline.corrections.journal.events import Event
 from pipeline.corrections.journal.field_refs import FieldRef
-from pipeline.corrections.journal.frame_rows import FrameRows, Pairs
-from pipeline.corrections.journal.origins import Origin, Origins
-from pipeline.corrections.journal.replay import Unapplied, all_gone, replay
-from pipeline.corrections.journal.setting import Setting
+from pipeline.corrections.journal.frame_rows import FrameRows, Pairs, Setting
+from pipeline.corrections.journal.replay import Corrected, Origin, Origins, all_gone, replay
 from pipeline.labels.wording import expression_text
 from pipeline.language.noun_phrase import alone, same_names
 from pipeline.language.relation_names import PAIRWISE
@@ -47,8 +44,8 @@ class Withdrawn:
     row: Row = field(default_factory=dict, compare=False, repr=False)
 
 
-@dataclass
-class CorrectedExpressions:
+@dataclass(kw_only=True)
+class CorrectedExpressions(Corrected):
     """What became of a frame's expressions.
 
     Attributes
@@ -58,17 +55,11 @@ class CorrectedExpressions:
     withdrawn : list of Withdrawn
     marks : dict of str to str
         BAD_LABEL or BAD_BOX by id, of expressions that stand or not.
-    versions : dict of Cell to int
-    statuses : dict of Cell to str
-    unapplied : list of Unapplied
     """
 
     rows: dict[str, Row] = field(default_factory=dict)
     withdrawn: list[Withdrawn] = field(default_factory=list)
     marks: dict[str, str] = field(default_factory=dict)
-    versions: dict[FieldRef, int] = field(default_factory=dict)
-    statuses: dict[FieldRef, str] = field(default_factory=dict)
-    unapplied: list[Unapplied] = field(default_factory=list)
 
 
 class Answers:
@@ -89,7 +80,7 @@ class Answers:
     def sets(self, target: int, relation: str, reference: int) -> tuple[list[int], list[int]] | None:
         """Numbers of the objects that an expression is true of beyond doubt, and with doubt; None where either of its
         own objects takes part in no relation."""
-        i, j = self.pairs.place(target), self.pairs.place(reference)
+        i, j = self.pairs.index_of(target), self.pairs.index_of(reference)
         if i is None or j is None:
             return None
         k, kinds = PAIRWISE.index(relation), self.same.astype(np.int32)
@@ -105,7 +96,7 @@ def correct_expressions(
     auto: FrameRows,
     objects: CorrectedObjects,
     pairs: CorrectedPairs,
-    cells: Mapping[FieldRef, Sequence[Event]],
+    refs: Mapping[FieldRef, Sequence[Event]],
     setting: Setting,
     origins: Origins,
     cause: Event | None,
@@ -119,9 +110,9 @@ def correct_expressions(
     """
     found = CorrectedExpressions()
     by_id: dict[str, dict[str, Sequence[Event]]] = {}
-    for cell, events in cells.items():
-        if cell.kind == "expression":
-            by_id.setdefault(cell.key, {})[cell.field] = events
+    for ref, events in refs.items():
+        if ref.kind == "expression":
+            by_id.setdefault(ref.key, {})[ref.field] = events
     followed = None
     if cause is not None and (pairs.changed or objects.renamed or objects.left_out):
         now = Answers(pairs.pairs, {n: r["label"] for n, r in objects.rows.items()})
@@ -135,9 +126,8 @@ def correct_expressions(
             _correct(dict(row), by_id.get(name, {}), auto, objects, pairs, setting, origins, followed, found)
     for name in by_id.keys() - auto.expressions.keys():
         for column, events in by_id[name].items():
-            after = all_gone(None, events, "there is no such expression any more")
-            found.versions[FieldRef("expression", auto.frame, name, column)] = after.version
-            found.unapplied += after.unapplied
+            gone = all_gone(None, events, "there is no such expression any more")
+            found.note(FieldRef("expression", auto.frame, name, column), gone)
     return found
 
 
@@ -158,21 +148,18 @@ def _correct(
         reason = _follow(row, objects, pairs, setting, origins, followed)
     human: set[str] = set()
     for column in sorted(fields):
-        events, cell = fields[column], FieldRef("expression", auto.frame, name, column)
+        events, ref = fields[column], FieldRef("expression", auto.frame, name, column)
         trusted = column in OPEN_FIELDS and row[column] != was[column]
-        after = replay(was[column] if column in OPEN_FIELDS else None, events, trusted=trusted)
-        found.versions[cell] = after.version
-        found.unapplied += after.unapplied
+        after = found.note(ref, replay(was[column] if column in OPEN_FIELDS else None, events, trusted=trusted))
         if after.event is None:
             continue
         if column in OPEN_FIELDS:
             row[column] = after.value
             human.add(column)
+        elif after.value is not None and column == "mark":
+            found.marks[name] = after.value
         elif after.value is not None:
-            if column == "mark":
-                found.marks[name] = after.value
-            else:
-                found.statuses[cell] = after.value
+            found.statuses[ref] = after.value
         if after.value is not None:
             origins.put("expressions", name, column, Origin.of("human", after.event), was.get(column))
     if "ambiguous" not in human and human & {"acceptable", "targets"}:
@@ -219,7 +206,7 @@ def _follow(
             if row[column] != after[column]:
                 origins.put("expressions", name, column, origin, row[column])
                 row[column] = after[column]
-    i, j, k = pairs.pairs.place(a), pairs.pairs.place(b), PAIRWISE.index(relation)
+    i, j, k = pairs.pairs.index_of(a), pairs.pairs.index_of(b), PAIRWISE.index(relation)
     assert i is not None
     assert j is not None
     involved = (now.same[i] | now.same[j]) & pairs.stale
@@ -233,7 +220,7 @@ def _follow(
     if not pairs.pairs.present[i, j] or pairs.pairs.states[i, j, k] != T:
         return "it is no longer true of its own objects"
     for number in (a, b):
-        if not objects.rows[number]["usable"] and not pairs.stale[pairs.pairs.place(number) or 0]:
+        if not objects.rows[number]["usable"] and not pairs.stale[pairs.pairs.index_of(number) or 0]:
             return f"object {number} may not be asked for: {objects.rows[number]['reason']}"
     return None
 

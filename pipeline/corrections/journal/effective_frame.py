@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from pipeline.corrections.journal.effective_expressions import Withdrawn, correct_expressions
 from pipeline.corrections.journal.effective_objects import (
@@ -13,17 +13,22 @@ from pipeline.corrections.journal.effective_objects import (
     OF_BOX,
     CorrectedObjects,
     correct_objects,
+    correct_pairs,
     object_value,
     unusable,
 )
-from pipeline.corrections.journal.effective_pairs import correct_pairs
 from pipeline.corrections.journal.events import Event
 from pipeline.corrections.journal.field_refs import FIELDS, FieldRef
-from pipeline.corrections.journal.frame_rows import FrameRows, Pairs
-from pipeline.corrections.journal.judgements import replayed_judgement
-from pipeline.corrections.journal.origins import Origin, Origins
-from pipeline.corrections.journal.replay import Unapplied, by_cell, replay
-from pipeline.corrections.journal.setting import Setting
+from pipeline.corrections.journal.frame_rows import FrameRows, Pairs, Setting
+from pipeline.corrections.journal.replay import (
+    Corrected,
+    Origin,
+    Origins,
+    Unapplied,
+    by_ref,
+    replay,
+    replayed_judgement,
+)
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -31,29 +36,9 @@ if TYPE_CHECKING:
 Row = dict[str, Any]
 
 
-class Relift(Protocol):
-    """Lifts the objects of a frame anew, from the dataset."""
-
-    def __call__(
-        self, auto: FrameRows, rows: Mapping[int, Row], boxes: Mapping[int, Any], human_bbox: Iterable[int]
-    ) -> tuple[dict[int, Row], Pairs]:
-        """Lift and judge.
-
-        Parameters
-        ----------
-        rows : mapping of int to dict
-            All standing objects.
-        boxes : mapping of int to JSON value
-            3D boxes that people set.
-        human_bbox : iterable of int
-            Objects whose 2D box is not to follow from their mask.
-
-        Returns
-        -------
-        rows : dict of int to dict
-        pairs : Pairs
-        """
-        ...
+Relift = Callable[[FrameRows, Mapping[int, Row], Mapping[int, Any], Iterable[int]], tuple[dict[int, Row], Pairs]]
+"""Lifts and judges the objects of a frame anew, from the dataset: of its automatic rows, all standing objects, the 3D
+boxes (JSON values) that people set, and the objects whose 2D box is not to follow from their mask."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,9 +59,9 @@ class EffectiveFrame:
     withdrawn : tuple of Withdrawn
     marks : dict of str to str
         By the id of the expression.
-    versions : dict of Cell to int
+    versions : dict of FieldRef to int
         Of the cells that have events.
-    statuses : dict of Cell to str
+    statuses : dict of FieldRef to str
     unapplied : tuple of Unapplied
     origins : Origins
     setting : Setting
@@ -108,39 +93,39 @@ class EffectiveFrame:
         """Whether the frame was not rejected as a whole."""
         return self.statuses.get(FieldRef("frame", self.frame, "", "status")) != "rejected"
 
-    def value(self, cell: FieldRef) -> Any:
+    def value(self, ref: FieldRef) -> Any:
         """What a cell says now; None where there is no such entity."""
-        if cell.field not in FIELDS[cell.kind]:
+        if ref.field not in FIELDS[ref.kind]:
             return None
-        if cell.kind in ("frame", "review") or cell.field.endswith("status"):
-            return self.statuses.get(cell)
-        if cell.kind == "object":
-            row = self.objects.get(cell.numbers[0]) or self.left_out.get(cell.numbers[0])
-            if cell.field == "exists":
-                return None if row is None or cell.numbers[0] in self.auto.objects else self.statuses.get(cell)
-            return None if row is None else object_value(row, cell.field)
-        if cell.kind == "relation":
-            return self.pairs.state(*cell.numbers, cell.field)  # pyright: ignore[reportCallIssue]
-        if cell.field == "mark":
-            return self.marks.get(cell.key)
-        row = self.expression(cell.key)
-        return None if row is None else row[cell.field]
+        if ref.kind in ("frame", "review") or ref.field.endswith("status"):
+            return self.statuses.get(ref)
+        if ref.kind == "object":
+            row = self.objects.get(ref.numbers[0]) or self.left_out.get(ref.numbers[0])
+            if ref.field == "exists":
+                return None if row is None or ref.numbers[0] in self.auto.objects else self.statuses.get(ref)
+            return None if row is None else object_value(row, ref.field)
+        if ref.kind == "relation":
+            return self.pairs.state(*ref.numbers, ref.field)  # pyright: ignore[reportCallIssue]
+        if ref.field == "mark":
+            return self.marks.get(ref.key)
+        row = self.expression(ref.key)
+        return None if row is None else row[ref.field]
 
     def expression(self, name: str) -> Row | None:
         """The row of an expression as it is now, also of one that was left out; None where there never was one."""
         left_out = (w.row for w in self.withdrawn if w.id == name)
         return self.expressions.get(name) or next(left_out, None) or self.auto.expressions.get(name)
 
-    def version(self, cell: FieldRef) -> int:
+    def version(self, ref: FieldRef) -> int:
         """How many events a cell has: what an edit of it is based on."""
-        return self.versions.get(cell, 0)
+        return self.versions.get(ref, 0)
 
-    def origin(self, cell: FieldRef) -> Origin:
+    def origin(self, ref: FieldRef) -> Origin:
         """Where the value of a cell comes from."""
         table = {"object": "objects", "relation": "relations", "expression": "expressions", "frame": "frames",
                  "review": "reviews"}  # fmt: skip
-        column = "center" if cell.field == "box" else cell.field
-        found = self.origins.get(table[cell.kind], cell.key, column)
+        column = "center" if ref.field == "box" else ref.field
+        found = self.origins.get(table[ref.kind], ref.key, column)
         return found or Origin("auto", made_by=self.setting.made_by)
 
     def tables(self) -> dict[str, pa.Table]:
@@ -176,36 +161,30 @@ def effective_frame(
         The dataset was asked for, and the frame cannot be loaded.
     """
     events = tuple(events)
-    cells = by_cell(events)
+    refs = by_ref(events)
     origins = Origins(auto.frame, auto.index)
-    objects = correct_objects(auto, cells, setting, origins)
+    objects = correct_objects(auto, refs, setting, origins)
     relifted = _lift(auto, objects, setting, origins, relift)
     _rename(auto, objects, setting, origins)
-    pairs = correct_pairs(auto, objects, relifted, cells, setting, origins)
+    pairs = correct_pairs(auto, objects, relifted, refs, setting, origins)
     concerned = {*objects.versions, *pairs.versions}
-    cause = max((e for e in events if e.cell in concerned), key=lambda e: e.id, default=None)
-    expressions = correct_expressions(auto, objects, pairs, cells, setting, origins, cause)
-    versions = {**objects.versions, **pairs.versions, **expressions.versions}
-    statuses: dict[FieldRef, Any] = {**objects.statuses, **pairs.statuses, **expressions.statuses}
-    unapplied = [*objects.unapplied, *pairs.unapplied, *expressions.unapplied]
+    cause = max((e for e in events if e.ref in concerned), key=lambda e: e.id, default=None)
+    expressions = correct_expressions(auto, objects, pairs, refs, setting, origins, cause)
+    rest = Corrected()
     known = {n: row["bbox"] for n, row in auto.objects.items()}
-    for cell, members in cells.items():
-        if cell.kind == "review":
+    for ref, members in refs.items():
+        if ref.kind == "review":
             # A judgement is of labels, and never one itself: nothing follows from it.
-            after = replayed_judgement(cell, members, known, {*objects.rows, *objects.left_out}, auto.expressions)
-            versions[cell] = after.version
-            unapplied += after.unapplied
-            if after.value is not None:
-                statuses[cell] = after.value
-        elif cell.kind == "frame" or cell.field == "exists":
+            after = replayed_judgement(ref, members, known, {*objects.rows, *objects.left_out}, auto.expressions)
+        elif ref.kind == "frame":
             after = replay(None, members)
-            versions[cell] = after.version
-            if cell.kind == "frame":
-                unapplied += after.unapplied
-            if after.value is not None:
-                statuses[cell] = after.value
-                if cell.kind == "frame" and after.event is not None:
-                    origins.put("frames", "", cell.field, Origin.of("human", after.event))
+        else:
+            continue
+        if rest.note(ref, after).value is not None:
+            rest.statuses[ref] = after.value
+            if ref.kind == "frame" and after.event is not None:
+                origins.put("frames", "", ref.field, Origin.of("human", after.event))
+    parts = (objects, pairs, expressions, rest)
     return EffectiveFrame(
         auto,
         {**auto.row, "objects": len(objects.rows)},
@@ -215,9 +194,9 @@ def effective_frame(
         expressions.rows,
         tuple(expressions.withdrawn),
         expressions.marks,
-        versions,
-        statuses,
-        tuple(sorted(unapplied, key=lambda u: u.event.id)),
+        {ref: version for part in parts for ref, version in part.versions.items()},
+        {ref: value for part in parts for ref, value in part.statuses.items()},
+        tuple(sorted((u for part in parts for u in part.unapplied), key=lambda u: u.event.id)),
         origins,
         setting,
         events[-1].id if events else 0,

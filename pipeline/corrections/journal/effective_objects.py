@@ -1,18 +1,29 @@
-"""The objects of a frame after their corrections."""
+"""The objects of a frame and their relations after corrections: what people set, and what follows."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
+import numpy as np
+
 from pipeline.corrections.journal.events import Event
-from pipeline.corrections.journal.field_refs import FieldRef, box_of, same_value
-from pipeline.corrections.journal.frame_rows import FrameRows
-from pipeline.corrections.journal.origins import Origin, Origins
-from pipeline.corrections.journal.replay import Replayed, Unapplied, all_gone, is_another, replay
-from pipeline.corrections.journal.setting import Setting
+from pipeline.corrections.journal.field_refs import FieldRef, box_of, object_ref, same_value
+from pipeline.corrections.journal.frame_rows import NO_STATE, FrameRows, Pairs, Setting
+from pipeline.corrections.journal.replay import (
+    Corrected,
+    Origin,
+    Origins,
+    Replayed,
+    all_gone,
+    is_another,
+    replay,
+    standing,
+)
 from pipeline.geometry.masks import decode_crop
+from pipeline.language.relation_names import INVERSE, PAIRWISE
+from pipeline.relations.relations import F, T
 
 Row = dict[str, Any]
 BOX_COLUMNS = ("center", "R", "size")
@@ -25,8 +36,8 @@ OF_BOX = (*BOX_COLUMNS, "yaw_confidence", "pca_center", "pca_R", "pca_size", "lo
 """Columns that follow from an object's 3D box."""
 
 
-@dataclass
-class CorrectedObjects:
+@dataclass(kw_only=True)
+class CorrectedObjects(Corrected):
     """What became of a frame's objects.
 
     Attributes
@@ -43,9 +54,6 @@ class CorrectedObjects:
         Objects whose 2D box a person set.
     renamed : dict of int to Event
         Objects with another class.
-    versions : dict of Cell to int
-    statuses : dict of Cell to str
-    unapplied : list of Unapplied
     """
 
     rows: dict[int, Row] = field(default_factory=dict)
@@ -54,21 +62,17 @@ class CorrectedObjects:
     boxes: dict[int, Any] = field(default_factory=dict)
     human_bbox: set[int] = field(default_factory=set)
     renamed: dict[int, Event] = field(default_factory=dict)
-    rejected_by: dict[int, Event] = field(default_factory=dict)
-    versions: dict[FieldRef, int] = field(default_factory=dict)
-    statuses: dict[FieldRef, str] = field(default_factory=dict)
-    unapplied: list[Unapplied] = field(default_factory=list)
 
 
 def correct_objects(
-    auto: FrameRows, cells: Mapping[FieldRef, Sequence[Event]], setting: Setting, origins: Origins
+    auto: FrameRows, refs: Mapping[FieldRef, Sequence[Event]], setting: Setting, origins: Origins
 ) -> CorrectedObjects:
     """Apply the corrections of objects; what follows from new pixels or a new box is left as it was.
 
     Parameters
     ----------
     auto : FrameRows
-    cells : mapping of Cell to events
+    refs : mapping of FieldRef to events
         Those of the frame.
     setting : Setting
     origins : Origins
@@ -76,17 +80,17 @@ def correct_objects(
     """
     found = CorrectedObjects()
     by_object: dict[int, dict[str, Sequence[Event]]] = {}
-    for cell, events in cells.items():
-        if cell.kind == "object":
-            by_object.setdefault(cell.numbers[0], {})[cell.field] = events
+    for ref, events in refs.items():
+        if ref.kind == "object":
+            by_object.setdefault(ref.numbers[0], {})[ref.field] = events
     found.rows = {number: row for number, row in auto.objects.items() if number not in by_object}
     for number in sorted(by_object):
-        _correct(number, by_object[number], auto, setting, origins, found)
+        _correct_object(number, by_object[number], auto, setting, origins, found)
     found.rows = dict(sorted(found.rows.items()))
     return found
 
 
-def _correct(
+def _correct_object(
     number: int,
     fields: Mapping[str, Sequence[Event]],
     auto: FrameRows,
@@ -95,13 +99,13 @@ def _correct(
     found: CorrectedObjects,
 ) -> None:
     def note(name: str, replayed: Replayed) -> Replayed:
-        found.versions[FieldRef("object", auto.frame, str(number), name)] = replayed.version
-        found.unapplied += replayed.unapplied
-        return replayed
+        return found.note(object_ref(auto.frame, number, name), replayed)
 
     row, created = auto.objects.get(number), False
     if "exists" in fields:
         seed = note("exists", replay(None, fields["exists"]))
+        if seed.value is not None:
+            found.statuses[object_ref(auto.frame, number, "exists")] = seed.value
         if row is None and seed.value is not None and seed.event is not None:
             row, created = new_row(number, seed.value, auto, setting), True
             found.geometry[number] = seed.event
@@ -132,12 +136,12 @@ def _correct(
                 found.boxes.pop(number, None)
             continue
         if created or number in found.geometry or not same_value(after.value, was):
-            _set(row, number, name, after.value, after.event, auto, found)
+            _set_field(row, number, name, after.value, after.event, auto, found)
         refitted |= name == "mask" or (name == "bbox" and row["mask_source"] == "box")
         for column in BOX_COLUMNS if name == "box" else (name,):
             automatic = None if created else auto.objects[number].get(column)
             origins.put("objects", str(number), column, Origin.of("human", after.event), automatic)
-    status = found.statuses.get(FieldRef("object", auto.frame, str(number), "status"))
+    status = found.statuses.get(object_ref(auto.frame, number, "status"))
     (found.left_out if status == "rejected" else found.rows)[number] = row
 
 
@@ -147,14 +151,12 @@ def _from_bbox(row: Row, fields: Mapping[str, Sequence[Event]]) -> bool:
     return released or (row["mask_source"] == "box" and "bbox" in fields)
 
 
-def _set(
+def _set_field(
     row: Row, number: int, name: str, value: Any, event: Event, auto: FrameRows, found: CorrectedObjects
 ) -> None:
     if name == "status":
         if value is not None:
-            found.statuses[event.cell] = value
-        if value == "rejected":
-            found.rejected_by[number] = event
+            found.statuses[event.ref] = value
         return
     if name == "label":
         found.renamed[number] = event
@@ -231,3 +233,179 @@ def unusable(row: Row, setting: Setting) -> str | None:
     if row["points"] < config.min_points:
         return f"fewer than {config.min_points} points"
     return "too small to clean" if row["fallback"] else None
+
+
+@dataclass(kw_only=True)
+class CorrectedPairs(Corrected):
+    """What became of a frame's relations.
+
+    Attributes
+    ----------
+    pairs : Pairs
+        Of the objects that stand and take part in relations.
+    human : (N, N, 9) bool
+        Cells that people set.
+    stale : (N,) bool
+        Objects whose relations do not follow from their geometry yet.
+    changed : bool
+        Anything differs from the automatic labels.
+    """
+
+    pairs: Pairs
+    human: np.ndarray
+    stale: np.ndarray
+    changed: bool = False
+
+
+def correct_pairs(
+    auto: FrameRows,
+    objects: CorrectedObjects,
+    relifted: Pairs | None,
+    refs: Mapping[FieldRef, Sequence[Event]],
+    setting: Setting,
+    origins: Origins,
+) -> CorrectedPairs:
+    """Apply corrections of relations, and those of objects as far as relations follow from them.
+
+    Parameters
+    ----------
+    relifted : Pairs or None
+        The relations of all standing objects judged anew, where the dataset was at hand.
+    """
+    related = [n for n, row in objects.rows.items() if not setting.config.is_background(row["label"])]
+    pairs = auto.pairs.of_objects(related).copy()
+    n = len(pairs.numbers)
+    human, stale = np.zeros((n, n, len(PAIRWISE)), np.bool_), np.zeros(n, np.bool_)
+    found = CorrectedPairs(pairs=pairs, human=human, stale=stale)
+    found.changed = list(pairs.numbers) != list(auto.pairs.of_objects(auto.objects).numbers)
+    _follow_geometry(found, auto, objects, relifted, setting, origins)
+    judged = {ref: events for ref, events in refs.items() if ref.kind == "relation"}
+    message: list[tuple[int, int, str, Event]] = []
+    for ref in sorted(judged, key=lambda c: (c.key, c.field)):
+        ruled_out = _ruled_out_before(ref, judged)
+        _correct_relation(found, ref, judged[ref], auto, objects, setting, origins, message, ruled_out)
+    for i, j, relation, event in message:
+        _exclude(found, i, j, relation, event, setting, origins)
+    return found
+
+
+def _follow_geometry(
+    found: CorrectedPairs,
+    auto: FrameRows,
+    objects: CorrectedObjects,
+    relifted: Pairs | None,
+    setting: Setting,
+    origins: Origins,
+) -> None:
+    """Relations of objects with another geometry, and of those that were background before."""
+    pairs = found.pairs
+    causes = dict(objects.geometry)
+    for number, event in objects.renamed.items():
+        was = auto.objects.get(number)
+        if number not in causes and was is not None and setting.config.is_background(was["label"]):
+            causes[number] = event
+    moved = np.isin(pairs.numbers, list(causes))
+    if not moved.any():
+        return
+    found.changed = True
+    touched = (moved[:, None] | moved[None, :]) & ~np.eye(len(moved), dtype=np.bool_)
+    before = pairs.copy()
+    if relifted is not None:
+        anew = relifted.of_objects(pairs.numbers)
+        for name in ("present", "states", "margins", "distance", "doubted"):
+            getattr(pairs, name)[touched] = getattr(anew, name)[touched]
+    else:
+        found.stale |= moved
+    source = "stale" if relifted is None else "recomputed"
+    columns = [k for k, r in enumerate(PAIRWISE) if r in setting.relations]
+    for i, j in zip(*np.nonzero(touched & (pairs.present | before.present)), strict=True):
+        a, b = int(pairs.numbers[i]), int(pairs.numbers[j])
+        event = max((causes[x] for x in (a, b) if x in causes), key=lambda e: e.id)
+        origin, key = Origin.of(source, event), f"{a},{b}"
+        for k in columns:
+            was = before.states[i, j, k]
+            origins.put("relations", key, PAIRWISE[k], origin, None if was == NO_STATE else int(was))
+
+
+def _correct_relation(
+    found: CorrectedPairs,
+    ref: FieldRef,
+    events: Sequence[Event],
+    auto: FrameRows,
+    objects: CorrectedObjects,
+    setting: Setting,
+    origins: Origins,
+    message: list[tuple[int, int, str, Event]],
+    ruled_out: bool,
+) -> None:
+    a, b = ref.numbers
+    i, j = found.pairs.index_of(a), found.pairs.index_of(b)
+    relation = ref.field.removesuffix(".status")
+    reason = None
+    if relation not in setting.relations:
+        reason = f"the labels do not hold {relation!r}"
+    elif i is None or j is None or a == b:
+        gone = next((x for x, at in ((a, i), (b, j)) if at is None), a)
+        known = gone in objects.left_out or gone in objects.rows
+        reason = f"object {gone} takes part in no relation" if known else f"there is no object {gone} any more"
+    elif any(is_another(e.anchor, x, auto.objects[x]["bbox"]) for e in events for x in (a, b) if x in auto.objects):
+        reason = "one of the two objects is another thing now"
+    if reason is not None or i is None or j is None:
+        found.note(ref, all_gone(None, events, str(reason)))
+        return
+    if ref.field != relation:
+        after = found.note(ref, replay(None, events))
+        if after.value is not None and after.event is not None:
+            found.statuses[ref] = after.value
+            origins.put("relations", ref.key, ref.field, Origin.of("human", after.event))
+        return
+    k = PAIRWISE.index(relation)
+    was = found.pairs.state(a, b, relation)
+    # Who saw F where another correction ruled out the labeller's T, did not see the automatic label.
+    trusted = a in objects.geometry or b in objects.geometry or (ruled_out and was == T)
+    after = found.note(ref, replay(was, events, trusted=trusted))
+    if after.event is None:
+        return
+    _settle(found, i, j, k, after.value)
+    found.human[i, j, k] = True
+    message.append((i, j, relation, after.event))
+    automatic = auto.pairs.state(a, b, relation)
+    origins.put("relations", ref.key, relation, Origin.of("human", after.event), automatic)
+
+
+def _ruled_out_before(ref: FieldRef, judged: Mapping[FieldRef, Sequence[Event]]) -> bool:
+    """Whether a person had said what rules the cell's relation out (see `_exclude`) when it was corrected."""
+    stands = standing(judged[ref])
+    if ref.field not in INVERSE or not stands:
+        return False
+    (a, b), first = ref.numbers, stands[0]
+    others = (FieldRef("relation", ref.frame, ref.key, INVERSE[ref.field]), replace(ref, key=f"{b},{a}"))
+    return first.before == F and any(e.after == T and e.id < first.id for c in others for e in judged.get(c, ()))
+
+
+def _settle(found: CorrectedPairs, i: int, j: int, k: int, state: int | None) -> None:
+    """Set a cell. A margin whose sign says otherwise becomes 0: by geometry it is no better than undecided."""
+    pairs = found.pairs
+    found.changed |= pairs.states[i, j, k] != (NO_STATE if state is None else state)
+    pairs.present[i, j] = True
+    pairs.states[i, j, k] = NO_STATE if state is None else state
+    margin = pairs.margins[i, j, k]
+    agrees = (state == T and margin > 0) or (state == F and margin < 0)
+    pairs.margins[i, j, k] = np.nan if state is None else margin if agrees else 0.0
+    pairs.doubted[i, j] &= ~(1 << k)
+
+
+def _exclude(
+    found: CorrectedPairs, i: int, j: int, relation: str, event: Event, setting: Setting, origins: Origins
+) -> None:
+    """What a person said to hold rules out its opposite, and itself the other way round."""
+    k, opposite = PAIRWISE.index(relation), INVERSE.get(relation)
+    if found.pairs.states[i, j, k] != T or opposite is None:
+        return
+    for a, b, name in ((i, j, opposite), (j, i, relation)):
+        at = PAIRWISE.index(name)
+        if name not in setting.relations or found.human[a, b, at] or found.pairs.states[a, b, at] != T:
+            continue
+        _settle(found, a, b, at, F)
+        key = f"{found.pairs.numbers[a]},{found.pairs.numbers[b]}"
+        origins.put("relations", key, name, Origin.of("recomputed", event), T)

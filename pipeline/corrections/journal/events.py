@@ -28,7 +28,7 @@ class Edit:
 
     Attributes
     ----------
-    cell : FieldRef
+    ref : FieldRef
     before, after : JSON value
         What the person saw, and what it is to be.
     base : int
@@ -39,7 +39,7 @@ class Edit:
         labels made again may give their numbers to other things.
     """
 
-    cell: FieldRef
+    ref: FieldRef
     before: Any
     after: Any
     base: int = 0
@@ -47,8 +47,8 @@ class Edit:
     anchor: dict[str, list[float]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "before", checked(self.cell, self.before) if self.before is not None else None)
-        object.__setattr__(self, "after", checked(self.cell, self.after))
+        object.__setattr__(self, "before", checked(self.ref, self.before) if self.before is not None else None)
+        object.__setattr__(self, "after", checked(self.ref, self.after))
         if isinstance(self.base, bool) or not isinstance(self.base, int) or self.base < 0:
             raise InputError("a version must be a number from 0 on", got=repr(self.base)[:60])
         if self.reason:
@@ -67,7 +67,7 @@ class Event:
     author : str
     time : datetime
         UTC.
-    cell : FieldRef
+    ref : FieldRef
     before, after : JSON value
     base, version : int
         The cell's version that it was made on, and the one that it made.
@@ -87,7 +87,7 @@ class Event:
     ulid: str
     author: str
     time: datetime
-    cell: FieldRef
+    ref: FieldRef
     before: Any
     after: Any
     base: int
@@ -134,11 +134,11 @@ class Rival:
 
     def __str__(self) -> str:
         if self.event is None:
-            return f"{self.edit.cell} has no version {self.edit.base}"
+            return f"{self.edit.ref} has no version {self.edit.base}"
         when = self.event.time.strftime("%Y-%m-%d %H:%M:%S UTC")
         return (
-            f"{self.edit.cell}: {self.event.author} made it {shown_value(self.edit.cell, self.event.after)} at {when}, "
-            f"wanted {shown_value(self.edit.cell, self.edit.after)}"
+            f"{self.edit.ref}: {self.event.author} made it {shown_value(self.edit.ref, self.event.after)} at {when}, "
+            f"wanted {shown_value(self.edit.ref, self.edit.after)}"
         )
 
 
@@ -176,3 +176,51 @@ class NotSaved(InputError):
         super().__init__(what, got=got, cause=cause, path=path)
         self.edits = tuple(edits)
         self.group = group
+
+
+def who_and_what(event: Event) -> dict[str, Any]:
+    """Who changed which field when, as JSON."""
+    return {
+        "id": event.id,
+        "event": event.ulid,
+        "author": event.author,
+        "time": event.time.isoformat(),
+        "kind": event.ref.kind,
+        "frame": event.ref.frame,
+        "key": event.ref.key,
+        "field": event.ref.field,
+    }
+
+
+def event_record(event: Event) -> dict[str, Any]:
+    """`journal --json`, a line an event."""
+    return {
+        **who_and_what(event),
+        "before": event.before,
+        "after": event.after,
+        "base": event.base,
+        "version": event.version,
+        "labels": event.labels,
+        "reason": event.reason,
+        "group": event.group,
+        "action": event.action,
+        "undo_of": event.undo_of,
+    }
+
+
+def outcome_record(done: Saved | Conflict | None) -> dict[str, Any]:
+    """What came of saving: {"saved": [events], "conflicts": [{"wanted", "there", "message"}]}."""
+    saved = [event_record(e) for e in done.events] if isinstance(done, Saved) else []
+    conflicts = [
+        {
+            "kind": r.edit.ref.kind,
+            "frame": r.edit.ref.frame,
+            "key": r.edit.ref.key,
+            "field": r.edit.ref.field,
+            "wanted": r.edit.after,
+            "there": None if r.event is None else event_record(r.event),
+            "message": str(r),
+        }
+        for r in (done.rivals if isinstance(done, Conflict) else ())
+    ]
+    return {"saved": saved, "conflicts": conflicts}

@@ -16,11 +16,21 @@ from itertools import groupby
 from pathlib import Path
 from typing import Any
 
-from pipeline.corrections.journal.before_chain import judged_alone
-from pipeline.corrections.journal.chain import CONTENT, Head, Row, Verdict, judged
-from pipeline.corrections.journal.log_file import lost_in_log
-from pipeline.corrections.journal.schema import BEFORE, REVISION, STATEMENTS, TABLES, VERSION, fingerprint
-from pipeline.corrections.journal.sqlite_file import connected, plain_reason, read_plainly
+from pipeline.corrections.journal.chain import (
+    BEFORE,
+    CONTENT,
+    REVISION,
+    STATEMENTS,
+    TABLES,
+    VERSION,
+    Head,
+    Row,
+    Verdict,
+    fingerprint,
+    judged,
+    judged_alone,
+)
+from pipeline.corrections.journal.sqlite_file import connected, lost_in_log, plain_reason, read_plainly
 from pipeline.system.errors import InputError
 
 _NOT_DAMAGE = ("locked", "unable to open", "disk i/o", "readonly", "full", "permission", "out of memory", "busy")
@@ -40,10 +50,9 @@ class DamagedJournal(InputError):
     """A journal that is not as it was saved. The message is one line: what is damaged, what is intact, how to go on."""
 
     def __init__(self, examined: Examined) -> None:
-        said = "; ".join(examined.damage[:_SHOWN])
-        if len(examined.damage) > _SHOWN:
-            said += f"; and {len(examined.damage) - _SHOWN} more"
-        super().__init__(f"the journal is damaged: {said}; {examined.said}", cause=examined.help, path=examined.place)
+        more = len(examined.damage) - _SHOWN
+        parts = [*examined.damage[:_SHOWN], *([f"and {more} more"] if more > 0 else []), examined.summary]
+        super().__init__(f"the journal is damaged: {'; '.join(parts)}", cause=examined.help, path=examined.location)
         self.examined = examined
 
 
@@ -53,9 +62,9 @@ class Examined:
 
     Attributes
     ----------
-    place : str
+    location : str
     version : int or None
-        See `schema.version_of`.
+        See `chain.version_of`.
     events : int or None
         How many were saved; None where that cannot be known.
     intact : tuple of dict
@@ -64,7 +73,7 @@ class Examined:
         What is wrong, each in a clause; empty where nothing is.
     """
 
-    place: str
+    location: str
     version: int | None
     events: int | None
     intact: tuple[Row, ...]
@@ -78,7 +87,7 @@ class Examined:
         return tuple((run[0], run[-1]) for run in runs)
 
     @property
-    def said(self) -> str:
+    def summary(self) -> str:
         """How many events are intact, in words."""
         of = "" if self.events is None else f" of {self.events:,}"
         runs = [f"{a:,}" if a == b else f"{a:,} to {b:,}" for a, b in self.ranges]
@@ -133,10 +142,10 @@ class Examined:
         if self.version is not None and self.version > VERSION and not self.damage:
             raise InputError(
                 "the journal is of a newer release", got=f"version {self.version}", expected=f"at most {VERSION}",
-                cause="install the release that wrote it", path=self.place,
+                cause="install the release that wrote it", path=self.location,
             )  # fmt: skip
         if self.version == 0:
-            raise InputError("the database holds something else than a journal", path=self.place)
+            raise InputError("the database holds something else than a journal", path=self.location)
         return self
 
 
@@ -184,7 +193,7 @@ def _examine(path: Path, alone: bool) -> Examined:
         return found
     # What the log has lost is counted nowhere.
     events = None if lost is not None else mended.events
-    return replace(mended, place=str(path), events=events, damage=found.damage)
+    return replace(mended, location=str(path), events=events, damage=found.damage)
 
 
 def _mended(path: Path) -> Examined | None:
@@ -256,8 +265,8 @@ def _contents(path: Path, connection: sqlite3.Connection, lost: Sequence[str]) -
     (kept,) = connection.execute("PRAGMA user_version").fetchone()
     tables = {name for (name,) in connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'")}
     try:
-        said = "\n".join(str(line) for (line,) in connection.execute("PRAGMA integrity_check(10)")).splitlines()
-        damage += [f"SQLite finds {line[:80]}" for line in said if line != "ok" and not line.startswith("***")]
+        message = "\n".join(str(line) for (line,) in connection.execute("PRAGMA integrity_check(10)")).splitlines()
+        damage += [f"SQLite finds {line[:80]}" for line in message if line != "ok" and not line.startswith("***")]
     except _ERRORS as error:
         damage.append(_reason(error, path))
     if not tables:
@@ -269,9 +278,9 @@ def _contents(path: Path, connection: sqlite3.Connection, lost: Sequence[str]) -
         return Examined(str(path), 0, None, (), ())
     if TABLES[1] in tables:
         return _with_head(path, connection, kept, damage)
-    said = _one(connection, f"SELECT version_num FROM {BEFORE}", damage)
-    if said is not None and said != (REVISION,):
-        damage.append(f"its revision is {said[0]!r}, and only {REVISION!r} was ever written")
+    message = _one(connection, f"SELECT version_num FROM {BEFORE}", damage)
+    if message is not None and message != (REVISION,):
+        damage.append(f"its revision is {message[0]!r}, and only {REVISION!r} was ever written")
     rows = _rows(connection, CONTENT, damage)
     last = _one(connection, "SELECT seq FROM sqlite_sequence WHERE name = 'events'", []) or ((None,) if rows else (0,))
     found = judged_alone(rows)
@@ -299,9 +308,9 @@ def _with_head(path: Path, connection: sqlite3.Connection, kept: int, damage: li
     return Examined(str(path), version, events, found.intact, (*damage, *found.damage))
 
 
-def _saved(rows: Sequence[tuple[int, Row | None]], said: Any) -> int | None:
+def _saved(rows: Sequence[tuple[int, Row | None]], message: Any) -> int | None:
     """How many events were saved, as far as it can be known: numbers begin with 1 and have no gaps."""
-    return max(rows[-1][0] if rows else 0, said if isinstance(said, int) and said < 100_000_000 else 0)
+    return max(rows[-1][0] if rows else 0, message if isinstance(message, int) and message < 100_000_000 else 0)
 
 
 def _one(connection: sqlite3.Connection, query: str, damage: list[str]) -> tuple[Any, ...] | None:
@@ -350,7 +359,7 @@ def _rows(connection: sqlite3.Connection, names: Sequence[str], damage: list[str
 
 
 def _row(names: Sequence[str], values: Sequence[Any]) -> Row | None:
-    """An event as `schema.EVENTS` reads it; None where a column holds what is no value of it."""
+    """An event as `chain.EVENTS` reads it; None where a column holds what is no value of it."""
     row = dict(zip(names, values, strict=True))
     try:
         for name in ("before", "after", "anchor"):
@@ -368,8 +377,8 @@ _parsed = lru_cache(maxsize=4_096)(json.loads)
 
 def _reason(error: Exception, path: Path | None) -> str:
     """SQLite's words on damage, in a clause; InputError where they are on something else."""
-    said = " ".join(str(error).split())
-    if any(word in said.lower() for word in _NOT_DAMAGE):
-        raise InputError("the journal cannot be opened", got=said if path is None else plain_reason(said, path),
+    message = " ".join(str(error).split())
+    if any(word in message.lower() for word in _NOT_DAMAGE):
+        raise InputError("the journal cannot be opened", got=message if path is None else plain_reason(message, path),
                          path=path) from error  # fmt: skip
-    return f"SQLite says {said}"
+    return f"SQLite says {message}"

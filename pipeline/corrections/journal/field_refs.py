@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -20,7 +21,7 @@ from pipeline.system.errors import InputError
 Kind = Literal["object", "relation", "expression", "frame", "review"]
 KINDS: tuple[Kind, ...] = ("object", "relation", "expression", "frame", "review")
 OF_ALL = ""
-"""Stands for the author in the key of a judgement that is not one person's: see `corrections.journal.judgements`."""
+"""Stands for the author in the key of a judgement that is not one person's: see `corrections.journal.replay`."""
 STATUSES = ("accepted", "corrected", "rejected", "unsure")
 """What a reviewer says of something; null is unreviewed. A rejected object or expression is left out."""
 FIRST_NEW_OBJECT = 1_000_000
@@ -41,7 +42,7 @@ class FieldRef:
         The frame's id.
     key : str
         Of an object its number, of a relation "a,b", of an expression its id, of a frame "".
-        Of a judgement the JSON of [author, kind, a, b, what]: see `corrections.journal.judgements`.
+        Of a judgement the JSON of [author, kind, a, b, what]: see `corrections.journal.replay`.
     field : str
     """
 
@@ -89,11 +90,11 @@ class FieldRef:
         return f"{self.field} of {self.entity} in {self.frame}"
 
 
-def object_cell(frame: str, number: int, field: str) -> FieldRef:
+def object_ref(frame: str, number: int, field: str) -> FieldRef:
     return FieldRef("object", frame, str(int(number)), field)
 
 
-def relation_cell(frame: str, a: int, b: int, relation: str) -> FieldRef:
+def relation_ref(frame: str, a: int, b: int, relation: str) -> FieldRef:
     return FieldRef("relation", frame, f"{int(a)},{int(b)}", relation)
 
 
@@ -151,7 +152,7 @@ def plain_text(value: Any, what: str, longest: int) -> str:
     return value
 
 
-def checked(cell: FieldRef, value: Any) -> Any:
+def checked(ref: FieldRef, value: Any) -> Any:
     """A value as the cell keeps it: JSON with plain numbers.
 
     Raises
@@ -159,7 +160,7 @@ def checked(cell: FieldRef, value: Any) -> Any:
     InputError
         It is not a value of that field.
     """
-    return None if value is None and cell.field in _NULLABLE[cell.kind] else FIELDS[cell.kind][cell.field](value)
+    return None if value is None and ref.field in _NULLABLE[ref.kind] else FIELDS[ref.kind][ref.field](value)
 
 
 def same_value(a: Any, b: Any) -> bool:
@@ -175,21 +176,21 @@ def same_value(a: Any, b: Any) -> bool:
     return a == b
 
 
-def shown_value(cell: FieldRef, value: Any) -> str:
+def shown_value(ref: FieldRef, value: Any) -> str:
     """A value in a few words, for messages and lists."""
     if value is None:
         return "nothing"
-    if cell.kind == "relation" and cell.field in PAIRWISE:
+    if ref.kind == "relation" and ref.field in PAIRWISE:
         return letter(value)
-    if cell.field == "mask":
+    if ref.field == "mask":
         runs = run_lengths(value)
         return "a mask" if isinstance(runs, str) else f"a mask ({int(runs[1::2].sum())} pixels)"
-    if cell.kind == "review":
+    if ref.kind == "review":
         state = value.get("value")
         return value["status"] if state is None else f"{value['status']}: {letter(state)}"
-    if cell.field == "exists":
+    if ref.field == "exists":
         return f"a new {value['label']}"
-    if cell.field == "box":
+    if ref.field == "box":
         middle, size = (" ".join(f"{x:.3f}" for x in value[n]) for n in ("center", "size"))
         # Seen from the camera: what is up is not known here.
         turn = math.degrees(math.atan2(value["R"][6], value["R"][0]))
@@ -218,18 +219,20 @@ def box_of(value: Any) -> Box3D:
     return Box3D(center, shaped, size)
 
 
-def _name(value: Any) -> str:
-    return plain_text(value, "a class name", LONGEST_NAME)
+_name = partial(plain_text, what="a class name", longest=LONGEST_NAME)
+_sentence = partial(plain_text, what="a text", longest=LONGEST_TEXT)
 
 
-def _sentence(value: Any) -> str:
-    return plain_text(value, "a text", LONGEST_TEXT)
+def _one_of(what: str, allowed: Collection[str]) -> Callable[[Any], str]:
+    def check(value: Any) -> str:
+        if value not in allowed:
+            raise InputError(f"no such {what}", got=repr(value)[:60], expected=" | ".join(allowed))
+        return value
+
+    return check
 
 
-def _status(value: Any) -> str:
-    if value not in STATUSES:
-        raise InputError("no such status", got=repr(value)[:60], expected=" | ".join(STATUSES))
-    return value
+_status = _one_of("status", STATUSES)
 
 
 def _judgement(value: Any) -> dict[str, Any]:
@@ -242,9 +245,7 @@ def _judgement(value: Any) -> dict[str, Any]:
 def _mark(value: Any) -> str:
     from pipeline.diagnosis.verdict import MARKS
 
-    if value not in MARKS:
-        raise InputError("no such mark", got=repr(value)[:60], expected=" | ".join(MARKS))
-    return value
+    return _one_of("mark", MARKS)(value)
 
 
 def _flag(value: Any) -> bool:

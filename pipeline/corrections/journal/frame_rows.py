@@ -1,16 +1,21 @@
-"""One frame of the automatic labels, laid out to be corrected: rows of objects and expressions, pairs as matrices."""
+"""The automatic labels, laid out to be corrected: rows of a frame, pairs as matrices, and how the labels were made."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pipeline.geometry.lifting import LiftConfig
+from pipeline.labels.check.relations import MIRRORED_PROFILES
+from pipeline.labels.config import LabelConfig
+from pipeline.labels.reading import Labels
 from pipeline.labels.tables import build_table
-from pipeline.language.relation_names import PAIRWISE
+from pipeline.language.relation_names import MIRRORED, PAIRWISE
+from pipeline.system.errors import InputError
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -86,7 +91,7 @@ class Pairs:
             distance=self.distance.copy(), doubted=self.doubted.copy(),
         )  # fmt: skip
 
-    def place(self, number: int) -> int | None:
+    def index_of(self, number: int) -> int | None:
         """Where an object is among the pairs."""
         return self._places.get(number)
 
@@ -96,7 +101,7 @@ class Pairs:
 
     def state(self, a: int, b: int, relation: str) -> int | None:
         """The state of a relation by the objects' numbers; None where it has none."""
-        i, j = self.place(a), self.place(b)
+        i, j = self.index_of(a), self.index_of(b)
         if i is None or j is None or not self.present[i, j]:
             return None
         found = int(self.states[i, j, PAIRWISE.index(relation)])
@@ -187,6 +192,7 @@ class FrameIndex:
         self._index = {name: table.column("frame_index").to_numpy() for name, table in tables.items()}
         names = tables["frames"].column("frame").to_pylist()
         self.of_frame = dict(zip(names, self._index["frames"].tolist(), strict=True))
+        self.name_of = {index: name for name, index in self.of_frame.items()}
 
     def span(self, table: str, index: int) -> tuple[int, int]:
         """First row of a frame, and the one after its last."""
@@ -198,3 +204,68 @@ class FrameIndex:
         index = self.of_frame[frame]
         spans = {name: self.span(name, index) for name in self.tables}
         return frame_rows({n: t.slice(spans[n][0], spans[n][1] - spans[n][0]) for n, t in self.tables.items()})
+
+
+@dataclass(frozen=True)
+class Setting:
+    """What the labels of a run have in common.
+
+    Attributes
+    ----------
+    config : LabelConfig
+    relations : tuple of str
+        Those that were labelled, in the order of PAIRWISE.
+    class_names : tuple of str
+        All names of the labels: sentences must not be mistaken for any of them.
+    made_by : str
+        Detector and rule profile, for provenance.
+    exact : bool
+        Objects are numbered as the dataset's own annotations.
+    """
+
+    config: LabelConfig
+    relations: tuple[str, ...]
+    class_names: tuple[str, ...]
+    made_by: str
+    exact: bool
+
+    def inverse(self, relation: str) -> str | None:
+        """What "b ... a" is called where "a RELATION b" is said; None where the profile has no such relation."""
+        if self.config.profile not in MIRRORED_PROFILES:
+            return None
+        found = MIRRORED.get(relation)
+        return found if found in self.relations else None
+
+
+def setting_of(labels: Labels) -> Setting:
+    """Read it from the manifest.
+
+    Raises
+    ------
+    InputError
+        The manifest is of labels that this release cannot make.
+    """
+    manifest = labels.manifest
+    detector = str(manifest.models.get("detector", ""))
+    names = labels.objects.column("label").unique().to_pylist()
+    return Setting(
+        _config(manifest.config, labels),
+        labels.relation_names,
+        tuple(sorted(names)),
+        ", ".join(part for part in (detector, str(manifest.profile.get("name", ""))) if part),
+        detector.startswith("annotations"),
+    )
+
+
+def _config(record: dict[str, Any], labels: Labels) -> LabelConfig:
+    known = {f.name for f in fields(LabelConfig)}
+    values = {name: value for name, value in record.items() if name in known}
+    try:
+        if "lift" in values:
+            values["lift"] = LiftConfig(**values["lift"])
+        if "background" in values:
+            values["background"] = tuple(values["background"])
+        return LabelConfig(**values)
+    except (TypeError, AttributeError) as error:
+        what = "the labels' settings are not those of this release"
+        raise InputError(what, got=str(error), path=labels.root) from error

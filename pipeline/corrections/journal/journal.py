@@ -13,14 +13,15 @@ from typing import Any
 import sqlalchemy as sa
 from sqlalchemy.exc import IntegrityError
 
-from pipeline.corrections.journal.chain import CONTENT, Head, chained, link
+from pipeline.corrections.journal.chain import CONTENT, EVENTS, HEAD, Head, chained, link
 from pipeline.corrections.journal.connection import (
     DATABASE_ERRORS,
     is_url,
     likely_cause,
+    location_of,
     make_engine,
+    move_head,
     network_file_system,
-    place_of,
     prepare,
     reading,
     reason_of,
@@ -29,8 +30,6 @@ from pipeline.corrections.journal.connection import (
 from pipeline.corrections.journal.events import Action, Conflict, Edit, Event, NotSaved, Rival, Saved, new_ulid
 from pipeline.corrections.journal.examining import DamagedJournal, empty_file, examine, is_empty
 from pipeline.corrections.journal.field_refs import LONGEST_NAME, FieldRef, Kind, plain_text
-from pipeline.corrections.journal.schema import EVENTS, HEAD
-from pipeline.corrections.journal.taking_over import move_head
 from pipeline.labels.reading import Labels
 from pipeline.labels.schema import labels_version
 from pipeline.system.errors import InputError
@@ -62,9 +61,9 @@ class Journal:
     warnings: tuple[str, ...] = ()
 
     @property
-    def place(self) -> str:
+    def location(self) -> str:
         """Where it is, without a password."""
-        return place_of(self.engine)
+        return location_of(self.engine)
 
     def close(self) -> None:
         """Let go of the database."""
@@ -104,9 +103,9 @@ class Journal:
         edits = tuple(edits)
         if not edits:
             raise InputError("there is nothing to save")
-        cells = [e.cell for e in edits]
-        if len(set(cells)) < len(cells):
-            twice = next(c for k, c in enumerate(cells) if c in cells[:k])
+        refs = [e.ref for e in edits]
+        if len(set(refs)) < len(refs):
+            twice = next(c for k, c in enumerate(refs) if c in refs[:k])
             raise InputError("two edits of one cell in one action", got=str(twice))
         return self.write(edits, author, "edit", group=group)
 
@@ -131,11 +130,11 @@ class Journal:
                 saved = self._select(connection, EVENTS.c.group == group) if again else ()
                 if saved:
                     return Saved(saved)
-                heads = self._heads(connection, [e.cell for e in edits])
+                heads = self._heads(connection, [e.ref for e in edits])
                 rivals = tuple(
-                    Rival(e, heads.get(e.cell))
+                    Rival(e, heads.get(e.ref))
                     for e in edits
-                    if e.base != (heads[e.cell].version if e.cell in heads else 0)
+                    if e.base != (heads[e.ref].version if e.ref in heads else 0)
                 )
                 if rivals:
                     return Conflict(rivals, tuple(edits))
@@ -146,14 +145,14 @@ class Journal:
             return Saved(self._read_back(group, last.hash, [row["hash"] for row in made]))
         except IntegrityError:
             # Writers take turns; a writer that does not, for it is of another program, is caught here.
-            heads = self.heads([e.cell for e in edits])
-            return Conflict(tuple(Rival(e, heads.get(e.cell)) for e in edits), tuple(edits))
+            heads = self.heads([e.ref for e in edits])
+            return Conflict(tuple(Rival(e, heads.get(e.ref)) for e in edits), tuple(edits))
         except (*DATABASE_ERRORS, InputError) as error:
-            reason = error.what if isinstance(error, InputError) else reason_of(error, self.place)
+            reason = error.what if isinstance(error, InputError) else reason_of(error, self.location)
             cause = error.examined.help if isinstance(error, DamagedJournal) else likely_cause(reason)
             raise NotSaved(
                 "the edit could not be saved", edits if action == "edit" else (), group, got=reason,
-                cause=cause, path=self.place,
+                cause=cause, path=self.location,
             ) from error  # fmt: skip
 
     def _read_back(self, group: str, previous: str, hashes: Sequence[str]) -> tuple[Event, ...]:
@@ -179,10 +178,10 @@ class Journal:
             "project": self.project,
             "author": author,
             "time": datetime.now(timezone.utc),
-            "kind": edit.cell.kind,
-            "frame": edit.cell.frame,
-            "key": edit.cell.key,
-            "field": edit.cell.field,
+            "kind": edit.ref.kind,
+            "frame": edit.ref.frame,
+            "key": edit.ref.key,
+            "field": edit.ref.field,
             "before": edit.before,
             "after": edit.after,
             "base": edit.base,
@@ -237,22 +236,22 @@ class Journal:
             wanted = sa.select(sa.func.count()).select_from(EVENTS).where(EVENTS.c.project == self.project)
             return int(connection.execute(wanted).scalar_one())
 
-    def heads(self, cells: Sequence[FieldRef]) -> dict[FieldRef, Event]:
+    def heads(self, refs: Sequence[FieldRef]) -> dict[FieldRef, Event]:
         """The newest event of each of the cells that has any; InputError where the journal cannot be read."""
         with reading(self.engine) as connection:
-            return self._heads(connection, cells)
+            return self._heads(connection, refs)
 
-    def _heads(self, connection: sa.Connection, cells: Sequence[FieldRef]) -> dict[FieldRef, Event]:
+    def _heads(self, connection: sa.Connection, refs: Sequence[FieldRef]) -> dict[FieldRef, Event]:
         named = sa.tuple_(EVENTS.c.kind, EVENTS.c.frame, EVENTS.c.key, EVENTS.c.field)
         found: dict[FieldRef, Event] = {}
-        for first in range(0, len(cells), _AT_ONCE):
-            wanted = [(c.kind, c.frame, c.key, c.field) for c in cells[first : first + _AT_ONCE]]
+        for first in range(0, len(refs), _AT_ONCE):
+            wanted = [(c.kind, c.frame, c.key, c.field) for c in refs[first : first + _AT_ONCE]]
             newest = (
                 sa.select(sa.func.max(EVENTS.c.id))
                 .where(EVENTS.c.project == self.project, named.in_(wanted))
                 .group_by(EVENTS.c.kind, EVENTS.c.frame, EVENTS.c.key, EVENTS.c.field)
             )
-            found |= {e.cell: e for e in self._select(connection, EVENTS.c.id.in_(newest))}
+            found |= {e.ref: e for e in self._select(connection, EVENTS.c.id.in_(newest))}
         return found
 
     def _select(
@@ -280,12 +279,12 @@ def _last(connection: sa.Connection) -> Head:
 
 
 def _event(row: sa.RowMapping) -> Event:
-    cell = FieldRef(row["kind"], row["frame"], row["key"], row["field"])
+    ref = FieldRef(row["kind"], row["frame"], row["key"], row["field"])
     plain = (
         "id", "ulid", "author", "time", "before", "after", "base", "version", "labels", "reason", "group", "action",
         "undo_of", "anchor",
     )  # fmt: skip
-    return Event(cell=cell, **{name: row[name] for name in plain})
+    return Event(ref=ref, **{name: row[name] for name in plain})
 
 
 def open_journal(where: str | Path, *, project: str = "", labels: str = "", must_exist: bool = False) -> Journal:

@@ -6,13 +6,11 @@ import json
 import shutil
 from datetime import datetime, timezone
 from pathlib import Path
-from typing import Any
 
 from pipeline.corrections.journal.effective import EffectiveLabels, effective_tables
+from pipeline.corrections.journal.events import who_and_what
 from pipeline.corrections.journal.field_refs import shown_value
 from pipeline.corrections.journal.journal import Journal
-from pipeline.corrections.journal.records import who_and_what
-from pipeline.corrections.journal.replay import Unapplied
 from pipeline.datasets import Dataset
 from pipeline.labels.card import croissant, dataset_card
 from pipeline.labels.makers import makers_of
@@ -68,11 +66,15 @@ def materialise(
 
 
 def _write(found: EffectiveLabels, journal: Journal, folder: Path) -> Manifest:
-    was = found.labels.manifest
+    was = found.manifest
     tables = {name: write_merged(folder, name, iter([found.tables[name]])) for name in TABLES}
     write_table(found.provenance, folder / PROVENANCE_FILE)
     listed = {
-        "events": [unapplied_record(u) for u in found.unapplied],
+        "events": [
+            {**who_and_what(u.event), "wanted": shown_value(u.event.ref, u.event.after), "because": u.kind,
+             "reason": u.reason}
+            for u in found.unapplied
+        ],
         "expressions": [
             {"frame": w.frame, "id": w.id, "text": w.text, "reason": w.reason} for w in found.withdrawn
         ],
@@ -80,11 +82,11 @@ def _write(found: EffectiveLabels, journal: Journal, folder: Path) -> Manifest:
     write_synced(folder / UNAPPLIED_FILE, json.dumps(listed, indent=1, ensure_ascii=False).encode())
     marks = [{"frame": frame, "id": name, "mark": mark} for (frame, name), mark in sorted(found.marks.items())]
     write_synced(folder / MARKS_FILE, json.dumps(marks, indent=1, ensure_ascii=False).encode())
-    said = [
-        {"kind": cell.kind, "frame": cell.frame, "key": cell.key, "field": cell.field, "value": value}
-        for cell, value in sorted(found.statuses.items())
+    statuses = [
+        {"kind": ref.kind, "frame": ref.frame, "key": ref.key, "field": ref.field, "value": value}
+        for ref, value in sorted(found.statuses.items())
     ]
-    write_synced(folder / STATUSES_FILE, json.dumps(said, indent=1, ensure_ascii=False).encode())
+    write_synced(folder / STATUSES_FILE, json.dumps(statuses, indent=1, ensure_ascii=False).encode())
     usable = sum(found.frames.column("ok").to_pylist())
     manifest = was.model_copy(
         update={
@@ -102,7 +104,7 @@ def _write(found: EffectiveLabels, journal: Journal, folder: Path) -> Manifest:
             "environment": environment(),
             "created": datetime.now(timezone.utc).isoformat(timespec="seconds"),
             "corrections": {
-                "journal": journal.place,
+                "journal": journal.location,
                 "project": journal.project,
                 "events": found.events,
                 "last": found.last,
@@ -120,14 +122,3 @@ def _write(found: EffectiveLabels, journal: Journal, folder: Path) -> Manifest:
     write_schemas(folder / "schemas")
     write_synced(folder / MANIFEST_FILE, manifest.model_dump_json(indent=1).encode())
     return manifest
-
-
-def unapplied_record(entry: Unapplied) -> dict[str, Any]:
-    """An event that does not apply, as JSON."""
-    event = entry.event
-    return {
-        **who_and_what(event),
-        "wanted": shown_value(event.cell, event.after),
-        "because": entry.kind,
-        "reason": entry.reason,
-    }

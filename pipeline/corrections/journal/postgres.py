@@ -2,7 +2,9 @@
 
 pg8000 is BSD-licensed and pure Python. What libpq does around the protocol is
 done here: the environment's defaults, the password file, `sslmode`, sockets in
-the file system, and a limit on how long a connection may take.
+the file system, and a limit on how long a connection may take. Whether a server
+answers is known once in a process, so that nobody waits again for one that does
+not.
 """
 
 from __future__ import annotations
@@ -13,16 +15,20 @@ import re
 import socket
 import ssl
 import stat
+import threading
+import time
+from collections.abc import Callable
 from contextlib import suppress
+from copy import copy
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, Protocol, TypeVar
 
 import sqlalchemy as sa
 from sqlalchemy import event
 from sqlalchemy.exc import ArgumentError, DBAPIError, InvalidatePoolError
 
-from pipeline.corrections.journal.server import server_at
 from pipeline.system.errors import InputError, MissingExtra
 
 CONNECT_S = 5.0
@@ -43,6 +49,11 @@ _LOCKED = "55P03"
 """SQLSTATE of a lock that was not given in time."""
 _ANSWERED = "spatialviz_answered"
 _FIELD = re.compile(r"((?:\\.|[^:\\])*)(?::|$)")
+SLOW_S = 1.0
+"""A server that fails after a longer time is not waited for again until it is known to answer."""
+AGAIN_S = 2.0
+"""How long after that it is asked once more, on a thread of its own."""
+Answer = TypeVar("Answer")
 
 
 @dataclass(frozen=True)
@@ -115,7 +126,7 @@ def postgres_engine(where: str) -> sa.Engine:
         if isinstance(error, OSError) or state_of(error).get("C", "").startswith(_GONE):
             context.is_disconnect = True
         if isinstance(error, TimeoutError):
-            server_at(address.host, address.port).is_silent(error)
+            server_at(address.host, address.port).know(error)
 
     event.listen(engine, "handle_error", drop_what_broke)
     return engine
@@ -213,8 +224,8 @@ def _connect(address: Address) -> Any:
     except pg8000.Error:
         raise
     except Exception as error:
-        said = (error.strerror if isinstance(error, OSError) else None) or str(error)
-        raise pg8000.InterfaceError(f"cannot connect to {address.host}:{address.port}: {said}") from None
+        message = (error.strerror if isinstance(error, OSError) else None) or str(error)
+        raise pg8000.InterfaceError(f"cannot connect to {address.host}:{address.port}: {message}") from None
 
 
 def _opened(address: Address) -> Any:
@@ -268,8 +279,8 @@ def _socket(address: Address) -> socket.socket:
 
 def state_of(error: BaseException | None) -> dict[str, str]:
     """The fields of a server's message (postgresql.org/docs/current/protocol-error-fields.html); empty for another."""
-    said = error.args[0] if error is not None and error.args else None
-    return said if isinstance(said, dict) else {}
+    message = error.args[0] if error is not None and error.args else None
+    return message if isinstance(message, dict) else {}
 
 
 def ask_for_turn(connection: sa.Connection, key: int) -> bool:
@@ -290,3 +301,80 @@ def ask_for_turn(connection: sa.Connection, key: int) -> bool:
             raise
         return False
     return True
+
+
+class Link(Protocol):
+    """A connection."""
+
+    def close(self) -> None: ...
+
+
+class Server:
+    """One server, as this process knows it; shared by threads.
+
+    While it is away, `ask` fails at once, and whoever asks has it looked for in the background.
+    """
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._asked: list[float] = []
+        self._away: Exception | None = None
+        self._again = 0.0
+        """When it may be looked for."""
+
+    def ask(self, question: Callable[[], Answer], connect: Callable[[], Link]) -> Answer:
+        """What the server answers, or the error that it makes.
+
+        Parameters
+        ----------
+        question : callable
+            Connects, or says something on a connection.
+        connect : callable
+            Makes a connection, to find out whether the server is back.
+
+        Raises
+        ------
+        Exception
+            That of the question; while the server is away, the one that made it known, or TimeoutError where another
+            thread waits for an answer right now.
+        """
+        began = time.monotonic()
+        with self._lock:
+            if self._away is not None:
+                if began >= self._again:
+                    self._again = float("inf")
+                    threading.Thread(target=self._look, args=(connect,), daemon=True, name="journal-server").start()
+                raise copy(self._away)
+            if self._asked and began - self._asked[0] > SLOW_S:
+                raise TimeoutError("it does not answer")
+            self._asked.append(began)
+        try:
+            return question()
+        except Exception as error:
+            if time.monotonic() - began > SLOW_S:
+                self.know(error)
+            raise
+        finally:
+            with self._lock:
+                self._asked.remove(began)
+
+    def _look(self, connect: Callable[[], Link]) -> None:
+        try:
+            link = connect()
+        except Exception as error:
+            self.know(error)
+            return
+        self.know(None)
+        with suppress(Exception):
+            link.close()
+
+    def know(self, away: Exception | None) -> None:
+        """It answers, or is away: whoever asks next need not find that out by waiting."""
+        with self._lock:
+            self._away, self._again = away, time.monotonic() + AGAIN_S
+
+
+@cache
+def server_at(host: str, port: int) -> Server:
+    """What is known of the server at an address."""
+    return Server()

@@ -1,19 +1,33 @@
-"""Replaying the events of a cell over its automatic label: what it is now, and which events no longer apply."""
+"""Replaying the events of a field over its automatic label: what it is now, where from, and which no longer apply.
+
+A corrected value is the label of all: who edits it must have seen who was there
+before. A judgement ("I have looked at it, and it is T") is one person's word on
+an item. Two people who judge one item independently write two fields, never the
+same version of one; agreement is counted from these. No label follows from a
+judgement. Where reviewers differ, `edits.settle` says the last word, in a field
+that is nobody's own and is locked as any other.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
-from typing import Any, Literal
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from datetime import datetime
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from pipeline.corrections.journal.events import Event
-from pipeline.corrections.journal.field_refs import FieldRef, same_value, shown_value
+from pipeline.corrections.journal.field_refs import OF_ALL, FieldRef, judged_item, judged_key, same_value, shown_value
 from pipeline.geometry.boxes import iou_2d
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 ANCHOR_IOU = 0.5
 """An object's automatic 2D box must overlap by this much with what it was when it was corrected."""
+Source = Literal["auto", "human", "recomputed", "stale"]
+ORIGIN_FIELDS = ("table", "frame", "frame_index", "key", "column", "origin", "author", "time", "event", "reason", "was")
 
 
 @dataclass(frozen=True)
@@ -54,21 +68,49 @@ class Replayed:
     unapplied: tuple[Unapplied, ...]
 
 
-def standing(events: Sequence[Event]) -> list[Event]:
-    """The edits of a cell that were not taken back, in the order of their versions.
+def standing_at(events: Sequence[Event]) -> list[tuple[Event, int]]:
+    """The edits of a cell that were not taken back, in the order of their versions, each with the `id` of what made it
+    stand.
 
     Only a cell's newest event can be taken back: so they are a stack.
     """
-    found: list[Event] = []
+    found: list[tuple[Event, int]] = []
     taken: dict[str, Event] = {}
     for event in events:
         if event.action == "edit" or event.undo_of is None:
-            found.append(event)
+            found.append((event, event.id))
         elif event.action == "undo" and found:
-            taken[event.ulid] = found.pop()
+            taken[event.ulid] = found.pop()[0]
         elif event.undo_of in taken:
-            found.append(taken[event.undo_of])
+            found.append((taken[event.undo_of], event.id))
     return found
+
+
+def standing(events: Sequence[Event]) -> list[Event]:
+    """The edits of a cell that were not taken back, in the order of their versions."""
+    return [event for event, _ in standing_at(events)]
+
+
+@dataclass(kw_only=True)
+class Corrected:
+    """What became of the cells of one kind of entity.
+
+    Attributes
+    ----------
+    versions : dict of FieldRef to int
+    statuses : dict of FieldRef to JSON value
+    unapplied : list of Unapplied
+    """
+
+    versions: dict[FieldRef, int] = field(default_factory=dict)
+    statuses: dict[FieldRef, Any] = field(default_factory=dict)
+    unapplied: list[Unapplied] = field(default_factory=list)
+
+    def note(self, ref: FieldRef, replayed: Replayed) -> Replayed:
+        """Keep a cell's version and what does not apply to it; the same is returned."""
+        self.versions[ref] = replayed.version
+        self.unapplied += replayed.unapplied
+        return replayed
 
 
 def replay(
@@ -89,11 +131,11 @@ def replay(
             if released_by_none and event.after is None:
                 value = automatic
             continue
-        now = shown_value(event.cell, value)
+        now = shown_value(event.ref, value)
         if same_value(event.after, value):
             unapplied.append(Unapplied(event, "agreed", f"the labels say {now} by themselves now"))
         else:
-            made_on = shown_value(event.cell, event.before)
+            made_on = shown_value(event.ref, event.before)
             unapplied.append(Unapplied(event, "changed", f"it was made on {made_on}, and the labels say {now} now"))
     return Replayed(value, origin, events[-1].version if events else 0, tuple(unapplied))
 
@@ -110,9 +152,171 @@ def is_another(anchor: dict[str, list[float]], number: int, bbox: Sequence[float
     return was is not None and float(iou_2d(np.array([was]), np.array([bbox]))[0, 0]) < ANCHOR_IOU
 
 
-def by_cell(events: Iterable[Event]) -> dict[FieldRef, list[Event]]:
+def by_ref(events: Iterable[Event]) -> dict[FieldRef, list[Event]]:
     """Events of each cell, in the order of their versions."""
     found: dict[FieldRef, list[Event]] = {}
     for event in events:
-        found.setdefault(event.cell, []).append(event)
-    return {cell: sorted(members, key=lambda e: e.version) for cell, members in found.items()}
+        found.setdefault(event.ref, []).append(event)
+    return {ref: sorted(members, key=lambda e: e.version) for ref, members in found.items()}
+
+
+def judgement_ref(frame: str, kind: str, a: int, b: int | None, what: str, author: str) -> FieldRef:
+    """The cell of what someone says of an item, or, by OF_ALL, of what settles it.
+
+    Parameters
+    ----------
+    kind : str
+        "relation", "object" or "expression".
+    a, b : int
+        Numbers of the objects of a pair; of an object its own and None, -1 where one may be missing; of an
+        expression -1 and None.
+    what : str
+        The relation, or the expression's id; of an object empty, and where one may be missing the place.
+    author : str
+
+    Raises
+    ------
+    InputError
+        There is no such item.
+    """
+    name = author.strip()
+    return FieldRef("review", frame, judged_key(name, kind, a, b, what), "settled" if name == OF_ALL else "said")
+
+
+def statuses_of_items(statuses: Mapping[FieldRef, Any]) -> dict[tuple[str, int, int | None, str], dict[str, str]]:
+    """The status that each author gives, by kind, a, b and what of the item (see `judgement_ref`).
+
+    Parameters
+    ----------
+    statuses : mapping of FieldRef to JSON value
+        Of an effective frame.
+    """
+    found: dict[tuple[str, int, int | None, str], dict[str, str]] = {}
+    for ref, value in statuses.items():
+        if ref.kind == "review" and ref.field == "said":
+            author, kind, a, b, what = judged_item(ref.key)
+            found.setdefault((kind, a, b, what), {})[author] = value["status"]
+    return {item: dict(sorted(message.items())) for item, message in found.items()}
+
+
+def replayed_judgement(
+    ref: FieldRef,
+    events: Sequence[Event],
+    boxes: Mapping[int, Any],
+    objects: Collection[int],
+    expressions: Collection[str],
+) -> Replayed:
+    """A judgement after its events; it no longer applies where its item is gone or another thing.
+
+    Parameters
+    ----------
+    boxes : mapping of int to list of float
+        2D boxes of the automatic objects.
+    objects, expressions : collection
+        Numbers and ids of those that there are.
+    """
+    _, kind, _, _, what = judged_item(ref.key)
+    if kind == "expression" and what not in expressions:
+        return all_gone(None, events, "there is no such expression any more")
+    for number in ref.numbers:
+        if number not in objects:
+            return all_gone(None, events, f"there is no object {number} any more")
+        if number in boxes and any(is_another(e.anchor, number, boxes[number]) for e in events):
+            return all_gone(None, events, f"object {number} is another thing now")
+    return replay(None, events)
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where a value comes from.
+
+    Attributes
+    ----------
+    source : str
+        "auto": the labeller. "human": a person set it. "recomputed": it follows
+        from a correction of something else. "stale": it does not yet follow
+        from one, because the dataset was not at hand.
+    author : str or None
+        Who made the correction.
+    time : datetime or None
+        UTC.
+    event : str or None
+        ULID of that correction.
+    reason : str
+    made_by : str
+        Of "auto": the model and the rule profile.
+    """
+
+    source: Source
+    author: str | None = None
+    time: datetime | None = None
+    event: str | None = None
+    reason: str = ""
+    made_by: str = ""
+
+    @classmethod
+    def of(cls, source: Source, event: Event) -> Origin:
+        """The origin of what an event set, or of what follows from it."""
+        return cls(source, event.author, event.time, event.ulid, event.reason)
+
+    def __str__(self) -> str:
+        if self.source == "auto":
+            return f"auto ({self.made_by})" if self.made_by else "auto"
+        when = "" if self.time is None else self.time.strftime(" %Y-%m-%d %H:%M:%S UTC")
+        if self.source == "human":
+            return f"{self.author}{when}"
+        verb = "recomputed from" if self.source == "recomputed" else "stale since"
+        return f"{verb} {self.author}'s correction{when}"
+
+
+@dataclass
+class Origins:
+    """The origins of one frame's values that are not the labeller's.
+
+    Attributes
+    ----------
+    frame : str
+    frame_index : int
+    found : dict of (table, key, column) to (Origin, value that the labels had)
+    """
+
+    frame: str
+    frame_index: int
+    found: dict[tuple[str, str, str], tuple[Origin, Any]] = field(default_factory=dict)
+
+    def put(self, table: str, key: str, column: str, origin: Origin, was: Any = None) -> None:
+        """Note an origin; the last word on a value counts."""
+        self.found[table, key, column] = origin, was
+
+    def get(self, table: str, key: str, column: str) -> Origin | None:
+        entry = self.found.get((table, key, column))
+        return None if entry is None else entry[0]
+
+    def rows(self) -> list[dict[str, Any]]:
+        """As rows of the provenance table."""
+        import json
+
+        return [
+            {
+                "table": table,
+                "frame": self.frame,
+                "frame_index": self.frame_index,
+                "key": key,
+                "column": column,
+                "origin": origin.source,
+                "author": origin.author,
+                "time": origin.time,
+                "event": origin.event,
+                "reason": origin.reason,
+                "was": json.dumps(was, ensure_ascii=False),
+            }
+            for (table, key, column), (origin, was) in self.found.items()
+        ]
+
+
+def provenance_schema() -> pa.Schema:
+    """The table of provenance: one row a value that is not the labeller's; `was` is the labeller's value as JSON."""
+    import pyarrow as pa
+
+    kinds = {"frame_index": pa.int32(), "time": pa.timestamp("us", "UTC")}
+    return pa.schema([pa.field(name, kinds.get(name, pa.string())) for name in ORIGIN_FIELDS])

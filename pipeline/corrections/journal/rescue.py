@@ -5,20 +5,23 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
+from pipeline.corrections.journal.chain import VERSION, version_of
 from pipeline.corrections.journal.connection import (
     DATABASE_ERRORS,
+    copy_whole,
+    examined_server,
     is_url,
+    location_of,
     make_engine,
-    place_of,
     prepare,
     reading,
     reason_of,
+    write_rows,
     writing,
 )
 from pipeline.corrections.journal.examining import Examined, empty_file, examine, is_empty
-from pipeline.corrections.journal.schema import VERSION, version_of
-from pipeline.corrections.journal.taking_over import copy_whole, examined_server, write_rows
 from pipeline.system.errors import InputError
 
 
@@ -41,10 +44,10 @@ def check_journal(where: str | Path) -> Examined:
             with reading(engine) as connection:
                 version = version_of(connection)
                 if version is not None and 0 < version <= VERSION:
-                    return examined_server(connection, place_of(engine), chain=version == VERSION)
+                    return examined_server(connection, location_of(engine), chain=version == VERSION)
         finally:
             engine.dispose()
-        return Examined(place_of(engine), version, None, (), ()).believe()
+        return Examined(location_of(engine), version, None, (), ()).believe()
     path = Path(where).expanduser()
     if not path.is_file():
         raise InputError("no journal here", path=path)
@@ -86,7 +89,7 @@ def recover(where: str | Path, to: Path) -> tuple[Examined, Examined]:
     found = check_journal(path)
     rows = found.standing
     if not rows:
-        what = "those of its events that are intact take back others, which are not" if found.intact else found.said
+        what = "those of its events that are intact take back others, which are not" if found.intact else found.summary
         raise InputError(f"nothing of the journal can be recovered: {what}", cause="a backup may have it", path=path)
 
     def write() -> None:
@@ -122,3 +125,22 @@ def _written(to: Path, write: Callable[[], None]) -> Examined:
     except DATABASE_ERRORS as error:
         raise InputError("the copy cannot be written", got=reason_of(error, str(to)), path=to) from error
     return examine(to).believe()
+
+
+def examined_record(found: Examined) -> dict[str, Any]:
+    """`journal --check --json`: "events" were saved (null where unknown), "ranges" of ids are intact."""
+    return {
+        "journal": found.location,
+        "sound": not found.damage,
+        "chained": found.chained,
+        "events": found.events,
+        "intact": len(found.intact),
+        "ranges": [list(run) for run in found.ranges],
+        "damage": list(found.damage),
+        "help": found.help,
+    }
+
+
+def written_record(found: Examined, made: Examined) -> dict[str, Any]:
+    """`journal --backup --json` and `--recover --json`: the file that was made, and its events."""
+    return {"journal": found.location, "written": made.location, "events": len(made.intact), "of": found.events}

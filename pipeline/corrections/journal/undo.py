@@ -1,17 +1,24 @@
-"""Undo and redo: each person's own actions, newest first, also after a restart. Taking back is an event as well."""
+"""Undo and redo: each person's own actions, newest first, also after a restart. Taking back is an event as well.
+
+An event is taken back onto the newest version of its field where what was
+changed since was taken back itself.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-from pipeline.corrections.journal.events import Conflict, Event, Saved
+from pipeline.corrections.journal.events import Conflict, Edit, Event, Saved
 from pipeline.corrections.journal.journal import Journal
-from pipeline.corrections.journal.taking_back import edits_back
+from pipeline.corrections.journal.replay import standing
 from pipeline.system.errors import InputError
 
 Turn = Literal["undo", "redo"]
+Taken = defaultdict[str, set[str | None]]
+"""What later actions took back ("undo") and brought back ("redo"): ULIDs of the first event of each."""
 PAGE = 32
 """Events that are read at first to know what may be taken back."""
 
@@ -32,24 +39,26 @@ class History:
 
 def history(events: Iterable[Event]) -> History:
     """The actions of one person, replayed: an edit ends what could be brought back."""
+    done: list[tuple[Event, ...]] = []
+    undone: list[tuple[Event, ...]] = []
+    for members in actions_of(events):
+        first = members[0]
+        if first.action == "edit":
+            done.append(members)
+            undone.clear()
+            continue
+        stack, other = (done, undone) if first.action == "undo" else (undone, done)
+        stack[:] = [taken for taken in stack if all(e.ulid != first.undo_of for e in taken)]
+        other.append(members)
+    return History(tuple(done), tuple(undone))
+
+
+def actions_of(events: Iterable[Event]) -> list[tuple[Event, ...]]:
+    """Events by action, in the order of their saving."""
     groups: dict[str, list[Event]] = {}
     for event in events:
         groups.setdefault(event.group, []).append(event)
-    of_event = {event.ulid: group for group, members in groups.items() for event in members}
-    done: list[str] = []
-    undone: list[str] = []
-    for group, members in groups.items():
-        first = members[0]
-        if first.action == "edit":
-            done.append(group)
-            undone.clear()
-            continue
-        source = of_event.get(str(first.undo_of))
-        stack, other = (done, undone) if first.action == "undo" else (undone, done)
-        if source in stack:
-            stack.remove(source)
-        other.append(group)
-    return History(*(tuple(tuple(groups[g]) for g in stack) for stack in (done, undone)))
+    return [tuple(members) for members in groups.values()]
 
 
 def undo(
@@ -89,64 +98,40 @@ def redo(
     return _take_back(journal, author, "redo", group, again)
 
 
-def next_undo(journal: Journal, author: str) -> tuple[Event, ...] | None:
-    """The action that `undo` would take back, the last of `history(...).done`, from as few events as tell it.
+def newest(journal: Journal, author: str, action: Turn) -> tuple[Event, ...] | None:
+    """The action that `undo` would take back, the last of `history(...).done`, or that `redo` would bring back.
 
-    From the newest on: an action is on the stack unless a later one took it
-    back. So what is read is what was done since, and not all that ever was.
+    It is known from as few events as tell it, from the newest on: an action is
+    on the stack unless a later one took it back. So what is read is what was
+    done since, and not all that ever was.
     """
-    return _newest(journal, author, "undo")
-
-
-def next_redo(journal: Journal, author: str) -> tuple[Event, ...] | None:
-    """The action that `redo` would bring back, the last of `history(...).undone`; as `next_undo`."""
-    return _newest(journal, author, "redo")
-
-
-def _newest(journal: Journal, author: str, action: Turn) -> tuple[Event, ...] | None:
-    taken = _Taken()
+    taken: Taken = defaultdict(set)
     for members in _newest_first(journal, author):
-        if taken.stands(members, action):
+        if _stands(members, action, taken):
             return members
         if action == "redo" and members[0].action == "edit":
             return None
-        taken.note(members)
+        taken[members[0].action].add(members[0].undo_of)
     return None
 
 
-class _Taken:
-    """What later actions took back (by undo) and brought back (by redo): ULIDs of the first event of each."""
-
-    def __init__(self) -> None:
-        self._by: dict[str, set[str]] = {"undo": set(), "redo": set()}
-
-    def note(self, members: tuple[Event, ...]) -> None:
-        first = members[0]
-        if first.action != "edit" and first.undo_of is not None:
-            self._by[first.action].add(first.undo_of)
-
-    def stands(self, members: tuple[Event, ...], action: Turn) -> bool:
-        """Whether it is of the stack that the action takes from, and no later one has taken it already."""
-        of_stack = (members[0].action == "undo") == (action == "redo")
-        return of_stack and not any(e.ulid in self._by[action] for e in members)
+def _stands(members: tuple[Event, ...], action: Turn, taken: Taken) -> bool:
+    """Whether it is of the stack that the action takes from, and no later one has taken it already."""
+    of_stack = (members[0].action == "undo") == (action == "redo")
+    return of_stack and not any(e.ulid in taken[action] for e in members)
 
 
 def _newest_first(journal: Journal, author: str) -> Iterator[tuple[Event, ...]]:
     """A person's actions, the newest first, read in pages that grow."""
     size, before = PAGE, None
-    held: list[Event] = []
+    held: tuple[Event, ...] = ()
     while True:
         page = journal.events(author=author, before=before, last=size)
-        events = [*page, *held]
-        groups: dict[str, list[Event]] = {}
-        for event in events:
-            groups.setdefault(event.group, []).append(event)
-        whole = list(groups.values())
+        whole = actions_of([*page, *held])
         if len(page) == size:
             # Of the oldest action there may be more on the next page.
             held, before = whole.pop(0), page[0].id
-        for members in reversed(whole):
-            yield tuple(members)
+        yield from reversed(whole)
         if len(page) < size:
             return
         size = min(2 * size, 64 * PAGE)
@@ -155,15 +140,12 @@ def _newest_first(journal: Journal, author: str) -> Iterator[tuple[Event, ...]]:
 def _of_group(journal: Journal, author: str, action: Turn, group: str) -> tuple[Event, ...]:
     """The action of a group, where it can be taken or brought back."""
     members = journal.events(author=author, group=group)
-    taken = _Taken()
-    cleared = False
-    later: dict[str, list[Event]] = {}
-    for event in journal.events(author=author, after=members[-1].id) if members else ():
-        later.setdefault(event.group, []).append(event)
-    for found in later.values():
-        taken.note(tuple(found))
-        cleared |= action == "redo" and found[0].action == "edit"
-    if not members or cleared or not taken.stands(members, action):
+    later = actions_of(journal.events(author=author, after=members[-1].id)) if members else []
+    taken: Taken = defaultdict(set)
+    for found in later:
+        taken[found[0].action].add(found[0].undo_of)
+    cleared = action == "redo" and any(found[0].action == "edit" for found in later)
+    if not members or cleared or not _stands(members, action, taken):
         raise InputError(f"{author} has no action of this group to {action}", got=repr(group))
     return members
 
@@ -174,8 +156,27 @@ def _take_back(
     saved = () if again is None else journal.events(group=again)
     if saved:
         return Saved(saved)
-    members = _newest(journal, author, action) if group is None else _of_group(journal, author, action, group)
+    members = newest(journal, author, action) if group is None else _of_group(journal, author, action, group)
     if members is None:
         return None
     edits = edits_back(journal, members)
     return journal.write(edits, author, action, group=again, undo_of=[e.ulid for e in members])
+
+
+def edits_back(journal: Journal, members: Sequence[Event]) -> list[Edit]:
+    """The edits that take events back, or bring them back where they are undos.
+
+    An event may be taken back where its cell stands as it stood right after
+    it: nobody has changed it since, or all that was changed since was taken
+    back. Elsewhere the edit is based on the event's own version, and so is a
+    conflict when it is written.
+    """
+    edits = []
+    for event in members:
+        ref = event.ref
+        events = journal.events(kind=ref.kind, frame=ref.frame, key=ref.key, field=ref.field)
+        unchanged = standing(events) == standing([e for e in events if e.id <= event.id])
+        base = events[-1].version if unchanged else event.version
+        edits.append(Edit(ref, before=event.after, after=event.before, base=base, reason=event.reason,
+                          anchor=event.anchor))  # fmt: skip
+    return edits

@@ -88,8 +88,8 @@ def detector_evidence(
         except InputError as error:
             skipped[row["frame"]] = str(error)
         except Exception as error:  # A network's own failure: its words, in one line.
-            said = str(error).strip().split("\n")[0]
-            skipped[row["frame"]] = f"{type(error).__name__}: {said}" if said else type(error).__name__
+            classes = str(error).strip().split("\n")[0]
+            skipped[row["frame"]] = f"{type(error).__name__}: {classes}" if classes else type(error).__name__
         else:
             numbers, names, boxes = (objects[name][mine] for name in ("object", "label", "bbox"))
             items += compared(row["frame"], numbers, names, boxes, found, detector, synonyms, name)
@@ -129,7 +129,7 @@ def compared(
     same, knows = lru_cache(_same(synonyms)), lru_cache(_knows(detector, synonyms))
     iou = iou_2d(boxes.reshape(-1, 4), found.boxes.astype(np.float64)) if len(numbers) else np.zeros((0, len(found)))
     here = iou >= SAME_BOX_IOU
-    said = [found.label(k) for k in range(len(found))]
+    classes = [found.label(k) for k in range(len(found))]
     for row, (number, label) in enumerate(zip(numbers.tolist(), names.tolist(), strict=True)):
         key = ItemKey(frame, "object", number, None, "")
         at = np.flatnonzero(here[row])
@@ -137,22 +137,22 @@ def compared(
             if knows(label):
                 yield ItemEvidence(key, UNMATCHED, f"the detector {called} sees no object here")
             continue
-        if any(same(label, said[k]) for k in at.tolist()):
+        if any(same(label, classes[k]) for k in at.tolist()):
             continue
         best = int(at[np.lexsort((-iou[row, at], -found.scores[at]))[0]])
         score = float(found.scores[best])
         if score < LEAST_SCORE:
             continue
-        reason = f"the detector {called} calls it {said[best]!r} (score {score:.2f})"
+        reason = f"the detector {called} calls it {classes[best]!r} (score {score:.2f})"
         if knows(label):
             yield ItemEvidence(key, DISPUTED, reason)
         else:
             yield ItemEvidence(key, WARNED, f"{reason}, and knows no {label!r}")
-    yield from _missing(frame, found, np.asarray(here.any(axis=0)), said, called)
+    yield from _missing(frame, found, np.asarray(here.any(axis=0)), classes, called)
 
 
 def _missing(
-    frame: str, found: Proposals, covered: np.ndarray, said: list[str], detector: str
+    frame: str, found: Proposals, covered: np.ndarray, classes: list[str], detector: str
 ) -> Iterator[ItemEvidence]:
     """Detections that are no object of the labels; of several of one place the surest."""
     left = np.flatnonzero(~covered & (found.scores >= LEAST_SCORE))
@@ -166,8 +166,8 @@ def _missing(
         if shown[n]:
             places.add(key)
             score = float(found.scores[k])
-            reason = f"the detector {detector} sees {said[k]!r} here (score {score:.2f}), and the labels nothing"
-            yield ItemEvidence(key, UNMATCHED * score, reason, said[k])
+            reason = f"the detector {detector} sees {classes[k]!r} here (score {score:.2f}), and the labels nothing"
+            yield ItemEvidence(key, UNMATCHED * score, reason, classes[k])
 
 
 def _same(synonyms: Synonyms | None) -> Callable[[str, str], bool]:

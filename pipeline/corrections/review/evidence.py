@@ -10,16 +10,23 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from pipeline.corrections.review.items import ItemKey
-from pipeline.corrections.review.relation_labels import RelationLabels, read_cells
+from pipeline.corrections.review.out_of_fold import Doubts
+from pipeline.geometry.boxes import iou_2d
 from pipeline.labels.check.findings import Finding
+from pipeline.labels.check.stream import UNKNOWN
 from pipeline.labels.reading import Labels
+from pipeline.labels.tables import read_table
 from pipeline.language.relation_names import INVERSE
 from pipeline.relations.relations import F, T, U
-from pipeline.training.label_data import column_arrays, rows_of_frame
+from pipeline.training.label_data import LabelData, column_arrays, rows_of_frame
+
+if TYPE_CHECKING:
+    import pyarrow as pa
 
 CONTRADICTED = 0.9
 """Of an error that names one label: the stored state contradicts the extents, an expression states what is F."""
@@ -38,7 +45,7 @@ SAME_BOX_IOU = 0.5
 
 
 @dataclass(frozen=True, eq=False)
-class CellEvidence:
+class RelationEvidence:
     """One kind of evidence against some cells.
 
     Attributes
@@ -74,19 +81,21 @@ class ItemEvidence:
     label: str | None = None
 
 
-def network_evidence(cells: RelationLabels, probability: np.ndarray, wrong: np.ndarray, least: float) -> CellEvidence:
+def network_evidence(
+    cells: RelationLabels, probability: np.ndarray, wrong: np.ndarray, least: float
+) -> RelationEvidence:
     """Labels that networks which have not learnt from them find wrong with at least this probability."""
     rows, columns = np.nonzero(wrong >= least)
-    states = _letters(cells.states[rows, columns])
+    states = letters(cells.states[rows, columns])
     p, q = probability[rows, columns], wrong[rows, columns]
     reason = _joined(
         "the label is ", states, ", and networks that have not learnt from it give it a probability of ",
         np.char.mod("%.2f", np.where(cells.states[rows, columns] == T, p, 1 - p)),
     )  # fmt: skip
-    return CellEvidence(rows, columns, q, reason)
+    return RelationEvidence(rows, columns, q, reason)
 
 
-def doubtful_evidence(cells: RelationLabels, probability: np.ndarray) -> CellEvidence:
+def undecided_evidence(cells: RelationLabels, probability: np.ndarray) -> RelationEvidence:
     """Cells that the rule finds too close to call (U); the surer the networks are, the more is to be gained."""
     known = np.where(np.isnan(probability), 0.5, probability)
     rows, columns = np.nonzero(cells.states == U)
@@ -97,10 +106,10 @@ def doubtful_evidence(cells: RelationLabels, probability: np.ndarray) -> CellEvi
         "too close to call by the rule (U); networks that have not learnt from it say ", answer, " with ",
         np.char.mod("%.2f", np.maximum(p, 1 - p)),
     )  # fmt: skip
-    return CellEvidence(rows, columns, UNDECIDED * sure, reason)
+    return RelationEvidence(rows, columns, UNDECIDED * sure, reason)
 
 
-def margin_evidence(cells: RelationLabels, least: float) -> CellEvidence:
+def margin_evidence(cells: RelationLabels, least: float) -> RelationEvidence:
     """Labels near a threshold of the rule: half the chance that an error of MARGIN_SIGMA_M crosses it, for it leads to
     U and not to the opposite."""
     from scipy.special import ndtr
@@ -109,50 +118,46 @@ def margin_evidence(cells: RelationLabels, least: float) -> CellEvidence:
     weight = np.where(np.isnan(near), 0.0, 0.5 * ndtr(-np.nan_to_num(near) / MARGIN_SIGMA_M))
     rows, columns = np.nonzero(((cells.states == T) | (cells.states == F)) & (weight >= least))
     reason = _joined(
-        "only ", np.char.mod("%.1f", 1000 * near[rows, columns]), " mm from where the rule would be in doubt"
+        "only ", np.char.mod("%.1f", 1000 * near[rows, columns]), " mm from where the rule would be undecided"
     )
-    return CellEvidence(rows, columns, weight[rows, columns], reason)
+    return RelationEvidence(rows, columns, weight[rows, columns], reason)
 
 
 def linter_evidence(
     cells: RelationLabels, findings: Iterable[Finding]
-) -> tuple[CellEvidence, tuple[ItemEvidence, ...], int]:
+) -> tuple[RelationEvidence, tuple[ItemEvidence, ...], int]:
     """The findings of `check_labels` by the labels that they are about.
 
     Returns
     -------
-    cells : CellEvidence
+    cells : RelationEvidence
     items : tuple of ItemEvidence
         Objects and expressions.
     elsewhere : int
         Findings of files, frames and missing rows: nothing that a person settles label by label.
     """
-    keys: list[tuple[str, int, int]] = []
-    relations: list[str] = []
-    weights: list[float] = []
-    reasons: list[str] = []
+    blamed: list[tuple[tuple[str, int, int], int, float, str]] = []
     items: list[ItemEvidence] = []
     elsewhere = 0
     for found in findings:
         group = found.rule.split("/")[0]
-        blamed = _blamed_cells(found) if group == "relation" else []
-        known = [(a, b, r, w) for a, b, r, w in blamed if r in cells.relations]
+        known = [c for c in _blamed_cells(found) if c[2] in cells.relations] if group == "relation" else []
         if found.frame is not None and known:
             for a, b, relation, weight in known:
-                keys.append((found.frame, a, b))
-                relations.append(relation)
-                weights.append(weight if found.severity == "error" else min(weight, WARNED))
-                reasons.append(f"{found.rule}: {found.message}")
+                weight = weight if found.severity == "error" else min(weight, WARNED)
+                reason = f"{found.rule}: {found.message}"
+                blamed.append(((found.frame, a, b), cells.relations.index(relation), weight, reason))
         elif found.frame is not None and group in ("object", "expression") and found.objects:
             items += _blamed_items(found)
         else:
             elsewhere += 1
+    keys, columns, weights, reasons = zip(*blamed, strict=True) if blamed else ((), (), (), ())
     rows = cells.rows_of(keys)
-    columns = np.array([cells.relations.index(r) for r in relations], np.int64)
     there = rows >= 0
-    evidence = CellEvidence(
-        rows[there], columns[there], np.array(weights, np.float64)[there], np.array(reasons, object)[there]
-    )
+    evidence = RelationEvidence(
+        rows[there], np.array(columns, np.int64)[there], np.array(weights, np.float64)[there],
+        np.array(reasons, object)[there],
+    )  # fmt: skip
     return evidence, tuple(items), elsewhere + int((~there).sum())
 
 
@@ -164,12 +169,14 @@ def _blamed_cells(found: Finding) -> list[tuple[int, int, str, float]]:
     a, b = found.objects[:2]
     if found.rule == "relation/geometry":
         return [(a, b, relation, CONTRADICTED)]
-    if found.rule == "relation/inverse":
-        return [(a, b, relation, ONE_OF_TWO), (b, a, INVERSE[relation], ONE_OF_TWO)]
-    if found.rule == "relation/exclusive":
-        return [(a, b, relation, ONE_OF_TWO), (a, b, INVERSE[relation], ONE_OF_TWO)]
-    if found.rule == "relation/antisymmetry":
-        return [(a, b, relation, ONE_OF_TWO), (b, a, relation, ONE_OF_TWO)]
+    inverse = INVERSE.get(relation, relation)
+    others = {
+        "relation/inverse": (b, a, inverse),
+        "relation/exclusive": (a, b, inverse),
+        "relation/antisymmetry": (b, a, relation),
+    }
+    if found.rule in others:
+        return [(a, b, relation, ONE_OF_TWO), (*others[found.rule], ONE_OF_TWO)]
     if found.rule == "relation/cycle":
         ring = (*found.objects, found.objects[0])
         return [(i, j, relation, 1 / len(found.objects)) for i, j in pairwise(ring)]
@@ -191,7 +198,7 @@ def _blamed_items(found: Finding) -> list[ItemEvidence]:
 
 def disputed_evidence(
     labels: Labels, cells: RelationLabels, other: Labels
-) -> tuple[CellEvidence, tuple[ItemEvidence, ...]]:
+) -> tuple[RelationEvidence, tuple[ItemEvidence, ...]]:
     """What labels of the same dataset by another detector or run say otherwise.
 
     Objects are the same where their 2D boxes overlap best, either way, with an
@@ -204,7 +211,7 @@ def disputed_evidence(
         Of these.
     other : Labels
     """
-    theirs = read_cells(other)
+    theirs = read_relation_labels(other)
     shared = [r for r in cells.relations if r in theirs.relations]
     own_columns, their_columns = ([c.relations.index(r) for r in shared] for c in (cells, theirs))
     objects = [column_arrays(x.objects.select(["frame", "frame_index", "object", "label", "bbox"]))
@@ -231,15 +238,15 @@ def disputed_evidence(
         i, j = (match[np.searchsorted(numbers[0], x[own])] for x in (cells.a, cells.b))
         row = np.where((i >= 0) & (j >= 0), at[i, j] if at.size else -1, -1)
         there = np.flatnonzero(row >= 0)
-        said = cells.states[own][there][:, own_columns] * theirs.states[row[there]][:, their_columns].astype(np.int64)
-        r, c = np.nonzero(said == -1)
+        turned = cells.states[own][there][:, own_columns] * theirs.states[row[there]][:, their_columns].astype(np.int64)
+        r, c = np.nonzero(turned == -1)
         rows.append(own.start + there[r])
         columns.append(np.array(own_columns, np.int64)[c])
     r = np.concatenate([np.zeros(0, np.int64), *rows])
     c = np.concatenate([np.zeros(0, np.int64), *columns])
-    opposite = _letters(-cells.states[r, c])
+    opposite = letters(-cells.states[r, c])
     reason = _joined("the other labels of this frame say ", opposite)
-    return CellEvidence(r, c, np.full(len(r), DISPUTED), reason), tuple(items)
+    return RelationEvidence(r, c, np.full(len(r), DISPUTED), reason), tuple(items)
 
 
 def _disputed_objects(
@@ -257,17 +264,15 @@ def matched_boxes(first: np.ndarray, second: np.ndarray) -> np.ndarray:
     """(N,) int64: which of M second boxes each first one is, both (., 4) x0, y0, x1, y1; -1 where none is."""
     if not len(first) or not len(second):
         return np.full(len(first), -1, np.int64)
-    low, high = np.maximum(first[:, None, :2], second[None, :, :2]), np.minimum(first[:, None, 2:], second[None, :, 2:])
-    inner = np.clip(high - low, 0, None).prod(axis=2)
-    area = [np.clip(b[:, 2:] - b[:, :2], 0, None).prod(axis=1) for b in (first, second)]
-    iou = inner / np.maximum(area[0][:, None] + area[1][None] - inner, 1e-12)
+    iou = iou_2d(first, second)
     best = iou.argmax(axis=1)
     here = np.arange(len(first))
     mutual = (iou.argmax(axis=0)[best] == here) & (iou[here, best] >= SAME_BOX_IOU)
     return np.where(mutual, best, -1)
 
 
-def _letters(states: np.ndarray) -> np.ndarray:
+def letters(states: np.ndarray) -> np.ndarray:
+    """T, F or U of each state."""
     return np.where(states == T, "T", np.where(states == F, "F", "U"))
 
 
@@ -279,9 +284,100 @@ def _joined(*parts: str | np.ndarray) -> np.ndarray:
     return found
 
 
-def combined(parts: Sequence[CellEvidence], shape: tuple[int, int]) -> np.ndarray:
+def combined(parts: Sequence[RelationEvidence], shape: tuple[int, int]) -> np.ndarray:
     """`shape` float64: one less the product of (1 - weight) of all evidence against each cell."""
     right = np.zeros(shape)
     for part in parts:
         np.add.at(right, (part.rows, part.columns), np.log1p(-np.minimum(part.weight, 1 - 1e-12)))
     return -np.expm1(right)
+
+
+@dataclass(frozen=True, eq=False)
+class RelationLabels:
+    """The table of relations as arrays, in its order.
+
+    Attributes
+    ----------
+    relations : tuple of str
+    frame : (P,) object
+        Ids.
+    frame_index, a, b : (P,) int64
+    states : (P, R) int8
+        T, U, F; UNKNOWN where there is none.
+    margins : (P, R) float64
+        Metres; NaN where there is none.
+    """
+
+    relations: tuple[str, ...]
+    frame: np.ndarray
+    frame_index: np.ndarray
+    a: np.ndarray
+    b: np.ndarray
+    states: np.ndarray
+    margins: np.ndarray
+
+    def __len__(self) -> int:
+        return len(self.a)
+
+    def rows_of(self, keys: Iterable[tuple[str, int, int]]) -> np.ndarray:
+        """(K,) int64: the row of each (frame id, a, b); -1 where there is none."""
+        keys = list(keys)
+        index: dict[tuple[str, int, int], int] = {}
+        if keys:
+            wanted = {key[0] for key in keys}
+            of_them = np.flatnonzero(np.isin(self.frame, list(wanted)))
+            rows = zip(self.frame[of_them], self.a[of_them].tolist(), self.b[of_them].tolist(), strict=True)
+            index = dict(zip(rows, of_them.tolist(), strict=True))
+        return np.array([index.get(key, -1) for key in keys], np.int64)
+
+
+def read_relation_labels(labels: Labels) -> RelationLabels:
+    """All relation labels of a folder.
+
+    Raises
+    ------
+    InputError
+        The table is damaged.
+    """
+    relations = labels.relation_names
+    margins = [f"{r}_margin" for r in relations]
+    names = ("frame", "frame_index", "a", "b", *relations, *margins)
+    table = read_table(labels.root / "relations.parquet", "relations", names)
+    table = table.take(_order(table))
+    states = [table.column(r).fill_null(UNKNOWN).to_numpy().astype(np.int8) for r in relations]
+    found = column_arrays(table.select(["frame", "frame_index", "a", "b"]))
+    shape = (table.num_rows, len(relations))
+    margin_columns = [table.column(m).to_numpy().astype(np.float64) for m in margins]
+    return RelationLabels(
+        relations,
+        found["frame"].astype(object),
+        found["frame_index"].astype(np.int64),
+        found["a"].astype(np.int64),
+        found["b"].astype(np.int64),
+        np.stack(states, axis=1) if states else np.zeros(shape, np.int8),
+        np.stack(margin_columns, axis=1) if margins else np.zeros(shape),
+    )
+
+
+def _order(table: pa.Table) -> np.ndarray:
+    return np.lexsort([table.column(name).to_numpy() for name in ("b", "a", "frame_index")])
+
+
+def doubts_of_labels(cells: RelationLabels, data: LabelData, doubts: Doubts) -> tuple[np.ndarray, np.ndarray]:
+    """What the networks say of each cell.
+
+    Returns
+    -------
+    probability, wrong : (P, R) float64
+        NaN for pairs of which an object is not usable, and of `wrong` where the label is U.
+    """
+    found = np.full((2, *cells.states.shape), np.nan)
+    columns = [cells.relations.index(relation) for relation in doubts.vocabulary]
+    for frame, p, wrong in zip(data.frames, doubts.probabilities, doubts.wrong, strict=True):
+        mine = rows_of_frame(cells.frame_index, frame.key.index)
+        a, b = cells.a[mine], cells.b[mine]
+        i, j = (np.minimum(np.searchsorted(frame.objects, x), len(frame.objects) - 1) for x in (a, b))
+        there = np.flatnonzero((frame.objects[i] == a) & (frame.objects[j] == b) & (i != j))
+        for k, matrix in enumerate((p, wrong)):
+            found[k][np.ix_(mine.start + there, columns)] = matrix[i[there], j[there]]
+    return found[0], found[1]

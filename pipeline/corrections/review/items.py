@@ -1,4 +1,4 @@
-"""What is reviewed, item by item: its key, its state, and how far a review has come."""
+"""What is reviewed, item by item: its key, its state, the order it is worked through, and how far a review has come."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ DISAGREED = 1 - 1e-6
 """The weight of an item on which reviewers say different things: above all that machines find."""
 SETTLED: tuple[State, ...] = ("accepted", "corrected", "rejected")
 """Nothing is left to do; an item that a reviewer is unsure of may be asked of another."""
-
-
 NOBODY = -1
 """In place of an object's number where there is none."""
+BLOCK = 60
+"""Items that are as good as equally undecided: what differs little in rank may be looked at in any order."""
 
 
 class ItemKey(NamedTuple):
@@ -155,3 +155,29 @@ def checked_states(states: Mapping[ItemKey, str]) -> None:
     for key, state in states.items():
         if state not in STATES:
             raise InputError(f"no such state of review item {key.text()}", got=repr(state), expected=" | ".join(STATES))
+
+
+def by_frame(queue: pa.Table, block: int = BLOCK) -> pa.Table:
+    """The queue with the items of a frame next to each other within every `block` items.
+
+    Frames stand in the order of their first item of the block, and the items of
+    a frame, pair by pair, in the order in which the pair's first one stood.
+    """
+    if not queue.num_rows:
+        return queue
+    rank = np.arange(queue.num_rows)
+    part = rank // max(block, 1)
+    frame = np.unique(queue.column("frame").to_numpy(zero_copy_only=False), return_inverse=True)[1]
+    a = queue.column("a").to_numpy().astype(np.int64)
+    b = np.nan_to_num(queue.column("b").to_numpy(zero_copy_only=False).astype(np.float64), nan=-1).astype(np.int64)
+    of_frame = _first(rank, part, frame)
+    of_pair = _first(rank, part, frame, np.minimum(a, b), np.maximum(a, b))
+    return queue.take(np.lexsort((rank, of_pair, of_frame, part)))
+
+
+def _first(rank: np.ndarray, *keys: np.ndarray) -> np.ndarray:
+    """(N,) int: the rank of the first row that agrees in all keys."""
+    _, group = np.unique(np.stack(keys, axis=1), axis=0, return_inverse=True)
+    first = np.full(int(group.max()) + 1, len(rank), np.int64)
+    np.minimum.at(first, group.ravel(), rank)
+    return first[group.ravel()]

@@ -6,19 +6,24 @@ so in one fold: neither label is seen by the network that judges them. A label
 is therefore never held against its mirror image; that comparison is the
 linter's (`relation/inverse`). What the network gains from the mirror image is a
 second look at the same geometry.
+
+As in `pipeline.metrics.splits`, frames of one scene resemble each other. So scenes
+are held out, or where there are few, blocks of camera positions with a gap.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Literal
 
 import numpy as np
+import xxhash
 
 from pipeline.corrections.review.confident import Noise, estimate_noise, probability_wrong
-from pipeline.corrections.review.folds import FOLDS, Folds, make_folds
 from pipeline.language.relation_names import VOCABULARIES
 from pipeline.metrics.platt import antisymmetric, sigmoid
+from pipeline.metrics.splits import FEWEST_SCENES, FRAME_GAP, GAP_M, FrameKey, along_spread
 from pipeline.relations.features import LANGUAGE, feature_set
 from pipeline.relations.relations import T, U
 from pipeline.system.errors import InputError
@@ -35,6 +40,7 @@ PASSES = 3
 that are left cost much: as many chosen at random cost at least as much F1, so it is their number that counts."""
 PRUNED = 0.5
 """A label that is more probably wrong than right is not learnt from in the next pass."""
+FOLDS = 5
 
 
 @dataclass(frozen=True)
@@ -164,15 +170,15 @@ def out_of_fold(
     if OUTPUTS[config.vocabulary] != "sigmoid":
         raise InputError("labels are judged one by one, not as the one that fits best", got=config.vocabulary)
     outputs = VOCABULARIES[config.vocabulary]
-    places = [outputs.index(relation) for relation in vocabulary]
+    indices = [outputs.index(relation) for relation in vocabulary]
     found: list[np.ndarray] = [np.zeros(0)] * len(frames)
     for held, learnt in zip(folds.held, folds.learnt, strict=True):
         if not held.any():
             continue
-        inside = [_padded(frames[k], places, len(outputs)) for k in np.flatnonzero(learnt).tolist()]
+        inside = [_padded(frames[k], indices, len(outputs)) for k in np.flatnonzero(learnt).tolist()]
         model = train_pairs(pair_set(inside, config.features, config.output), config)
         for k in np.flatnonzero(held).tolist():
-            found[k] = network_probabilities(model, frames[k].rows)[..., places]
+            found[k] = network_probabilities(model, frames[k].rows)[..., indices]
         if trained is not None:
             trained()
     return tuple(found)
@@ -190,9 +196,9 @@ def network_probabilities(model: TrainedModel, rows: np.ndarray) -> np.ndarray:
     return sigmoid(antisymmetric(logits, model.vocabulary))
 
 
-def _padded(frame: LabelledFrame, places: Sequence[int], outputs: int) -> LabelledFrame:
+def _padded(frame: LabelledFrame, indices: Sequence[int], outputs: int) -> LabelledFrame:
     states = np.full((*frame.states.shape[:2], outputs), U, np.int8)
-    states[..., list(places)] = frame.states
+    states[..., list(indices)] = frame.states
     return replace(frame, states=states)
 
 
@@ -228,3 +234,113 @@ def unstacked(cells: np.ndarray, sizes: Sequence[int]) -> tuple[np.ndarray, ...]
         start += n * (n - 1)
         found.append(matrix)
     return tuple(found)
+
+
+@dataclass(frozen=True, eq=False)
+class Folds:
+    """What is held out, and what is learnt from, in each of K folds.
+
+    Attributes
+    ----------
+    kind : str
+        "scene": whole scenes; "blocks": blocks of camera positions in each scene.
+    held : (K, F) bool
+        Every frame is held out in exactly one fold.
+    learnt : (K, F) bool
+        Never a frame that is held out, nor one in a gap beside it.
+    gaps : dict of str to float or int
+        Of "blocks", by scene: metres between blocks, or frames where the scene has no usable poses.
+    """
+
+    kind: Literal["scene", "blocks"]
+    held: np.ndarray
+    learnt: np.ndarray
+    gaps: dict[str, float | int]
+
+    def __len__(self) -> int:
+        return len(self.held)
+
+
+def make_folds(frames: Sequence[FrameKey], folds: int = FOLDS, seed: int = 0) -> Folds:
+    """Part the frames.
+
+    Parameters
+    ----------
+    frames : sequence of FrameKey
+    folds : int
+        At most so many: no more than there are scenes, or frames of the longest scene.
+    seed : int
+        Of the order in which scenes are dealt out.
+
+    Raises
+    ------
+    InputError
+        Fewer than two folds are asked for, or there are fewer than two frames.
+    """
+    if folds < 2:
+        raise InputError("there must be at least two folds", got=folds)
+    if len(frames) < 2:
+        raise InputError("out-of-fold probabilities need at least two frames", got=len(frames))
+    names = np.array([f.scene for f in frames], object)
+    scenes = sorted(set(names.tolist()))
+    if len(scenes) >= FEWEST_SCENES:
+        return _by_scene(names, scenes, min(folds, len(scenes)), seed)
+    return _by_block(frames, names, scenes, folds)
+
+
+def _by_scene(names: np.ndarray, scenes: Sequence[str], folds: int, seed: int) -> Folds:
+    """Scenes in a seeded order, each to the fold that has fewest frames."""
+    order = sorted(scenes, key=lambda s: (xxhash.xxh3_64_intdigest(f"{seed}\0{s}".encode("utf-8", "replace")), s))
+    held, size = np.zeros((folds, len(names)), np.bool_), np.zeros(folds, np.int64)
+    for rank, scene in enumerate(order):
+        mine = names == scene
+        # At first one scene each, so that no fold stays empty.
+        fold = rank if rank < folds else int(size.argmin())
+        held[fold] |= mine
+        size[fold] += mine.sum()
+    return Folds("scene", held, ~held, {})
+
+
+def _by_block(frames: Sequence[FrameKey], names: np.ndarray, scenes: Sequence[str], folds: int) -> Folds:
+    most = max(int((names == scene).sum()) for scene in scenes)
+    folds = min(folds, max(most, 2))
+    held, learnt = np.zeros((2, folds, len(frames)), np.bool_)
+    gaps: dict[str, float | int] = {}
+    for number, scene in enumerate(scenes):
+        indices = np.flatnonzero(names == scene)
+        along, gap = _along([frames[k] for k in indices.tolist()])
+        rank = np.argsort(np.argsort(along, kind="stable"), kind="stable")
+        # Scenes with few frames start at different folds.
+        block = (rank * min(folds, len(indices)) // len(indices) + number) % folds
+        gaps[scene] = _held_in_blocks(held, learnt, indices, block, along, gap)
+    return Folds("blocks", held, learnt, gaps)
+
+
+def _along(frames: Sequence[FrameKey]) -> tuple[np.ndarray, float | int]:
+    """Where the frames of a scene stand in a row, and the gap: in metres, or in frames where poses do not differ."""
+    positions = [f.position for f in frames]
+    if all(p is not None for p in positions):
+        along = along_spread(np.array(positions, np.float64))
+        if along is not None and np.ptp(along) > 0.1:
+            return along, GAP_M
+    order = np.argsort([f.index for f in frames], kind="stable")
+    return np.argsort(order, kind="stable").astype(np.float64), max(1, round(FRAME_GAP * len(frames)))
+
+
+def _held_in_blocks(
+    held: np.ndarray, learnt: np.ndarray, indices: np.ndarray, block: np.ndarray, along: np.ndarray, gap: float | int
+) -> float | int:
+    """Enter one scene's blocks; the gap is halved until at least half of the other frames are left to learn from."""
+    mine = block[None] == np.arange(len(held))[:, None]
+    held[:, indices] = mine
+    while True:
+        near = np.zeros_like(mine)
+        for k, inside in enumerate(mine):
+            if inside.any():
+                near[k] = (along > along[inside].min() - gap) & (along < along[inside].max() + gap)
+        kept = ~near & ~mine
+        enough = (kept.sum(axis=1) * 2 >= (~mine).sum(axis=1)).all()
+        if enough or gap < 0.01:
+            learnt[:, indices] = kept if enough else ~mine
+            return gap if enough else 0
+        gap = gap // 2 if isinstance(gap, int) else gap / 2

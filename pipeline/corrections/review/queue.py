@@ -9,22 +9,25 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.corrections.review.evidence import (
-    CellEvidence,
     ItemEvidence,
+    RelationEvidence,
+    RelationLabels,
     combined,
     disputed_evidence,
-    doubtful_evidence,
+    doubts_of_labels,
+    letters,
     linter_evidence,
     margin_evidence,
     network_evidence,
+    read_relation_labels,
+    undecided_evidence,
 )
 from pipeline.corrections.review.items import SETTLED, ItemKey
 from pipeline.corrections.review.out_of_fold import DoubtConfig, Doubts, doubt_labels
-from pipeline.corrections.review.relation_labels import RelationLabels, doubts_of_cells, read_cells
 from pipeline.corrections.review.reviewed import (
     automatic_version,
     disagreement_evidence,
-    settled_cells,
+    settled_relations,
     states_on_labels,
     trusted_of_data,
     without_settled,
@@ -32,7 +35,6 @@ from pipeline.corrections.review.reviewed import (
 from pipeline.corrections.review.states import Judgements
 from pipeline.labels.check.linter import check_labels
 from pipeline.labels.reading import Labels
-from pipeline.relations.relations import F, T
 from pipeline.training.label_data import LabelData, read_label_data
 
 if TYPE_CHECKING:
@@ -50,7 +52,7 @@ class QueueConfig:
     ----------
     doubts : DoubtConfig or None
         None: without networks.
-    linter, margins, doubtful : bool
+    linter, margins, undecided : bool
         Whether findings of `check_labels`, small margins, and U cells are looked at.
     limit : int or None
         At most so many items.
@@ -59,7 +61,7 @@ class QueueConfig:
     doubts: DoubtConfig | None = field(default_factory=DoubtConfig)
     linter: bool = True
     margins: bool = True
-    doubtful: bool = True
+    undecided: bool = True
     limit: int | None = None
 
 
@@ -100,7 +102,7 @@ def review_queue(
         without), wrong (float64, that the label is wrong by confident learning alone; null for U, for what is settled,
         and without networks), score (float64, the same by all evidence), reasons (list of string, the strongest first).
         Metadata: `estimated_wrong` relation labels of those that are not settled; `elsewhere`, findings that are of no
-        single label; `labels_version`, the automatic labels that it is of. Where an object may be missing, `place`
+        single label; `labels_version`, the automatic labels that it is of. Where an object may be missing, `row_of`
         tells where (x0,y0,x1,y1), `a` is -1, and the label is the class. The label of an object that was left out is
         null.
 
@@ -112,19 +114,19 @@ def review_queue(
         torch is not installed.
     """
     config = config or QueueConfig()
-    cells = read_cells(labels)
+    cells = read_relation_labels(labels)
     probability = wrong = np.full(cells.states.shape, np.nan)
-    parts: list[CellEvidence] = []
+    parts: list[RelationEvidence] = []
     items: list[ItemEvidence] = []
     metadata = {"elsewhere": "0", "labels_version": automatic_version(labels.manifest)}
     states = {} if judgements is None else states_on_labels(judgements, cells)
-    settled = settled_cells(cells, states)
+    settled = settled_relations(cells, states)
     if doubts is None and config.doubts is not None:
         data = read_label_data(labels, config.doubts.train.features, labels.relation_names)
         trusted = trusted_of_data(cells, settled, data)
         doubts = data, doubt_labels(data, config.doubts, trusted=trusted, progress=progress)
     if doubts is not None:
-        probability, wrong = doubts_of_cells(cells, *doubts)
+        probability, wrong = doubts_of_labels(cells, *doubts)
         wrong = np.where(settled, np.nan, wrong)
         parts.append(network_evidence(cells, probability, wrong, LEAST))
         metadata["estimated_wrong"] = f"{sum(n.wrong for n in doubts[1].noise.values()):.0f}"
@@ -135,8 +137,8 @@ def review_queue(
         metadata["elsewhere"] = str(elsewhere)
     if config.margins:
         parts.append(margin_evidence(cells, LEAST))
-    if config.doubtful:
-        parts.append(doubtful_evidence(cells, probability))
+    if config.undecided:
+        parts.append(undecided_evidence(cells, probability))
     if other is not None:
         found, of_items = disputed_evidence(labels, cells, other)
         parts.append(found)
@@ -155,7 +157,7 @@ def review_queue(
 
 def _relation_rows(
     cells: RelationLabels,
-    parts: Sequence[CellEvidence],
+    parts: Sequence[RelationEvidence],
     probability: np.ndarray,
     wrong: np.ndarray,
     settled: np.ndarray,
@@ -175,7 +177,7 @@ def _relation_rows(
         "relation": np.array(cells.relations, object)[column],
         "expression": np.full(len(row), None, object),
         "place": np.full(len(row), None, object),
-        "label": np.where(states == T, "T", np.where(states == F, "F", "U")).astype(object),
+        "label": letters(states).astype(object),
         "probability": probability[row, column],
         "wrong": wrong[row, column],
         "score": score[row, column],
@@ -186,16 +188,16 @@ def _relation_rows(
 
 def _item_rows(labels: Labels, items: Sequence[ItemEvidence]) -> dict[str, Any]:
     """One row an object or expression, whatever the number of findings."""
-    place: dict[ItemKey, int] = {}
+    row_of: dict[ItemKey, int] = {}
     for item in items:
-        place.setdefault(item.key.plain, len(place))
-    at = np.array([place[item.key.plain] for item in items], np.int64)
+        row_of.setdefault(item.key.plain, len(row_of))
+    at = np.array([row_of[item.key.plain] for item in items], np.int64)
     weight = np.array([item.weight for item in items], np.float64)
-    right = np.zeros(len(place))
+    right = np.zeros(len(row_of))
     np.add.at(right, at, np.log1p(-weight))
-    names, texts, ends, index = _names(labels, place)
+    names, texts, ends, index = _names(labels, row_of)
     missing = {item.key: item.label for item in items if item.label is not None}
-    keys = list(place)
+    keys = list(row_of)
     label = [
         missing.get(k) or (names.get((k.frame, k.a)) if k.kind == "object" else texts.get((k.frame, k.what)))
         for k in keys

@@ -20,7 +20,7 @@ from pipeline.corrections.review.out_of_fold import stacked
 from pipeline.labels.reading import Labels
 from pipeline.language.relation_names import PHRASE, VOCABULARIES
 from pipeline.metrics.intervals import BootstrapConfig
-from pipeline.metrics.relation_metrics import CellOutcomes, RelationEstimates, cell_outcomes, relation_estimates
+from pipeline.metrics.relation_metrics import RelationEstimates, cell_outcomes, relation_estimates
 from pipeline.metrics.significance import McNemar, mcnemar
 from pipeline.metrics.splits import PARTS, TEST, SplitKind, SplitPlan, split_frames
 from pipeline.metrics.tables import Row, Table, markdown
@@ -283,7 +283,7 @@ def compare_networks(
         relation_estimates(c, clusters, other=o, relations=relations, config=config)
         for c, o in ((cells[0], None), (cells[1], None), (cells[1], cells[0]))
     ]
-    known, (old, new) = truth != U, (_right(c) for c in cells)
+    known, (old, new) = truth != U, (c.tp | c.tn for c in cells)
     tests = {r: mcnemar(new[known[:, k], k], old[known[:, k], k]) for k, r in enumerate(relations)}
     tests["all"] = mcnemar(new[known], old[known])
     better, worse = (
@@ -305,10 +305,6 @@ def compare_networks(
         cluster="scene" if len(scenes) > 1 else "frame",
         cards=cards,
     )
-
-
-def _right(cells: CellOutcomes) -> np.ndarray:
-    return cells.tp | cells.tn
 
 
 def _tested(test: McNemar) -> tuple[int, int, str]:

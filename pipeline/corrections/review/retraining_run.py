@@ -16,6 +16,7 @@ from typing import Any
 from pipeline.corrections.journal.journal import journal_of
 from pipeline.corrections.journal.materialise import MARKS_FILE, materialise
 from pipeline.corrections.review.retraining import RetrainConfig, Retraining, compare_networks, retrain, shared_split
+from pipeline.datasets import Dataset
 from pipeline.diagnosis.verdict import read_marks
 from pipeline.evaluation.compare import Comparison
 from pipeline.evaluation.job import evaluate_dataset
@@ -38,25 +39,21 @@ Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True)
-class RetrainingJob:
-    """What is retrained on.
+class CorrectedLabelsJob:
+    """Work on corrected labels, for a process of its own.
 
     Attributes
     ----------
     labels : Path
         As they were made.
     out : Path
-        Folder to write.
+        File or folder to write.
     journal, project : str or None
         See `journal_of`.
     dataset : str or None
         For what follows from corrected pixels and boxes; without it, as the labels name it.
     options : dict
         Of the dataset, for `labelled_dataset`: intrinsics, depth_scale.
-    run : Path or None
-        The run that is made again.
-    config : RetrainConfig
-    workers : int
     """
 
     labels: Path
@@ -65,6 +62,27 @@ class RetrainingJob:
     project: str | None = None
     dataset: str | None = None
     options: dict[str, Any] = field(default_factory=dict)
+
+    def corrected_dataset(self, labels: Labels) -> Dataset | None:
+        """The labels' dataset; None where it is not at hand, and what follows from new pixels is stale."""
+        try:
+            return labelled_dataset(labels.manifest, self.dataset, **self.options)
+        except InputError:
+            return None
+
+
+@dataclass(frozen=True)
+class RetrainingJob(CorrectedLabelsJob):
+    """What is retrained on.
+
+    Attributes
+    ----------
+    run : Path or None
+        The run that is made again.
+    config : RetrainConfig
+    workers : int
+    """
+
     run: Path | None = None
     config: RetrainConfig = field(default_factory=RetrainConfig)
     workers: int = 1
@@ -148,13 +166,8 @@ def run_retraining(job: RetrainingJob, progress: Progress | None = None) -> Retr
 
 
 def _mend(job: RetrainingJob, labels: Labels, folder: Path) -> tuple[Labels, dict[str, Any]]:
-    try:
-        dataset = labelled_dataset(labels.manifest, job.dataset, **job.options)
-    except InputError:
-        # What follows from corrected pixels and boxes is then marked stale.
-        dataset = None
     with journal_of(labels, job.journal, project=job.project, must_exist=True) as journal:
-        manifest, found = materialise(labels, journal, folder, dataset=dataset)
+        manifest, found = materialise(labels, journal, folder, dataset=job.corrected_dataset(labels))
     if not found.events:
         raise InputError("nothing was corrected yet", cause="is this the journal of these labels?", path=labels.root)
     return open_labels(folder), dict(manifest.corrections or {})

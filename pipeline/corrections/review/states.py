@@ -3,7 +3,7 @@
 What a person did to an item is a word on it. Correcting a value says
 "corrected", or "accepted" where it is what the labeller had said; leaving out
 an object or expression, or marking the latter as wrong, says "rejected"; a
-status says itself; a judgement (`pipeline.corrections.journal.judgements`) says it for one
+status says itself; a judgement (`pipeline.corrections.journal.replay`) says it for one
 person. Of each person the newest word counts, and what was taken back was never
 said.
 
@@ -23,7 +23,7 @@ from typing import Any
 from pipeline.corrections.journal.events import Event
 from pipeline.corrections.journal.field_refs import FieldRef, judged_item, same_value
 from pipeline.corrections.journal.journal import Journal
-from pipeline.corrections.journal.replay import by_cell
+from pipeline.corrections.journal.replay import by_ref, standing_at
 from pipeline.corrections.review.items import NOBODY, SETTLED, ItemKey, State
 from pipeline.relations.relations import letter
 
@@ -34,7 +34,7 @@ Labelled = Callable[[ItemKey], "int | None"]
 
 
 @dataclass(frozen=True)
-class Word:
+class Judgement:
     """What one person says of an item.
 
     Attributes
@@ -42,7 +42,7 @@ class Word:
     author : str
     status : str
         "accepted", "corrected", "rejected" or "unsure"; "unreviewed" where an earlier word was withdrawn.
-    said : str
+    verdict : str
         What is compared between people. Of relations T, U or F: who accepts a T says T. Of others the status; who
         accepts what another has corrected says "corrected", as that one did.
     at : int
@@ -52,7 +52,7 @@ class Word:
 
     author: str
     status: State
-    said: str
+    verdict: str
     at: int
     time: datetime
 
@@ -69,21 +69,21 @@ class Judgements:
         What was settled where people differed.
     """
 
-    words: dict[ItemKey, dict[str, Word]]
-    settled: dict[ItemKey, Word]
+    words: dict[ItemKey, dict[str, Judgement]]
+    settled: dict[ItemKey, Judgement]
 
     @property
     def authors(self) -> tuple[str, ...]:
         """Who said anything, sorted."""
         return tuple(sorted({author for of_item in self.words.values() for author in of_item}))
 
-    def of(self, author: str) -> dict[ItemKey, Word]:
+    def of(self, author: str) -> dict[ItemKey, Judgement]:
         """What one person says."""
         return {key: words[author] for key, words in self.words.items() if author in words}
 
     def differ(self, key: ItemKey) -> bool:
         """Whether people say different things of an item, and nobody has settled it."""
-        return len({w.said for w in self._open_words(key)}) > 1
+        return len({w.verdict for w in self._open_words(key)}) > 1
 
     def state(self, key: ItemKey) -> State:
         """The state of an item over all people."""
@@ -95,11 +95,11 @@ class Judgements:
             return last.status
         return max(words, key=lambda w: w.at).status if words else "unreviewed"
 
-    def said(self, key: ItemKey) -> str | None:
-        """What stands of a settled item, as of `Word.said`; None where it is open."""
+    def verdict(self, key: ItemKey) -> str | None:
+        """What stands of a settled item, as of `Judgement.verdict`; None where it is open."""
         if self.state(key) not in SETTLED:
             return None
-        return max(self._open_words(key), key=lambda w: w.at).said
+        return max(self._open_words(key), key=lambda w: w.at).verdict
 
     def states(self, author: str | None = None) -> dict[ItemKey, State]:
         """The state of every item that anyone, or this person, has said something of."""
@@ -108,7 +108,7 @@ class Judgements:
         found: dict[ItemKey, State] = {key: self.state(key) for key in {**self.words, **self.settled}}
         return {key: state for key, state in found.items() if state != "unreviewed"}
 
-    def _open_words(self, key: ItemKey) -> list[Word]:
+    def _open_words(self, key: ItemKey) -> list[Judgement]:
         """Words that count now: a settlement and those after it, or all; of those who are sure."""
         words = [w for w in self.words.get(key, {}).values() if w.status in SETTLED]
         last = self.settled.get(key)
@@ -146,31 +146,31 @@ def judgements_of(
         ULIDs of events that say nothing of the labels as they are now (`EffectiveLabels.unapplied`).
     """
     events = journal.events() if isinstance(journal, Journal) else tuple(journal)
-    cells = by_cell(events)
-    standing = {cell: [x for x in standing_at(members) if x[0].ulid not in ignored] for cell, members in cells.items()}
-    settling = {e.group for cell, found in standing.items() if cell.field == "settled" for e, _ in found}
+    refs = by_ref(events)
+    standing = {ref: [x for x in standing_at(members) if x[0].ulid not in ignored] for ref, members in refs.items()}
+    settling = {e.group for ref, found in standing.items() if ref.field == "settled" for e, _ in found}
     of_entity: dict[ItemKey, list[FieldRef]] = {}
-    for cell in cells:
-        key = item_of(cell)
-        if key is not None and _is_value(cell):
-            of_entity.setdefault(key, []).append(cell)
-    groups: dict[tuple[ItemKey, str, str], Word] = {}
-    settled: dict[ItemKey, Word] = {}
-    for cell, found in standing.items():
-        key = item_of(cell)
+    for ref in refs:
+        key = item_of(ref)
+        if key is not None and _is_value(ref):
+            of_entity.setdefault(key, []).append(ref)
+    groups: dict[tuple[ItemKey, str, str], Judgement] = {}
+    settled: dict[ItemKey, Judgement] = {}
+    for ref, found in standing.items():
+        key = item_of(ref)
         if key is None:
             continue
         for event, at in found:
-            word = _word(event, at, key, cells, of_entity.get(key, ()), automatic)
-            if cell.field == "settled":
+            word = _word(event, at, key, refs, of_entity.get(key, ()), automatic)
+            if ref.field == "settled":
                 if word.status != "unreviewed" and (key not in settled or at > settled[key].at):
                     settled[key] = word
             elif event.group not in settling:
-                place = key, event.author, event.group
-                other = groups.get(place)
+                spoken = key, event.author, event.group
+                other = groups.get(spoken)
                 if other is None or _RANK[word.status] >= _RANK[other.status]:
-                    groups[place] = word
-    words: dict[ItemKey, dict[str, Word]] = {}
+                    groups[spoken] = word
+    words: dict[ItemKey, dict[str, Judgement]] = {}
     for (key, author, _), word in groups.items():
         of_item = words.setdefault(key, {})
         if author not in of_item or word.at > of_item[author].at:
@@ -178,71 +178,57 @@ def judgements_of(
     return Judgements(words, settled)
 
 
-def standing_at(events: Sequence[Event]) -> list[tuple[Event, int]]:
-    """The edits of a cell that were not taken back, as `replay.standing`, each with the `id` of what made it stand."""
-    found: list[tuple[Event, int]] = []
-    taken: dict[str, Event] = {}
-    for event in events:
-        if event.action == "edit" or event.undo_of is None:
-            found.append((event, event.id))
-        elif event.action == "undo" and found:
-            taken[event.ulid] = found.pop()[0]
-        elif event.undo_of in taken:
-            found.append((taken[event.undo_of], event.id))
-    return found
-
-
-def item_of(cell: FieldRef) -> ItemKey | None:
+def item_of(ref: FieldRef) -> ItemKey | None:
     """The item that a cell is about; None of a frame's."""
-    if cell.kind == "review":
-        _, kind, a, b, what = judged_item(cell.key)
-        return ItemKey(cell.frame, kind, a, b, what)
-    if cell.kind == "relation":
-        a, b = cell.numbers
-        return ItemKey(cell.frame, "relation", a, b, cell.field.removesuffix(".status"))
-    if cell.kind == "object":
-        return ItemKey(cell.frame, "object", cell.numbers[0], None, "")
-    return ItemKey(cell.frame, "expression", NOBODY, None, cell.key) if cell.kind == "expression" else None
+    if ref.kind == "review":
+        _, kind, a, b, what = judged_item(ref.key)
+        return ItemKey(ref.frame, kind, a, b, what)
+    if ref.kind == "relation":
+        a, b = ref.numbers
+        return ItemKey(ref.frame, "relation", a, b, ref.field.removesuffix(".status"))
+    if ref.kind == "object":
+        return ItemKey(ref.frame, "object", ref.numbers[0], None, "")
+    return ItemKey(ref.frame, "expression", NOBODY, None, ref.key) if ref.kind == "expression" else None
 
 
-def _is_value(cell: FieldRef) -> bool:
-    return cell.kind != "review" and not cell.field.endswith("status") and cell.field != "mark"
+def _is_value(ref: FieldRef) -> bool:
+    return ref.kind != "review" and not ref.field.endswith("status") and ref.field != "mark"
 
 
 def _word(
     event: Event,
     at: int,
     key: ItemKey,
-    cells: Mapping[FieldRef, Sequence[Event]],
+    refs: Mapping[FieldRef, Sequence[Event]],
     of_entity: Sequence[FieldRef],
     automatic: Labelled | None,
-) -> Word:
-    cell, after = event.cell, event.after
-    status, state = _said_by(event, cells[cell][0].before)
-    if cell.kind == "review" and isinstance(after, dict):
+) -> Judgement:
+    ref, after = event.ref, event.after
+    status, state = _said_by(event, refs[ref][0].before)
+    if ref.kind == "review" and isinstance(after, dict):
         state = after["value"]
-    elif key.kind == "relation" and status == "accepted" and not _is_value(cell):
-        state = _value_at(event, key, cells.get(_value_cell(key), ()), automatic)
+    elif key.kind == "relation" and status == "accepted" and not _is_value(ref):
+        state = _value_at(event, key, refs.get(_value_cell(key), ()), automatic)
     if key.kind == "relation" and state is not None and status != "unsure":
-        said = letter(state)
-    elif key.kind != "relation" and status == "accepted" and _changed_before(event, of_entity, cells):
-        said = "corrected"
+        verdict = letter(state)
+    elif key.kind != "relation" and status == "accepted" and _changed_before(event, of_entity, refs):
+        verdict = "corrected"
     else:
-        said = status
-    return Word(event.author, status, said, at, event.time)
+        verdict = status
+    return Judgement(event.author, status, verdict, at, event.time)
 
 
 def _said_by(event: Event, automatic: Any) -> tuple[State, int | None]:
     """The status of an event, and of a relation's value the value."""
-    cell, after = event.cell, event.after
-    if cell.kind == "review":
+    ref, after = event.ref, event.after
+    if ref.kind == "review":
         return ("unreviewed" if after is None else after["status"]), None
-    if not _is_value(cell):
+    if not _is_value(ref):
         if after is None:
             return "unreviewed", None
-        return ("rejected" if cell.field == "mark" else after), None
-    changed = cell.field == "exists" or not same_value(after, automatic)
-    return ("corrected" if changed else "accepted"), (after if cell.kind == "relation" else None)
+        return ("rejected" if ref.field == "mark" else after), None
+    changed = ref.field == "exists" or not same_value(after, automatic)
+    return ("corrected" if changed else "accepted"), (after if ref.kind == "relation" else None)
 
 
 def _value_cell(key: ItemKey) -> FieldRef:
@@ -259,10 +245,10 @@ def _value_at(event: Event, key: ItemKey, values: Sequence[Event], automatic: La
     return None if automatic is None else automatic(key)
 
 
-def _changed_before(event: Event, of_entity: Sequence[FieldRef], cells: Mapping[FieldRef, Sequence[Event]]) -> bool:
+def _changed_before(event: Event, of_entity: Sequence[FieldRef], refs: Mapping[FieldRef, Sequence[Event]]) -> bool:
     """Whether people had changed an object or expression when the event was saved."""
-    for cell in of_entity:
-        earlier = [e for e in cells[cell] if e.id <= event.id]
-        if earlier and (cell.field == "exists" or not same_value(earlier[-1].after, earlier[0].before)):
+    for ref in of_entity:
+        earlier = [e for e in refs[ref] if e.id <= event.id]
+        if earlier and (ref.field == "exists" or not same_value(earlier[-1].after, earlier[0].before)):
             return True
     return False

@@ -1,14 +1,18 @@
-"""A stored queue with what became of its items: what a reviewer is shown next, at the price of a look."""
+"""A stored queue with what became of its items, also while people go on saving: what a reviewer is shown next."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pipeline.corrections.journal.effective import Corrector
+from pipeline.corrections.journal.effective_frame import EffectiveFrame
+from pipeline.corrections.journal.events import Event
+from pipeline.corrections.journal.journal import Journal
 from pipeline.corrections.review.items import (
     KINDS,
     SETTLED,
@@ -19,7 +23,10 @@ from pipeline.corrections.review.items import (
     disputed_rows,
     item_keys,
 )
+from pipeline.corrections.review.states import item_of, judgements_of
 from pipeline.labels.tables import write_table
+from pipeline.language.relation_names import PAIRWISE
+from pipeline.relations.relations import letter
 from pipeline.system.errors import InputError
 
 if TYPE_CHECKING:
@@ -27,6 +34,10 @@ if TYPE_CHECKING:
 
 VERSION_KEY = b"labels_version"
 _UNREVIEWED, _UNSURE = STATES.index("unreviewed"), STATES.index("unsure")
+Mark = tuple[int, str]
+"""An event of a journal: `id` and `ulid`. The second tells a journal from one that was put in its place."""
+NOTHING: Mark = (0, "")
+"""Stands before the first event."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,7 +49,7 @@ class Worklist:
     queue : pyarrow.Table
     keys : tuple of ItemKey
         Of its rows.
-    places : dict of ItemKey to int
+    indices : dict of ItemKey to int
         The reverse.
     codes : (N,) int8
         States as places in STATES.
@@ -57,7 +68,7 @@ class Worklist:
 
     queue: pa.Table
     keys: tuple[ItemKey, ...]
-    places: Mapping[ItemKey, int]
+    indices: Mapping[ItemKey, int]
     codes: np.ndarray
     tally: tuple[int, ...]
     kinds: np.ndarray
@@ -80,8 +91,8 @@ class Worklist:
 
     def is_disputed(self, key: ItemKey) -> bool:
         """Whether reviewers differ on an item, and nobody has settled it since."""
-        place = self.places.get(key.plain)
-        return place is not None and bool(self.disputed[place]) and self.codes[place] == _UNSURE
+        index = self.indices.get(key.plain)
+        return index is not None and bool(self.disputed[index]) and self.codes[index] == _UNSURE
 
     def is_gone(self, key: ItemKey) -> bool:
         """Whether nothing is left of an item; InputError where the queue has no such item."""
@@ -102,14 +113,14 @@ class Worklist:
             There is no such state.
         """
         checked_states({key: state})
-        place = self.places.get(key.plain)
-        if place is None or STATES[self.codes[place]] == state:
+        index = self.indices.get(key.plain)
+        if index is None or STATES[self.codes[index]] == state:
             return self
         codes, tally, code = self.codes.copy(), list(self.tally), STATES.index(state)
-        if not self.gone[place]:
-            tally[codes[place]] -= 1
+        if not self.gone[index]:
+            tally[codes[index]] -= 1
             tally[code] += 1
-        codes[place] = code
+        codes[index] = code
         codes.flags.writeable = False
         return replace(self, codes=codes, tally=tuple(tally))
 
@@ -124,7 +135,7 @@ class Worklist:
     def touched(self) -> tuple[str, ...]:
         """The frames with an item that is not unreviewed, or has gone."""
         marked = (self.codes != _UNREVIEWED) | self.gone
-        return tuple(frame for frame, places in self.frames.items() if marked[places].any())
+        return tuple(frame for frame, indices in self.frames.items() if marked[indices].any())
 
     def untouched(self) -> Worklist:
         """The list as nobody has reviewed it."""
@@ -136,12 +147,12 @@ class Worklist:
         """The list after these items of a frame have gone, and all others of it have not."""
         if frame not in self.frames:
             return self
-        places = self.frames[frame]
-        now = np.array([self.keys[place] in gone for place in places.tolist()], np.bool_)
-        if (now == self.gone[places]).all():
+        indices = self.frames[frame]
+        now = np.array([self.keys[index] in gone for index in indices.tolist()], np.bool_)
+        if (now == self.gone[indices]).all():
             return self
         marks = self.gone.copy()
-        marks[places] = now
+        marks[indices] = now
         marks.flags.writeable = False
         return replace(self, gone=marks, tally=_tally(self.codes[~marks]))
 
@@ -160,8 +171,8 @@ class Worklist:
         kind : str, optional
             Only items of this kind.
         """
-        start = -1 if after is None else self.places.get(after.plain, -1)
-        put_off = [self.places[k.plain] for k in skip if k.plain in self.places]
+        start = -1 if after is None else self.indices.get(after.plain, -1)
+        put_off = [self.indices[k.plain] for k in skip if k.plain in self.indices]
         unsure = self.codes == _UNSURE
         for wanted in ((self.codes == _UNREVIEWED) | (unsure & self.disputed), unsure & ~self.disputed):
             wanted = wanted & ~self.gone
@@ -181,15 +192,15 @@ class Worklist:
 
         None, and one that the queue does not hold, stand behind the last.
         """
-        place = len(self) if before is None else self.places.get(before.plain, len(self))
-        above = np.flatnonzero(~self.gone[:place])
+        index = len(self) if before is None else self.indices.get(before.plain, len(self))
+        above = np.flatnonzero(~self.gone[:index])
         return self.keys[above[-1]] if len(above) else None
 
     def _place(self, key: ItemKey) -> int:
-        place = self.places.get(key.plain)
-        if place is None:
+        index = self.indices.get(key.plain)
+        if index is None:
             raise InputError("the queue holds no such item", got=key.text())
-        return place
+        return index
 
 
 def worklist(queue: pa.Table, states: Mapping[ItemKey, State] | None = None) -> Worklist:
@@ -207,23 +218,23 @@ def worklist(queue: pa.Table, states: Mapping[ItemKey, State] | None = None) -> 
         stored = queue.column("state").to_pylist() if "state" in queue.column_names else []
         states = dict(zip(keys, stored, strict=False))
     checked_states(states)
-    places = {key: k for k, key in enumerate(keys)}
-    if len(places) < len(keys):
-        raise InputError("the queue holds an item twice", got=f"{len(keys) - len(places)} of {len(keys)} items")
+    indices = {key: k for k, key in enumerate(keys)}
+    if len(indices) < len(keys):
+        raise InputError("the queue holds an item twice", got=f"{len(keys) - len(indices)} of {len(keys)} items")
     codes = np.full(len(keys), _UNREVIEWED, np.int8)
     for key, state in states.items():
-        place = places.get(key.plain)
-        if place is not None:
-            codes[place] = STATES.index(state)
+        index = indices.get(key.plain)
+        if index is not None:
+            codes[index] = STATES.index(state)
     codes.flags.writeable = False
     kinds = np.array([KINDS.index(key.kind) for key in keys], np.int8)
     gone = np.zeros(len(keys), np.bool_)
     gone.flags.writeable = False
     of_frame: dict[str, list[int]] = {}
-    for place, key in enumerate(keys):
-        of_frame.setdefault(key.frame, []).append(place)
+    for index, key in enumerate(keys):
+        of_frame.setdefault(key.frame, []).append(index)
     frames = {frame: np.array(found, np.int64) for frame, found in of_frame.items()}
-    return Worklist(queue, keys, places, codes, _tally(codes), kinds, disputed_rows(queue), frames, gone)
+    return Worklist(queue, keys, indices, codes, _tally(codes), kinds, disputed_rows(queue), frames, gone)
 
 
 def _tally(codes: np.ndarray) -> tuple[int, ...]:
@@ -275,7 +286,7 @@ def read_queue(path: str | Path, version: str | None = None) -> pa.Table:
     if version is not None and found != version:
         raise InputError(
             "the queue is of other labels", got=found, expected=version,
-            cause="were the labels made again? then make the queue again: spatialviz review LABELS --out", path=path,
+            cause="were the labels made again? then build the queue again: spatialviz review LABELS --out", path=path,
         )  # fmt: skip
     _check_columns(queue, path)
     return queue
@@ -306,3 +317,112 @@ def _check_columns(queue: pa.Table, path: Path) -> None:
     keys = item_keys(queue)
     if len(set(keys)) < len(keys):
         raise InputError("the queue holds an item twice", path=path)
+
+
+def frame_states(frame: EffectiveFrame, events: Sequence[Event]) -> dict[ItemKey, State]:
+    """The states of a frame's items over all people, as `reviewed.states_on_labels` has those of all frames.
+
+    Parameters
+    ----------
+    frame : EffectiveFrame
+    events : sequence of Event
+        All of it, in the order of their saving.
+    """
+
+    def automatic(key: ItemKey) -> int | None:
+        return frame.auto.pairs.state(key.a, -1 if key.b is None else key.b, key.what)
+
+    ignored = {u.event.ulid for u in frame.unapplied if u.kind != "agreed"}
+    judgements = judgements_of(events, automatic=automatic, ignored=ignored)
+    states = judgements.states()
+    for key in states:
+        if key.kind != "relation" or key.b is None or key.what not in PAIRWISE:
+            continue
+        now, verdict = frame.pairs.state(key.a, key.b, key.what), judgements.verdict(key)
+        if now is not None and verdict in ("T", "U", "F") and verdict != letter(now):
+            states[key] = "unsure"
+    return states
+
+
+def refreshed_worklist(work: Worklist, corrector: Corrector, journal: Journal, after: Mark) -> tuple[Worklist, Mark]:
+    """A list with what became of its items since an event, whoever saved it: their states, and which of them have gone.
+
+    Parameters
+    ----------
+    after : Mark
+        The newest event that is known already. Where the journal lacks it, that is another one now, such as a copy that
+        was put back: then nothing of what was known holds.
+
+    Returns
+    -------
+    work : Worklist
+    newest : Mark
+        The newest event.
+
+    Raises
+    ------
+    InputError
+        The journal or a frame cannot be read.
+    """
+    fresh, standing = _since(journal, after)
+    names = [e.ref.frame for e in fresh]
+    if not standing:
+        names += work.touched
+        work = work.untouched()
+    for frame, states in _changed(corrector, journal, names):
+        keys = [work.keys[index] for index in work.frames.get(frame.frame, ())]
+        work = work.with_states(states).with_gone(frame.frame, gone_items(frame, keys, states))
+    return work, mark_of(fresh) if fresh or not standing else after
+
+
+def mark_of(events: Sequence[Event]) -> Mark:
+    """The newest of events in the order of their saving."""
+    return (events[-1].id, events[-1].ulid) if events else NOTHING
+
+
+def _since(journal: Journal, after: Mark) -> tuple[Sequence[Event], bool]:
+    """The events after one, and whether that one is still there; all events where it is not."""
+    if after == NOTHING:
+        return journal.events(), True
+    # Nothing is ever taken out of a journal: with that event it has all that came before.
+    found = journal.events(after=after[0] - 1)
+    if found and found[0].ulid == after[1]:
+        return found[1:], True
+    return journal.events(), False
+
+
+def gone_items(
+    frame: EffectiveFrame, keys: Collection[ItemKey], states: Mapping[ItemKey, State]
+) -> frozenset[ItemKey]:
+    """The items of a frame that a queue made now would not have: nothing is left that could be right or wrong.
+
+    A relation goes with its pair, an expression with its objects, everything with its frame. An object or expression
+    that somebody has settled, by leaving it out for one, stays.
+    """
+
+    def stands(key: ItemKey) -> bool:
+        if key.kind != "relation" and states.get(key.plain) in SETTLED:
+            return True
+        if not frame.stands:
+            return False
+        if key.kind == "relation":
+            return frame.pairs.state(key.a, -1 if key.b is None else key.b, key.what) is not None
+        if key.kind == "expression":
+            return key.what in frame.expressions
+        return key.a < 0 or key.a in frame.objects
+
+    return frozenset(key for key in keys if not stands(key))
+
+
+def _changed(
+    corrector: Corrector, journal: Journal, names: Iterable[str]
+) -> Iterator[tuple[EffectiveFrame, dict[ItemKey, State]]]:
+    """Frames, each with the states of the items that its events are about."""
+    for name in dict.fromkeys(names):
+        if name not in corrector.index.of_frame:
+            continue
+        events = journal.events(frame=name)
+        frame = corrector.frame(name, events)
+        states = frame_states(frame, events)
+        keys = (item_of(e.ref) for e in events)
+        yield frame, {key: states.get(key, "unreviewed") for key in keys if key is not None}

@@ -5,7 +5,8 @@ anew and keep none of our keys. Pictures are told by `frame`, else by the file
 name that the export gave them; annotations by `object`, also as an attribute.
 Where no annotation of a file has it any more, by where they lie: by the greatest
 overlap of 2D boxes in a picture, of one half at least, or within an object's box
-and with its class name. What is left is new.
+and with its class name. What is left is new. Polygons and both kinds of
+run-length codes are read without trust.
 """
 
 from __future__ import annotations
@@ -18,15 +19,16 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
-from pipeline.corrections.journal.field_refs import FieldRef, object_cell
-from pipeline.corrections.journal.incoming.claims import Claims
-from pipeline.corrections.journal.incoming.outlines import is_rectangle, mask_of, polygons_of, same_outline
+from pipeline.corrections.journal.field_refs import FieldRef, object_ref
+from pipeline.corrections.journal.incoming.states import Claims
 from pipeline.geometry.boxes import iou_2d
-from pipeline.geometry.masks import decode_run_length, encode_run_length
+from pipeline.geometry.masks import MaskCrop, decode_run_length, encode_run_length, fill_polygons
 from pipeline.labels.exports.provenance import ExportedFrom
+from pipeline.proposals.assignment import share_inside
 from pipeline.system.errors import InputError
 
 LARGEST = 1 << 31
@@ -37,6 +39,8 @@ ROUNDED = 0.02
 """Pixels by which a 2D box may differ and be the same: tools write two decimals."""
 _NAMED = re.compile(r"(?:.*[/\\])?(\d{6,})\.\w+")
 Row = dict[str, Any]
+LONGEST_OUTLINE = 2e6
+"""Pixels that all polygons of an object may run through: rasterising takes memory in proportion."""
 
 
 @dataclass(frozen=True)
@@ -69,14 +73,15 @@ def load_coco(path: Path) -> Any:
     try:
         if path.stat().st_size > LARGEST:
             raise InputError("the file is too large", got=f"{path.stat().st_size} bytes", expected=LARGEST, path=path)
-        return json.loads(path.read_text(encoding="utf-8"), parse_constant=_no_number)
+        return json.loads(path.read_text(encoding="utf-8"), parse_constant=no_number)
     except (OSError, ValueError, RecursionError, MemoryError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError("not a readable JSON file", got=str(error)[:100], path=path) from error
 
 
-def _no_number(word: str) -> float:
+def no_number(word: str) -> float:
+    """Refuse NaN and infinity in JSON."""
     raise ValueError(f"{word} is no number")
 
 
@@ -98,14 +103,14 @@ def read_instances(
     frames = images_of(listed(content, "images", name), name, claims)
     by_image: dict[Any, list[tuple[str, Row]]] = {image: [] for image in frames}
     ids: set[Any] = set()
-    for place, row in enumerate(listed(content, "annotations", name)):
+    for index, row in enumerate(listed(content, "annotations", name)):
         if not isinstance(row, dict):
-            claims.problem(f"{name} annotation at {place}", f"not an object of JSON, got {type(row).__name__}")
+            claims.problem(f"{name} annotation at {index}", f"not an object of JSON, got {type(row).__name__}")
             continue
         where = f"{name} annotation {row.get('id')!r}"
         image = row.get("image_id")
         if type(row.get("id")) is not int or row["id"] in ids:
-            claims.problem(f"{where} at {place}", "its id must be a whole number of its own")
+            claims.problem(f"{where} at {index}", "its id must be a whole number of its own")
         elif type(image) is not int or image not in by_image:
             claims.problem(where, f"it is of image {image!r}, which the file does not list")
         else:
@@ -118,10 +123,10 @@ def read_instances(
         reader = _Reader(claims, claims.base(frame, state), state, categories, options)
         numbers = reader.told_by_place(found) if bare else {}
         seen: set[int] = set()
-        for place, (where, row) in enumerate(found):
+        for index, (where, row) in enumerate(found):
             claims.compared += 1
             try:
-                number = numbers.get(place) if bare else number_of(row)
+                number = numbers.get(index) if bare else number_of(row)
                 if number in seen:
                     raise InputError(f"a second annotation of object {number}")
                 if number is not None:
@@ -138,8 +143,8 @@ def images_of(images: list[Any], name: str, claims: Claims) -> dict[int, str]:
     """Frames by the id of their image; what is wrong with an image is a problem of the file."""
     found: dict[int, str] = {}
     taken: set[str] = set()
-    for place, image in enumerate(images):
-        where = f"{name} image {image.get('id') if isinstance(image, dict) else place!r}"
+    for index, image in enumerate(images):
+        where = f"{name} image {image.get('id') if isinstance(image, dict) else index!r}"
         try:
             if not isinstance(image, dict) or type(image.get("id")) is not int or image["id"] in found:
                 raise InputError("an image has a whole number of its own as id")
@@ -171,8 +176,8 @@ def _frame_of(image: Row, claims: Claims) -> str:
 
 def _categories(categories: list[Any], name: str, claims: Claims) -> dict[int, str]:
     found: dict[int, str] = {}
-    for place, category in enumerate(categories):
-        where = f"{name} category {category.get('id') if isinstance(category, dict) else place!r}"
+    for index, category in enumerate(categories):
+        where = f"{name} category {category.get('id') if isinstance(category, dict) else index!r}"
         if not isinstance(category, dict) or type(category.get("id")) is not int or category["id"] in found:
             claims.problem(where, "a category has a whole number of its own as id")
         elif not isinstance(category.get("name"), str):
@@ -229,9 +234,9 @@ class _Reader:
         from scipy.optimize import linear_sum_assignment
 
         boxes: dict[int, list[float]] = {}
-        for place, (_, row) in enumerate(found):
+        for index, (_, row) in enumerate(found):
             try:
-                boxes[place] = rectangle_of(row.get("bbox"))
+                boxes[index] = rectangle_of(row.get("bbox"))
             except InputError:
                 continue
         objects = self.base.objects
@@ -242,7 +247,7 @@ class _Reader:
         names = [self.categories.get(found[p][1].get("category_id", -1)) for p in boxes]  # pyright: ignore
         same = np.array([[n == row["label"] for row in objects.values()] for n in names])
         # Tools drop thin parts of an object: what is left lies within its box, and is called as it was.
-        within = same & (_share_within(theirs, ours) >= WITHIN)
+        within = same & (share_inside(theirs, ours) >= WITHIN)
         likely = np.where(overlap >= SAME_PLACE, 1 + overlap + 0.01 * same, np.where(within, overlap, 0))
         rows, columns = linear_sum_assignment(likely, maximize=True)
         places, numbers = list(boxes), list(objects)
@@ -276,7 +281,7 @@ class _Reader:
         self._rectangle(where, row, number, was, pixels if drawn else None)
 
     def _say(self, where: str, number: int, field: str, value: Any) -> None:
-        self.claims.say(where, object_cell(self.base.frame, number, field), value, self.state)
+        self.claims.say(where, object_ref(self.base.frame, number, field), value, self.state)
 
     def _same_pixels(self, row: Row, pixels: np.ndarray, was: Row) -> bool:
         polygons = isinstance(row.get("segmentation"), list)
@@ -304,7 +309,7 @@ class _Reader:
                 box = own
         # The box around the pixels that the file has follows from them, and was not moved.
         slack, outline = max(self.options.outline, 1), row.get("segmentation")
-        if drawn is not None and _near(box, bounds(drawn), slack):
+        if drawn is not None and _near(box, list(MaskCrop(0, 0, drawn).box), slack):
             return
         if outline and isinstance(outline, list) and was["mask"] is not None:
             corners = np.concatenate(polygons_of(outline))
@@ -328,23 +333,9 @@ class _Reader:
         self.claims.say_new(where, self.base.frame, seed, self.state)
 
 
-def bounds(mask: np.ndarray) -> list[float]:
-    """x0, y0, x1, y1 around the pixels of a mask that has some."""
-    v, u = np.nonzero(mask)
-    return [float(u.min()), float(v.min()), float(u.max() + 1), float(v.max() + 1)]
-
-
 def bounds_of(corners: np.ndarray) -> list[float]:
     """The rectangle around corners, (N, 2)."""
     return [*corners.min(axis=0).tolist(), *corners.max(axis=0).tolist()]
-
-
-def _share_within(boxes: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """(N, M) share of each box that lies within each of the others."""
-    low = np.maximum(boxes[:, None, :2], others[None, :, :2])
-    high = np.minimum(boxes[:, None, 2:], others[None, :, 2:])
-    size = boxes[:, 2:] - boxes[:, :2]
-    return np.clip(high - low, 0, None).prod(axis=2) / size.prod(axis=1)[:, None]
 
 
 def _near(one: list[float], other: list[float], slack: float) -> bool:
@@ -366,5 +357,84 @@ def _box3d(value: Any) -> Any:
     return found
 
 
-def expression_cell(frame: str, name: str, field: str) -> FieldRef:
+def expression_ref(frame: str, name: str, field: str) -> FieldRef:
     return FieldRef("expression", frame, name, field)
+
+
+def mask_of(segmentation: Any, size: tuple[int, int]) -> np.ndarray | None:
+    """(H, W) bool of COCO's `segmentation`; None where it is empty or absent.
+
+    Raises
+    ------
+    InputError
+        It is neither a run-length code of that size nor a list of polygons.
+    """
+    if segmentation in (None, [], {}):
+        return None
+    if isinstance(segmentation, dict):
+        found, counts = segmentation.get("size"), segmentation.get("counts")
+        if found != list(size):
+            raise InputError("the mask has another size", got=repr(found)[:40], expected=list(size))
+        if isinstance(counts, str) or (isinstance(counts, list) and all(type(n) is int for n in counts)):
+            return decode_run_length(size, counts, "the mask")
+        raise InputError("a run-length code is a text or a list of whole numbers", got=repr(counts)[:40])
+    return polygon_mask(polygons_of(segmentation), size)
+
+
+def polygons_of(segmentation: Any) -> list[np.ndarray]:
+    """(N, 2) float64 corners of each polygon, N >= 3; InputError where it is none."""
+    if not isinstance(segmentation, list):
+        raise InputError("a segmentation is a run-length code or a list of polygons", got=repr(segmentation)[:40])
+    found = []
+    for polygon in segmentation:
+        numbers = isinstance(polygon, list) and all(type(x) in (int, float) and abs(x) < 1e9 for x in polygon)
+        if not numbers or len(polygon) < 6 or len(polygon) % 2 or not all(map(math.isfinite, polygon)):
+            raise InputError("a polygon is x, y of three corners or more", got=repr(polygon)[:40])
+        found.append(np.array(polygon, np.float64).reshape(-1, 2))
+    return found
+
+
+def polygon_mask(polygons: list[np.ndarray], size: tuple[int, int]) -> np.ndarray:
+    """(H, W) bool: the pixels inside any of the polygons, as the COCO API has them."""
+    clipped = [np.clip(p, 0, np.array(size[::-1], np.float64)) for p in polygons]
+    length = sum(float(np.abs(np.diff(p, axis=0, append=p[:1])).max(axis=1).sum()) + len(p) for p in clipped)
+    if length > LONGEST_OUTLINE:
+        raise InputError("the polygons are too long", got=f"{length:.3g} pixels", expected=f"{LONGEST_OUTLINE:.3g}")
+    return fill_polygons(size, clipped)
+
+
+def same_outline(mask: np.ndarray, other: np.ndarray, tolerance: float) -> bool:
+    """Whether a mask made from polygons is another mask, but for rounding.
+
+    Polygons know no holes, and what draws them moves edges by up to a pixel:
+    what one has beyond the other, holes filled, must lie within `tolerance`
+    pixels of the other's edge.
+    """
+    rows, columns = np.nonzero(mask | other)
+    if not len(rows):
+        return True
+    index = slice(rows.min(), rows.max() + 1), slice(columns.min(), columns.max() + 1)
+    # The picture ends where its pixels do: beyond it is outside.
+    one, two = (np.pad(m[index], 1) for m in (mask, other))
+    more, less = two & ~_filled(one), one & ~_filled(two)
+    beyond = cv2.distanceTransform((~one).astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    within = cv2.distanceTransform(one.astype(np.uint8), cv2.DIST_L2, cv2.DIST_MASK_PRECISE)
+    return bool((beyond[more] <= tolerance).all() and (within[less] <= tolerance).all())
+
+
+def _filled(mask: np.ndarray) -> np.ndarray:
+    outlines, _ = cv2.findContours(mask.astype(np.uint8), cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
+    found = np.zeros(mask.shape, np.uint8)
+    cv2.drawContours(found, outlines, -1, 1, cv2.FILLED)
+    return found.astype(np.bool_)
+
+
+def is_rectangle(segmentation: Any) -> bool:
+    """Whether it is one polygon, an upright rectangle: how a 2D box is exported where there is no mask."""
+    if not isinstance(segmentation, list) or len(segmentation) != 1:
+        return False
+    (corners,) = polygons_of(segmentation)
+    if len(corners) == 5 and (corners[0] == corners[4]).all():
+        corners = corners[:4]
+    xs, ys = np.unique(corners[:, 0]), np.unique(corners[:, 1])
+    return len(corners) == 4 and len(xs) == len(ys) == 2 and len(np.unique(corners, axis=0)) == 4

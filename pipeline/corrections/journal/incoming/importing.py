@@ -1,32 +1,36 @@
-"""Importing corrections made elsewhere: all of a file's, as one action in the journal, or none."""
+"""Importing corrections made elsewhere: all of a file's, as one action in the journal, or none.
+
+Corrections are told from conflicts by what was exported, what the file says, and
+what is there now.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Literal
 
-from pipeline.corrections.journal.events import Conflict, Edit, Saved
-from pipeline.corrections.journal.field_refs import LONGEST_NAME, plain_text
-from pipeline.corrections.journal.incoming.claims import MOST_PROBLEMS, Claims, TooManyProblems
+from pipeline.corrections.journal import edits as actions
+from pipeline.corrections.journal.effective_frame import EffectiveFrame
+from pipeline.corrections.journal.events import Conflict, Edit, Event, Saved, event_record
+from pipeline.corrections.journal.field_refs import LONGEST_NAME, FieldRef, box_of, plain_text, same_value, shown_value
 from pipeline.corrections.journal.incoming.coco_file import CocoOptions, load_coco, read_instances
-from pipeline.corrections.journal.incoming.coco_refs import annotated, read_refs, read_relations
-from pipeline.corrections.journal.incoming.jsonl_file import read_lines
-from pipeline.corrections.journal.incoming.states import States
-from pipeline.corrections.journal.incoming.three_way import Contradiction, settle
+from pipeline.corrections.journal.incoming.jsonl_file import annotated, read_lines, read_refs, read_relations
+from pipeline.corrections.journal.incoming.states import MOST_PROBLEMS, Claim, Claims, States, TooManyProblems
 from pipeline.corrections.journal.journal import Journal
-from pipeline.corrections.journal.records import event_record
 from pipeline.datasets import Dataset
 from pipeline.labels.exports.exporting import MARK
 from pipeline.labels.exports.provenance import ExportedFrom
 from pipeline.labels.reading import Labels
 from pipeline.labels.schema import TABLES
+from pipeline.language.relation_names import PAIRWISE
 from pipeline.system.errors import InputError
 
 COCO_FILES = ("instances.json", "refs.json", "relations.json")
 NOW = "now"
+ANSWERS = ("targets", "acceptable", "ambiguous")
 
 
 @dataclass(frozen=True)
@@ -132,15 +136,15 @@ def import_corrections(
     author = plain_text(author, "an author", LONGEST_NAME)
     if labels.manifest.corrections is not None:
         raise InputError("these labels are corrected already", expected="the automatic ones", path=labels.root)
-    place = Path(path).expanduser()
-    format = config.format or _format(place)
+    given = Path(path).expanduser()
+    format = config.format or _format(given)
     states = States(labels, () if journal is None else journal.events(), open_dataset)
-    claims, source = Claims(states), _Source(states, place, config.base)
+    claims, source = Claims(states), _Source(states, given, config.base)
     try:
-        _read(place, format, claims, source, config)
+        _read(given, format, claims, source, config)
     except TooManyProblems:
         claims.notes[f"reading stopped after {MOST_PROBLEMS} problems"] += 1
-    reason = config.reason or f"imported from {place.name}"
+    reason = config.reason or f"imported from {given.name}"
     conflicts: list[Contradiction] = []
     edits: tuple[Edit, ...] = ()
     agreed, saved, rivals = 0, None, ()
@@ -162,31 +166,31 @@ def import_corrections(
     return ImportReport(claims.compared, edits, saved, agreed, told, tuple(claims.problems), tuple(notes))
 
 
-def _format(place: Path) -> Literal["coco", "jsonl"]:
-    if place.is_dir():
-        if (place / COCO_FILES[0]).is_file():
+def _format(given: Path) -> Literal["coco", "jsonl"]:
+    if given.is_dir():
+        if (given / COCO_FILES[0]).is_file():
             return "coco"
-        if any((place / f"{name}.jsonl").is_file() for name in TABLES):
+        if any((given / f"{name}.jsonl").is_file() for name in TABLES):
             return "jsonl"
-    elif place.suffix in (".json", ".jsonl"):
-        return "coco" if place.suffix == ".json" else "jsonl"
-    raise InputError("neither a COCO nor a JSONL export", cause="--format says which", path=place)
+    elif given.suffix in (".json", ".jsonl"):
+        return "coco" if given.suffix == ".json" else "jsonl"
+    raise InputError("neither a COCO nor a JSONL export", cause="--format says which", path=given)
 
 
-def _read(place: Path, format: str, claims: Claims, source: _Source, config: ImportConfig) -> None:
+def _read(given: Path, format: str, claims: Claims, source: _Source, config: ImportConfig) -> None:
     reject = config.deleted == "reject"
-    if not place.exists():
-        raise InputError("there is no such file", path=place)
+    if not given.exists():
+        raise InputError("there is no such file", path=given)
     if format == "jsonl":
-        paths = [place] if place.is_file() else [p for n in TABLES if (p := place / f"{n}.jsonl").is_file()]
+        paths = [given] if given.is_file() else [p for n in TABLES if (p := given / f"{n}.jsonl").is_file()]
         if not paths:
-            raise InputError("no file of a JSONL export here", path=place)
+            raise InputError("no file of a JSONL export here", path=given)
         for path in paths:
             read_lines(path, claims, source.state, reject_deleted=reject)
         return
-    paths = [place] if place.is_file() else [p for n in COCO_FILES if (p := place / n).is_file()]
+    paths = [given] if given.is_file() else [p for n in COCO_FILES if (p := given / n).is_file()]
     if not paths:
-        raise InputError("no file of a COCO export here", path=place)
+        raise InputError("no file of a COCO export here", path=given)
     options = CocoOptions(reject, config.crowds, config.outline)
     beside: Any = None
     for path in paths:
@@ -218,9 +222,9 @@ def _in_file(path: Path) -> Iterator[None]:
 class _Source:
     """What a file was exported from: as the user says, as the file says, as the export says that it lies in."""
 
-    def __init__(self, states: States, place: Path, base: str | None) -> None:
+    def __init__(self, states: States, given: Path, base: str | None) -> None:
         self._states = states
-        self._folder = place if place.is_dir() else place.parent
+        self._folder = given if given.is_dir() else given.parent
         self._said = None if base is None else states.now if base == NOW else self._of_folder(Path(base).expanduser())
         self._known: dict[Any, ExportedFrom] = {}
 
@@ -254,7 +258,7 @@ def import_record(report: ImportReport) -> dict[str, Any]:
         "compared": report.compared,
         "edits": [
             {
-                "kind": e.cell.kind, "frame": e.cell.frame, "key": e.cell.key, "field": e.cell.field,
+                "kind": e.ref.kind, "frame": e.ref.frame, "key": e.ref.key, "field": e.ref.field,
                 "before": e.before, "after": e.after, "base": e.base, "reason": e.reason,
             }
             for e in report.edits
@@ -265,3 +269,169 @@ def import_record(report: ImportReport) -> dict[str, Any]:
         "problems": list(report.problems),
         "notes": list(report.notes),
     }  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Contradiction:
+    """A value that was corrected here since the file was exported, and that the file has otherwise.
+
+    Attributes
+    ----------
+    where : str
+    ref : FieldRef
+    exported, wanted, now : JSON value
+    event : Event or None
+        The newest of the cell; None where `now` follows from something else.
+    because : str
+        Where it is not the value itself that is in the way.
+    """
+
+    where: str
+    ref: FieldRef
+    exported: Any
+    wanted: Any
+    now: Any
+    event: Event | None
+    because: str = ""
+
+    def __str__(self) -> str:
+        wanted = shown_value(self.ref, self.wanted)
+        if self.because:
+            return f"{self.where}: {self.ref}: wanted {wanted}, but {self.because}"
+        by = "it was recomputed since"
+        if self.event is not None:
+            by = f"{self.event.author} corrected it at {self.event.time:%Y-%m-%d %H:%M:%S UTC}"
+        was, now = shown_value(self.ref, self.exported), shown_value(self.ref, self.now)
+        return f"{self.where}: {self.ref}: exported as {was}, wanted {wanted}, is {now} now: {by}"
+
+
+@dataclass
+class Settled:
+    """What becomes of the claims of a file.
+
+    Attributes
+    ----------
+    edits : dict of FieldRef to Edit
+    contradictions : list of Contradiction
+    agreed : int
+        Claims that the labels fulfil by now.
+    """
+
+    edits: dict[FieldRef, Edit] = field(default_factory=dict)
+    contradictions: list[Contradiction] = field(default_factory=list)
+    agreed: int = 0
+
+
+def settle(claims: Claims, reason: str) -> Settled:
+    """Make edits of claims, and list those that somebody's later correction stands against.
+
+    A claim that cannot be done becomes a problem of the file.
+    """
+    found = Settled()
+    wanted: dict[FieldRef, str] = {}
+    for group in _grouped(claims.found.values()):
+        first = group[0]
+        now = claims.states.frame_now(first.ref.frame, first.base)
+        base = claims.base(first.ref.frame, first.base)
+        gone = _gone(first.ref, base, now, claims)
+        if gone is not None:
+            found.contradictions += [
+                Contradiction(c.where, c.ref, base.value(c.ref), c.value, None, *gone) for c in group
+            ]
+            continue
+        try:
+            made = _edits(group, base, now, reason)
+        except InputError as error:
+            claims.problem(first.where, error)
+            continue
+        made = [e for e in made if not same_value(e.before, e.after)]
+        found.agreed += not made
+        against = [e for e in made if not same_value(base.value(e.ref), now.value(e.ref))]
+        if against:
+            found.contradictions += [
+                Contradiction(
+                    first.where, e.ref, base.value(e.ref), e.after, e.before,
+                    claims.states.newest(e.ref.frame, e.ref),
+                )
+                for e in against
+            ]  # fmt: skip
+            continue
+        for edit in made:
+            before = found.edits.setdefault(edit.ref, edit)
+            if before is not edit and not same_value(before.after, edit.after):
+                claims.problem(first.where, f"{edit.ref} cannot be as here and as {wanted[edit.ref]} has it")
+            wanted.setdefault(edit.ref, first.where)
+    return found
+
+
+def _grouped(claims: Iterable[Claim]) -> list[list[Claim]]:
+    """Claims that are one action together: the answers of an expression; in the order of their frames."""
+    found: dict[Any, list[Claim]] = {}
+    for claim in claims:
+        ref = claim.ref
+        answers = ref.kind == "expression" and ref.field in ANSWERS
+        found.setdefault((ref.frame, ref.key, "answers") if answers else ref, []).append(claim)
+    return sorted(found.values(), key=lambda group: group[0].ref.frame)
+
+
+def _gone(
+    ref: FieldRef, base: EffectiveFrame, now: EffectiveFrame, claims: Claims
+) -> tuple[Event | None, str] | None:
+    """Why there is nothing to correct any more, where it was taken away here since."""
+    if ref.kind in ("object", "relation") and ref.field not in ("status", "exists"):
+        for number in ref.numbers:
+            if number in base.objects and number not in now.objects:
+                by = claims.states.newest(ref.frame, FieldRef("object", ref.frame, str(number), "status"))
+                return by, f"object {number} was rejected since" + (f" by {by.author}" if by is not None else "")
+    if ref.kind == "relation" and any(
+        base.pairs.index_of(n) is not None and now.pairs.index_of(n) is None for n in ref.numbers
+    ):
+        return None, "one of its objects takes part in no relation any more"
+    if ref.kind == "expression" and ref.field not in ("status", "mark"):
+        reasons = {w.id: w.reason for w in now.withdrawn}
+        if ref.key in base.expressions and ref.key not in now.expressions:
+            return None, f"it was withdrawn since: {reasons.get(ref.key, '')}"
+    return None
+
+
+def _edits(
+    group: Sequence[Claim], base: EffectiveFrame, now: EffectiveFrame, reason: str
+) -> tuple[Edit, ...]:
+    ref, value = group[0].ref, group[0].value
+    if ref.kind == "expression" and ref.field in ANSWERS:
+        return _answers({c.ref.field: c.value for c in group}, ref.key, now, reason)
+    if ref.kind == "relation" and ref.field in PAIRWISE:
+        return actions.set_relation(now, *ref.numbers, ref.field, value, reason)  # pyright: ignore[reportCallIssue]
+    if ref.field == "exists":
+        # It was imported before, and may have been corrected or rejected since.
+        if now.value(ref) is not None:
+            return ()
+        box = box_of(value["box"]) if "box" in value else None
+        return actions.add_object(
+            now, value["label"], mask=value.get("mask"), bbox=value.get("bbox"), box=box, number=ref.numbers[0],
+            reason=reason,
+        )  # fmt: skip
+    if ref.kind == "object" and ref.field == "mask":
+        return actions.set_mask(now, ref.numbers[0], value, reason)
+    if ref.kind == "object" and ref.field == "bbox":
+        return actions.set_bbox(now, ref.numbers[0], value, reason)
+    return actions.set_value(now, ref, value, reason)
+
+
+def _answers(claimed: dict[str, Any], name: str, now: EffectiveFrame, reason: str) -> tuple[Edit, ...]:
+    """Targets are acceptable: where only one of the two lists was changed, the other follows."""
+    if set(claimed) == {"ambiguous"}:
+        return actions.set_ambiguous(now, name, claimed["ambiguous"], reason)
+    row = now.expressions.get(name) or now.auto.expressions[name]
+    targets = claimed.get("targets", row["targets"])
+    acceptable = claimed.get("acceptable")
+    if acceptable is None:
+        acceptable = {*targets, *(set(row["acceptable"]) - set(row["targets"]))}
+    elif not set(targets) <= set(acceptable):
+        if "targets" in claimed:
+            raise InputError("targets must be acceptable too", got=f"{targets} and {acceptable}")
+        targets = [n for n in targets if n in acceptable]
+    made = actions.set_answers(now, name, targets, acceptable, reason)
+    if "ambiguous" in claimed:
+        made = tuple(replace(e, after=claimed["ambiguous"]) if e.ref.field == "ambiguous" else e for e in made)
+    return made

@@ -4,6 +4,10 @@ A key that is absent says nothing; `base` is then that of the rows before. `fram
 must be there, and what names the row:
 `object`; `a` and `b`; `id`. A row of objects whose `object` is absent or null is a
 new one: `label`, and `mask`, `bbox`, or `center`, `R` and `size`.
+
+The two other files of a COCO export, `refs.json` and `relations.json`, are read
+here, too. Both name annotations: `instances.json` of the same export must stand
+beside them, and say of which object each is.
 """
 
 from __future__ import annotations
@@ -15,8 +19,9 @@ from typing import Any
 
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.effective_objects import BOX_COLUMNS
-from pipeline.corrections.journal.field_refs import FieldRef, object_cell, relation_cell, same_value
-from pipeline.corrections.journal.incoming.claims import Claims
+from pipeline.corrections.journal.field_refs import FieldRef, object_ref, relation_ref, same_value
+from pipeline.corrections.journal.incoming.coco_file import expression_ref, images_of, listed, no_number, number_of
+from pipeline.corrections.journal.incoming.states import Claims
 from pipeline.geometry.masks import decode_run_length
 from pipeline.labels.exports.jsonl import BLOCK
 from pipeline.labels.exports.provenance import ExportedFrom
@@ -29,6 +34,8 @@ StateOf = Callable[[Any], ExportedFrom]
 """The state that a row's `base` names; InputError where it is not to be used."""
 _TEXTS = ("text", "targets", "acceptable", "ambiguous", "status", "mark")
 _BESIDE = {"frame", "frame_index", "base", "made_by", "provenance"}
+Annotations = dict[int, tuple[str, int]]
+"""Frame and object of annotations, by id."""
 
 
 def read_lines(path: Path, claims: Claims, state_of: StateOf, *, reject_deleted: bool) -> None:
@@ -66,9 +73,7 @@ def read_lines(path: Path, claims: Claims, state_of: StateOf, *, reject_deleted:
             elif kind == "expressions":
                 _expression(where, row, frame, state, claims)
             else:
-                for field in ("status", "note"):
-                    if field in row:
-                        claims.say(where, FieldRef("frame", frame, "", field), row[field], state)
+                claims.say_fields(where, row, FieldRef("frame", frame, "", "status"), ("status", "note"), state)
         except InputError as error:
             claims.problem(where, error)
     if reject_deleted:
@@ -88,7 +93,7 @@ def _rows(path: Path, claims: Claims) -> Iterator[tuple[str, Row]]:
                 if not line.strip():
                     continue
                 try:
-                    row = json.loads(line, parse_constant=_no_number)
+                    row = json.loads(line, parse_constant=no_number)
                 except (ValueError, RecursionError) as error:
                     claims.problem(where, f"not JSON: {str(error)[:80]}")
                     continue
@@ -98,10 +103,6 @@ def _rows(path: Path, claims: Claims) -> Iterator[tuple[str, Row]]:
                     claims.problem(where, f"a row is an object of JSON, got {type(row).__name__}")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError("the file cannot be read", got=str(error)[:100], path=path) from error
-
-
-def _no_number(word: str) -> float:
-    raise ValueError(f"{word} is no number")
 
 
 def _table(row: Row) -> str:
@@ -147,15 +148,12 @@ def _object(where: str, row: Row, frame: str, state: ExportedFrom, claims: Claim
     if was is None:
         raise InputError(f"frame {frame} had no object {number}", cause="a new one has no number")
     seen.add(number)
-    for field in ("label", "status"):
-        if field in row:
-            claims.say(where, object_cell(frame, number, field), row[field], state)
+    claims.say_fields(where, row, object_ref(frame, number, "label"), ("label", "status"), state)
     if "mask" in row and not same_mask(row["mask"], was["mask"], (base.row["height"], base.row["width"])):
-        claims.say(where, object_cell(frame, number, "mask"), row["mask"], state)
-    if "bbox" in row:
-        claims.say(where, object_cell(frame, number, "bbox"), row["bbox"], state)
+        claims.say(where, object_ref(frame, number, "mask"), row["mask"], state)
+    claims.say_fields(where, row, object_ref(frame, number, "bbox"), ("bbox",), state)
     if box != {}:
-        claims.say(where, object_cell(frame, number, "box"), box, state)
+        claims.say(where, object_ref(frame, number, "box"), box, state)
     _ignore(row, was, {"label", "mask", "bbox", *BOX_COLUMNS}, claims)
 
 
@@ -176,7 +174,7 @@ def check_pair(base: EffectiveFrame, a: int, b: int) -> None:
     if a == b:
         raise InputError("an object has no relation to itself", got=a)
     for number in (a, b):
-        if base.pairs.place(number) is None:
+        if base.pairs.index_of(number) is None:
             raise InputError(f"frame {base.frame} had no object {number} that takes part in relations")
 
 
@@ -186,18 +184,23 @@ def _relation(where: str, row: Row, frame: str, state: ExportedFrom, claims: Cla
     check_pair(base, a, b)
     relations = base.setting.relations
     for relation in PAIRWISE:
-        if relation not in row:
-            continue
-        said = row[relation]
-        if said == base.pairs.state(a, b, relation) and type(said) in (int, type(None)):
-            continue
-        if relation not in relations:
-            raise InputError(f"the labels hold no relation {relation!r}")
-        claims.say(where, relation_cell(frame, a, b, relation), said, state)
+        if relation in row:
+            _state(where, base, relation_ref(frame, a, b, relation), row[relation], state, claims)
     if "statuses" in row:
         statuses = _statuses(row["statuses"], relations)
         for relation in relations:
-            claims.say(where, relation_cell(frame, a, b, f"{relation}.status"), statuses.get(relation), state)
+            claims.say(where, relation_ref(frame, a, b, f"{relation}.status"), statuses.get(relation), state)
+
+
+def _state(
+    where: str, base: EffectiveFrame, ref: FieldRef, value: Any, state: ExportedFrom, claims: Claims
+) -> None:
+    """The state of a relation; one that the labels do not hold may be there as it was exported."""
+    if value == base.value(ref) and type(value) in (int, type(None)):
+        return
+    if ref.field not in base.setting.relations:
+        raise InputError(f"the labels hold no relation {ref.field!r}")
+    claims.say(where, ref, value, state)
 
 
 def _statuses(listed: Any, relations: tuple[str, ...]) -> dict[str, Any]:
@@ -213,9 +216,7 @@ def _expression(where: str, row: Row, frame: str, state: ExportedFrom, claims: C
     name, base = row.get("id"), claims.base(frame, state)
     if not isinstance(name, str) or name not in base.auto.expressions:
         raise InputError(f"frame {frame} has no such expression", got=repr(name)[:60])
-    for field in _TEXTS:
-        if field in row:
-            claims.say(where, FieldRef("expression", frame, name, field), row[field], state)
+    claims.say_fields(where, row, FieldRef("expression", frame, name, "text"), _TEXTS, state)
     _ignore(row, base.expressions.get(name, base.auto.expressions[name]), set(_TEXTS), claims)
 
 
@@ -223,3 +224,122 @@ def _ignore(row: Row, was: Row, corrected: set[str], claims: Claims) -> None:
     for column in (row.keys() & was.keys()) - corrected - _BESIDE:
         if not same_value(row[column], was[column]):
             claims.ignored[column] += 1
+
+
+def annotated(instances: Any, name: str, claims: Claims) -> tuple[dict[int, str], Annotations, Any]:
+    """Frames by image, objects by annotation, and the state that `info` names.
+
+    Raises
+    ------
+    InputError
+        No COCO, or annotations that do not say which object they are of.
+    """
+    frames = images_of(listed(instances, "images", name), name, claims)
+    found: Annotations = {}
+    for row in listed(instances, "annotations", name):
+        number = number_of(row) if isinstance(row, dict) else None
+        if number is not None and row.get("image_id") in frames and type(row.get("id")) is int:
+            found[row["id"]] = frames[row["image_id"]], number
+    info = instances.get("info")
+    return frames, found, info.get("base") if isinstance(info, dict) else None
+
+
+def read_refs(
+    refs: Any, name: str, frames: dict[int, str], annotations: Annotations, state: ExportedFrom, claims: Claims
+) -> None:
+    """Read `refs.json`: sentences, answers, marks and statuses."""
+    if not isinstance(refs, list):
+        raise InputError(f"{name} is a list", got=type(refs).__name__)
+    seen: set[tuple[str, str]] = set()
+    for index, ref in enumerate(refs):
+        where = f"{name} ref {ref.get('ref_id') if isinstance(ref, dict) else index!r}"
+        try:
+            if not isinstance(ref, dict) or type(ref.get("image_id")) is not int or ref["image_id"] not in frames:
+                raise InputError("it is of no image that instances.json lists")
+            frame, own = frames[ref["image_id"]], ref.get("id")
+            if not isinstance(own, str) or own not in claims.base(frame, state).auto.expressions:
+                raise InputError(f"frame {frame} has no such expression", got=repr(own)[:60])
+            if (frame, own) in seen:
+                raise InputError("the second one of its expression")
+            seen.add((frame, own))
+            claims.compared += 1
+            if "sentences" in ref:
+                claims.say(where, expression_ref(frame, own, "text"), _raw(ref["sentences"]), state)
+            for key, field in (("target_ann_ids", "targets"), ("acceptable_ann_ids", "acceptable")):
+                if key in ref:
+                    numbers = _objects(ref[key], frame, annotations, key)
+                    claims.say(where, expression_ref(frame, own, field), numbers, state)
+            claims.say_fields(where, ref, expression_ref(frame, own, "mark"), ("ambiguous", "mark", "status"), state)
+        except InputError as error:
+            claims.problem(where, error)
+
+
+def _raw(sentences: Any) -> Any:
+    first = sentences[0] if isinstance(sentences, list) and sentences else None
+    if not isinstance(first, dict):
+        raise InputError("sentences is a list of sentences", got=repr(sentences)[:40])
+    return first.get("raw")
+
+
+def _objects(ids: Any, frame: str, annotations: Annotations, what: str) -> list[int]:
+    if not isinstance(ids, list) or not all(type(n) is int for n in ids):
+        raise InputError(f"{what} is a list of annotations", got=repr(ids)[:40])
+    for n in ids:
+        if annotations.get(n, ("", 0))[0] != frame:
+            raise InputError(f"{what} names annotation {n}, which instances.json does not give an object of this image")
+    return [annotations[n][1] for n in ids]
+
+
+def read_relations(
+    content: Any, name: str, frames: dict[int, str], annotations: Annotations, state: ExportedFrom, claims: Claims
+) -> None:
+    """Read `relations.json`: the columns of states."""
+    seen: set[int] = set()
+    for index, image in enumerate(listed(content, "images", name)):
+        where = f"{name} image {image.get('image_id') if isinstance(image, dict) else index!r}"
+        try:
+            if not isinstance(image, dict) or type(image.get("image_id")) is not int:
+                raise InputError("it has no image_id")
+            if image["image_id"] not in frames or image["image_id"] in seen:
+                raise InputError("it is of no image that instances.json lists, or of one a second time")
+            seen.add(image["image_id"])
+            _columns(image, where, frames[image["image_id"]], annotations, state, claims)
+        except InputError as error:
+            claims.problem(where, error)
+
+
+def _columns(
+    image: dict[str, Any], where: str, frame: str, annotations: Annotations, state: ExportedFrom, claims: Claims
+) -> None:
+    a, b = (_objects(image.get(end), frame, annotations, end) for end in ("a", "b"))
+    base = claims.base(frame, state)
+    relations = [r for r in PAIRWISE if r in image]
+    for relation in relations:
+        if not isinstance(image[relation], list) or len(image[relation]) != len(a):
+            raise InputError(f"the column {relation!r} has not one state a pair")
+    if len(a) != len(b) or len(set(zip(a, b, strict=True))) != len(a):
+        raise InputError("the columns a and b do not give each pair once")
+    claims.compared += len(a)
+    for m, n in zip(a, b, strict=True):
+        check_pair(base, m, n)
+    for relation in relations:
+        for m, n, value in zip(a, b, image[relation], strict=True):
+            _state(f"{where}, pair {m},{n}", base, relation_ref(frame, m, n, relation), value, state, claims)
+    if "statuses" in image:
+        _pair_statuses(image["statuses"], where, frame, annotations, state, claims)
+
+
+def _pair_statuses(
+    statuses: Any, where: str, frame: str, annotations: Annotations, state: ExportedFrom, claims: Claims
+) -> None:
+    base = claims.base(frame, state)
+    found: dict[Any, Any] = {}
+    for entry in statuses if isinstance(statuses, list) else [None]:
+        if not isinstance(entry, dict) or entry.get("relation") not in base.setting.relations:
+            raise InputError("statuses is a list of {a, b, relation, status}", got=repr(entry)[:60])
+        m, n = _objects([entry.get("a"), entry.get("b")], frame, annotations, "statuses")
+        found[relation_ref(frame, m, n, f"{entry['relation']}.status")] = entry.get("status")
+    # One that was exported and is not listed any more was taken off.
+    gone = [c for c in base.statuses if c.kind == "relation" and c not in found]
+    for ref, status in (*found.items(), *((c, None) for c in gone)):
+        claims.say(where, ref, status, state)

@@ -1,14 +1,19 @@
-"""The labels as they were when they were exported, and as they are now, frame by frame."""
+"""The labels as they were exported and as they are now, and what a file claims that was not exported."""
 
 from __future__ import annotations
 
+import hashlib
+import json
 from bisect import bisect_right
-from collections import OrderedDict
-from collections.abc import Callable, Sequence
+from collections import Counter, OrderedDict
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
 
 from pipeline.corrections.journal.effective import Corrector
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Event
+from pipeline.corrections.journal.field_refs import FIRST_NEW_OBJECT, FieldRef, checked, object_ref, same_value
 from pipeline.datasets import Dataset
 from pipeline.labels.exports.provenance import ExportedFrom
 from pipeline.labels.reading import Labels
@@ -17,6 +22,8 @@ from pipeline.system.errors import InputError
 
 FRAMES_KEPT = 16
 _OF_PIXELS = ("mask", "bbox", "box", "exists", "label")
+MOST_PROBLEMS = 1_000
+"""A file with more of them is not one of ours; reading goes no further."""
 
 
 class States:
@@ -39,10 +46,10 @@ class States:
         self.version = labels_version(labels.manifest)
         self._events: dict[str, list[Event]] = {}
         for event in events:
-            self._events.setdefault(event.cell.frame, []).append(event)
+            self._events.setdefault(event.ref.frame, []).append(event)
         self._last = events[-1] if events else None
         self._id_of = {e.ulid: e.id for e in events}
-        self._pixels = any(e.cell.kind == "object" and e.cell.field in _OF_PIXELS for e in events)
+        self._pixels = any(e.ref.kind == "object" and e.ref.field in _OF_PIXELS for e in events)
         self._bare = Corrector(labels)
         self._open = open_dataset
         self._full: Corrector | None = None
@@ -59,9 +66,7 @@ class States:
 
     def frame_of_index(self, index: int) -> str | None:
         """The id of a frame by its place in the dataset."""
-        if not hasattr(self, "_of_index"):
-            self._of_index = {i: name for name, i in self._bare.index.of_frame.items()}
-        return self._of_index.get(index)
+        return self._bare.index.name_of.get(index)
 
     def index_of(self, frame: str) -> int:
         """The place of a frame in the dataset."""
@@ -99,9 +104,9 @@ class States:
         """A frame with all corrections, computed in the same way as that state."""
         return self._at(frame, 0 if self._last is None else self._last.id, like.relifted)
 
-    def newest(self, frame: str, cell: object) -> Event | None:
+    def newest(self, frame: str, ref: object) -> Event | None:
         """The newest event of a cell."""
-        return next((e for e in reversed(self._events.get(frame, ())) if e.cell == cell), None)
+        return next((e for e in reversed(self._events.get(frame, ())) if e.ref == ref), None)
 
     def _at(self, frame: str, last: int, relifted: bool) -> EffectiveFrame:
         events = self._events.get(frame, [])
@@ -123,3 +128,103 @@ class States:
             dataset, self._open = self._open(), None
             self._full = None if dataset is None else Corrector(self.labels, dataset)
         return self._full
+
+
+class TooManyProblems(Exception):
+    """Reading on would tell nothing new."""
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A value that is not the one that was exported.
+
+    Attributes
+    ----------
+    where : str
+        File, and line or annotation.
+    ref : FieldRef
+    value : JSON value
+    base : ExportedFrom
+        What it is a correction of.
+    """
+
+    where: str
+    ref: FieldRef
+    value: Any
+    base: ExportedFrom
+
+
+@dataclass
+class Claims:
+    """Everything that reading a file brings.
+
+    Attributes
+    ----------
+    states : States
+    found : dict of FieldRef to Claim
+    problems : list of str
+        Each names its place in the file.
+    ignored : Counter of str
+        Values that differ and cannot be corrected, by column.
+    notes : Counter of str
+    compared : int
+        Rows or annotations that were read.
+    """
+
+    states: States
+    found: dict[FieldRef, Claim] = field(default_factory=dict)
+    problems: list[str] = field(default_factory=list)
+    ignored: Counter[str] = field(default_factory=Counter)
+    notes: Counter[str] = field(default_factory=Counter)
+    compared: int = 0
+
+    def problem(self, where: str, what: object) -> None:
+        """Note what is wrong with the file."""
+        self.problems.append(f"{where}: {what}")
+        if len(self.problems) >= MOST_PROBLEMS:
+            raise TooManyProblems
+
+    def base(self, frame: str, state: ExportedFrom) -> EffectiveFrame:
+        """A frame as it was exported."""
+        return self.states.frame(frame, state)
+
+    def say(self, where: str, ref: FieldRef, value: Any, state: ExportedFrom) -> None:
+        """A cell's value in the file; kept where it is not the exported one."""
+        try:
+            value = checked(ref, value)
+        except InputError as error:
+            self.problem(where, f"{ref.field}: {error}")
+            return
+        if not same_value(value, self.base(ref.frame, state).value(ref)):
+            self.put(Claim(where, ref, value, state))
+
+    def say_fields(
+        self, where: str, row: Mapping[str, Any], ref: FieldRef, fields: Iterable[str], state: ExportedFrom
+    ) -> None:
+        """Those of the fields of a cell's entity that a row of the file has."""
+        for name in fields:
+            if name in row:
+                self.say(where, replace(ref, field=name), row[name], state)
+
+    def put(self, claim: Claim) -> None:
+        """Keep a claim; a second one on the same cell must say the same."""
+        before = self.found.setdefault(claim.ref, claim)
+        if before is not claim and not same_value(before.value, claim.value):
+            self.problem(claim.where, f"says otherwise of {claim.ref} than {before.where}")
+
+    def say_new(self, where: str, frame: str, seed: dict[str, Any], state: ExportedFrom) -> None:
+        """An object that was not exported. Its number follows from what is said of it: a second import adds nothing."""
+        try:
+            seed = checked(object_ref(frame, FIRST_NEW_OBJECT, "exists"), seed)
+        except InputError as error:
+            self.problem(where, error)
+            return
+        text = json.dumps([frame, seed], sort_keys=True, ensure_ascii=True)
+        digest = int(hashlib.sha256(text.encode()).hexdigest()[:15], 16)
+        number = FIRST_NEW_OBJECT + digest % (2**31 - FIRST_NEW_OBJECT)
+        self.put(Claim(where, object_ref(frame, number, "exists"), seed, state))
+
+    def say_deleted(self, where: str, frame: str, seen: set[int], state: ExportedFrom) -> None:
+        """Reject the exported objects of a frame that the file lacks."""
+        for number in self.base(frame, state).objects.keys() - seen:
+            self.put(Claim(where, object_ref(frame, number, "status"), "rejected", state))

@@ -1,10 +1,22 @@
-"""Where the corrections of labels are kept: opened when they are first needed, so that looking writes nothing."""
+"""Where the corrections of labels are kept: opened when they are first needed, so that looking writes nothing.
+
+What is not saved when a program ends is tried once more, and else written to a
+file that can be saved later.
+"""
 
 from __future__ import annotations
 
+import json
+import re
+import tempfile
 import time
+from collections.abc import Sequence
 from concurrent.futures import Future
 from concurrent.futures import TimeoutError as NotYet
+from contextlib import suppress
+from dataclasses import dataclass
+from datetime import datetime
+from itertools import count
 from pathlib import Path
 from threading import Lock, Thread
 
@@ -14,16 +26,17 @@ from sqlalchemy.exc import ArgumentError
 from pipeline.corrections.journal.connection import is_url
 from pipeline.corrections.journal.examining import DamagedJournal
 from pipeline.corrections.journal.journal import JOURNAL_FILE, Journal, journal_of
-from pipeline.corrections.label_jobs import LabelJobs
-from pipeline.corrections.unsaved import Unsaved
+from pipeline.corrections.review.queue_job import LabelJobs
+from pipeline.corrections.unsaved import Unsaved, unsaved_actions
 from pipeline.labels.reading import Labels
 from pipeline.system.errors import InputError
+from pipeline.system.whole_files import temporary_beside, write_synced
 
 PATIENCE_S = 3.0
 """How long anybody waits for a journal that is being opened; it goes on being opened after that."""
 
 
-class JournalPlace:
+class JournalLocation:
     """The journal of labels, shared by everyone who corrects them in one process.
 
     Parameters
@@ -52,7 +65,7 @@ class JournalPlace:
 
     def __str__(self) -> str:
         if self._journal is not None:
-            return self._journal.place
+            return self._journal.location
         return str(self.labels.root / JOURNAL_FILE) if self.where is None else self.address
 
     @property
@@ -163,3 +176,81 @@ def journal_words(where: str | Path | None, project: str | None = None) -> tuple
     """The options by which a command finds a journal, without a password."""
     words = () if where is None else ("--journal", address_without_password(where))
     return words if project is None else (*words, "--project", project)
+
+
+@dataclass(frozen=True)
+class UnsavedDump:
+    """What could not be saved of one author.
+
+    Attributes
+    ----------
+    author : str
+    problem : str
+        Why.
+    edits : tuple of str
+        In words.
+    files : tuple of Path
+        Lists of actions for `spatialviz correct LABELS --edits FILE --author AUTHOR`, one after the other; empty where
+        no folder could be written.
+    """
+
+    author: str
+    problem: str
+    edits: tuple[str, ...]
+    files: tuple[Path, ...]
+
+
+def dump_unsaved(location: JournalLocation, folders: Sequence[Path] | None = None) -> tuple[UnsavedDump, ...]:
+    """Save what waits; what cannot be saved is written to the first folder that can be written.
+
+    Parameters
+    ----------
+    location : JournalLocation
+    folders : sequence of Path, optional
+        By default the working folder and the one for temporary files.
+    """
+    folders = (Path.cwd(), Path(tempfile.gettempdir())) if folders is None else folders
+    found = []
+    for author in location.unsaved.authors:
+        location.unsaved.retry(author, location.to_write)
+        waiting, disputed = location.unsaved.waiting(author), location.unsaved.disputed(author)
+        lists = unsaved_actions(location.unsaved, author)
+        if not lists:
+            continue
+        problem = waiting[0].problem if waiting else "somebody else was faster, and nobody has decided"
+        edits = [e for w in waiting for e in w.edits] + [e for c in disputed for e in c.edits]
+        texts = tuple(f"{e.ref}: {json.dumps(e.after, ensure_ascii=False)[:60]}" for e in edits)
+        found.append(UnsavedDump(author, problem, texts, _written(lists, author, folders)))
+    return tuple(found)
+
+
+def _written(lists: list[list[dict]], author: str, folders: Sequence[Path]) -> tuple[Path, ...]:
+    """The files; nothing where no folder takes all of them. A file that is there is left alone."""
+    stem = "-".join(("unsaved", re.sub(r"[^A-Za-z0-9]+", "_", author), datetime.now().strftime("%Y%m%d-%H%M%S")))
+    for folder in folders:
+        files: list[Path] = []
+        temporary = None
+        try:
+            for k, actions in enumerate(lists, start=1):
+                files.append(_free(folder, stem if len(lists) == 1 else f"{stem}-{k}"))
+                temporary = temporary_beside(files[-1])
+                write_synced(temporary, json.dumps(actions, ensure_ascii=False, indent=1).encode())
+                temporary.replace(files[-1])
+        except OSError:
+            for path in (*files, *([] if temporary is None else [temporary])):
+                # A folder that takes no file may not let go of one either.
+                with suppress(OSError):
+                    path.unlink(missing_ok=True)
+            continue
+        return tuple(files)
+    return ()
+
+
+def _free(folder: Path, stem: str) -> Path:
+    """A new empty file: other authors' names may come down to the same letters."""
+    for number in count(1):
+        path = folder / f"{stem}{'' if number == 1 else f'-{number}'}.json"
+        with suppress(FileExistsError):
+            path.open("xb").close()
+            return path
+    raise AssertionError

@@ -1,6 +1,6 @@
 """Many writers at once: each saves edits, some of cells that others edit too, and afterwards every promise is checked.
 
-    python -m pipeline.corrections.journal.bench JOURNAL [WRITERS] [EDITS]
+    cd tests && python -m benchmarks.journal_writers JOURNAL [WRITERS] [EDITS]
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from time import perf_counter
 from typing import Any
 
 from pipeline.corrections.journal.events import Edit, Event, Saved
-from pipeline.corrections.journal.field_refs import FieldRef, relation_cell
+from pipeline.corrections.journal.field_refs import FieldRef, relation_ref
 from pipeline.corrections.journal.journal import open_journal
 
 SHARED_CELLS = 20
@@ -82,7 +82,7 @@ def write_many(where: str, name: str, edits: int, report: Path, seed: int = 0, s
             start.wait()
         for k in range(edits):
             shared = rng.random() < SHARED_SHARE
-            cell = relation_cell(FRAME, 1, 2 + rng.randrange(SHARED_CELLS) if shared else own + k, "left")
+            cell = relation_ref(FRAME, 1, 2 + rng.randrange(SHARED_CELLS) if shared else own + k, "left")
             saved = False
             while not saved:
                 version, before = seen.get(cell, (0, None))
@@ -144,7 +144,7 @@ def judge(
     acknowledged = {e["saved"] for e in saved}
     chains: dict[FieldRef, list[Event]] = {}
     for event in events:
-        chains.setdefault(event.cell, []).append(event)
+        chains.setdefault(event.ref, []).append(event)
     overwritten = 0
     for chain in chains.values():
         overwritten += sum(
@@ -169,7 +169,7 @@ if __name__ == "__main__":
     import tempfile
 
     if len(sys.argv) < 2:
-        sys.exit("usage: python -m pipeline.corrections.journal.bench JOURNAL [WRITERS] [EDITS]")
+        sys.exit("usage: python -m benchmarks.journal_writers JOURNAL [WRITERS] [EDITS]")
     with tempfile.TemporaryDirectory(prefix="spatialviz-") as notes:
         proof = prove(sys.argv[1], Path(notes), *(int(n) for n in sys.argv[2:4]))
     print(json.dumps({**asdict(proof), "holds": proof.holds}))

@@ -1,11 +1,12 @@
 """Writers that are killed while they save (SIGKILL): all that was acknowledged is there, and no action in part.
 
-    python -m pipeline.corrections.journal.bench_kill JOURNAL [ROUNDS] [WRITERS] [SEED]
+    cd tests && python -m benchmarks.journal_kills JOURNAL [ROUNDS] [WRITERS] [SEED]
 """
 
 from __future__ import annotations
 
 import json
+import os
 import random
 import subprocess
 import sys
@@ -16,10 +17,11 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from pipeline.corrections.journal.bench import read_report
 from pipeline.corrections.journal.events import Conflict, Edit, Event, NotSaved, Saved
-from pipeline.corrections.journal.field_refs import object_cell, relation_cell
+from pipeline.corrections.journal.field_refs import object_ref, relation_ref
 from pipeline.corrections.journal.journal import Journal, open_journal
+
+from .journal_writers import read_report
 
 FRAME = "scene/000000"
 GROUP = 3
@@ -27,6 +29,7 @@ GROUP = 3
 SHARED = 5
 """Cells that all writers edit."""
 PATIENCE_S = 180.0
+TESTS = Path(__file__).resolve().parent.parent
 
 
 @dataclass(frozen=True)
@@ -70,11 +73,11 @@ class Survival:
 def write_groups(where: str, name: str) -> None:
     """Save actions without end, and print a line of JSON when each is acknowledged; what was refused is tried again."""
     rng = random.Random(name)
-    own = [object_cell(FRAME, 1_000 + 10 * int(name) + k, "label") for k in range(GROUP - 1)]
+    own = [object_ref(FRAME, 1_000 + 10 * int(name) + k, "label") for k in range(GROUP - 1)]
     seen: dict[Any, tuple[int, Any]] = {}
     with open_journal(where) as journal:
         for number in range(1_000_000):
-            shared = relation_cell(FRAME, 1, 2 + rng.randrange(SHARED), "left")
+            shared = relation_ref(FRAME, 1, 2 + rng.randrange(SHARED), "left")
             done: Saved | Conflict | None = None
             while not isinstance(done, Saved):
                 wanted = {shared: rng.choice([-1, 0, 1]), **dict.fromkeys(own, f"{name} {number}")}
@@ -86,7 +89,7 @@ def write_groups(where: str, name: str) -> None:
                 else:
                     events = list(done.events)
                     print(json.dumps({"group": done.group}), flush=True)
-                seen |= {e.cell: (e.version, e.after) for e in events}
+                seen |= {e.ref: (e.version, e.after) for e in events}
 
 
 def _append(journal: Journal, edits: Sequence[Edit], author: str) -> Saved | Conflict:
@@ -132,7 +135,7 @@ def survive(
         _round(where, new, len(reports), rng, disturb)
         reports += new
         with open_journal(where) as journal:
-            cell = object_cell(FRAME, 1, "label")
+            cell = object_ref(FRAME, 1, "label")
             head = journal.heads([cell]).get(cell)
             before, base = (None, 0) if head is None else (head.after, head.version)
             journal.append([Edit(cell, before, f"round {turn}", base)], "the one who looks")
@@ -145,11 +148,12 @@ def _round(
     where: str, reports: list[Path], first: int, rng: random.Random, disturb: Callable[[], None] | None
 ) -> None:
     processes = []
+    paths = os.pathsep.join([str(TESTS), os.environ.get("PYTHONPATH", "")])
     try:
         for number, report in enumerate(reports, start=first):
             with open(report, "wb") as out:
-                program = [sys.executable, "-m", __spec__.name, "--writer", where, str(number)]
-                processes.append(subprocess.Popen(program, stdout=out))
+                program = [sys.executable, "-m", "benchmarks.journal_kills", "--writer", where, str(number)]
+                processes.append(subprocess.Popen(program, stdout=out, env={**os.environ, "PYTHONPATH": paths}))
         _wait_for(reports, [0] * len(reports))
         if disturb is not None:
             time.sleep(rng.uniform(0.0, 0.3))
@@ -181,7 +185,7 @@ def judge(events: Iterable[Event], told: Sequence[Sequence[dict[str, Any]]]) -> 
     """Compare a journal with what its writers were told, a list each."""
     events = list(events)
     sizes = Counter(e.group for e in events)
-    values = Counter((e.cell, e.after) for e in events if e.cell.kind == "object")
+    values = Counter((e.ref, e.after) for e in events if e.ref.kind == "object")
     entries = [entry for writer in told for entry in writer]
     acknowledged = {entry["group"] for entry in entries if "group" in entry}
     return Survival(
@@ -203,7 +207,7 @@ def main(arguments: Sequence[str]) -> int:
         write_groups(arguments[1], arguments[2])
         return 0
     if not arguments:
-        usage = "usage: python -m pipeline.corrections.journal.bench_kill JOURNAL [ROUNDS] [WRITERS] [SEED]"
+        usage = "usage: python -m benchmarks.journal_kills JOURNAL [ROUNDS] [WRITERS] [SEED]"
         print(usage, file=sys.stderr)
         return 2
     import tempfile
