@@ -374,7 +374,7 @@ except InputError as error:
 """
     done = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, timeout=LONG_S, check=False,
-        env={**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parent.parent)},
+        env={**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2])},
     )  # fmt: skip
     assert "Traceback" not in done.stderr, done.stderr
     return done.stdout.strip()

@@ -479,7 +479,7 @@ def test_the_card_belongs_to_the_shipped_network(shipped: OnnxScorer) -> None:
 
 
 def test_the_network_that_was_shipped_before_still_answers(scene: Frame) -> None:
-    before = make_scorer(Path(__file__).parent / "fixtures" / "rel14.onnx")
+    before = make_scorer(Path(__file__).parents[1] / "fixtures" / "rel14.onnx")
     assert isinstance(before, OnnxScorer)
     assert (before.name, before.contract.seed) == ("rel14", 0)
     assert before.contract.data == "ad30681b5f10469c4759edb24e0f85cf"
@@ -600,4 +600,4 @@ def test_importing_the_stage_imports_no_heavy_package() -> None:
         "import sys, pipeline.relations, pipeline.relations.model, pipeline.training.train, pipeline.training.card;"
         "heavy = {'torch', 'onnx', 'onnxruntime', 'scipy', 'embreex'} & set(sys.modules); assert not heavy, heavy"
     )
-    subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(__file__).resolve().parent.parent)
+    subprocess.run([sys.executable, "-c", code], check=True, cwd=Path(__file__).resolve().parents[2])

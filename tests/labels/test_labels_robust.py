@@ -341,7 +341,7 @@ def test_workers_end_with_a_parent_that_was_killed(tmp_path: Path) -> None:
         f"if __name__ == '__main__': label_dataset(SourceSpec('demo'), {str(tmp_path / 'out')!r}, workers=2, "
         "frames_a_shard=1)"
     )
-    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parent.parent)}
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2])}
     run = subprocess.Popen([sys.executable, str(script)], env=environment, start_new_session=True)
     parts = tmp_path / "out" / "parts"
     wait_until(lambda: run.poll() is not None or (parts.is_dir() and any(parts.glob("[!.]*"))))

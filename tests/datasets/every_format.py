@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from tests.avd_writer import write_scan
-from tests.dataset_writers import (
+from avd_writer import write_scan
+from dataset_writers import (
     write_bop,
     write_folder,
     write_redwood,
@@ -16,7 +16,7 @@ from tests.dataset_writers import (
     write_tum,
     write_votenet,
 )
-from tests.semantic_abstraction_writer import write_view
+from semantic_abstraction_writer import write_view
 
 WRITERS: dict[str, Callable[[Path], object]] = {
     "bop": lambda root: write_bop(root, {"000001": [1, 2]}),

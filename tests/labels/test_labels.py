@@ -163,7 +163,7 @@ def test_killed_in_the_middle_nothing_is_half_written_and_the_rest_is_kept(demo:
     )
     script = tmp_path / "run.py"
     script.write_text(code)
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(__file__).resolve().parent.parent)])}
+    environment = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(__file__).resolve().parents[2])])}
     run = subprocess.Popen([sys.executable, str(script)], env=environment, start_new_session=True)
     wait_until(lambda: len(parts(out)) >= 2 or run.poll() is not None)
     os.killpg(run.pid, signal.SIGKILL)
@@ -274,7 +274,7 @@ def test_a_worker_stays_under_half_a_gigabyte() -> None:
         "label_dataset(SourceSpec('demo'), folder + '/out', frames_a_shard=12)\n"
         "print(next(x for x in open('/proc/self/status') if x.startswith('VmHWM')).split()[1])"
     )
-    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parent.parent)}
+    environment = {**os.environ, "PYTHONPATH": str(Path(__file__).resolve().parents[2])}
     done = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
     assert int(done.stdout.split()[-1]) < 500_000
 

@@ -112,7 +112,7 @@ def test_the_classes_of_known_datasets_are_read_back(kind: str) -> None:
 
 
 def test_the_classes_of_the_demo_are_read_back() -> None:
-    demo = open_dataset(Path(__file__).resolve().parent.parent / "assets" / "demo")
+    demo = open_dataset(Path(__file__).resolve().parents[2] / "assets" / "demo")
     assert len(demo.class_names) > 20
     check_all(list(demo.class_names), range(3, 6))
 

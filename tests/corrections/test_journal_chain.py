@@ -24,7 +24,7 @@ from pipeline.corrections.journal.rescue import back_up, check_journal, recover
 from pipeline.corrections.journal.undo import undo
 from pipeline.system.errors import InputError
 
-BEFORE = Path(__file__).parent / "journal_before_chain.sqlite"
+BEFORE = Path(__file__).parents[1] / "fixtures" / "journal_before_chain.sqlite"
 """Made by the release before: three people, two projects, an undo and a redo, a long reason, names of other scripts."""
 TIME = datetime(2026, 1, 1, tzinfo=timezone.utc)
 EDIT = Edit(object_ref("new", 1, "label"), "mug", "cup")

@@ -369,7 +369,7 @@ def test_only_files_of_the_case_are_read(scored: Path, monkeypatch: pytest.Monke
     (folder / MANIFEST).write_text(json.dumps(table))
     read: list[Path] = []
     plain_open, plain_bytes = builtins.open, Path.read_bytes
-    assets = Path(__file__).resolve().parent.parent
+    assets = Path(__file__).resolve().parents[2]
 
     def watched(file: Any, *args: Any, **kwargs: Any) -> Any:
         if isinstance(file, (str, Path)):

@@ -27,7 +27,7 @@ from pipeline.system.execution import PROVIDER_VARIABLE, ProviderWarning, use_ex
 from pipeline.system.onnx_session import open_session
 
 pytest.importorskip("tokenizers", reason="detectors that read text need the extra hub")
-ROOT = Path(__file__).resolve().parent.parent
+ROOT = Path(__file__).resolve().parents[2]
 KINDS = tuple(STUBS)
 DETECTORS = tuple(k for k in KINDS if "coder" not in k)
 ENCODERS = {"sam": "sam encoder", "sam2": "sam2 encoder", "efficientsam": "efficientsam encoder"}

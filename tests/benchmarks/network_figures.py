@@ -1,6 +1,6 @@
 """The figures of a relation network, and of labels that it has a second opinion on, on rooms of other makers.
 
-    python tests/network_figures.py [WORLDS] [NETWORK.onnx ...]
+    cd tests && python -m benchmarks.network_figures [WORLDS] [NETWORK.onnx ...]
 
 prints the table of `assets/srm/README.md`: for each maker and each kind of camera so many worlds, with 95 % bootstrap
 intervals over them.
@@ -13,8 +13,8 @@ from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
+from benchmarks.mesh_worlds import mesh_world
 from box_worlds import box_world
-from mesh_worlds import mesh_world
 from other_makers import FIGURES, FLIPS, REGIMES, Seen, figures, tallied
 
 from pipeline.labels.config import LabelConfig

@@ -8,8 +8,18 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
+import every_format
 import numpy as np
 import pytest
+from dataset_writers import (
+    HEIGHT,
+    WIDTH,
+    K,
+    random_rotation,
+    write_folder,
+    write_png,
+    write_seven_scenes,
+)
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -26,16 +36,6 @@ from pipeline.labels.job import label_dataset
 from pipeline.labels.pictures import labelled_dataset, labelled_up
 from pipeline.labels.plan import SourceSpec, make_plan
 from pipeline.system.errors import InputError
-from tests import every_format
-from tests.dataset_writers import (
-    HEIGHT,
-    WIDTH,
-    K,
-    random_rotation,
-    write_folder,
-    write_png,
-    write_seven_scenes,
-)
 
 CAMERA: dict[str, Any] = {"intrinsics": (60.0, 61.0, 31.5, 23.5), "depth_scale": 1000.0}
 
