@@ -60,6 +60,21 @@ def test_no_module_of_the_core_names_the_screen() -> None:
         assert not screen.search(path.read_text(encoding="utf-8")), path
 
 
+def test_tests_exercise_the_core_alone_in_files_that_one_can_read() -> None:
+    """What starts the command line, draws for people or needs a browser is tested in `.ci/`."""
+    screen = re.compile(r"^\s*(?:import|from)\s+(viser|spatialviz)\b", re.M)
+    files = {p: p.read_text(encoding="utf-8") for p in sorted((ROOT / "tests").rglob("*.py"))}
+    assert len(files) > 100
+    assert [p for p, text in files.items() if screen.search(text)] == []
+    assert [p for p, text in files.items() if text.count("\n") > 450] == []
+
+
+def test_tests_mirror_the_rooms() -> None:
+    rooms = {p.parent.name for p in (ROOT / "pipeline").glob("*/__init__.py")}
+    folders = {p.parent.name for p in (ROOT / "tests").glob("*/test_*.py")}
+    assert folders == rooms
+
+
 def imports_of(path: Path) -> set[str]:
     """Top-level names of what a module imports, lazily or not."""
     names: set[str] = set()

@@ -31,7 +31,6 @@ from pipeline.geometry.boxes import iou_2d
 from pipeline.proposals.detector_setup import DetectorSetup
 from pipeline.proposals.simulated import SimulatedDetector, SimulationOptions
 from pipeline.system.errors import InputError
-from spatialviz.report.picture import dashed
 
 WORDS = ("mug", "trash can", "bin", "lamp")
 
@@ -295,28 +294,6 @@ def test_objects_of_both_detectors_stand_beside_each_other() -> None:
         assert shown.partner(i) == (j if i is not None else None)
         assert shown.partner_of_b(j) == (i if j is not None else None)
     assert beside(open_pipeline("demo", srm="rule"), context, objects) is None
-
-
-@given(
-    arrays(np.float64, (5, 2, 3), elements=st.floats(-3, 3)), st.floats(0.05, 2), st.floats(0.1, 0.9)
-)
-@settings(max_examples=60)
-def test_dashes_lie_on_their_lines_and_reach_both_ends(segments: np.ndarray, period: float, share: float) -> None:
-    found = dashed(segments, period, share)
-    length = np.linalg.norm(segments[:, 1] - segments[:, 0], axis=1)
-    drawn = np.linalg.norm(found[:, 1] - found[:, 0], axis=1)
-    at = 0
-    for segment, total in zip(segments, length, strict=True):
-        count = max(int(np.ceil(total / period)), 1)
-        own, at = found[at : at + count], at + count
-        np.testing.assert_allclose(own[0, 0], segment[0], atol=1e-5)
-        np.testing.assert_allclose(own[-1, 1], segment[1], atol=1e-5)
-        along = np.linalg.norm(own - segment[0].astype(np.float32), axis=2)
-        assert (np.diff(along.ravel()) >= -1e-5).all()
-    assert at == len(found)
-    assert drawn.sum() <= length.sum() + 1e-4
-    assert (drawn <= period + 1e-5).all()
-    assert dashed(np.zeros((0, 2, 3)), 1).shape == (0, 2, 3)
 
 
 def test_two_models_of_one_kind_go_by_their_files() -> None:

@@ -3,18 +3,16 @@
 from __future__ import annotations
 
 import json
-import os
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 import pytest
 from dataset_writers import write_bop
-from scenes import camera_of, frame_of, upright
+from scenes import frame_of, upright
 
-from pipeline.answering.ask import AskConfig, Trace, ask
+from pipeline.answering.ask import AskConfig, ask
 from pipeline.answering.bench import bench_source
 from pipeline.answering.objects import PreparedFrame, SceneObject, all_objects, same_object
 from pipeline.answering.opening import (
@@ -29,16 +27,13 @@ from pipeline.answering.opening import (
 from pipeline.answering.suggestions import suggest_expressions
 from pipeline.datasets import open_dataset
 from pipeline.datasets.demo import DEMO_EXPRESSION, demo_path
-from pipeline.geometry.boxes import EDGES, Box3D
-from pipeline.geometry.camera import project
 from pipeline.geometry.frame import Frame
-from pipeline.geometry.palette import ON_DARK, depth_colors, hex_color, instance_colors, palette
+from pipeline.geometry.palette import depth_colors, hex_color, instance_colors, palette
 from pipeline.language.expression import parse
 from pipeline.language.naming import match
 from pipeline.language.relation_names import VOCABULARIES
 from pipeline.proposals import AnnotationDetector, Proposals, make_detector
 from pipeline.system.errors import InputError
-from spatialviz.report.picture import answer_picture, box_edges_2d, save_picture, tinted
 
 KNOWN = ("mug", "laptop", "book", "lamp", "table", "box")
 
@@ -193,7 +188,6 @@ def test_objects_without_depth_are_in_doubt_and_never_fail(row: Frame, truth: An
     assert trace.ranking.pairs[0].p_relation == 0.5
     for text in ("mug closest to the laptop", "mug between the book and the laptop", "laptop on the table"):
         assert ask(blind, text, truth).ranking is not None
-    answer_picture(trace)
 
 
 def test_the_best_k_of_a_detector_go_on_and_of_the_truth_all(row: Frame, truth: AnnotationDetector) -> None:
@@ -426,94 +420,6 @@ def test_the_bench_times_every_stage(tmp_path: Path) -> None:
 
 
 # Pictures.
-
-
-@pytest.fixture(scope="module")
-def trace(row: Frame, truth: AnnotationDetector) -> Trace:
-    return ask(row, "mug right of the laptop", truth)
-
-
-def test_a_picture_is_saved_whole(trace: Trace, tmp_path: Path) -> None:
-    for name in ("answer.png", "answer.jpg"):
-        save_picture(trace, tmp_path / name)
-        image = cv2.imread(str(tmp_path / name))
-        assert image is not None
-        assert image.shape[1] == trace.frame.width
-        assert image.shape[0] > trace.frame.height
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["answer.jpg", "answer.png"]
-    png = cv2.imread(str(tmp_path / "answer.png"))
-    assert png is not None
-    np.testing.assert_array_equal(png[..., ::-1], answer_picture(trace))
-
-
-def test_a_picture_that_cannot_be_saved_leaves_nothing(trace: Trace, tmp_path: Path) -> None:
-    (tmp_path / "folder.png").mkdir()
-    for path, message in (
-        (tmp_path / "absent" / "x.png", "folder for the picture does not exist"),
-        (tmp_path / "x.txt", "picture of this kind.*.txt.*png"),
-        (tmp_path / "x", "picture of this kind"),
-        (tmp_path / "folder.png", "cannot be written"),
-    ):
-        with pytest.raises(InputError, match=message) as caught:
-            save_picture(trace, path)
-        assert "\n" not in str(caught.value)
-    assert [p.name for p in tmp_path.iterdir()] == ["folder.png"]
-    with pytest.raises(InputError, match="cannot be written"):
-        save_picture(trace, Path("/proc/answer.png"))
-
-
-def test_a_failed_save_keeps_the_old_picture(trace: Trace, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = tmp_path / "a.png"
-    path.write_bytes(b"old")
-
-    def full(number: int) -> None:
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(os, "fsync", full)
-    with pytest.raises(InputError, match="No space left"):
-        save_picture(trace, path)
-    assert path.read_bytes() == b"old"
-    assert [p.name for p in tmp_path.iterdir()] == ["a.png"]
-
-
-def test_only_objects_in_a_role_are_tinted(trace: Trace) -> None:
-    rgb = trace.frame.rgb
-    image = tinted(rgb, trace.objects, {0: "target"})
-    mask = trace.objects[0].mask
-    far = ~cv2.dilate(mask.view(np.uint8), np.ones((5, 5), np.uint8)).astype(bool)
-    np.testing.assert_array_equal(image[far], rgb[far])
-    core = cv2.erode(mask.view(np.uint8), np.ones((5, 5), np.uint8)).astype(bool)
-    before = np.abs(rgb[core].astype(int) - ON_DARK["target"]).sum()
-    assert np.abs(image[core].astype(int) - ON_DARK["target"]).sum() < 0.7 * before
-    np.testing.assert_array_equal(tinted(rgb, trace.objects, {}), rgb)
-    np.testing.assert_array_equal(rgb, trace.frame.rgb)
-
-
-def test_every_kind_of_answer_has_a_picture(row: Frame, truth: AnnotationDetector) -> None:
-    shapes = set()
-    for text in (
-        "mug between the book and the laptop",
-        "lamp left of the mug",
-        "laptop left of the laptop",
-        "mug left of a mug",
-    ):
-        image = answer_picture(ask(row, text, truth))
-        assert image.dtype == np.uint8
-        shapes.add(image.shape)
-    assert len(shapes) == 1
-
-
-def test_the_edges_of_a_box_are_cut_at_the_camera() -> None:
-    camera = camera_of()
-    ahead = Box3D(np.array([0.1, 0, 2.0]), np.eye(3), np.ones(3))
-    np.testing.assert_allclose(box_edges_2d(ahead, camera), project(ahead.corners, camera)[EDGES])
-    behind = Box3D(np.array([0, 0, -2.0]), np.eye(3), np.ones(3))
-    assert box_edges_2d(behind, camera).shape == (0, 2, 2)
-    around = Box3D(np.array([0, 1.0, 0]), np.eye(3), np.array([1, 1, 3.0]))
-    edges = box_edges_2d(around, camera)
-    assert edges.shape == (8, 2, 2)
-    assert np.isfinite(edges).all()
-    assert (edges[..., 1] > camera.cy).all(), "an edge of a box below the camera is drawn above it"
 
 
 # Colours.

@@ -117,16 +117,3 @@ def test_planted_errors_are_single_cells_of_the_share(demo: LabelData) -> None:
 def test_numbers_without_sense_are_refused(change: dict) -> None:
     with pytest.raises(InputError):
         replace(SMALL, **change).check()
-
-
-def test_the_command_prints_the_figures(
-    rooms: tuple[LabelData, LabelData], capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    from spatialviz.cli import main
-
-    monkeypatch.setattr("pipeline.corrections.review.bench.review_rooms", lambda config, **_: rooms)
-    told = ["--seeds", "1", "--networks", "1", "--folds", "2", "--batch", "64", "--workers", "1"]
-    assert main(["bench", "review", *told, "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert found["mean"]["found"] > 0.8
-    assert len(found["runs"]) == 1

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-import numpy as np
 import pytest
 from label_worlds import label_worlds
 from review_labels import flipped
@@ -110,29 +109,3 @@ def test_labels_of_other_frames_are_refused_and_leave_nothing(
     for train in (TrainConfig(vocabulary="semantic-abstraction"), TrainConfig("rel14+lang"), TrainConfig(epochs=0)):
         with pytest.raises(InputError):
             retrain(*mended, tmp_path / "srm.onnx", RetrainConfig(train))
-
-
-def test_the_commands_review_and_retrain(
-    mended: tuple[Labels, Labels], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    import pyarrow.parquet as pq
-
-    from spatialviz.cli import main
-
-    before, after = (str(labels.root) for labels in mended)
-    told = ["--limit", "7", "--folds", "2", "--out", str(tmp_path / "q" / "queue.parquet")]
-    assert main(["review", before, *told, "--json"]) == 0
-    rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    assert len(rows) == 7
-    written = pq.read_table(tmp_path / "q" / "queue.parquet")
-    assert {row.pop("state") for row in rows} == {"unreviewed"}
-    assert written.slice(0, 7).to_pylist() == rows
-    assert written.num_rows > 500
-    assert main(["review", before, "--no-networks", "--limit", "2"]) == 0
-    assert "labels to look at" in capsys.readouterr().out
-    told = ["--epochs", "1", "--batch", "128", "--out", str(tmp_path / "srm.onnx")]
-    assert main(["retrain", before, after, *told]) == 0
-    assert "became right" in capsys.readouterr().out
-    assert np.isfinite(OnnxScorer(tmp_path / "srm.onnx").contract.mean).all()
-    assert main(["review", str(tmp_path)]) == 2
-    assert main(["review", before, "--limit", "-1"]) == 2

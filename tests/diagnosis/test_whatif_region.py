@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +12,7 @@ from hypothesis import strategies as st
 from whatif_scenes import ScoringDetector, context_of, row, source
 
 from pipeline.diagnosis.whatif import Baseline, Edits, rerun
-from pipeline.diagnosis.whatif.decision_map import decision_map, map_picture, map_record
+from pipeline.diagnosis.whatif.decision_map import decision_map, map_record
 from pipeline.diagnosis.whatif.placement import place_in_region
 from pipeline.diagnosis.whatif.region import region_of
 from pipeline.geometry.boxes import Box3D
@@ -22,7 +21,6 @@ from pipeline.geometry.viewer import ViewerAxes, viewer_axes
 from pipeline.language.relation_names import HORIZONTAL, PAIRWISE
 from pipeline.relations.relations import Profile, T, U, pairwise_states
 from pipeline.system.errors import InputError
-from spatialviz.report.picture import write_picture
 
 VIEWER = viewer_axes(np.array([0.1, -0.9, -0.3]))
 FRAME = row()
@@ -224,22 +222,3 @@ def test_a_map_says_what_moving_the_box_says(scorer: str, text: str, exact: bool
     assert wrong <= 1
     json.dumps(map_record(found), allow_nan=False)
     assert found.corners.shape == (8, 8, 3)
-
-
-def test_a_map_as_a_picture(tmp_path: Path) -> None:
-    baseline = Baseline(source(), context_of(FRAME), "mug left of the laptop")
-    found = decision_map(baseline, Edits(), "#0", cells=6)
-    assert len(np.unique(found.winner)) > 1
-    image = map_picture(found, baseline.outcome)
-    assert image.dtype == np.uint8
-    assert image.shape[2] == 3
-    write_picture(image, tmp_path / "map.png")
-    assert (tmp_path / "map.png").stat().st_size > 0
-    with pytest.raises(InputError):
-        write_picture(image, tmp_path / "map.nothing")
-    for key, cells in (("#99", 6), ("#0", 1), ("#0", 100_000)):
-        with pytest.raises(InputError):
-            decision_map(baseline, Edits(), key, cells=cells)
-    hidden = Edits(hidden=frozenset({"#3"}))
-    with pytest.raises(InputError, match="no decision map"):
-        decision_map(baseline, hidden, "#0", cells=6)

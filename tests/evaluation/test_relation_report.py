@@ -19,7 +19,7 @@ from pipeline.evaluation.relation_report import BY_RELATION, MEASURES, all_syste
 from pipeline.evaluation.run import EvalSpec
 from pipeline.evaluation.shared_makers import AGREEMENT
 from pipeline.evaluation.whole_expression import VlmOptions
-from pipeline.labels.reading import MANIFEST_FILE, Labels, open_labels
+from pipeline.labels.reading import MANIFEST_FILE, Labels
 from pipeline.language.relation_names import DIRECTIONAL, PHRASE, VOCABULARIES
 from pipeline.metrics.intervals import BootstrapConfig, Estimate
 from pipeline.metrics.splits import DROPPED, VALIDATION
@@ -363,40 +363,3 @@ def test_a_vision_language_model_is_asked_about_a_sample(
     measured_rows = [row for row in report.tables[0].rows if row.source == "measured"]
     assert [row.shares for row in measured_rows] == ["", "", AGREEMENT, AGREEMENT]
     assert measured_rows[0].name.startswith("VLM")
-
-
-def test_tables_and_plots_of_a_run_from_the_command_line(
-    label_sets: dict[str, Labels], networks: dict[str, Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    pytest.importorskip("plotly", reason="the extra report is not installed")
-    from spatialviz.cli import main
-
-    start = ["eval", "demo", "--labels", str(label_sets["demo"].root), "--workers", "1"]
-    told = [*start, "--tables", "relations", "--relation-frames", "2", "--out", str(tmp_path / "run")]
-    words = ["--vectors", str(networks["flat"].parent / "words.npz")]
-    assert main([*told, *words, "--srm", "rule", "--relations-of", str(networks["worded"]), "--json"]) == 0
-    printed = capsys.readouterr()
-    found = json.loads(printed.out)
-    assert set(found["tables"]) == {"srm", "srm_relations"}
-    assert found["tables"]["srm"]["rule"]["pairs"] == found["pairs"] > 0
-    (warned,) = [line for line in printed.err.splitlines() if "worded" in line]
-    assert warned.startswith("spatialviz: ")
-    names = {p.relative_to(tmp_path / "run").as_posix() for p in (tmp_path / "run").rglob("*") if p.is_file()}
-    assert names == {
-        "tables.md", "tables.tex", "tables/srm.csv", "tables/srm_relations.csv", "relation_records.parquet",
-        "run.json", "plots/srm.html", "plots/srm_reliability.png", "plots/srm_relations.png",
-    }  # fmt: skip
-    again = ["tables", str(tmp_path / "run"), "--json"]
-    assert main(again) == 0
-    rows = json.loads(capsys.readouterr().out)["rows"]["paper_relations_avd"]
-    assert [row["source"] for row in rows.values()] == ["reported"] * 6 + ["measured"] * 3
-    assert main([*again[:2], "--format", "markdown"]) == 0
-    assert "| 3D-Geom+Lng (reported) |" in capsys.readouterr().out
-    for wrong, message in (
-        (["--tables", "grounding", "--relation-frames", "2"], "belongs to relations alone"),
-        (["--tables", "relations", "--limit", "4"], "are about expressions"),
-        (["--vlm-url", "http://localhost:1/v1"], "go together"),
-    ):
-        assert main([*start, "--out", str(tmp_path / "other"), *wrong]) == 2
-        assert message in capsys.readouterr().err
-    assert open_labels(label_sets["demo"].root).relation_names

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 
@@ -211,57 +210,3 @@ def test_depth_tells_front_from_behind_where_the_image_does_not(
 
 
 # The command.
-
-
-def test_train_on_labels_from_the_command_line(
-    demo: Labels, word_vectors: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    from spatialviz.cli import main
-
-    out = tmp_path / "new" / "mine.onnx"
-    told = ["--out", str(out), "--features", "2d+lang", "--vectors", str(word_vectors), "--epochs", "2"]
-    assert main(["train", str(demo.root), *told, "--split", "random", "--pairs", "600"]) == 0
-    text = capsys.readouterr()
-    assert "micro-F1" in text.out
-    assert "leak" in text.err
-    assert main(["ask", "demo", "0", "mug left of the laptop", "--srm", str(out), "--json"]) == 0
-    assert json.loads(capsys.readouterr().out)["scorer"] == "geom2d8+lang"
-    assert main(["train", str(demo.root), "--out", str(out), "--epochs", "1", "--pairs", "300", "--json",
-                 "--vocabulary", "semantic-abstraction"]) == 0  # fmt: skip
-    assert json.loads(capsys.readouterr().out)["training"]["output"] == "softmax"
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        (["--features", "3d+lang"], "need vectors of class names"),
-        (["--features", "3d", "--normalised"], "use no class names"),
-        (["--rooms", "30"], "--rooms belongs to training on the word rooms"),
-        (["--epochs", "0"], "must be positive"),
-        (["--pairs", "1"], "at least two pairs"),
-        (["--seed", "-1"], "seed"),
-    ],
-)
-def test_arguments_that_make_no_sense_are_refused(
-    arguments: list[str], message: str, demo: Labels, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    from spatialviz.cli import main
-
-    assert main(["train", str(demo.root), "--out", str(tmp_path / "m.onnx"), *arguments]) == 2
-    assert message in capsys.readouterr().err
-    assert not list(tmp_path.iterdir())
-
-
-def test_rooms_refuse_what_only_labels_have(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    from spatialviz.cli import main
-
-    out = ["--out", str(tmp_path / "m.onnx")]
-    for arguments, message in (
-        (["--split", "blocks"], "--split belongs to training on a labels folder"),
-        (["--features", "rel14+lang"], "six directional relations"),
-        (["--vocabulary", "semantic-abstraction"], "six directional relations"),
-    ):
-        assert main(["train", "rooms", *out, *arguments]) == 2
-        assert message in capsys.readouterr().err
-    assert main(["train", str(tmp_path / "absent"), *out]) == 2
-    assert "no labels here" in capsys.readouterr().err

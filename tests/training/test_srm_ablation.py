@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -145,13 +144,3 @@ def test_numbers_without_sense_are_refused(change: dict) -> None:
 def test_more_pairs_than_there_are_are_refused(views: AblationViews) -> None:
     with pytest.raises(InputError, match="not so many pairs"):
         measure_variant(views, "rel14", 10**6, SMALL)
-
-
-def test_the_command_prints_the_table(capsys: pytest.CaptureFixture[str]) -> None:
-    from spatialviz.cli import main
-
-    told = ["--rooms", "3", "--views", "1", "--pairs", "300", "--features", "rel14", "--networks", "1", "--epochs", "2"]
-    assert main(["bench", "srm", *told, "--batch", "64", "--workers", "1", "--json"]) == 0
-    found = json.loads(capsys.readouterr().out)
-    assert set(found) == {"rule", "rel14, 300 pairs"}
-    assert 0 < found["rel14, 300 pairs"]["micro-F1"]["value"] < found["rule"]["micro-F1"]["value"] <= 1

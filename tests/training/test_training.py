@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import sys
 from pathlib import Path
 from typing import Any
@@ -262,29 +261,3 @@ def test_a_missing_extra_is_named(
 
 
 # The command.
-
-
-def test_train_writes_a_network_that_answers_and_its_card(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    from spatialviz.cli import main
-
-    out = tmp_path / "new" / "mine.onnx"
-    small = ["--rooms", "3", "--views", "1", "--width", "200", "--height", "150", "--epochs", "3", "--workers", "1"]
-    assert main(["train", "rooms", "--out", str(out), *small, "--seed", "4", "--features", "canon"]) == 0
-    text = capsys.readouterr().out
-    assert "always no" in text
-    assert "micro-F1" in text
-    card = json.loads(out.with_suffix(".json").read_text())
-    assert "--seed 4" in card["command"]
-    assert "--features canon " in card["command"]
-    assert {"train_rooms", "calibration_rooms", "test_rooms"} <= set(card["rooms"])
-    assert card["held_out"]["network"]["all_negative_accuracy"] > 0.7
-    assert sorted(p.name for p in out.parent.iterdir()) == ["mine.json", "mine.onnx"]
-    status = main(["ask", "demo", "0", "mug left of the laptop", "--srm", str(out), "--json"])
-    asked = json.loads(capsys.readouterr().out)
-    # Whether so small a network finds that it holds is left open.
-    assert status == (0 if asked["answer"]["holds"] else 1)
-    assert asked["scorer"] == "canon30"
-    assert main(["train", "rooms", "--out", str(tmp_path / "mine.pt"), *small]) == 2
-    assert ".onnx" in capsys.readouterr().err

@@ -1,0 +1,143 @@
+"""Fixtures shared by the tests of the core."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+from hypothesis import settings
+
+from pipeline.system.threads import THREAD_VARIABLES
+
+if TYPE_CHECKING:
+    from chat_server import ChatServer, Clock, Make
+
+    from pipeline.corrections.journal.effective import Corrector
+    from pipeline.corrections.journal.journal import Journal
+    from pipeline.datasets import Dataset
+    from pipeline.evaluation.vlm import ChatClient
+    from pipeline.labels.reading import Labels
+
+ROOT = Path(__file__).resolve().parent.parent
+
+# Workers of pytest-xdist share the cores, and threads that wait for one another would take half of them. The
+# variables are read when numpy is loaded, and handed on to children.
+for _variable in THREAD_VARIABLES:
+    os.environ.setdefault(_variable, "1")
+
+# No test is about time: on a busy machine one example may well take a second.
+settings.register_profile("untimed", deadline=None)
+settings.load_profile("untimed")
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """The folder of real test input, kept beside the project and never inside it."""
+    folder = Path(os.environ.get("SPATIALVIZ_SHARED", ROOT.parent / "shared")) / "data"
+    if not folder.is_dir():
+        pytest.skip(f"real test data are not at {folder}; set SPATIALVIZ_SHARED to the folder that holds data/")
+    return folder
+
+
+@pytest.fixture(scope="session")
+def label_sets(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Labels]:
+    """Labels of the demo, ones with everything odd, and empty ones; not to be changed."""
+    from label_sets import hostile_labels, label_demo, write_labels
+
+    folder = tmp_path_factory.mktemp("labels")
+    return {
+        "demo": label_demo(folder / "demo"),
+        "hostile": hostile_labels(folder / "hostile"),
+        "empty": write_labels(folder / "empty", {}),
+    }
+
+
+@pytest.fixture(scope="session")
+def demo_labels(label_sets: dict[str, Labels]) -> Labels:
+    """The demo's labels; not to be changed."""
+    return label_sets["demo"]
+
+
+@pytest.fixture(scope="session")
+def bare_corrector(demo_labels: Labels) -> Corrector:
+    """Corrections of the demo's labels, without the pictures."""
+    from pipeline.corrections.journal.effective import Corrector
+
+    return Corrector(demo_labels)
+
+
+@pytest.fixture(scope="session")
+def demo_dataset() -> Dataset:
+    """The built-in dataset."""
+    from pipeline.answering.opening import open_pipeline
+
+    return open_pipeline("demo", srm="rule").dataset
+
+
+@pytest.fixture(scope="session")
+def full_corrector(demo_labels: Labels, demo_dataset: Dataset) -> Corrector:
+    """Corrections of the demo's labels, with the pictures."""
+    from pipeline.corrections.journal.effective import Corrector
+
+    return Corrector(demo_labels, demo_dataset)
+
+
+@pytest.fixture
+def journal(demo_labels: Labels, tmp_path: Path) -> Iterator[Journal]:
+    """An empty journal of the demo's labels."""
+    from pipeline.corrections.journal.journal import journal_of
+
+    with journal_of(demo_labels, tmp_path / "j.sqlite") as opened:
+        yield opened
+
+
+@pytest.fixture(scope="session")
+def word_vectors(label_sets: dict[str, Labels], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A vector for every word of the demo's class names, and for a word that is none of them."""
+    path = tmp_path_factory.mktemp("vectors") / "words.npz"
+    names = label_sets["demo"].objects.column("label").unique().to_pylist()
+    words = sorted({w for n in names for w in n.lower().replace("_", " ").split()} | {"zebra"})
+    vectors = np.random.default_rng(0).normal(size=(len(words), 5)).astype(np.float32)
+    np.savez(path, words=np.array(words), vectors=vectors, kind=np.str_("word"))
+    return path
+
+
+@pytest.fixture
+def clock() -> Clock:
+    """Time that passes only where it is slept."""
+    from chat_server import Clock
+
+    return Clock()
+
+
+@pytest.fixture
+def server(clock: Clock) -> Iterator[ChatServer]:
+    """A chat server that speaks the real protocol."""
+    from chat_server import running
+
+    with running(clock) as found:
+        yield found
+        assert found.problems == []
+
+
+@pytest.fixture
+def client_of(server: ChatServer, clock: Clock, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Make:
+    """Makes clients of that server, with a cache of their own."""
+    from chat_server import MODELS
+
+    from pipeline.evaluation.vlm import KEY_VARIABLE, ChatClient
+
+    monkeypatch.delenv(KEY_VARIABLE, raising=False)
+
+    def make(**options: Any) -> ChatClient:
+        return ChatClient(
+            options.pop("base_url", server.url),
+            options.pop("model", MODELS[0]),
+            **{"cache": tmp_path / "answers", "clock": clock, "sleep": clock.sleep, **options},
+        )
+
+    return make
