@@ -214,7 +214,7 @@ def test_a_dataset_without_the_subsets_has_a_column_for_all() -> None:
 def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
     pytest.importorskip("embreex", reason="the extra render is not installed")
     pytest.importorskip("h5py")
-    from semantic_abstraction_copy import write_copy
+    from benchmarks.semantic_abstraction_copy import write_copy
 
     root = tmp_path_factory.mktemp("copy")
     write_copy(root, 0, 2, views=1, size=224, points=20_000, first=1, tried=6)

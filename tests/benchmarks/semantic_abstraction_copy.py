@@ -1,8 +1,9 @@
 """Writes a dataset in Semantic Abstraction's layout from rendered rooms: views, expressions by exact geometry, splits.
 
-`python tests/semantic_abstraction_copy.py FOLDER --train 50 --test 16`. The expressions follow the published rule on
-whole surfaces, and what stands in or on what is known from how the room was put together: another maker than the
-rules of this program, which see one view's cleaned points. Names of classes are such as text-vector files have.
+`cd tests && python -m benchmarks.semantic_abstraction_copy FOLDER --train 50 --test 16`. The expressions follow the
+published rule on whole surfaces, and what stands in or on what is known from how the room was put together: another
+maker than the rules of this program, which see one view's cleaned points. Names of classes are such as text-vector
+files have.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from container_rooms import inside, with_containers, without
+from benchmarks.container_rooms import inside, with_containers, without
 from semantic_abstraction_writer import FIRST_OBJECT, RenderedView, scene_clouds, write_rendered
 
 from pipeline.datasets.semantic_abstraction import RELATIONS
