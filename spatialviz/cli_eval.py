@@ -80,7 +80,8 @@ class Eval(Output):
 
 @dataclass(frozen=True)
 class Failures(Output):
-    """What a run got wrong: verdicts, what each module costs, slices, and the failing expressions with the reason."""
+    """What a run got wrong: what a search finds, with the reasons, or, without a search, verdicts, what each module
+    costs, slices, and all that failed."""
 
     run_folder: RunArg
     search: Positional[str] = ""
@@ -88,9 +89,9 @@ class Failures(Output):
     goes after all options and a "--"."""
     limit: int = 20
     """Expressions shown at most."""
-    slices: str = "relation"
+    slices: str | None = None
     """By what the run is cut, with commas: relation, class, reference, distance, size, occlusion, same_class,
-    label_margin, scene, frame."""
+    label_margin, scene, frame. Default: relation; beside a search, tables of the run are shown where this is given."""
 
 
 @dataclass(frozen=True)

@@ -47,7 +47,7 @@ SHOWN = ("id", "frame", "text", "target", "relation", "reference", "verdict", "d
 @dataclass(frozen=True)
 class Failed:
     """What `failures` shows: the run's name, what it shares with what made its labels, its summary and slices, the rows
-    that the search found, and how many of them are shown."""
+    that the search found, how many of them are shown, and whether tables of the whole run are."""
 
     name: str
     shares: Sequence[Share]
@@ -56,6 +56,7 @@ class Failed:
     found: pa.Table
     limit: int
     search: str
+    with_tables: bool
 
 
 def run_eval(command: Eval) -> None:
@@ -135,7 +136,7 @@ def _relations(command: Eval, options: dict[str, Any]) -> RelationSpec:
 def run_failures(command: Failures) -> int:
     if command.limit < 0:
         raise InputError("--limit is a count", got=command.limit, expected="0 or more")
-    dimensions = [dimension_named(name) for name in command.slices.split(",") if name.strip()]
+    dimensions = [dimension_named(name) for name in (command.slices or "relation").split(",") if name.strip()]
     records = read_records(command.run_folder)
     need_verdicts(records)
     found = find_failures(records, command.search)
@@ -149,6 +150,7 @@ def run_failures(command: Failures) -> int:
         found,
         command.limit,
         command.search,
+        with_tables=not command.search or command.slices is not None,
     )
     command.write(failures_record(looked_into), print_failures, looked_into)
     return FINE if found.num_rows else NO
@@ -305,18 +307,26 @@ def failures_record(looked_into: Failed) -> dict[str, Any]:
 
 
 def print_failures(looked_into: Failed) -> None:
-    """What was searched for; verdicts, deltas and slices of the run; then the expressions that were found."""
-    name, summary, found = looked_into.name, looked_into.summary, looked_into.found
-    say(("search ", "dim"), (looked_into.search or "all that failed", "bold"), (f"  in {name}", "dim"))
-    say()
-    cuts = [slice_table(s, intervals=False) for s in looked_into.slices]
-    for table in (verdict_table({name: summary}), oracle_table({name: summary}), *cuts):
-        print_table(with_caveats(table, {name: looked_into.shares}), caveats=False)
-        say()
+    """What a search found before verdicts, costs and slices of the run; without a search all that failed after them."""
+    if looked_into.search:
+        _print_found(looked_into)
+    if looked_into.with_tables:
+        of_run = {looked_into.name: looked_into.summary}
+        cuts = [slice_table(s, intervals=False) for s in looked_into.slices]
+        for table in (verdict_table(of_run), oracle_table(of_run), *cuts):
+            print_table(with_caveats(table, {looked_into.name: looked_into.shares}), caveats=False)
+            say()
+    if not looked_into.search:
+        _print_found(looked_into)
     for share in looked_into.shares:
         say(share.sentence, style="yellow")
-    of = f": {looked_into.search}" if looked_into.search else " failed"
-    say(f"{found.num_rows} of {counted(summary.expressions, 'expression')}{of}", style="bold")
+
+
+def _print_found(looked_into: Failed) -> None:
+    found = looked_into.found
+    what = f"search {looked_into.search}" if looked_into.search else "failed"
+    of = counted(looked_into.summary.expressions, "expression")
+    say((f"{what}: {found.num_rows} of {of}", "bold"), (f"  in {looked_into.name}", "dim"))
     for row in found.slice(0, looked_into.limit).to_pylist():
         verdict = "CORRECT LUCKY" if row["lucky"] else " ".join(filter(None, (row["verdict"], row["detail"])))
         say((row["frame"], "dim"), "  ", row["text"], (f"  {verdict}", "bold yellow"))
