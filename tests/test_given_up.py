@@ -23,8 +23,8 @@ from pipeline.evaluation.job import evaluate_dataset
 from pipeline.evaluation.run import EvalSpec
 from pipeline.labels.config import LabelConfig
 from pipeline.labels.job import label_dataset
-from pipeline.labels.pictures import labelled_dataset, labelled_up
 from pipeline.labels.plan import SourceSpec, make_plan
+from pipeline.labels.reading import labelled_dataset, labelled_up
 from pipeline.system.errors import InputError
 from tests import every_format
 from tests.dataset_writers import (

@@ -11,12 +11,18 @@ from pydantic import ValidationError
 from scenes import camera_of, frame_of, upright
 
 from pipeline.geometry.masks import encode_run_length
-from pipeline.labels.check.constraints import violations
 from pipeline.labels.check.expressions import says_the
-from pipeline.labels.check.objects import corners_of, iou_each, moved_towards, projected
+from pipeline.labels.check.objects import (
+    SizeSurvey,
+    corners_of,
+    iou_each,
+    moved_towards,
+    projected,
+    size_range,
+    size_table,
+)
 from pipeline.labels.check.relations import shortest_cycle
-from pipeline.labels.check.sizes import SizeSurvey, size_range, size_table
-from pipeline.labels.check.stream import Rows
+from pipeline.labels.check.stream import Rows, violations
 from pipeline.labels.check.view import MaskRuns, read_runs, runs_object
 from pipeline.labels.profiles import PROFILES
 from pipeline.labels.schema import TABLES

@@ -10,15 +10,13 @@ import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import PurePosixPath
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pipeline.labels.makers import makers_of
 from pipeline.labels.reading import Labels
 from pipeline.labels.schema import SCHEMA_VERSION, TABLES, Manifest
 from pipeline.labels.tables import arrow_schema
-
-if TYPE_CHECKING:
-    import pyarrow as pa
+from pipeline.system.arrow import pa, pc, pq
 
 UNKNOWN_LICENCE = "unknown: ask the dataset's owner"
 _HUB_LICENCE = re.compile(r"[a-z0-9][a-z0-9.+-]*")
@@ -89,8 +87,6 @@ class Counts:
 
 def count_labels(labels: Labels) -> Counts:
     """Count states, expressions and objects, a batch at a time."""
-    import pyarrow.compute as pc
-
     states = {name: [0, 0, 0] for name in labels.relation_names}
     for batch in _columns(labels, "relations", tuple(states)):
         for name, found in states.items():
@@ -110,15 +106,11 @@ def count_labels(labels: Labels) -> Counts:
 
 
 def _columns(labels: Labels, name: str, columns: Sequence[str]) -> Iterator[pa.RecordBatch]:
-    import pyarrow.parquet as pq
-
     with pq.ParquetFile(labels.root / f"{name}.parquet") as file:
         yield from file.iter_batches(columns=list(columns))
 
 
 def _true(column: Any) -> int:
-    import pyarrow.compute as pc
-
     return pc.sum(column).as_py() or 0  # pyright: ignore[reportAttributeAccessIssue]
 
 
@@ -304,8 +296,6 @@ def _distribution(table: str, files: Sequence[DataFile]) -> Iterator[dict[str, A
 
 
 def _record_set(table: str, schema: pa.Schema, *, single: bool) -> dict[str, Any]:
-    import pyarrow as pa
-
     def data_type(kind: pa.DataType) -> str:
         if pa.types.is_boolean(kind):
             return "sc:Boolean"

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 from datetime import datetime, timezone
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -28,12 +28,10 @@ from pipeline.labels.tables import CANDIDATES, ROW_GROUP, RowHash, arrow_schema
 from pipeline.labels.wording import expression_text
 from pipeline.language.noun_phrase import alone
 from pipeline.language.relation_names import PAIRWISE
+from pipeline.system.arrow import pa, pq
 from pipeline.system.errors import InputError
 from pipeline.system.version import __version__
 from pipeline.system.whole_files import clear_abandoned, temporary_beside, write_synced
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 LISTED_WARNINGS = 100
 CARD_FILE, CROISSANT_FILE = "README.md", "croissant.json"
@@ -207,8 +205,6 @@ def _worded(
 
     A row whose names no sentence can carry beside the dataset's other names is left out.
     """
-    import pyarrow as pa
-
     labels = (store.read_part(s.name, "objects", ["label"]).column("label").unique().to_pylist() for s in shards)
     class_names = tuple(sorted({name for found in labels for name in found}))
 
@@ -248,8 +244,6 @@ def _single(objects: pa.Table) -> set[tuple[int, int]]:
 
 def write_merged(out: Path, name: str, parts: Iterator[pa.Table]) -> TableFile:
     """Write a table from its parts; its rows and hashes."""
-    import pyarrow.parquet as pq
-
     path = out / f"{name}.parquet"
     digest = RowHash(name)
     waiting: list[pa.Table] = []
@@ -273,8 +267,6 @@ def write_merged(out: Path, name: str, parts: Iterator[pa.Table]) -> TableFile:
 
 
 def _write_group(writer: Any, waiting: list[pa.Table]) -> None:
-    import pyarrow as pa
-
     if waiting:
         writer.write_table(pa.concat_tables(waiting).combine_chunks(), row_group_size=ROW_GROUP)
     waiting.clear()

@@ -11,6 +11,7 @@ from typing import Any
 from pipeline.labels.card import croissant, dataset_card
 from pipeline.labels.merge import CARD_FILE, CROISSANT_FILE, write_merged
 from pipeline.labels.reading import MANIFEST_FILE, Labels, open_labels
+from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError
 from pipeline.system.whole_files import temporary_beside, write_synced
 
@@ -43,8 +44,6 @@ def reword(folder: Path, sentences: Mapping[tuple[str, str], str]) -> int:
     InputError
         No labels, or an expression that they do not have.
     """
-    import pyarrow as pa
-
     labels = open_labels(folder)
     table = labels.expressions
     keys = list(zip(*(table.column(n).to_pylist() for n in ("frame", "id")), strict=True))

@@ -8,13 +8,11 @@ import os
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from pipeline.system.arrow import pa, pq
 from pipeline.system.errors import InputError, MissingExtra
 from pipeline.system.whole_files import clear_abandoned, temporary_beside, write_synced
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 PARTS = "parts"
 PLAN_FILE = "plan.json"
@@ -237,9 +235,6 @@ class Store:
 
 def parquet_bytes(table: pa.Table) -> bytes:
     """A table as the bytes of a Parquet file."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
     sink = pa.BufferOutputStream()
     pq.write_table(table, sink, compression="zstd")
     return sink.getvalue().to_pybytes()

@@ -9,17 +9,14 @@ import typing
 from collections.abc import Iterable, Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, Any
 
 import numpy as np
-from pydantic import ValidationError
 
 from pipeline.labels.schema import ADDED_COLUMNS, SCHEMA_VERSION, TABLES
+from pipeline.system.arrow import pa, pc, pq
 from pipeline.system.errors import InputError
 from pipeline.system.whole_files import temporary_beside
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 VERSION_KEY = b"spatialviz.schema_version"
 TABLE_KEY = b"spatialviz.table"
@@ -38,8 +35,6 @@ PART_TABLES = ("frames", "objects", "relations", CANDIDATES)
 @lru_cache
 def arrow_schema(table: str) -> pa.Schema:
     """The Arrow schema of a table, with the schema's version in its metadata."""
-    import pyarrow as pa
-
     if table == CANDIDATES:
         worded = arrow_schema("expressions")
         metadata = {**worded.metadata, TABLE_KEY: CANDIDATES.encode()}
@@ -55,8 +50,6 @@ def arrow_schema(table: str) -> pa.Schema:
 
 
 def _arrow_type(annotation: Any, kinds: Sequence[Any], hint: Any) -> pa.DataType:
-    import pyarrow as pa
-
     named = {"int8": pa.int8(), "int32": pa.int32(), "float32": pa.float32()}
     for kind in (annotation, *kinds):
         while typing.get_origin(kind) is typing.Annotated:
@@ -75,8 +68,6 @@ def _arrow_type(annotation: Any, kinds: Sequence[Any], hint: Any) -> pa.DataType
 
 def build_table(table: str, columns: Columns) -> pa.Table:
     """Columns as an Arrow table of the schema; a column that is left out is null throughout."""
-    import pyarrow as pa
-
     schema = arrow_schema(table)
     unknown = set(columns) - set(schema.names)
     if unknown:
@@ -94,8 +85,6 @@ def build_table(table: str, columns: Columns) -> pa.Table:
 
 def write_table(table: pa.Table, path: Path) -> None:
     """Write Parquet under a temporary name, sync it, and rename it into place."""
-    import pyarrow.parquet as pq
-
     temporary = temporary_beside(path)
     try:
         pq.write_table(table, temporary, compression="zstd", row_group_size=ROW_GROUP)
@@ -116,9 +105,6 @@ def read_table(
     InputError
         The file is missing, damaged, of another table, or of a newer schema.
     """
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
     path = source if isinstance(source, Path) else path or "an open file"
     try:
         with pq.ParquetFile(source) as file:
@@ -138,8 +124,6 @@ def read_table(
 
 def with_added(rows: pa.Table, table: str, columns: Sequence[str] | None = None) -> pa.Table:
     """Rows of a file that may be older than the columns in ADDED_COLUMNS: those are null, in their place."""
-    import pyarrow as pa
-
     wanted = columns or arrow_schema(table).names
     missing = [n for n in wanted if n in ADDED_COLUMNS and n not in rows.column_names]
     for name in missing:
@@ -198,9 +182,6 @@ class RowHash:
 
 def _plain_bytes(array: Any) -> Iterable[bytes]:
     """The values as bytes that do not depend on how Arrow lays them out."""
-    import pyarrow as pa
-    import pyarrow.compute as pc
-
     yield np.asarray(pc.is_valid(array)).astype(np.uint8).tobytes()  # pyright: ignore[reportAttributeAccessIssue]
     if pa.types.is_dictionary(array.type):
         array = array.dictionary_decode()
@@ -223,23 +204,3 @@ def content_hash(table: pa.Table, name: str) -> str:
     digest = RowHash(name)
     digest.update(table)
     return digest.hexdigest()
-
-
-def validate_rows(table: pa.Table, name: str, path: Path | None = None) -> None:
-    """Every row against its pydantic model.
-
-    Raises
-    ------
-    InputError
-        The first row that does not fit: which, and why.
-    """
-    model = TABLES[name]
-    for number, row in enumerate(table.to_pylist()):
-        try:
-            model.model_validate(row)
-        except ValidationError as error:
-            first = error.errors()[0]
-            where = ".".join(str(p) for p in first["loc"])
-            raise InputError(
-                f"row {number} of {name}: {where}: {first['msg']}", got=repr(first.get("input"))[:80], path=path
-            ) from error

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -23,11 +23,9 @@ from pipeline.relations.class_vectors import ClassVectors
 from pipeline.relations.contract import TrainedOn
 from pipeline.relations.features import feature_set, geometry_of, rows_2d
 from pipeline.relations.relations import T, U
+from pipeline.system.arrow import pa, pc
 from pipeline.system.errors import InputError
 from pipeline.training.pairs import PairSet
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 _LENGTHS = {"bbox": 4, "lo": 3, "hi": 3, "pca_center": 3, "pca_R": 9, "pca_size": 3, "center": 3, "R": 9, "size": 3}
 GEOMETRY_COLUMNS: dict[str, tuple[str, ...]] = {
@@ -217,9 +215,6 @@ def column_arrays(table: pa.Table) -> dict[str, np.ndarray]:
 
 
 def _array(column: pa.ChunkedArray, name: str) -> np.ndarray:
-    import pyarrow as pa
-    import pyarrow.compute as pc
-
     if name in _LENGTHS:
         known = np.asarray(pc.is_valid(column).to_numpy())  # pyright: ignore[reportAttributeAccessIssue]
         values = np.full((len(column), _LENGTHS[name]), np.nan)

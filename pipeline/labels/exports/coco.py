@@ -28,17 +28,22 @@ import json
 import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import Any, TextIO
 
-from pipeline.labels.exports.base import ExportFormat, Job, Written, image_name
-from pipeline.labels.exports.frame_rows import FrameRows, iterate_frames, table_batches
-from pipeline.labels.exports.json_text import JsonList, json_line, load_json
+from pipeline.labels.exports.base import (
+    ExportFormat,
+    FrameRows,
+    Job,
+    Written,
+    image_name,
+    iterate_frames,
+    table_batches,
+)
+from pipeline.labels.exports.provenance import JsonList, json_line, load_json
 from pipeline.labels.tables import arrow_schema, build_table
+from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError
 from pipeline.system.staging import text_file
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 _WORD = re.compile(r"[^\W_]+(?:['’-][^\W_]+)*")
 
@@ -326,8 +331,6 @@ def _expression(ref: dict[str, Any], frame: str, numbers: dict[int, int]) -> dic
 
 
 def _pairs(images: Iterable[dict[str, Any]], names: dict[int, str], numbers: dict[int, int]) -> pa.Table:
-    import pyarrow as pa
-
     found = []
     for image in images:
         columns = {key: values for key, values in image.items() if key not in BESIDE}

@@ -54,20 +54,25 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from pipeline.geometry.viewer import IMAGE_UP, viewer_axes
-from pipeline.labels.exports.base import ExportFormat, Job, Written, image_name
-from pipeline.labels.exports.frame_rows import FrameRows, iterate_frames, table_batches
-from pipeline.labels.exports.json_text import json_line, load_json
+from pipeline.labels.exports.base import (
+    ExportFormat,
+    FrameRows,
+    Job,
+    Written,
+    image_name,
+    iterate_frames,
+    table_batches,
+)
+from pipeline.labels.exports.provenance import json_line, load_json
 from pipeline.labels.tables import arrow_schema
+from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError
 from pipeline.system.staging import text_file, write_json
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 SURVIVING = {
     "frames": ("frame", "frame_index", "ok", "width", "height", "K", "up"),
@@ -261,8 +266,6 @@ def _read_objects(
 
 
 def _surviving(name: str, rows: list[dict[str, Any]]) -> pa.Table:
-    import pyarrow as pa
-
     schema = arrow_schema(name)
     fields = [schema.field(column) for column in SURVIVING[name]]
     return pa.Table.from_arrays(

@@ -9,6 +9,8 @@ Every row of every table has, whether anything was corrected or not:
 * `status` (frames, objects, expressions): accepted, corrected, rejected, unsure; null is unreviewed. Of relations
   `statuses`: a list of {relation, status}. What one reviewer said for themselves alone is in the journal only.
 * `note` (frames), `mark` (expressions): BAD_LABEL, BAD_BOX or null.
+
+Rows as JSON text are here too: one line each, numbers in full, and long lists that are written item by item.
 """
 
 from __future__ import annotations
@@ -17,16 +19,13 @@ import json
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, TextIO
 
-from pipeline.labels.exports.json_text import json_line, load_json
 from pipeline.labels.reading import MARKS_FILE, PROVENANCE_FILE, STATUSES_FILE, Labels
 from pipeline.labels.schema import Manifest
 from pipeline.labels.tables import arrow_schema
+from pipeline.system.arrow import pa, pc, pq
 from pipeline.system.errors import InputError
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 ENTRY = ("column", "source", "author", "time", "event", "reason", "was")
 REVIEWED: dict[str, tuple[str, ...]] = {
@@ -151,8 +150,6 @@ class Provenance:
 
     def extend(self, table: str, rows: pa.Table) -> pa.Table:
         """The rows with the further columns, of the schema `extended_schema`."""
-        import pyarrow as pa
-
         plain = self.row(table, "", "")
         found = [plain if row is None else row for row in self.rows(table, rows)]
         schema = extended_schema(table)
@@ -202,9 +199,6 @@ def _listed(path: Path) -> list[dict[str, Any]]:
 
 
 def _provenance_rows(path: Path) -> list[dict[str, Any]]:
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
     if not path.exists():
         return []
     try:
@@ -216,8 +210,6 @@ def _provenance_rows(path: Path) -> list[dict[str, Any]]:
 
 
 def _fields(table: str) -> list[pa.Field]:
-    import pyarrow as pa
-
     text, entry = pa.string(), pa.struct([pa.field(name, pa.string()) for name in ENTRY])
     statuses = pa.list_(pa.struct([pa.field("relation", text), pa.field("status", text)]))
     said = [pa.field(name, statuses if name == "statuses" else text) for name in REVIEWED[table]]
@@ -245,3 +237,94 @@ def extended_json_schemas(folder: Path) -> None:
             "base": text, "made_by": text, **said, "provenance": {"type": "array", "items": entry},
         }  # fmt: skip
         path.write_text(json.dumps(schema, indent=1, ensure_ascii=False) + "\n", encoding="utf-8", newline="\n")
+
+
+_LINE_ENDS = {ord(c): f"\\u{ord(c):04x}" for c in "\x85\u2028\u2029"}
+"""JSON lets these stand, but many readers split lines at them."""
+
+
+def json_line(content: Any) -> str:
+    """One line of JSON that gives the same values back, floats included.
+
+    Raises
+    ------
+    InputError
+        A number that JSON has no word for.
+    """
+    try:
+        text = json.dumps(content, ensure_ascii=False, allow_nan=False, separators=(", ", ": "))
+    except ValueError as error:
+        raise InputError("the labels hold a number that JSON cannot carry", got=str(error)) from error
+    return text.translate(_LINE_ENDS)
+
+
+def json_lines(table: pa.Table) -> Iterator[str]:
+    """A table's rows as lines of JSON, each with its line end; raises as `json_line`.
+
+    Tables without lists are put together by Arrow, column by column: the pairs
+    of a large set are many.
+    """
+    if any(pa.types.is_nested(field.type) for field in table.schema) or not table.num_rows:
+        return (json_line(row) + "\n" for row in table.to_pylist())
+    return _flat_lines(table)
+
+
+def _flat_lines(table: pa.Table) -> Iterator[str]:
+    parts: list[Any] = []
+    for name in table.column_names:
+        parts += [f"{', ' if parts else '{'}{json_line(name)}: ", _texts(table.column(name).combine_chunks())]
+    join = pc.binary_join_element_wise  # pyright: ignore[reportAttributeAccessIssue]
+    lines = join(*(pa.scalar(p) if isinstance(p, str) else p for p in (*parts, "}\n")), "")
+    return iter(lines.to_pylist())
+
+
+def _texts(column: Any) -> Any:
+    """Each value as JSON text; floats as the shortest decimal of the same double."""
+    if pa.types.is_string(column.type):
+        coded = column.dictionary_encode()
+        texts = pa.array([json_line(text) for text in coded.dictionary.to_pylist()], pa.string()).take(coded.indices)
+    elif pa.types.is_floating(column.type):
+        if not pc.all(pc.is_finite(column)).as_py() and column.null_count < len(column):  # pyright: ignore[reportAttributeAccessIssue]
+            raise InputError("the labels hold a number that JSON cannot carry", got="an infinity or NaN")
+        texts = column.cast(pa.float64()).cast(pa.string())
+    else:
+        texts = column.cast(pa.string())
+    return texts.fill_null("null")
+
+
+class JsonList:
+    """A JSON list written item by item, one a line.
+
+    Parameters
+    ----------
+    file : text file
+        Open for writing; the list begins where it stands.
+    """
+
+    def __init__(self, file: TextIO) -> None:
+        self._file = file
+        self.length = 0
+        file.write("[")
+
+    def add(self, item: Any) -> None:
+        self._file.write((",\n" if self.length else "\n") + json_line(item))
+        self.length += 1
+
+    def close(self) -> None:
+        self._file.write("\n]")
+
+
+def load_json(path: Path) -> Any:
+    """The content of a JSON file.
+
+    Raises
+    ------
+    InputError
+        Missing or damaged.
+    """
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise InputError("a file of the export is missing", path=path) from error
+    except (ValueError, RecursionError, OSError) as error:
+        raise InputError("not a readable JSON file", got=str(error)[:120], path=path) from error

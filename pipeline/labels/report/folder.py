@@ -15,7 +15,6 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from pipeline.labels.database import open_database
 from pipeline.labels.makers import makers_of
 from pipeline.labels.reading import Labels
 from pipeline.labels.report.counts import (
@@ -39,6 +38,7 @@ from pipeline.labels.report.style import (
     thousands,
 )
 from pipeline.labels.schema import Manifest
+from pipeline.labels.statistics import open_database
 from pipeline.system.errors import InputError, MissingExtra
 
 PAGE = "index.html"
