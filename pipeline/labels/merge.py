@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import platform
-import shutil
 from collections.abc import Iterator, Sequence
 from datetime import datetime, timezone
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -30,8 +27,9 @@ from pipeline.language.noun_phrase import alone
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.system.arrow import pa, pq
 from pipeline.system.errors import InputError
+from pipeline.system.plugins import versions_of
 from pipeline.system.version import __version__
-from pipeline.system.whole_files import clear_abandoned, temporary_beside, write_synced
+from pipeline.system.whole_files import clear_abandoned, sha256_of, temporary_folder, write_synced
 
 LISTED_WARNINGS = 100
 CARD_FILE, CROISSANT_FILE = "README.md", "croissant.json"
@@ -88,13 +86,9 @@ def merge_labels(where: str | Path, selection: SelectConfig | None = None, out: 
     for shard in plan.shards:
         store.check_part(shard.name, shard.key)
     clear_abandoned(out)
-    staging = temporary_beside(out / "merged")
-    staging.mkdir()
-    try:
+    with temporary_folder(out / "merged") as staging:
         manifest = _write_all(staging, plan, store, selection)
         _move_all(staging, out)
-    finally:
-        shutil.rmtree(staging, ignore_errors=True)
     return manifest
 
 
@@ -150,12 +144,17 @@ def _write_all(out: Path, plan: Plan, store: Store, selection: SelectConfig) -> 
         created=datetime.now(timezone.utc).isoformat(timespec="seconds"),
     )
     manifest.makers = makers_of(manifest).record()
-    labels = Labels(out, manifest)
-    write_synced(out / CARD_FILE, dataset_card(labels).encode())
-    write_synced(out / CROISSANT_FILE, json.dumps(croissant(labels), indent=1, ensure_ascii=False).encode())
     write_schemas(out / "schemas")
-    write_synced(out / MANIFEST_FILE, manifest.model_dump_json(indent=1).encode())
+    write_manifest(Labels(out, manifest))
     return manifest
+
+
+def write_manifest(labels: Labels) -> None:
+    """Write what tells of merged tables: their card, the Croissant metadata, and last the manifest."""
+    write_synced(labels.root / CARD_FILE, dataset_card(labels).encode())
+    described = json.dumps(croissant(labels), indent=1, ensure_ascii=False)
+    write_synced(labels.root / CROISSANT_FILE, described.encode())
+    write_synced(labels.root / MANIFEST_FILE, labels.manifest.model_dump_json(indent=1).encode())
 
 
 def _move_all(staging: Path, out: Path) -> None:
@@ -258,12 +257,9 @@ def write_merged(out: Path, name: str, parts: Iterator[pa.Table]) -> TableFile:
                 _write_group(writer, waiting)
                 rows = 0
         _write_group(writer, waiting)
-    sha256 = hashlib.sha256()
     with open(path, "rb") as written:
         os.fsync(written.fileno())
-        while block := written.read(1 << 20):
-            sha256.update(block)
-    return TableFile(file=path.name, rows=digest.rows, content_hash=digest.hexdigest(), sha256=sha256.hexdigest())
+    return TableFile(file=path.name, rows=digest.rows, content_hash=digest.hexdigest(), sha256=sha256_of(path))
 
 
 def _write_group(writer: Any, waiting: list[pa.Table]) -> None:
@@ -274,13 +270,8 @@ def _write_group(writer: Any, waiting: list[pa.Table]) -> None:
 
 def environment() -> dict[str, str]:
     """What the run ran on, for the record: nothing of it changes the rows' hashes."""
-    found = {"python": platform.python_version(), "platform": platform.platform()}
-    for package in ("numpy", "opencv-python-headless", "pyarrow", "pycocotools", "scipy"):
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:
-            continue
-    return found
+    packages = versions_of("numpy", "opencv-python-headless", "pyarrow", "pycocotools", "scipy")
+    return {"python": platform.python_version(), "platform": platform.platform(), **packages}
 
 
 SCARCE = 20

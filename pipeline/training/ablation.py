@@ -6,10 +6,8 @@ robot's cameras, as the training rooms are, and from other heights, tilts and ro
 
 from __future__ import annotations
 
-import multiprocessing
 import tempfile
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
@@ -28,6 +26,7 @@ from pipeline.relations.features import FEATURES, cli_features
 from pipeline.relations.model import OnnxScorer
 from pipeline.relations.scorer import rule_probabilities
 from pipeline.system.errors import InputError
+from pipeline.system.worker_pool import results_of
 from pipeline.training.onnx_file import save_onnx
 from pipeline.training.pairs import PairSet
 from pipeline.training.train import TrainConfig, require_training, train_pairs
@@ -121,17 +120,11 @@ def ablation_views(
     jobs = [
         (first + k, config.views, config.width, config.height, k >= train) for k in range(config.rooms)
     ]
-    found: list[tuple[tuple[FrameSamples, ...], tuple[FrameSamples, ...]]] = []
+    found = []
     tell = progress or (lambda done, of: None)
-    if min(workers, len(jobs)) <= 1:
-        for job in jobs:
-            found.append(_room(job))
-            tell(len(found), len(jobs))
-    else:
-        with ProcessPoolExecutor(min(workers, len(jobs)), multiprocessing.get_context("spawn")) as pool:
-            for samples in pool.map(_room, jobs):
-                found.append(samples)
-                tell(len(found), len(jobs))
+    for samples in results_of(_room, jobs, workers):
+        found.append(samples)
+        tell(len(found), len(jobs))
     usual = tuple(room for room, _ in found)
     return AblationViews(usual[:train], usual[train:], tuple(room for _, room in found[train:]))
 

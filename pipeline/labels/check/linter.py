@@ -6,10 +6,8 @@ same), and those on the up vector: something must say where up is, and the posed
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Iterator, Sequence
-from pathlib import Path
 
 import numpy as np
 
@@ -28,6 +26,7 @@ from pipeline.labels.tables import RowHash
 from pipeline.language.naming import normal_form
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.system.arrow import pa, pq
+from pipeline.system.whole_files import sha256_of
 
 OF_ANSWERS = ("expression/empty", "expression/sets", "expression/ambiguous", "expression/unreadable",
               "expression/state", "expression/article")  # fmt: skip
@@ -184,7 +183,6 @@ class UpRules:
             yield Finding("frame/up-disagrees", "warning", ups[place][0], (), message, figures)
 
 
-_CHUNK = 1 << 20
 
 
 def _finding(rule: str, message: str, figures: dict[str, Figure], severity: Severity | None = None) -> Finding:
@@ -220,21 +218,12 @@ def _changed(labels: Labels, name: str, stream: TableStream) -> Iterator[Finding
         return
     rows, content = _content(stream, name)
     figures: dict[str, Figure] = {"table": name, "rows": rows, "rows_in_manifest": record.rows}
-    if file_hash(stream.path) != record.sha256:
+    if sha256_of(stream.path) != record.sha256:
         same = content == record.content_hash and rows == record.rows
         what = "was written anew with the same rows" if same else "was changed after it was written"
         yield _finding("file/changed", f"{stream.path.name} {what}", figures)
     elif (content is not None and content != record.content_hash) or rows != record.rows:
         yield _finding("file/changed", f"the manifest's rows or hash of {stream.path.name} were changed", figures)
-
-
-def file_hash(path: Path) -> str:
-    """sha256 of a file, in hexadecimal."""
-    digest = hashlib.sha256()
-    with open(path, "rb") as file:
-        while chunk := file.read(_CHUNK):
-            digest.update(chunk)
-    return digest.hexdigest()
 
 
 def _content(stream: TableStream, name: str) -> tuple[int, str | None]:

@@ -8,7 +8,6 @@ copied, are in `images/` by frame_index.
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,6 +20,7 @@ from pipeline.labels.tables import ROW_GROUP, arrow_schema, read_table
 from pipeline.system.arrow import pa, pq
 from pipeline.system.errors import InputError
 from pipeline.system.staging import text_file, write_json
+from pipeline.system.whole_files import sha256_of
 
 ROWS_A_FILE = 1_000_000
 GROUP_BYTES = 1 << 25
@@ -96,18 +96,10 @@ def _write_table(job: Job, name: str, rows_a_file: int) -> list[DataFile]:
                     group.clear()
                     rows = size = 0
         relative = path.relative_to(job.folder).as_posix()
-        found.append(DataFile(relative, min(rows_a_file, total - number * rows_a_file), _sha256(path)))
+        found.append(DataFile(relative, min(rows_a_file, total - number * rows_a_file), sha256_of(path)))
     if waiting.num_rows or next(batches, None) is not None:
         raise InputError(f"the table {name} has more rows than its manifest says", path=job.labels.root)
     return found
-
-
-def _sha256(path: Path) -> str:
-    digest = hashlib.sha256()
-    with open(path, "rb") as file:
-        while block := file.read(1 << 20):
-            digest.update(block)
-    return digest.hexdigest()
 
 
 def read_hub(root: Path) -> dict[str, pa.Table]:
