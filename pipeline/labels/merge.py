@@ -95,10 +95,11 @@ def merge_labels(where: str | Path, selection: SelectConfig | None = None, out: 
 def _write_all(out: Path, plan: Plan, store: Store, selection: SelectConfig) -> Manifest:
     """Write the merged tables, and everything that tells of them, into a new folder."""
     shards = plan.shards
-    tables: dict[str, TableFile] = {}
     warnings: list[str] = []
-    for name in ("frames", "objects", "relations"):
-        tables[name] = write_merged(out, name, (store.read_part(s.name, name) for s in shards))
+    tables = {
+        name: write_merged(out, name, (store.read_part(s.name, name) for s in shards))
+        for name in ("frames", "objects", "relations")
+    }
     candidates, chosen = choose(shards, store, selection)
     tables["expressions"] = write_merged(out, "expressions", _worded(shards, store, chosen, plan.config.style))
     frames_ok = assumed = 0
@@ -160,8 +161,7 @@ def write_manifest(labels: Labels) -> None:
 def _move_all(staging: Path, out: Path) -> None:
     """Put written files in the place of older ones. Meanwhile there is no manifest, and so nothing that can be read."""
     (out / MANIFEST_FILE).unlink(missing_ok=True)
-    files = sorted(p for p in staging.rglob("*") if p.is_file())
-    for file in sorted(files, key=lambda p: p.name == MANIFEST_FILE):
+    for file in sorted(filter(Path.is_file, staging.rglob("*")), key=lambda p: (p.name == MANIFEST_FILE, p)):
         final = out / file.relative_to(staging)
         final.parent.mkdir(exist_ok=True)
         os.replace(file, final)
@@ -188,13 +188,11 @@ def choose(shards: Sequence[Shard], store: Store, selection: SelectConfig) -> tu
         columns.append([ids, frame, relation, *named, (answers < same_class) | (same_class == 1)])
     if not columns:
         return 0, {}
-    *said, telling = (np.concatenate(parts) for parts in zip(*columns, strict=True))
-    kept = np.zeros(len(telling), np.bool_)
-    rows = np.flatnonzero(telling) if selection.telling else np.arange(len(telling))
-    ids, frame, relation, target, reference = (column[rows] for column in said)
-    kept[rows] = select(ids, frame, relation, target, reference, selection)
-    at = np.cumsum([0, *(len(part[0]) for part in columns)])
-    return len(kept), {shard.name: kept[at[k] : at[k + 1]] for k, shard in enumerate(shards)}
+    ids, *codes_of, telling = (np.concatenate(parts) for parts in zip(*columns, strict=True))
+    kept = telling if selection.telling else np.ones_like(telling)
+    kept[kept] = select(ids[kept], *(column[kept] for column in codes_of), config=selection)
+    parts = np.split(kept, np.cumsum([len(part[0]) for part in columns])[:-1])
+    return len(kept), {shard.name: part for shard, part in zip(shards, parts, strict=True)}
 
 
 def _worded(
@@ -207,7 +205,7 @@ def _worded(
     labels = (store.read_part(s.name, "objects", ["label"]).column("label").unique().to_pylist() for s in shards)
     class_names = tuple(sorted({name for found in labels for name in found}))
 
-    def said(target: str, relation: str, reference: str, key: str, several: tuple[bool, bool]) -> str | None:
+    def worded(target: str, relation: str, reference: str, key: str, several: tuple[bool, bool]) -> str | None:
         try:
             return expression_text(
                 target, relation, reference, int(key, 16), style=style, class_names=class_names, several=several
@@ -221,7 +219,7 @@ def _worded(
         frames, *pairs = (rows.column(n).to_pylist() for n in ("frame_index", "target_object", "reference_object"))
         several = [((k, a) not in single, (k, b) not in single) for k, a, b in zip(frames, *pairs, strict=True)]
         columns = (rows.column(n).to_pylist() for n in ("target", "relation", "reference", "id"))
-        texts = pa.array([said(*row) for row in zip(*columns, several, strict=True)], pa.string())
+        texts = pa.array([worded(*row) for row in zip(*columns, several, strict=True)], pa.string())
         schema = arrow_schema("expressions")
         columns = [texts if n == "text" else rows.column(n).combine_chunks() for n in schema.names]
         yield pa.table(columns, schema.names).filter(texts.is_valid()).cast(schema)
@@ -311,18 +309,18 @@ def select(
     # A second hash, so that another selection seed chooses others of the same candidates.
     order_key = _mixed(ids, row_hash(config.seed, "select"))
     kept = _rank((frame, relation, target, reference), order_key) == 0
-    if config.per_frame is not None:
+
+    def keep_few(of: np.ndarray, in_turn: np.ndarray, most: np.ndarray) -> None:
+        """Of the rows of each `of` keep as many as it may have at most, its `in_turn` taking turns."""
         rows = np.flatnonzero(kept)
-        within = _rank((frame[rows], relation[rows]), order_key[rows])
-        order = np.lexsort((order_key[rows], within, frame[rows]))
-        place = _running_count(frame[rows][order])
-        kept[rows[order[place >= config.per_frame]]] = False
-    rows = np.flatnonzero(kept)
-    quota = _quotas(np.bincount(relation[rows], minlength=relation.max() + 1), config)
-    within = _rank((relation[rows], target[rows]), order_key[rows])
-    order = np.lexsort((order_key[rows], within, relation[rows]))
-    place = _running_count(relation[rows][order])
-    kept[rows[order[place >= quota[relation[rows][order]]]]] = False
+        within = _rank((of[rows], in_turn[rows]), order_key[rows])
+        order = np.lexsort((order_key[rows], within, of[rows]))
+        group = of[rows][order]
+        kept[rows[order[_running_count(group) >= most[group]]]] = False
+
+    if config.per_frame is not None:
+        keep_few(frame, relation, np.full(frame.max() + 1, config.per_frame))
+    keep_few(relation, target, _quotas(np.bincount(relation[kept], minlength=relation.max() + 1), config))
     return kept
 
 
@@ -336,27 +334,18 @@ def _mixed(ids: np.ndarray, seed: int) -> np.ndarray:
 
 
 def _rank(groups: tuple[np.ndarray, ...], key: np.ndarray) -> np.ndarray:
-    """(N,) place of each row among those of its group, by key."""
+    """(N,) rank of each row among those of its group, by key."""
     order = np.lexsort((key, *reversed(groups)))
-    new = np.zeros(len(key), np.bool_)
-    for group in groups:
-        sorted_group = group[order]
-        new[1:] |= sorted_group[1:] != sorted_group[:-1]
     ranks = np.empty(len(key), np.int64)
-    ranks[order] = _count_since(new)
+    ranks[order] = _running_count(*(group[order] for group in groups))
     return ranks
 
 
-def _running_count(sorted_group: np.ndarray) -> np.ndarray:
-    """Place of each row in its run of equal values."""
-    new = np.zeros(len(sorted_group), np.bool_)
-    new[1:] = sorted_group[1:] != sorted_group[:-1]
-    return _count_since(new)
-
-
-def _count_since(new: np.ndarray) -> np.ndarray:
-    start = np.where(new, np.arange(len(new)), 0)
-    return np.arange(len(new)) - np.maximum.accumulate(start) if len(new) else start
+def _running_count(*columns: np.ndarray) -> np.ndarray:
+    """(N,) how many rows of equal values come right before each."""
+    at = np.arange(len(columns[0]))
+    new = np.any([np.diff(column, prepend=column[:1]) != 0 for column in columns], axis=0)
+    return at - np.maximum.accumulate(np.where(new, at, 0))
 
 
 def _quotas(counts: np.ndarray, config: SelectConfig) -> np.ndarray:

@@ -139,7 +139,6 @@ def read_corrections(root: Path) -> Corrections:
     path = root / PROVENANCE_FILE
     if not path.exists():
         return Corrections()
-
     try:
         rows = pq.read_table(path, columns=["table", "frame", "key", "column", "origin", "was"]).to_pylist()
         relations, expressions = set(), set()

@@ -42,28 +42,22 @@ def arrow_schema(table: str) -> pa.Schema:
         return bare.append(pa.field("same_class", pa.int32(), False)).with_metadata(metadata)
     fields = []
     for name, info in TABLES[table].model_fields.items():
-        kinds = [k for k in (typing.get_args(info.annotation) or (info.annotation,)) if k is not types.NoneType]
-        nullable = type(None) in typing.get_args(info.annotation)
-        hint = (info.json_schema_extra or {}) if isinstance(info.json_schema_extra, dict) else {}
-        fields.append(pa.field(info.alias or name, _arrow_type(info.annotation, kinds, hint.get("arrow")), nullable))
-    return pa.schema(fields, metadata={VERSION_KEY: SCHEMA_VERSION.encode(), TABLE_KEY: table.encode()})
-
-
-def _arrow_type(annotation: Any, kinds: Sequence[Any], hint: Any) -> pa.DataType:
-    named = {"int8": pa.int8(), "int32": pa.int32(), "float32": pa.float32()}
-    for kind in (annotation, *kinds):
-        while typing.get_origin(kind) is typing.Annotated:
+        options = typing.get_args(info.annotation)
+        nullable = types.NoneType in options
+        kind = next(k for k in options if k is not types.NoneType) if nullable else info.annotation
+        if typing.get_origin(kind) is typing.Annotated:
             kind = typing.get_args(kind)[0]
         if typing.get_origin(kind) is list:
             (inner,) = typing.get_args(kind)
-            plain = {str: pa.string(), float: pa.float64(), int: pa.int32()}
-            return pa.list_(plain[inner])
-    if hint is not None:
-        return named[str(hint)]
-    for kind in kinds:
-        if kind in (str, bool, int, float):
-            return {str: pa.string(), bool: pa.bool_(), int: pa.int64(), float: pa.float64()}[kind]
-    return pa.string()
+            stored = pa.list_(pa.type_for_alias("int32" if inner is int else _STORED[inner]))
+        else:
+            hint = info.json_schema_extra if isinstance(info.json_schema_extra, dict) else {}
+            stored = pa.type_for_alias(str(hint.get("arrow") or _STORED.get(kind, "string")))
+        fields.append(pa.field(name, stored, nullable))
+    return pa.schema(fields, metadata={VERSION_KEY: SCHEMA_VERSION.encode(), TABLE_KEY: table.encode()})
+
+
+_STORED: dict[Any, str] = {str: "string", bool: "bool", int: "int64", float: "float64"}
 
 
 def build_table(table: str, columns: Columns) -> pa.Table:
@@ -73,13 +67,11 @@ def build_table(table: str, columns: Columns) -> pa.Table:
     if unknown:
         raise InputError(f"table {table} has no column {sorted(unknown)[0]!r}")
     length = len(next(iter(columns.values()))) if columns else 0
-    arrays = []
-    for field in schema:
-        values = columns.get(field.name)
-        if values is None:
-            arrays.append(pa.nulls(length, field.type))
-        else:
-            arrays.append(pa.array(values, field.type, from_pandas=isinstance(values, np.ndarray)))
+    values = (columns.get(name) for name in schema.names)
+    arrays = [
+        pa.nulls(length, of) if v is None else pa.array(v, of, from_pandas=isinstance(v, np.ndarray))
+        for v, of in zip(values, schema.types, strict=True)
+    ]
     return pa.Table.from_arrays(arrays, schema=schema)
 
 
@@ -168,15 +160,15 @@ class RowHash:
             if table.column(name).null_count < table.num_rows:
                 self._held.add(name)
             for chunk in table.column(name).chunks:
-                for place, part in enumerate(_plain_bytes(chunk)):
-                    self._digests.setdefault((name, place), hashlib.sha256()).update(part)
+                for k, part in enumerate(_plain_bytes(chunk)):
+                    self._digests.setdefault((name, k), hashlib.sha256()).update(part)
 
     def hexdigest(self) -> str:
         """64 hexadecimal digits."""
         whole = hashlib.sha256(str(self.rows).encode())
-        for (name, place), digest in sorted(self._digests.items()):
+        for (name, k), digest in sorted(self._digests.items()):
             if name in self._held:
-                whole.update(f"{name}.{place}".encode() + digest.digest())
+                whole.update(f"{name}.{k}".encode() + digest.digest())
         return whole.hexdigest()
 
 

@@ -18,7 +18,7 @@ from pipeline.labels.check.objects import SizeSurvey, check_duplicates, check_ob
 from pipeline.labels.check.relations import EXPECTED, check_geometry, check_relations
 from pipeline.labels.check.rows import check_rows
 from pipeline.labels.check.stream import BATCH_ROWS, TableStream, frames_of, open_streams
-from pipeline.labels.check.view import FrameView, Names
+from pipeline.labels.check.view import FrameView
 from pipeline.labels.profiles import PROFILES
 from pipeline.labels.reading import Corrections, Labels, read_corrections
 from pipeline.labels.schema import Manifest
@@ -58,23 +58,18 @@ def check_labels(labels: Labels, *, rules: Sequence[str] | None = None) -> Itera
     InputError
         A rule has no such name; before anything is read.
     """
-    return _findings(labels, chosen_rules(rules))
+    chosen, by_people = chosen_rules(rules), read_corrections(labels.root)
+    found = _all_findings(labels, frozenset(rule.split("/")[0] for rule in chosen), chosen)
+    return (finding for finding in found if finding.rule in chosen and not _settled(finding, by_people))
 
 
-def _findings(labels: Labels, chosen: frozenset[str]) -> Iterator[Finding]:
-    said = read_corrections(labels.root)
-    for finding in _all_findings(labels, frozenset(rule.split("/")[0] for rule in chosen), chosen):
-        if finding.rule in chosen and not _settled(finding, said):
-            yield finding
-
-
-def _settled(finding: Finding, said: Corrections) -> bool:
-    """Whether a finding only tells that a person said otherwise than the rules."""
+def _settled(finding: Finding, by_people: Corrections) -> bool:
+    """Whether a finding only tells that a person set something else than the rules say."""
     if finding.frame is None or len(finding.objects) != 2:
         return False
     if finding.rule == "relation/geometry":
-        return (finding.frame, *finding.objects, finding.figures.get("relation")) in said.relations
-    return finding.rule in OF_ANSWERS and (finding.frame, finding.figures.get("id")) in said.expressions
+        return (finding.frame, *finding.objects, finding.figures.get("relation")) in by_people.relations
+    return finding.rule in OF_ANSWERS and (finding.frame, finding.figures.get("id")) in by_people.expressions
 
 
 def _all_findings(labels: Labels, groups: frozenset[str], chosen: frozenset[str]) -> Iterator[Finding]:
@@ -86,7 +81,7 @@ def _all_findings(labels: Labels, groups: frozenset[str], chosen: frozenset[str]
         yield from check_profile(manifest)
     profile = str(manifest.profile.get("name"))
     expected_of = EXPECTED[profile] if profile_problem(manifest) is None else None
-    names = Names(frozenset(normal_form(str(b)) for b in manifest.config.get("background", ())))
+    background = frozenset(normal_form(str(b)) for b in manifest.config.get("background", ()))
     relations = tuple(r for r in manifest.config.get("relations", ()) if r in PAIRWISE)
     class_names, survey = _surveyed(TableStream(labels.root / "objects.parquet", "objects"))
     expression_rules = ExpressionRules(Reader(class_names), manifest.seed, profile)
@@ -100,7 +95,7 @@ def _all_findings(labels: Labels, groups: frozenset[str], chosen: frozenset[str]
         groups -= {"expression"}
     ups = UpRules()
     for index, tables in frames_of(streams):
-        view = FrameView(index, tables, names, relations)
+        view = FrameView(index, tables, background, relations)
         if groups & {"row", "frame", "file", "object"}:
             yield from check_rows(view)
         if "frame" in groups:
@@ -138,7 +133,7 @@ def _broke_off(streams: dict[str, TableStream]) -> Iterator[Finding]:
     for name, stream in streams.items():
         if stream.problem is not None and stream.opened:
             message = f"{stream.path.name} could not be read to its end: {stream.problem}"
-            yield Finding("file/unreadable", "error", None, (), message, {"table": name})
+            yield _finding("file/unreadable", message, {"table": name})
 
 
 DISAGREE_DEG = 10.0
@@ -176,11 +171,11 @@ class UpRules:
         apart = np.degrees(np.arccos(np.clip(vectors @ vectors.T, -1, 1)))
         most = int((apart <= DISAGREE_DEG).sum(axis=1).argmax())
         agreeing = int((apart[most] <= DISAGREE_DEG).sum())
-        for place in np.flatnonzero(apart[most] > DISAGREE_DEG):
-            off = round(float(apart[most, place]), 1)
+        for k in np.flatnonzero(apart[most] > DISAGREE_DEG):
+            off = round(float(apart[most, k]), 1)
             message = f"its up is {off:g} degrees off that of {agreeing} of the {len(ups)} frames of {self._scene}"
             figures: dict[str, float | int | str] = {"degrees": off, "agreeing": agreeing, "frames": len(ups)}
-            yield Finding("frame/up-disagrees", "warning", ups[place][0], (), message, figures)
+            yield Finding("frame/up-disagrees", "warning", ups[k][0], (), message, figures)
 
 
 
@@ -219,7 +214,7 @@ def _changed(labels: Labels, name: str, stream: TableStream) -> Iterator[Finding
     rows, content = _content(stream, name)
     figures: dict[str, Figure] = {"table": name, "rows": rows, "rows_in_manifest": record.rows}
     if sha256_of(stream.path) != record.sha256:
-        same = content == record.content_hash and rows == record.rows
+        same = (rows, content) == (record.rows, record.content_hash)
         what = "was written anew with the same rows" if same else "was changed after it was written"
         yield _finding("file/changed", f"{stream.path.name} {what}", figures)
     elif (content is not None and content != record.content_hash) or rows != record.rows:

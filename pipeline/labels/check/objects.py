@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.geometry.boxes import CORNER_SIGNS, Box3D, iou_3d
+from pipeline.geometry.boxes import CORNER_SIGNS, Box3D, iou_3d, paired_iou_2d
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.labels.check.findings import Finding
 from pipeline.labels.check.rows import rotation_fault
@@ -49,15 +49,6 @@ def clipped(boxes: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 def moved_towards(boxes: np.ndarray, targets: np.ndarray, slack: np.ndarray) -> np.ndarray:
     """Each side of (N, 4) rectangles moved towards the target's, by at most `slack` ((N, 1)) pixels."""
     return boxes + np.clip(targets - boxes, -slack, slack)
-
-
-def iou_each(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """(N,) intersection over union of (N, 4) rectangles, row by row; 0 where either is empty."""
-    low, high = np.maximum(a[:, :2], b[:, :2]), np.minimum(a[:, 2:], b[:, 2:])
-    shared = np.clip(high - low, 0, None).prod(axis=1)
-    areas = [np.clip(x[:, 2:] - x[:, :2], 0, None).prod(axis=1) for x in (a, b)]
-    union = areas[0] + areas[1] - shared
-    return np.divide(shared, union, out=np.zeros_like(union), where=union > 0)
 
 
 def cleared(known: np.ndarray, *arrays: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -125,10 +116,9 @@ def _bbox(view: FrameView, sound: np.ndarray, mask_box: np.ndarray) -> Iterator[
         finite[k] = False
     slack = np.full((len(bbox), 1), SLACK_PIXELS / 2 * view.size[1] / 640)
     within = clipped(bbox, view.size)
-    overlap = iou_each(moved_towards(within, mask_box, slack), mask_box)
+    overlap = paired_iou_2d(moved_towards(within, mask_box, slack), mask_box)
     # Of an object without a mask of its own, pixels inside its annotated 3D box were taken: a part of the 2D box.
-    partial = view.objects["mask_source"] == "box3d"
-    overlap = np.where(partial, shared_share(mask_box, within), overlap)
+    overlap = np.where(view.objects["mask_source"] == "box3d", shared_share(mask_box, within), overlap)
     for k in indices_where(finite & sound & (overlap < BBOX_MASK_DOUBTFUL)):
         yield view.finding(
             "object/bbox-mask",
@@ -195,8 +185,7 @@ def _extents(view: FrameView, boxed: np.ndarray, corners: np.ndarray, viewer: Vi
     warn, fail = (m + s * length for m, s in zip(OUTSIDE_M, OUTSIDE_SHARE, strict=True))
     warn = np.where(upright, OUTSIDE_M[0], warn)
     filled = np.where(length - (hi - lo) > FLAT_M, (hi - lo) / np.maximum(length, 1e-3), 1.0)
-    turned = (hi < lo).any(axis=1)
-    bad = (reach > fail).any(axis=1) | (filled < FILLED).any(axis=1) | turned
+    bad = (reach > fail).any(axis=1) | (filled < FILLED).any(axis=1) | (hi < lo).any(axis=1)
     doubtful = (reach > warn).any(axis=1) | (filled < FILLED_DOUBTFUL).any(axis=1)
     off = known & boxed & (bad | doubtful)
     for k in indices_where(off):
@@ -359,18 +348,15 @@ def seen_whole(rows: Rows) -> np.ndarray:
 @lru_cache(maxsize=1)
 def size_table() -> dict[str, tuple[float, float]]:
     """Shortest and longest that the longest edge of a class can be, metres, by name."""
-    content = json.loads(TABLE.read_text(encoding="utf-8"))
-    return {name: (float(low), float(high)) for name, (low, high) in content["longest_edge_m"].items()}
+    longest = json.loads(TABLE.read_text(encoding="utf-8"))["longest_edge_m"]
+    return {name: (float(low), float(high)) for name, (low, high) in longest.items()}
 
 
 @lru_cache(maxsize=65536)
 def size_range(label: str) -> tuple[float, float] | None:
     """The range of a class, by any of its names; None where the table lacks it."""
-    table = size_table()
-    form = normal_form(label)
-    if form in table:
-        return table[form]
-    ranges = [bounds for name, bounds in table.items() if same_class(label, name)]
+    form, table = normal_form(label), size_table()
+    ranges = [table[form]] if form in table else [bounds for name, bounds in table.items() if same_class(label, name)]
     return (min(r[0] for r in ranges), max(r[1] for r in ranges)) if ranges else None
 
 
@@ -383,8 +369,9 @@ def check_sizes(view: FrameView, survey: SizeSurvey) -> Iterator[Finding]:
     whole = seen_whole(rows)
     own_pixels = np.isin(rows["mask_source"].astype(str), ["annotation", "detector"]) & ~rows["fallback"]
     for k, label in enumerate(view.labels):
-        found = _against_table(label, lifted[k], exact[k], bool(whole[k]), bool(own_pixels[k]))
-        found = found or _against_kind(label, lifted[k], bool(whole[k]), survey)
+        found = _against_table(label, lifted[k], exact[k], bool(whole[k]), bool(own_pixels[k])) or _against_kind(
+            label, lifted[k], bool(whole[k]), survey
+        )
         if found:
             message, figures, error = found
             yield view.finding(
@@ -400,10 +387,7 @@ Verdict = tuple[str, dict[str, float | int | str], bool]
 
 
 def _against_table(label: str, lifted: float, exact: float, whole: bool, own_pixels: bool) -> Verdict | None:
-    bounds = size_range(label)
-    if bounds is None:
-        return None
-    low, high = bounds
+    low, high = size_range(label) or (0.0, np.inf)
     longest = np.fmax(lifted, exact)
     figures: dict[str, float | int | str] = {"longest_edge": float(longest), "least": low, "most": high}
     if longest > high:

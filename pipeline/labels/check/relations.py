@@ -78,8 +78,9 @@ def _missing(view: FrameView) -> Iterator[Finding]:
     for a, b in pairs_where(wanted & ~view.present):
         if view.present[b, a] or a < b:
             told = "has no row, the other way has one" if view.present[b, a] else "has no row, nor has the other way"
-            message = f"{view.named(a)} to {view.named(b)} {told}"
-            yield view.finding("relation/pair-missing", (view.ids[a], view.ids[b]), message)
+            yield view.finding(
+                "relation/pair-missing", (view.ids[a], view.ids[b]), f"{view.named(a)} to {view.named(b)} {told}"
+            )
     for relation, states in view.states.items():
         for a, b in pairs_where(view.present & (states == UNKNOWN)):
             yield view.finding(
@@ -104,12 +105,9 @@ def _unexpected(view: FrameView) -> Iterator[Finding]:
 
 
 def _inverse(view: FrameView) -> Iterator[Finding]:
-    for one, other in OPPOSITES:
-        if one not in view.states or other not in view.states:
-            continue
+    for one, other in _opposites(view):
         state, mirrored = view.states[one], view.states[other].T
-        differs = (state != mirrored) & (state != UNKNOWN) & (mirrored != UNKNOWN)
-        for a, b in pairs_where(differs):
+        for a, b in pairs_where((state != mirrored) & (state != UNKNOWN) & (mirrored != UNKNOWN)):
             yield view.finding(
                 "relation/inverse",
                 (view.ids[a], view.ids[b]),
@@ -119,10 +117,12 @@ def _inverse(view: FrameView) -> Iterator[Finding]:
             )
 
 
+def _opposites(view: FrameView) -> list[tuple[str, str]]:
+    return [(one, other) for one, other in OPPOSITES if one in view.states and other in view.states]
+
+
 def _exclusive(view: FrameView) -> Iterator[Finding]:
-    for one, other in OPPOSITES:
-        if one not in view.states or other not in view.states:
-            continue
+    for one, other in _opposites(view):
         for a, b in pairs_where((view.states[one] == T) & (view.states[other] == T)):
             yield view.finding(
                 "relation/exclusive",
@@ -204,11 +204,8 @@ def _severity(relation: str, edges: np.ndarray, expected: Expected | None) -> Se
     """Warning for on and in, unless geometry rules out one of the edges."""
     if relation in INVERSE:
         return "error"
-    if expected is not None and relation in expected.high:
-        most = expected.high[relation][edges[:, 0], edges[:, 1]]
-        if (most == F).any():
-            return "error"
-    return "warning"
+    high = None if expected is None else expected.high.get(relation)
+    return "error" if high is not None and (high[edges[:, 0], edges[:, 1]] == F).any() else "warning"
 
 
 SURFACE_SLACK = 0.10
@@ -240,36 +237,35 @@ class Expected:
 
 def expected_viewer_cone(view: FrameView) -> Expected:
     """`viewer-cone-v1` from the stored extents."""
-    profile = Profile()
+    known, pairs, contact = _measured(view)
+    both = known[:, None] & known[None, :]
+    exact = [relation for relation in PAIRWISE if not PREDICATES[relation].reads_points]
+    measured = Measured(pairs, Profile())
+    states = pair_states(measured, known, exact)
+    slack = np.where(both[..., None], pair_margins(measured, states, exact), 0.0)
+    for k, relation in enumerate(exact):
+        contact.low[relation] = contact.high[relation] = states[..., k]
+        contact.margins[relation] = slack[..., k]
+    return contact
+
+
+def _measured(view: FrameView) -> tuple[np.ndarray, PairMeasures, Expected]:
+    """(N,) bool whose extents are known, the measures of all pairs, and what they allow of on, in and distances."""
     lo, hi = view.extents
     known = known_extents(lo, hi)
+    pairs = measure_pairs(np.where(known[:, None], lo, 0.0), np.where(known[:, None], hi, 0.0), Profile())
     both = known[:, None] & known[None, :]
-    pairs = measure_pairs(np.where(known[:, None], lo, 0.0), np.where(known[:, None], hi, 0.0), profile)
-    low, high, margins = _contact(view, pairs, profile, both)
-    exact = [relation for relation in PAIRWISE if not PREDICATES[relation].reads_points]
-    measured = Measured(pairs, profile)
-    states = pair_states(measured, known, exact)
-    slack = pair_margins(measured, states, exact)
-    slack[~both] = 0.0
-    for k, relation in enumerate(exact):
-        low[relation] = high[relation] = states[..., k]
-        margins[relation] = slack[..., k]
-    return Expected(low, high, margins, np.where(both, np.linalg.norm(pairs.gap, axis=2), np.nan))
+    distance = np.where(both, np.linalg.norm(pairs.gap, axis=2), np.nan)
+    return known, pairs, Expected(*_contact(view, pairs, Profile(), both), distance)
 
 
 def expected_semantic_abstraction(view: FrameView) -> Expected:
     """`semantic-abstraction-published` from extents, mean points and the stored on and in."""
-    profile = Profile()
-    lo, hi = view.extents
-    known = known_extents(lo, hi)
-    both = known[:, None] & known[None, :]
-    pairs = measure_pairs(np.where(known[:, None], lo, 0.0), np.where(known[:, None], hi, 0.0), profile)
-    low, high, margins = _contact(view, pairs, profile, both)
-    centroid = view.objects["centroid"]
+    _, _, expected = _measured(view)
+    (lo, hi), centroid = view.extents, view.objects["centroid"]
     centroid = np.where(np.isfinite(centroid), centroid, (lo + hi) / 2)
-    distance = np.where(both, np.linalg.norm(pairs.gap, axis=2), np.nan)
-    n = len(lo)
-    contact = Judged(np.full((n, n, len(PAIRWISE)), F, np.int8), np.full((n, n, len(PAIRWISE)), -np.inf), distance)
+    shape = (len(lo), len(lo), len(PAIRWISE))
+    contact = Judged(np.full(shape, F, np.int8), np.full(shape, -np.inf), expected.distance)
     stored = {"on", "in"} <= set(view.states)
     if stored:
         for relation in ("on", "in"):
@@ -277,14 +273,15 @@ def expected_semantic_abstraction(view: FrameView) -> Expected:
             contact.states[..., k] = np.where(view.present, view.states[relation], F)
             contact.margins[..., k] = np.nan_to_num(view.margins[relation], nan=-np.inf)
     judged = semantic_abstraction_directions(lo, hi, centroid, contact)
+    low, high = expected.low, expected.high
     touching = np.maximum(high["on"], high["in"]) == T
     touching |= touching.T
     for relation in HORIZONTAL:
         k = PAIRWISE.index(relation)
         high[relation] = judged.states[..., k]
         low[relation] = high[relation] if stored else np.where(touching, F, high[relation]).astype(np.int8)
-        margins[relation] = judged.margins[..., k] if stored else np.full((n, n), np.nan)
-    return Expected(low, high, margins, distance)
+        expected.margins[relation] = judged.margins[..., k] if stored else np.full(shape[:2], np.nan)
+    return expected
 
 
 def _contact(
@@ -313,12 +310,9 @@ def _contact(
     many = (view.objects["points"] >= MANY_POINTS)[:, None]
     inside_high = np.where(sunk & ~(apart & many), T, F)
     inside_low = np.where(sunk & within & many, T, F)
-    diagonal = np.eye(n, dtype=np.bool_)
 
     def settled(states: np.ndarray) -> np.ndarray:
-        found = np.where(both, states, U).astype(np.int8)
-        found[diagonal] = F
-        return found
+        return np.where(np.eye(n, dtype=np.bool_), F, np.where(both, states, U)).astype(np.int8)
 
     unknown = np.where(both, np.nan, 0.0)
     return (
@@ -375,11 +369,11 @@ def check_geometry(view: FrameView, expected: Expected) -> Iterator[Finding]:
             differs = np.abs(margins - wanted) > MARGIN_TOLERANCE + MARGIN_TOLERANCE_RELATIVE * np.abs(wanted)
         for a, b in pairs_where(judged & ~off & (~signed | differs)):
             known = np.isfinite(wanted[a, b])
-            say = f"the extents say {wanted[a, b]:.4f} m" if known else "its sign is that of another state"
+            reason = f"the extents say {wanted[a, b]:.4f} m" if known else "its sign is that of another state"
             yield view.finding(
                 "relation/geometry",
                 (view.ids[a], view.ids[b]),
-                f"{view.relation_text(a, relation, b)}: margin {margins[a, b]:.4f} m, {say}",
+                f"{view.relation_text(a, relation, b)}: margin {margins[a, b]:.4f} m, {reason}",
                 {"relation": relation, "stored_margin": float(margins[a, b]), "margin": float(wanted[a, b])},
                 "warning",
             )

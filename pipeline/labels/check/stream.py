@@ -159,9 +159,8 @@ class TableStream:
         wanted = [n for n in arrow_schema(self.table).names if n not in self.lacking | self._added]
         if not self.ordered:
             whole = self._typed(file.read(columns=wanted))
-            filled = whole.column("frame_index").fill_null(-1)
-            order = np.argsort(filled.to_numpy(), kind="stable")
-            yield whole.take(pa.array(order))
+            index = whole.column("frame_index").fill_null(-1).to_numpy()
+            yield whole.take(pa.array(np.argsort(index, kind="stable")))
             return
         tail: pa.Table | None = None
         for batch in file.iter_batches(BATCH_ROWS, columns=wanted):
@@ -176,27 +175,24 @@ class TableStream:
             yield tail
 
     def _typed(self, rows: pa.Table) -> pa.Table:
-        arrays = []
-        for field in arrow_schema(self.table):
-            if field.name in self.lacking | self._added:
-                arrays.append(pa.chunked_array([pa.nulls(rows.num_rows, field.type)]))
-                continue
-            column = rows.column(field.name)
-            arrays.append(column if column.type == field.type else column.cast(field.type, safe=False))
-        return pa.Table.from_arrays(arrays, names=arrow_schema(self.table).names)
+        absent, schema = self.lacking | self._added, arrow_schema(self.table)
+        arrays = [
+            pa.chunked_array([pa.nulls(rows.num_rows, field.type)])
+            if field.name in absent
+            else rows.column(field.name).cast(field.type, safe=False)
+            for field in schema
+        ]
+        return pa.Table.from_arrays(arrays, names=schema.names)
 
 
 def _is_ordered(file: Any) -> bool:
     """Whether frame_index never falls and is never null; read in batches."""
     last = -1
     for batch in file.iter_batches(BATCH_ROWS, columns=["frame_index"]):
-        column = batch.column(0)
-        if column.null_count:
+        index = np.append(last, batch.column(0).fill_null(-2).to_numpy(zero_copy_only=False))
+        if (np.diff(index) < 0).any():
             return False
-        index = column.to_numpy(zero_copy_only=False)
-        if len(index) and (index[0] < last or (np.diff(index) < 0).any()):
-            return False
-        last = index[-1] if len(index) else last
+        last = index[-1]
     return True
 
 
@@ -229,8 +225,7 @@ def _arrays(block: pa.Table, table: str) -> dict[str, np.ndarray]:
         column = block.column(name).combine_chunks()
         kind = column.type
         if pa.types.is_list(kind):
-            inner = kind.value_type
-            if pa.types.is_string(inner):
+            if pa.types.is_string(kind.value_type):
                 continue
             fixed = constraint.shortest if constraint.shortest == constraint.longest else None
             found[name] = _lists(column) if fixed is None else _vectors(column, fixed)
@@ -239,14 +234,9 @@ def _arrays(block: pa.Table, table: str) -> dict[str, np.ndarray]:
             known = np.array([*words.dictionary.to_pylist(), None], object)
             found[name] = known[words.indices.fill_null(len(known) - 1).to_numpy(zero_copy_only=False)]
         else:
-            empty: Any = -1
-            if pa.types.is_int8(kind):
-                empty = UNKNOWN
-            elif pa.types.is_floating(kind):
-                empty = float("nan")
-            elif pa.types.is_boolean(kind):
-                empty = False
-            values = column.fill_null(empty).to_numpy(zero_copy_only=False)
+            nulls = ((pa.types.is_int8, UNKNOWN), (pa.types.is_floating, float("nan")), (pa.types.is_boolean, False))
+            null: Any = next((value for of_type, value in nulls if of_type(kind)), -1)
+            values = column.fill_null(null).to_numpy(zero_copy_only=False)
             found[name] = values.astype(np.int64) if pa.types.is_int32(kind) else values
     return found
 
@@ -342,21 +332,20 @@ def violations(rows: pa.Table, table: str, skip: frozenset[str] = frozenset()) -
         Columns that the file lacks.
     """
     found: list[Violation] = []
-    broken: dict[int, dict[str, Violation]] = {}
+    broken: dict[int, list[str]] = {}
     for name, constraint in constraints(table).items():
         if name in skip:
             continue
-        column = rows.column(name).combine_chunks()
-        bad, wild = _broken(column, constraint)
-        for row in np.flatnonzero(wild):
-            found.append(Violation(int(row), "row/non-finite", name, f"{name} is not finite"))
+        bad, wild = _broken(rows.column(name).combine_chunks(), constraint)
+        wild_rows = np.flatnonzero(wild).tolist()
+        found += [Violation(row, "row/non-finite", name, f"{name} is not finite") for row in wild_rows]
         for row in np.flatnonzero(bad & ~wild):
-            broken.setdefault(int(row), {})[name] = Violation(int(row), "row/model", name, f"{name} is not allowed")
-    for row, cells in broken.items():
+            broken.setdefault(int(row), []).append(name)
+    for row, names in broken.items():
         messages = _messages(rows, table, row)
         found += [
-            Violation(row, v.rule, name, f"{name}: {messages[name]}" if name in messages else v.message)
-            for name, v in cells.items()
+            Violation(row, "row/model", n, f"{n}: {messages[n]}" if n in messages else f"{n} is not allowed")
+            for n in names
         ]
     return sorted(found, key=lambda v: v.row)
 

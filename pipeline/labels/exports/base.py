@@ -193,6 +193,12 @@ def table_batches(labels: Labels, name: str, columns: Sequence[str] | None = Non
         raise InputError("not a readable Parquet file", got=str(error).split("\n")[0], path=path) from error
 
 
+def label_names(labels: Labels) -> list[str]:
+    """The class names of all objects, sorted."""
+    batches = table_batches(labels, "objects", ["label"])
+    return sorted({name for batch in batches for name in batch.column("label").unique().to_pylist()})
+
+
 def iterate_frames(labels: Labels, tell: Progress | None = None) -> Iterator[FrameRows]:
     """Every frame with its rows, broken ones too; memory does not grow with their number.
 

@@ -18,11 +18,12 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from itertools import repeat
 from pathlib import Path
 from typing import Any, TextIO
 
 from pipeline.labels.reading import MARKS_FILE, PROVENANCE_FILE, STATUSES_FILE, Labels
-from pipeline.labels.schema import Manifest
+from pipeline.labels.schema import Manifest, labels_version
 from pipeline.labels.tables import arrow_schema
 from pipeline.system.arrow import pa, pc, pq
 from pipeline.system.errors import InputError
@@ -72,14 +73,10 @@ class ExportedFrom:
 
 def exported_from(manifest: Manifest) -> ExportedFrom | None:
     """The state that labels are in; None of corrected labels of an earlier release, which do not say."""
-    from pipeline.labels.schema import labels_version
-
-    said = manifest.corrections
-    if said is None:
+    made = manifest.corrections
+    if made is None:
         return ExportedFrom(labels_version(manifest), None, False)
-    if "last" not in said:
-        return None
-    return ExportedFrom(str(said["automatic"]), said["last"], bool(said.get("relifted")))
+    return ExportedFrom(str(made["automatic"]), made["last"], bool(made.get("relifted"))) if "last" in made else None
 
 
 def made_by(manifest: Manifest) -> str:
@@ -114,51 +111,41 @@ class Provenance:
         """The entries of a row."""
         return self.entries.get((table, frame, key), [])
 
-    def said(self, table: str, frame: str, key: str) -> dict[str, Any]:
-        """What reviewers said of a row: the columns of REVIEWED."""
+    def known(self, table: str, frame: str, key: str) -> dict[str, Any]:
+        """What reviewers said of a row: the columns of REVIEWED; and its `provenance`."""
         found = self.reviewed.get((table, frame, key), {})
+        entries = {"provenance": self.of(table, frame, key)}
         if table == "relations":
-            names = (name.removesuffix(".status") for name in found)
-            return {"statuses": [{"relation": r, "status": found[f"{r}.status"]} for r in names]}
-        return {name: found.get(name) for name in REVIEWED[table]}
+            statuses = [{"relation": name.removesuffix(".status"), "status": status} for name, status in found.items()]
+            return {"statuses": statuses, **entries}
+        return {**{name: found.get(name) for name in REVIEWED[table]}, **entries}
 
     def row(self, table: str, frame: str, key: str) -> dict[str, Any]:
         """All columns that a row has beside its own."""
-        return {
-            "base": self.base,
-            "made_by": self.made_by,
-            **self.said(table, frame, key),
-            "provenance": self.of(table, frame, key),
-        }
+        return {"base": self.base, "made_by": self.made_by, **self.known(table, frame, key)}
 
-    def rows(self, table: str, rows: pa.Table) -> Iterator[dict[str, Any] | None]:
-        """For each row of a table its further columns, None where nothing is known but `base` and `made_by`."""
-        touched = self.frames.get(table)
+    def rows(self, table: str, rows: pa.Table) -> Iterator[dict[str, Any]]:
+        """For each row of a table its further columns; the same dict for all of frames of which nothing is known."""
+        plain, touched = self.row(table, "", ""), self.frames.get(table)
         if not touched:
-            yield from (None for _ in range(rows.num_rows))
+            yield from repeat(plain, rows.num_rows)
             return
-        keys = zip(*(rows.column(name).to_pylist() for name in ("frame", *_KEY[table])), strict=True)
-        for frame, *parts in keys:
-            key = ",".join(str(p) for p in parts)
-            known = (table, frame, key) in self.entries or (table, frame, key) in self.reviewed
-            yield self.row(table, frame, key) if known else None
+        for frame, *key in zip(*(rows.column(name).to_pylist() for name in ("frame", *_KEY[table])), strict=True):
+            yield self.row(table, frame, ",".join(map(str, key))) if frame in touched else plain
 
     def line_ends(self, table: str, rows: pa.Table) -> Iterator[str]:
         """For each row the end of its JSON line, from the comma after its own columns."""
-        plain = _line_end(self.row(table, "", ""))
-        return (plain if row is None else _line_end(row) for row in self.rows(table, rows))
+        last, end = None, ""
+        for row in self.rows(table, rows):
+            if row is not last:
+                last, end = row, f", {json_line(row)[1:]}\n"
+            yield end
 
     def extend(self, table: str, rows: pa.Table) -> pa.Table:
         """The rows with the further columns, of the schema `extended_schema`."""
-        plain = self.row(table, "", "")
-        found = [plain if row is None else row for row in self.rows(table, rows)]
-        schema = extended_schema(table)
+        found = list(self.rows(table, rows))
         added = [pa.array([row[f.name] for row in found], f.type) for f in _fields(table)]
-        return pa.Table.from_arrays([*rows.columns, *added], schema=schema)
-
-
-def _line_end(row: dict[str, Any]) -> str:
-    return ", " + json_line(row)[1:] + "\n"
+        return pa.Table.from_arrays([*rows.columns, *added], schema=extended_schema(table))
 
 
 def open_provenance(labels: Labels) -> Provenance:
@@ -174,10 +161,10 @@ def open_provenance(labels: Labels) -> Provenance:
     if labels.manifest.corrections is None:
         return found
     for row in _provenance_rows(labels.root / PROVENANCE_FILE):
-        name = row["table"], row["frame"], row["key"]
         when = row["time"]
         entry = {**row, "source": row["origin"], "time": None if when is None else when.isoformat()}
-        found.entries.setdefault(name, []).append({key: entry[key] for key in ENTRY})
+        named = found.entries.setdefault((row["table"], row["frame"], row["key"]), [])
+        named.append({key: entry[key] for key in ENTRY})
     try:
         for mark in _listed(labels.root / MARKS_FILE):
             found.reviewed.setdefault(("expressions", mark["frame"], mark["id"]), {})["mark"] = mark["mark"]
@@ -201,10 +188,9 @@ def _listed(path: Path) -> list[dict[str, Any]]:
 def _provenance_rows(path: Path) -> list[dict[str, Any]]:
     if not path.exists():
         return []
+    columns = ["table", "frame", "key", "column", "origin", "author", "time", "event", "reason", "was"]
     try:
-        return pq.read_table(
-            path, columns=["table", "frame", "key", "column", "origin", "author", "time", "event", "reason", "was"]
-        ).to_pylist()
+        return pq.read_table(path, columns=columns).to_pylist()
     except (pa.ArrowException, OSError, ValueError) as error:
         raise InputError("the provenance of the labels is damaged", got=str(error).split("\n")[0], path=path) from error
 
@@ -212,16 +198,14 @@ def _provenance_rows(path: Path) -> list[dict[str, Any]]:
 def _fields(table: str) -> list[pa.Field]:
     text, entry = pa.string(), pa.struct([pa.field(name, pa.string()) for name in ENTRY])
     statuses = pa.list_(pa.struct([pa.field("relation", text), pa.field("status", text)]))
-    said = [pa.field(name, statuses if name == "statuses" else text) for name in REVIEWED[table]]
-    return [pa.field("base", text), pa.field("made_by", text), *said, pa.field("provenance", pa.list_(entry))]
+    reviewed = [pa.field(name, statuses if name == "statuses" else text) for name in REVIEWED[table]]
+    return [pa.field("base", text), pa.field("made_by", text), *reviewed, pa.field("provenance", pa.list_(entry))]
 
 
 def extended_schema(table: str) -> pa.Schema:
     """The Arrow schema of a table with the further columns."""
-    found = arrow_schema(table)
-    for extra in _fields(table):
-        found = found.append(extra)
-    return found
+    own = arrow_schema(table)
+    return pa.schema([*own, *_fields(table)], metadata=own.metadata)
 
 
 def extended_json_schemas(folder: Path) -> None:
@@ -232,9 +216,9 @@ def extended_json_schemas(folder: Path) -> None:
     for table, names in REVIEWED.items():
         path = folder / f"{table}.json"
         schema = json.loads(path.read_text(encoding="utf-8"))
-        said = {n: {"type": "array", "items": status} if n == "statuses" else text for n in names}
+        reviewed = {n: {"type": "array", "items": status} if n == "statuses" else text for n in names}
         schema["properties"] |= {
-            "base": text, "made_by": text, **said, "provenance": {"type": "array", "items": entry},
+            "base": text, "made_by": text, **reviewed, "provenance": {"type": "array", "items": entry},
         }  # fmt: skip
         path.write_text(json.dumps(schema, indent=1, ensure_ascii=False) + "\n", encoding="utf-8", newline="\n")
 
@@ -274,8 +258,7 @@ def _flat_lines(table: pa.Table) -> Iterator[str]:
     for name in table.column_names:
         parts += [f"{', ' if parts else '{'}{json_line(name)}: ", _texts(table.column(name).combine_chunks())]
     join = pc.binary_join_element_wise  # pyright: ignore[reportAttributeAccessIssue]
-    lines = join(*(pa.scalar(p) if isinstance(p, str) else p for p in (*parts, "}\n")), "")
-    return iter(lines.to_pylist())
+    return iter(join(*(pa.scalar(p) if isinstance(p, str) else p for p in (*parts, "}\n")), "").to_pylist())
 
 
 def _texts(column: Any) -> Any:
