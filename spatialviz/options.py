@@ -183,7 +183,7 @@ class DatasetOptions(CameraOptions):
 
     def open(self, labels: Labels) -> Dataset | None:
         """The dataset that was labelled; None, with a warning, where it is not there and none was named."""
-        from pipeline.labels.pictures import labelled_dataset
+        from pipeline.labels.reading import labelled_dataset
 
         try:
             return labelled_dataset(labels.manifest, self.dataset, **self.camera())
@@ -369,7 +369,7 @@ class SourceOptions(ProposalOptions):
         """The dataset with its models; `frame` is the one that is asked, `labels` judge what is answered."""
         from pipeline.answering.opening import open_pipeline
         from pipeline.datasets.given_up import told_doubts
-        from pipeline.labels.pictures import labelled_up
+        from pipeline.labels.reading import labelled_up
 
         options = self.arguments(frame)
         source = open_pipeline(dataset, **(options if labels is None else labelled_up(labels.manifest, options)))

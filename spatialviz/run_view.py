@@ -13,8 +13,7 @@ from pipeline.corrections.journal_location import JournalLocation, journal_words
 from pipeline.datasets.demo import DEMO_NAME, demo_run
 from pipeline.diagnosis.whatif.state import ViewState, decode
 from pipeline.evaluation.run_folder import RUN_FILE, Run, open_run
-from pipeline.labels.pictures import labelled_up
-from pipeline.labels.reading import Labels, open_labels
+from pipeline.labels.reading import Labels, labelled_up, open_labels
 from pipeline.system.errors import InputError
 from spatialviz.app.server import serve
 from spatialviz.cli_ask import View

@@ -16,8 +16,9 @@ from pipeline.labels.job import label_dataset
 from pipeline.labels.plan import SourceSpec
 from pipeline.labels.reading import MANIFEST_FILE, Labels, open_labels
 from pipeline.labels.schema import SCHEMA_VERSION, TABLES, Manifest, TableFile
-from pipeline.labels.tables import arrow_schema, build_table, content_hash, validate_rows, write_table
+from pipeline.labels.tables import arrow_schema, build_table, content_hash, write_table
 from pipeline.language.relation_names import PAIRWISE
+from pipeline.system.arrow import pa
 
 Vector = Sequence[float] | np.ndarray
 WIDTH, HEIGHT = 64, 48
@@ -161,3 +162,9 @@ def hostile_labels(folder: Path) -> Labels:
         "expressions": [expression, sure],
     }
     return write_labels(folder, rows)
+
+
+def validate_rows(table: pa.Table, name: str) -> None:
+    """Every row against its pydantic model."""
+    for row in table.to_pylist():
+        TABLES[name].model_validate(row)

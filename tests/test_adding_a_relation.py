@@ -49,8 +49,8 @@ from pipeline.labels.exports.exporting import export_labels
 from pipeline.labels.job import label_dataset
 from pipeline.labels.plan import SourceSpec
 from pipeline.labels.reading import open_labels
-from pipeline.labels.schema import SCHEMA_VERSION, json_schemas
-from pipeline.labels.tables import content_hash, validate_rows
+from pipeline.labels.schema import SCHEMA_VERSION, TABLES, json_schemas
+from pipeline.labels.tables import content_hash
 from pipeline.language.expression import parse
 from pipeline.language.relation_names import PAIRWISE, PHRASE
 from pipeline.training.label_data import read_label_data
@@ -72,7 +72,8 @@ region = region_of(reference, name, target.hi - target.lo, context.viewer)
 
 label_dataset(SourceSpec("demo"), out, LabelConfig(vocabulary="all"), limit=1)
 labels, earlier = open_labels(out), open_labels(old)
-validate_rows(labels.relations, "relations")
+for row in labels.relations.to_pylist():
+    TABLES["relations"].model_validate(row)
 for format in ("jsonl", "parquet"):
     export_labels(earlier, format, out.parent / format)
 sentences = [row for row in labels.expressions.to_pylist() if row["relation"] == name]

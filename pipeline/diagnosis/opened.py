@@ -16,8 +16,7 @@ from pipeline.diagnosis.answer import Answer
 from pipeline.diagnosis.asking import edited_trace, judged, truth_or_reason
 from pipeline.geometry.frame import Frame
 from pipeline.labels.cases import FrameCases
-from pipeline.labels.pictures import labelled_up
-from pipeline.labels.reading import Labels, open_labels
+from pipeline.labels.reading import Labels, labelled_up, open_labels
 from pipeline.proposals import Detector
 from pipeline.system.errors import InputError
 

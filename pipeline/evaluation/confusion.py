@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from pipeline.labels.database import quoted
 from pipeline.labels.reading import Labels
+from pipeline.labels.statistics import quoted
 from pipeline.labels.tables import read_table
 from pipeline.language.relation_names import PAIRWISE, PHRASE
 from pipeline.metrics.tables import Row, Table

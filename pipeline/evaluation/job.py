@@ -36,9 +36,8 @@ from pipeline.evaluation.run_folder import RUN_FILE, Run, open_run, other_system
 from pipeline.evaluation.shared_makers import Share, measured_of, rank, shared_makers, title_of, titles_of, with_caveats
 from pipeline.labels.makers import makers_of
 from pipeline.labels.merge import environment
-from pipeline.labels.pictures import labelled_up
 from pipeline.labels.profiles import canonical_hash
-from pipeline.labels.reading import Labels, open_labels
+from pipeline.labels.reading import Labels, labelled_up, open_labels
 from pipeline.metrics.intervals import BootstrapConfig
 from pipeline.metrics.tables import NOTHING_SHARED, Table, as_csv, latex, markdown
 from pipeline.system.errors import InputError, MissingExtra

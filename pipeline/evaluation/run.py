@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import os
-import signal
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -32,7 +28,7 @@ from pipeline.labels.tables import read_table
 from pipeline.language.expression import Query
 from pipeline.proposals.base import reads_annotations
 from pipeline.system.errors import InputError
-from pipeline.system.threads import one_thread, threads_in_children
+from pipeline.system.worker_pool import results_of
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -278,7 +274,8 @@ def evaluate_labels(
     workers = 1 if spec.system == "vlm" else workers
     done = 0
     blocks = blocks_of(index, frames_a_block)
-    for (first, stop), (table, pairs) in zip(blocks, _tables(spec, blocks, workers), strict=True):
+    tables = results_of(_block, blocks, workers, prepare=_opened, arguments=(spec,))
+    for (first, stop), (table, pairs) in zip(blocks, tables, strict=True):
         if relations is not None and pairs is not None:
             relations(pairs)
         done += table.num_rows if spec.grounding else int(((index >= first) & (index < stop)).sum())
@@ -287,43 +284,12 @@ def evaluate_labels(
         yield table
 
 
-def _tables(
-    spec: EvalSpec, blocks: Sequence[tuple[int, int]], workers: int
-) -> Iterator[tuple[pa.Table, pa.Table | None]]:
-    if workers <= 1 or len(blocks) <= 1:
-        with one_thread():
-            evaluator = Evaluator(spec)
-            for block in blocks:
-                yield evaluator.block(*block)
-        return
-    with threads_in_children():
-        pool = ProcessPoolExecutor(
-            min(workers, len(blocks)), multiprocessing.get_context("spawn"), _start, (spec,)
-        )
-        try:
-            yield from pool.map(_block, blocks)
-        except BrokenProcessPool as error:
-            raise InputError("a worker process died", cause="out of memory? use fewer workers") from error
-        finally:
-            pool.shutdown(wait=False, cancel_futures=True)
+def _opened(spec: EvalSpec) -> tuple[Evaluator]:
+    return (Evaluator(spec),)
 
 
-_evaluator: Evaluator | None = None
-"""What a worker process opened when it started."""
-
-
-def _start(spec: EvalSpec) -> None:
-    global _evaluator
-    import cv2
-
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    cv2.setNumThreads(1)
-    _evaluator = Evaluator(spec)
-
-
-def _block(block: tuple[int, int]) -> tuple[pa.Table, pa.Table | None]:
-    assert _evaluator is not None
-    return _evaluator.block(*block)
+def _block(block: tuple[int, int], evaluator: Evaluator) -> tuple[pa.Table, pa.Table | None]:
+    return evaluator.block(*block)
 
 
 def write_records(tables: Iterator[pa.Table], path: Path) -> int:

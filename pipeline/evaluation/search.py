@@ -28,7 +28,7 @@ from pipeline.evaluation.compare import read_records
 from pipeline.evaluation.records import DIAGNOSIS_COLUMNS
 from pipeline.evaluation.search_words import Term, Value, quote, read_terms
 from pipeline.evaluation.summary import need_verdicts
-from pipeline.labels.database import quoted
+from pipeline.labels.statistics import quoted
 from pipeline.language.relation_names import PAIRWISE, PHRASE
 from pipeline.system.errors import InputError
 

@@ -12,7 +12,7 @@ from pipeline.diagnosis.verdict import VERDICTS
 from pipeline.evaluation.grounding_tables import clusters_of
 from pipeline.evaluation.search_words import quote
 from pipeline.evaluation.summary import has_verdicts
-from pipeline.labels.database import quoted
+from pipeline.labels.statistics import quoted
 from pipeline.language.relation_names import PAIRWISE, PHRASE
 from pipeline.metrics.counts import ratio
 from pipeline.metrics.intervals import BootstrapConfig, Estimate, bootstrap

@@ -9,16 +9,15 @@ import json
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
 from pathlib import PurePosixPath
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pipeline.labels.makers import makers_of
 from pipeline.labels.reading import Labels
 from pipeline.labels.schema import SCHEMA_VERSION, TABLES, Manifest
 from pipeline.labels.tables import arrow_schema
-
-if TYPE_CHECKING:
-    import pyarrow as pa
+from pipeline.system.arrow import pa, pc, pq
 
 UNKNOWN_LICENCE = "unknown: ask the dataset's owner"
 _HUB_LICENCE = re.compile(r"[a-z0-9][a-z0-9.+-]*")
@@ -81,7 +80,7 @@ class Counts:
     boxed: int
 
     @property
-    def doubtful_share(self) -> float:
+    def undecided_share(self) -> float:
         """Share of U among all judged (pair, relation)."""
         judged = sum(map(sum, self.states.values()))
         return sum(u for _, u, _ in self.states.values()) / judged if judged else 0.0
@@ -89,8 +88,6 @@ class Counts:
 
 def count_labels(labels: Labels) -> Counts:
     """Count states, expressions and objects, a batch at a time."""
-    import pyarrow.compute as pc
-
     states = {name: [0, 0, 0] for name in labels.relation_names}
     for batch in _columns(labels, "relations", tuple(states)):
         for name, found in states.items():
@@ -110,15 +107,11 @@ def count_labels(labels: Labels) -> Counts:
 
 
 def _columns(labels: Labels, name: str, columns: Sequence[str]) -> Iterator[pa.RecordBatch]:
-    import pyarrow.parquet as pq
-
     with pq.ParquetFile(labels.root / f"{name}.parquet") as file:
         yield from file.iter_batches(columns=list(columns))
 
 
 def _true(column: Any) -> int:
-    import pyarrow.compute as pc
-
     return pc.sum(column).as_py() or 0  # pyright: ignore[reportAttributeAccessIssue]
 
 
@@ -138,93 +131,118 @@ def dataset_card(labels: Labels, *, licence: str = UNKNOWN_LICENCE, files: Mappi
     files : mapping of str to str, optional
         Path or pattern of each table's files below the folder; by default those of a labels folder.
     """
-    manifest, counts, name = labels.manifest, count_labels(labels), dataset_name(labels)
-    paths = dict(files) if files is not None else {table: manifest.tables[table].file for table in TABLES}
-    return "\n".join((*_yaml(labels, name, licence, paths), "", *_page(labels, counts, name, licence))) + "\n"
+    paths = files or {table: labels.manifest.tables[table].file for table in TABLES}
+    return f"{_yaml(labels, licence, paths)}\n{_page(labels, count_labels(labels), licence)}"
 
 
-def _yaml(labels: Labels, name: str, licence: str, paths: Mapping[str, str]) -> Iterator[str]:
-    def text(value: str) -> str:
-        # A JSON string is a YAML string, whatever is in it.
-        return json.dumps(value, ensure_ascii=False)
-
-    yield "---"
+def _yaml(labels: Labels, licence: str, paths: Mapping[str, str]) -> str:
+    # A JSON string is a YAML string, whatever is in it.
+    text = partial(json.dumps, ensure_ascii=False)
+    declared = f"license: other\nlicense_name: {text(licence)}"
     if licence == UNKNOWN_LICENCE:
-        yield "license: unknown"
+        declared = "license: unknown"
     elif _HUB_LICENCE.fullmatch(licence):
-        yield f"license: {text(licence)}"
-    else:
-        yield "license: other"
-        yield f"license_name: {text(licence)}"
-    yield f"pretty_name: {text(f'Spatial relations of {name}')}"
-    yield from ("language:", "- en", "annotations_creators:", "- machine-generated")
-    yield from ("task_categories:", "- object-detection", "- visual-question-answering")
-    yield from ("tags:", "- rgb-d", "- spatial-reasoning", "- referring-expressions", "- 3d-boxes", "- pseudo-labels")
+        declared = f"license: {text(licence)}"
     largest = max(labels.manifest.tables[table].rows for table in TABLES)
-    yield f"size_categories:\n- {next((size for size, below in _SIZES if largest < below), 'n>1T')}"
-    yield "configs:"
-    for table in TABLES:
-        default = "\n  default: true" if table == "expressions" else ""
-        yield f"- config_name: {table}{default}\n  data_files:\n  - split: train\n    path: {text(paths[table])}"
-    yield "---"
+    configs = "\n".join(
+        f"- config_name: {table}" + ("\n  default: true" if table == "expressions" else "")
+        + f"\n  data_files:\n  - split: train\n    path: {text(paths[table])}"
+        for table in TABLES
+    )  # fmt: skip
+    return f"""\
+---
+{declared}
+pretty_name: {text(f'Spatial relations of {dataset_name(labels)}')}
+language:
+- en
+annotations_creators:
+- machine-generated
+task_categories:
+- object-detection
+- visual-question-answering
+tags:
+- rgb-d
+- spatial-reasoning
+- referring-expressions
+- 3d-boxes
+- pseudo-labels
+size_categories:
+- {next((size for size, below in _SIZES if largest < below), 'n>1T')}
+configs:
+{configs}
+---
+"""
 
 
-def _page(labels: Labels, counts: Counts, name: str, licence: str) -> Iterator[str]:
-    manifest = labels.manifest
+def _page(labels: Labels, counts: Counts, licence: str) -> str:
+    manifest, name = labels.manifest, _plain(dataset_name(labels))
     total = {table: manifest.tables[table].rows for table in TABLES}
     ambiguity = counts.ambiguous / total["expressions"] if total["expressions"] else 0.0
-    yield f"# Spatial relations of {_plain(name)}"
-    yield ""
-    yield (
-        f"Pseudo-labels of {total['frames']} RGB-D frames ({manifest.counts.get('frames_usable', 0)} usable): "
-        f"{total['objects']} objects with 2D and 3D boxes, {total['relations']} ordered pairs with their spatial "
-        f"relations, and {total['expressions']} referring expressions. {_checked(manifest)}"
+    makers = "\n".join(f"* {what.capitalize()}: {_plain(who)}." for what, who in makers_of(manifest).lines().items())
+    states = "".join(
+        f"| {relation} | {t} | {u} | {f} | {counts.expressions.get(relation, 0)} |\n"
+        for relation, (t, u, f) in counts.states.items()
     )
-    yield "\n## How they were made\n"
-    yield f"* Tool: {manifest.tool} {manifest.version}, schema {manifest.schema_version}, {manifest.created}."
-    yield f"* Source: `{_plain(name)}`, format {_plain(str(manifest.dataset.get('format')))}."
-    yield (
-        "* Each object's mask and depth give its points; stray pixels are removed and an oriented box is fitted. "
-        f"The rule profile `{manifest.profile.get('name')}` judges every ordered pair from extents along the viewer's "
-        "level right, up and forward: T (1) it holds, F (-1) it does not, U (0) too close to call."
-    )
-    yield f"* Profile hash `{manifest.profile_hash}`."
-    yield from (f"* {what.capitalize()}: {_plain(who)}." for what, who in makers_of(manifest).lines().items())
-    yield f"* Configuration hash `{manifest.config_hash}`, seed {manifest.seed}."
-    yield "\n## What is in them\n"
-    yield f"* Objects that are asked for: {counts.usable} of {total['objects']}; with a 3D box: {counts.boxed}."
-    yield f"* Too close to call (U): {counts.doubtful_share:.1%} of all judged relations of pairs."
-    yield f"* Ambiguous expressions, with more than one acceptable answer: {counts.ambiguous} ({ambiguity:.1%})."
-    yield "\n| relation | T | U | F | expressions |\n|---|---:|---:|---:|---:|"
-    for relation, (t, u, f) in counts.states.items():
-        yield f"| {relation} | {t} | {u} | {f} | {counts.expressions.get(relation, 0)} |"
-    yield "\n| table | rows | content hash |\n|---|---:|---|"
-    for table in TABLES:
-        yield f"| {table} | {total[table]} | `{manifest.tables[table].content_hash}` |"
-    yield "\n## Intended use\n"
-    yield (
-        "Training and debugging models of spatial relations and visual grounding. Leave U out of training and of "
-        "scores, or treat it as a class of its own. Split by `scene`, never by frame: frames of one scene show the "
-        "same objects."
-    )
-    yield "\n## Limits\n"
-    yield "* All relations are the viewer's; nothing here knows an object's own front."
-    yield "* Boxes are fitted to what one camera sees: an occluded or cut-off object is larger than its box."
-    yield "* Errors of masks, class names and depth go into the labels; `occluded`, `kept`, `depth_missing` and "
-    yield "  `touches_border` say where to expect them. `up_source` says how gravity was known."
-    yield "* Numbers from these labels compare models against rules, not against people. Who shares a maker with them"
-    yield "  (the detector, the rule, the second opinion) is measured by its own work: that is agreement, not accuracy."
-    yield "\n## Licence\n"
-    yield f"Of the source dataset: {_plain(licence)}. The labels are derived from it."
+    tables = "".join(f"| {t} | {total[t]} | `{manifest.tables[t].content_hash}` |\n" for t in TABLES)
+    return f"""\
+# Spatial relations of {name}
+
+Pseudo-labels of {total['frames']} RGB-D frames ({manifest.counts.get('frames_usable', 0)} usable): \
+{total['objects']} objects with 2D and 3D boxes, {total['relations']} ordered pairs with their spatial \
+relations, and {total['expressions']} referring expressions. {_checked(manifest)}
+
+## How they were made
+
+* Tool: {manifest.tool} {manifest.version}, schema {manifest.schema_version}, {manifest.created}.
+* Source: `{name}`, format {_plain(str(manifest.dataset.get('format')))}.
+* Each object's mask and depth give its points; stray pixels are removed and an oriented box is fitted. \
+The rule profile `{manifest.profile.get('name')}` judges every ordered pair from extents along the viewer's \
+level right, up and forward: T (1) it holds, F (-1) it does not, U (0) too close to call.
+* Profile hash `{manifest.profile_hash}`.
+{makers}
+* Configuration hash `{manifest.config_hash}`, seed {manifest.seed}.
+
+## What is in them
+
+* Objects that are asked for: {counts.usable} of {total['objects']}; with a 3D box: {counts.boxed}.
+* Too close to call (U): {counts.undecided_share:.1%} of all judged relations of pairs.
+* Ambiguous expressions, with more than one acceptable answer: {counts.ambiguous} ({ambiguity:.1%}).
+
+| relation | T | U | F | expressions |
+|---|---:|---:|---:|---:|
+{states}
+| table | rows | content hash |
+|---|---:|---|
+{tables}
+## Intended use
+
+Training and debugging models of spatial relations and visual grounding. Leave U out of training and of \
+scores, or treat it as a class of its own. Split by `scene`, never by frame: frames of one scene show the \
+same objects.
+
+## Limits
+
+* All relations are the viewer's; nothing here knows an object's own front.
+* Boxes are fitted to what one camera sees: an occluded or cut-off object is larger than its box.
+* Errors of masks, class names and depth go into the labels; `occluded`, `kept`, `depth_missing` and \
+
+  `touches_border` say where to expect them. `up_source` says how gravity was known.
+* Numbers from these labels compare models against rules, not against people. Who shares a maker with them
+  (the detector, the rule, the second opinion) is measured by its own work: that is agreement, not accuracy.
+
+## Licence
+
+Of the source dataset: {_plain(licence)}. The labels are derived from it.
+"""
 
 
 def _checked(manifest: Manifest) -> str:
-    said = manifest.corrections
-    if said is None:
+    made = manifest.corrections
+    if made is None:
         return "No person has checked them."
     return (
-        f"People corrected {said.get('human', 0)} values, from which {said.get('recomputed', 0)} others were recomputed"
-        f" ({said.get('stale', 0)} are stale); all others nobody has corrected. In exports, `provenance` of each row "
+        f"People corrected {made.get('human', 0)} values, from which {made.get('recomputed', 0)} others were recomputed"
+        f" ({made.get('stale', 0)} are stale); all others nobody has corrected. In exports, `provenance` of each row "
         "says which."
     )
 
@@ -256,11 +274,6 @@ def croissant(
     found: Mapping[str, Sequence[DataFile]] = files or {
         table: [DataFile(t.file, t.rows, t.sha256)] for table, t in manifest.tables.items()
     }
-    distribution: list[dict[str, Any]] = []
-    records: list[dict[str, Any]] = []
-    for table in TABLES:
-        distribution += _distribution(table, found[table])
-        records.append(_record_set(table, schema(table), single=len(found[table]) == 1))
     return {
         "@context": CONTEXT,
         "@type": "sc:Dataset",
@@ -276,8 +289,8 @@ def croissant(
         "creator": {"@type": "sc:Organization", "name": f"{manifest.tool} {manifest.version}"},
         "keywords": ["RGB-D", "spatial relations", "referring expressions", "pseudo-labels"],
         "isLiveDataset": False,
-        "distribution": distribution,
-        "recordSet": records,
+        "distribution": [entry for table in TABLES for entry in _distribution(table, found[table])],
+        "recordSet": [_record_set(table, schema(table), single=len(found[table]) == 1) for table in TABLES],
     }
 
 
@@ -304,19 +317,13 @@ def _distribution(table: str, files: Sequence[DataFile]) -> Iterator[dict[str, A
 
 
 def _record_set(table: str, schema: pa.Schema, *, single: bool) -> dict[str, Any]:
-    import pyarrow as pa
-
-    def data_type(kind: pa.DataType) -> str:
-        if pa.types.is_boolean(kind):
-            return "sc:Boolean"
-        if pa.types.is_integer(kind):
-            return "sc:Integer"
-        return "sc:Float" if pa.types.is_floating(kind) else "sc:Text"
-
+    kinds = pa.types
+    types = ((kinds.is_boolean, "sc:Boolean"), (kinds.is_integer, "sc:Integer"), (kinds.is_floating, "sc:Float"))
     fields = []
     for field in schema:
-        listed = pa.types.is_list(field.type)
-        if listed and pa.types.is_struct(field.type.value_type):
+        listed = kinds.is_list(field.type)
+        kind = field.type.value_type if listed else field.type
+        if kinds.is_struct(kind):
             # Records within records: readers of Croissant do not agree on them, and the card tells of them.
             continue
         fields.append(
@@ -324,7 +331,7 @@ def _record_set(table: str, schema: pa.Schema, *, single: bool) -> dict[str, Any
                 "@type": "cr:Field",
                 "@id": f"{table}/{field.name}",
                 "name": field.name,
-                "dataType": data_type(field.type.value_type if listed else field.type),
+                "dataType": next((name for of_type, name in types if of_type(kind)), "sc:Text"),
                 **({"repeated": True} if listed else {}),
                 "source": {("fileObject" if single else "fileSet"): {"@id": table}, "extract": {"column": field.name}},
             }

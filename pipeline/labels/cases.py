@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -15,10 +15,8 @@ from pipeline.language.expression import Query, parse
 from pipeline.language.noun_phrase import same_names
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.relations.relations import U
+from pipeline.system.arrow import pa, pq
 from pipeline.system.errors import InputError
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 
 @dataclass(frozen=True)
@@ -212,8 +210,6 @@ _COLUMNS = {
 
 
 def _part(root: Path, name: str, columns: list[str], first: int, stop: int) -> pa.Table:
-    import pyarrow.parquet as pq
-
     chosen = [("frame_index", ">=", first), ("frame_index", "<", stop)]
     return pq.read_table(root / f"{name}.parquet", columns=columns, filters=chosen)
 

@@ -1,4 +1,4 @@
-"""The engines: shards labelled by processes of this machine, one thread of arithmetic each, or on a Ray cluster.
+"""Labelling a shard, and the engines that run it: processes of this machine with one thread each, or a Ray cluster.
 
 On Ray Data (extra: cluster) detectors are actors, and geometry follows them as tasks.
 """
@@ -6,33 +6,187 @@ On Ray Data (extra: cluster) detectors are actors, and geometry follows them as 
 from __future__ import annotations
 
 import logging
-import multiprocessing
-import os
 import pickle
-import threading
-from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
-from dataclasses import asdict
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import closing
+from dataclasses import asdict, dataclass
 from functools import lru_cache
 from importlib import import_module
+from time import perf_counter
 from typing import Any, cast
 
+import numpy as np
+
+from pipeline.answering.objects import prepare_frame
+from pipeline.answering.opening import Pipeline
+from pipeline.datasets import given_expressions
+from pipeline.datasets.base import scene_of
 from pipeline.labels.config import LabelConfig
+from pipeline.labels.labelling import FrameLabels, broken_frame, label_objects
 from pipeline.labels.plan import Plan, Shard, SourceSpec
-from pipeline.labels.shard import Labeller, ShardReport, detect_shard, finished, label_shard, open_labeller
+from pipeline.labels.profiles import GIVEN
+from pipeline.labels.second_opinion import open_second_opinion
 from pipeline.labels.store import Store
+from pipeline.labels.tables import CANDIDATES, PART_TABLES, arrow_schema, build_table
+from pipeline.proposals.base import Proposals
+from pipeline.relations.model import OnnxScorer
+from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError, MissingExtra
-from pipeline.system.threads import one_thread, threads_in_children
+from pipeline.system.threads import one_thread
+from pipeline.system.worker_pool import results_of
+
+
+@dataclass(frozen=True)
+class ShardReport:
+    """What became of a shard.
+
+    Attributes
+    ----------
+    name : str
+        Of its part.
+    frames : int
+    objects, pairs, candidates : int
+        Rows written.
+    broken : int
+        Frames that could not be used.
+    seconds : float
+        0 where it was there already.
+    reused : bool
+    """
+
+    name: str
+    frames: int
+    objects: int = 0
+    pairs: int = 0
+    candidates: int = 0
+    broken: int = 0
+    seconds: float = 0.0
+    reused: bool = False
+
+
+@dataclass(frozen=True)
+class Labeller:
+    """What a process opens once and labels many frames with.
+
+    Attributes
+    ----------
+    config : LabelConfig
+    source : Pipeline
+        The dataset and what finds objects in it.
+    network : OnnxScorer or None
+        The second opinion.
+    """
+
+    config: LabelConfig
+    source: Pipeline
+    network: OnnxScorer | None
+
+
+def open_labeller(spec: SourceSpec, config: LabelConfig) -> Labeller:
+    """Open the dataset and the models of a plan; raises as `open_source`."""
+    return Labeller(config, spec.open(config), open_second_opinion(config.second_opinion))
+
+
+def label_frame(labeller: Labeller, frame_id: str, frame_index: int, found: Proposals | None = None) -> FrameLabels:
+    """The rows of one frame; one that cannot be used is a row with the reason.
+
+    `found` is what the detector said of the frame, where another process ran it.
+    """
+    source, config = labeller.source, labeller.config
+    scene = scene_of(source.dataset, frame_id)
+    detector = source.needed_detector()
+    try:
+        given = given_expressions(source.dataset, frame_id) if config.profile == GIVEN else ()
+        context = prepare_frame(source.dataset, source.dataset.load(frame_id), config.lift)
+        found = detector.detect(context.frame, None) if found is None else found
+        if (np.diff(found.ids) < 0).any():
+            found = found.take(np.argsort(found.ids, kind="stable"))
+        objects = context.lift(found, detector)
+    except InputError as error:
+        return broken_frame(frame_id, frame_index, scene, str(error))
+    return label_objects(
+        context,
+        objects,
+        config,
+        frame_index=frame_index,
+        scene=scene,
+        exact=detector.exact,
+        network=labeller.network,
+        given=given,
+    )
+
+
+def detect_shard(shard: Shard, source: Pipeline) -> dict[str, Proposals]:
+    """What the detector finds in the frames of a shard; frames that cannot be used are left to the labelling."""
+    detector = source.needed_detector()
+    found = {}
+    for frame_id in shard.frames:
+        try:
+            found[frame_id] = detector.detect(prepare_frame(source.dataset, source.dataset.load(frame_id)).frame, None)
+        except InputError:
+            continue
+    return found
+
+
+def shard_tables(labels: Iterable[FrameLabels]) -> dict[str, pa.Table]:
+    """The rows of many frames as Arrow tables."""
+    found: dict[str, list[pa.Table]] = {name: [] for name in PART_TABLES}
+    for frame in labels:
+        for name, columns in frame.tables().items():
+            if columns:
+                found[name].append(build_table(name, columns))
+    return {
+        name: pa.concat_tables(tables).combine_chunks() if tables else arrow_schema(name).empty_table()
+        for name, tables in found.items()
+    }
+
+
+def finished(shard: Shard, store: Store) -> ShardReport | None:
+    """The report of a shard that is there already, else None."""
+    if not store.has_part(shard.name):
+        return None
+    record = store.part_record(shard.name)
+    rows = {name: int(record["files"].get(name, {}).get("rows", 0)) for name in PART_TABLES}
+    broken = int(record.get("broken", 0))
+    return ShardReport(
+        shard.name, rows["frames"], rows["objects"], rows["relations"], rows[CANDIDATES], broken, reused=True
+    )
+
+
+def label_shard(
+    shard: Shard, labeller: Labeller, store: Store, found: Mapping[str, Proposals] | None = None
+) -> ShardReport:
+    """Label the frames of a shard and write its part; one that is there already is left alone.
+
+    The rows depend on the plan alone: not on the engine, nor on what else runs.
+    `found` is what the detector said of its frames, where another process ran it.
+    """
+    there = finished(shard, store)
+    if there is not None:
+        return there
+    start = perf_counter()
+    found = found or {}
+    tables = shard_tables(
+        label_frame(labeller, frame, shard.first + k, found.get(frame))
+        for k, frame in enumerate(shard.frames)
+    )
+    seconds = perf_counter() - start
+    broken = sum(not ok for ok in tables["frames"].column("ok").to_pylist())
+    record = {"shard": shard.index, "key": shard.key, "broken": broken, "seconds": round(seconds, 3)}
+    store.write_part(shard.name, tables, record)
+    return ShardReport(
+        shard.name,
+        len(shard.frames),
+        tables["objects"].num_rows,
+        tables["relations"].num_rows,
+        tables[CANDIDATES].num_rows,
+        broken,
+        seconds,
+    )
+
 
 Done = Callable[[ShardReport], None]
 """Called with each shard's report when it is finished."""
-
-
-_PATIENCE_S = 5.0
-"""How long a worker that is told to end may take."""
-
-
 def run_local(plan: Plan, shards: Sequence[Shard], store: Store, workers: int, done: Done) -> None:
     """Label shards with so many processes; what is finished stays when the run is stopped.
 
@@ -41,68 +195,22 @@ def run_local(plan: Plan, shards: Sequence[Shard], store: Store, workers: int, d
     InputError
         A worker was killed.
     """
-    if workers <= 1 or len(shards) <= 1:
-        with one_thread():
-            labeller = open_labeller(plan.spec, plan.config)
-            for shard in shards:
-                done(label_shard(shard, labeller, store))
-        return
-    with threads_in_children():
-        models = plan.spec, plan.config, store.where
-        pool = ProcessPoolExecutor(min(workers, len(shards)), multiprocessing.get_context("spawn"), _start, models)
-        try:
-            for future in as_completed([pool.submit(_label, shard) for shard in shards]):
-                done(future.result())
-        except BrokenProcessPool as error:
-            raise InputError(
-                "a worker process died", cause="out of memory? finished shards are kept: run again with --resume"
-            ) from error
-        except BaseException:
-            ours = list((pool._processes or {}).values())
-            pool.shutdown(wait=False, cancel_futures=True)
-            for process in ours:
-                process.terminate()
-            for process in ours:
-                process.join(_PATIENCE_S)
-            raise
-        pool.shutdown()
+    reports = results_of(
+        label_shard,
+        shards,
+        workers,
+        prepare=_opened,
+        arguments=(plan.spec, plan.config, store.where),
+        ordered=False,
+        cause="out of memory? finished shards are kept: run again with --resume",
+    )
+    with closing(reports):
+        for report in reports:
+            done(report)
 
 
-_worker: tuple[Labeller, Store] | Exception | None = None
-"""What a worker process opened when it started, or why it could not."""
-
-
-def _start(spec: SourceSpec, config: LabelConfig, where: str) -> None:
-    global _worker
-    import signal
-
-    import cv2
-
-    # Ctrl-C reaches the whole group; the parent alone decides what to do.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    threading.Thread(target=_end_with_parent, daemon=True).start()
-    cv2.setNumThreads(1)
-    try:
-        _worker = open_labeller(spec, config), Store(where)
-    except Exception as error:
-        # Raised here it would only be told as a broken pool.
-        _worker = error
-
-
-def _end_with_parent() -> None:
-    """A worker whose parent was killed would wait for shards for ever."""
-    parent = multiprocessing.parent_process()
-    if parent is not None:
-        parent.join()
-        os._exit(1)
-
-
-def _label(shard: Shard) -> ShardReport:
-    if isinstance(_worker, Exception):
-        raise _worker
-    assert _worker is not None
-    labeller, store = _worker
-    return label_shard(shard, labeller, store)
+def _opened(spec: SourceSpec, config: LabelConfig, where: str) -> tuple[Labeller, Store]:
+    return open_labeller(spec, config), Store(where)
 
 
 LEAST_FRAMES_A_BLOCK = 64

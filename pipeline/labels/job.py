@@ -9,13 +9,12 @@ from time import perf_counter
 from typing import Any, Literal
 
 from pipeline.labels.config import LabelConfig, SelectConfig
-from pipeline.labels.engines import run_local
+from pipeline.labels.engines import ShardReport, run_local
 from pipeline.labels.merge import merge_labels
 from pipeline.labels.plan import SourceSpec, input_changed, make_plan, part_of, save_plan
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.labels.schema import Manifest
 from pipeline.labels.second_opinion import NONE, TRAINED, open_second_opinion
-from pipeline.labels.shard import ShardReport
 from pipeline.labels.store import Store
 from pipeline.system.errors import InputError
 

@@ -143,8 +143,7 @@ def in_doubt(judged: Judged, unsure: np.ndarray) -> Judged:
 
 def judge_objects(lifted: Sequence[LiftedObject], viewer: ViewerAxes, config: LabelConfig) -> Judged:
     """Every ordered pair of the objects under the profile's rules."""
-    lo = np.array([item.lo for item in lifted], np.float64).reshape(-1, 3)
-    hi = np.array([item.hi for item in lifted], np.float64).reshape(-1, 3)
+    lo, hi = (np.array([getattr(item, end) for item in lifted], np.float64).reshape(-1, 3) for end in ("lo", "hi"))
     centres = (lo + hi) / 2
     for k, item in enumerate(lifted):
         if len(item.points):
@@ -169,6 +168,7 @@ def _frame_rows(frame: Frame, frame_index: int, scene: str, objects: int) -> Col
         "frame_index": frame_index,
         "scene": scene,
         "ok": True,
+        "problem": None,
         "width": frame.width,
         "height": frame.height,
         "K": camera.K.ravel().tolist(),
@@ -180,7 +180,7 @@ def _frame_rows(frame: Frame, frame_index: int, scene: str, objects: int) -> Col
         "objects": objects,
         "notes": list(frame.notes),
     }
-    return _rows([{"problem": None, **row}])
+    return _rows([row])
 
 
 def _object_row(
@@ -254,16 +254,10 @@ def _unusable(entry: SceneObject, config: LabelConfig) -> str | None:
 def _relation_columns(
     frame: str, frame_index: int, ids: Sequence[int], judged: Judged, config: LabelConfig
 ) -> Columns:
-    n = len(ids)
-    off = ~np.eye(n, dtype=np.bool_)
     number = np.asarray(ids, np.int32)
-    order = np.argsort(number, kind="stable")
-    a, b = np.nonzero(off)
     # Rows run by (a, b) as numbers, whatever the order of the objects.
-    rank = np.empty(n, np.int64)
-    rank[order] = np.arange(n)
-    by = np.lexsort((rank[b], rank[a]))
-    a, b = a[by], b[by]
+    order = np.argsort(number, kind="stable")
+    a, b = (order[k] for k in np.nonzero(~np.eye(len(ids), dtype=np.bool_)))
     distance = judged.distance[a, b].astype(np.float32)
     columns: Columns = {
         "frame": [frame] * len(a),
@@ -358,12 +352,10 @@ def candidate_expressions(
     kind, rivals = same.argmax(axis=1), same.sum(axis=1)
     asked = usable & np.array([can_be_worded(label) for label in labels], np.bool_)
     number = np.asarray(ids)
-    names = [str(n) for n in ids]
     found: dict[str, list[Any]] = {name: [] for name in _OWN_COLUMNS}
     for relation in config.relations:
         k = PAIRWISE.index(relation)
-        state = judged.states[..., k].copy()
-        np.fill_diagonal(state, -1)
+        state = np.where(np.eye(len(ids), dtype=np.bool_), -1, judged.states[..., k])
         # satisfied[a, b]: object a has the relation to some object of b's class.
         sure = (state == T).astype(np.int32) @ kinds > 0
         likely = (state >= U).astype(np.int32) @ kinds > 0
@@ -374,7 +366,7 @@ def candidate_expressions(
             if question not in answers:
                 answers[question] = number[same[a] & sure[:, b]].tolist(), number[same[a] & likely[:, b]].tolist()
             strict, acceptable = answers[question]
-            found["id"].append(f"{row_hash(config.seed, frame, names[a], relation, names[b]):016x}")
+            found["id"].append(f"{row_hash(config.seed, frame, ids[a], relation, ids[b]):016x}")
             found["target"].append(labels[a])
             found["reference"].append(labels[b])
             found["targets"].append(strict)

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import platform
-import shutil
 from collections.abc import Iterator, Sequence
 from datetime import datetime, timezone
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -28,12 +25,11 @@ from pipeline.labels.tables import CANDIDATES, ROW_GROUP, RowHash, arrow_schema
 from pipeline.labels.wording import expression_text
 from pipeline.language.noun_phrase import alone
 from pipeline.language.relation_names import PAIRWISE
+from pipeline.system.arrow import pa, pq
 from pipeline.system.errors import InputError
+from pipeline.system.plugins import versions_of
 from pipeline.system.version import __version__
-from pipeline.system.whole_files import clear_abandoned, temporary_beside, write_synced
-
-if TYPE_CHECKING:
-    import pyarrow as pa
+from pipeline.system.whole_files import clear_abandoned, sha256_of, temporary_folder, write_synced
 
 LISTED_WARNINGS = 100
 CARD_FILE, CROISSANT_FILE = "README.md", "croissant.json"
@@ -90,23 +86,20 @@ def merge_labels(where: str | Path, selection: SelectConfig | None = None, out: 
     for shard in plan.shards:
         store.check_part(shard.name, shard.key)
     clear_abandoned(out)
-    staging = temporary_beside(out / "merged")
-    staging.mkdir()
-    try:
+    with temporary_folder(out / "merged") as staging:
         manifest = _write_all(staging, plan, store, selection)
         _move_all(staging, out)
-    finally:
-        shutil.rmtree(staging, ignore_errors=True)
     return manifest
 
 
 def _write_all(out: Path, plan: Plan, store: Store, selection: SelectConfig) -> Manifest:
     """Write the merged tables, and everything that tells of them, into a new folder."""
     shards = plan.shards
-    tables: dict[str, TableFile] = {}
     warnings: list[str] = []
-    for name in ("frames", "objects", "relations"):
-        tables[name] = write_merged(out, name, (store.read_part(s.name, name) for s in shards))
+    tables = {
+        name: write_merged(out, name, (store.read_part(s.name, name) for s in shards))
+        for name in ("frames", "objects", "relations")
+    }
     candidates, chosen = choose(shards, store, selection)
     tables["expressions"] = write_merged(out, "expressions", _worded(shards, store, chosen, plan.config.style))
     frames_ok = assumed = 0
@@ -152,19 +145,23 @@ def _write_all(out: Path, plan: Plan, store: Store, selection: SelectConfig) -> 
         created=datetime.now(timezone.utc).isoformat(timespec="seconds"),
     )
     manifest.makers = makers_of(manifest).record()
-    labels = Labels(out, manifest)
-    write_synced(out / CARD_FILE, dataset_card(labels).encode())
-    write_synced(out / CROISSANT_FILE, json.dumps(croissant(labels), indent=1, ensure_ascii=False).encode())
     write_schemas(out / "schemas")
-    write_synced(out / MANIFEST_FILE, manifest.model_dump_json(indent=1).encode())
+    write_manifest(Labels(out, manifest))
     return manifest
+
+
+def write_manifest(labels: Labels) -> None:
+    """Write what tells of merged tables: their card, the Croissant metadata, and last the manifest."""
+    write_synced(labels.root / CARD_FILE, dataset_card(labels).encode())
+    described = json.dumps(croissant(labels), indent=1, ensure_ascii=False)
+    write_synced(labels.root / CROISSANT_FILE, described.encode())
+    write_synced(labels.root / MANIFEST_FILE, labels.manifest.model_dump_json(indent=1).encode())
 
 
 def _move_all(staging: Path, out: Path) -> None:
     """Put written files in the place of older ones. Meanwhile there is no manifest, and so nothing that can be read."""
     (out / MANIFEST_FILE).unlink(missing_ok=True)
-    files = sorted(p for p in staging.rglob("*") if p.is_file())
-    for file in sorted(files, key=lambda p: p.name == MANIFEST_FILE):
+    for file in sorted(filter(Path.is_file, staging.rglob("*")), key=lambda p: (p.name == MANIFEST_FILE, p)):
         final = out / file.relative_to(staging)
         final.parent.mkdir(exist_ok=True)
         os.replace(file, final)
@@ -191,13 +188,11 @@ def choose(shards: Sequence[Shard], store: Store, selection: SelectConfig) -> tu
         columns.append([ids, frame, relation, *named, (answers < same_class) | (same_class == 1)])
     if not columns:
         return 0, {}
-    *said, telling = (np.concatenate(parts) for parts in zip(*columns, strict=True))
-    kept = np.zeros(len(telling), np.bool_)
-    rows = np.flatnonzero(telling) if selection.telling else np.arange(len(telling))
-    ids, frame, relation, target, reference = (column[rows] for column in said)
-    kept[rows] = select(ids, frame, relation, target, reference, selection)
-    at = np.cumsum([0, *(len(part[0]) for part in columns)])
-    return len(kept), {shard.name: kept[at[k] : at[k + 1]] for k, shard in enumerate(shards)}
+    ids, *codes_of, telling = (np.concatenate(parts) for parts in zip(*columns, strict=True))
+    kept = telling if selection.telling else np.ones_like(telling)
+    kept[kept] = select(ids[kept], *(column[kept] for column in codes_of), config=selection)
+    parts = np.split(kept, np.cumsum([len(part[0]) for part in columns])[:-1])
+    return len(kept), {shard.name: part for shard, part in zip(shards, parts, strict=True)}
 
 
 def _worded(
@@ -207,12 +202,10 @@ def _worded(
 
     A row whose names no sentence can carry beside the dataset's other names is left out.
     """
-    import pyarrow as pa
-
     labels = (store.read_part(s.name, "objects", ["label"]).column("label").unique().to_pylist() for s in shards)
     class_names = tuple(sorted({name for found in labels for name in found}))
 
-    def said(target: str, relation: str, reference: str, key: str, several: tuple[bool, bool]) -> str | None:
+    def worded(target: str, relation: str, reference: str, key: str, several: tuple[bool, bool]) -> str | None:
         try:
             return expression_text(
                 target, relation, reference, int(key, 16), style=style, class_names=class_names, several=several
@@ -226,7 +219,7 @@ def _worded(
         frames, *pairs = (rows.column(n).to_pylist() for n in ("frame_index", "target_object", "reference_object"))
         several = [((k, a) not in single, (k, b) not in single) for k, a, b in zip(frames, *pairs, strict=True)]
         columns = (rows.column(n).to_pylist() for n in ("target", "relation", "reference", "id"))
-        texts = pa.array([said(*row) for row in zip(*columns, several, strict=True)], pa.string())
+        texts = pa.array([worded(*row) for row in zip(*columns, several, strict=True)], pa.string())
         schema = arrow_schema("expressions")
         columns = [texts if n == "text" else rows.column(n).combine_chunks() for n in schema.names]
         yield pa.table(columns, schema.names).filter(texts.is_valid()).cast(schema)
@@ -248,8 +241,6 @@ def _single(objects: pa.Table) -> set[tuple[int, int]]:
 
 def write_merged(out: Path, name: str, parts: Iterator[pa.Table]) -> TableFile:
     """Write a table from its parts; its rows and hashes."""
-    import pyarrow.parquet as pq
-
     path = out / f"{name}.parquet"
     digest = RowHash(name)
     waiting: list[pa.Table] = []
@@ -264,17 +255,12 @@ def write_merged(out: Path, name: str, parts: Iterator[pa.Table]) -> TableFile:
                 _write_group(writer, waiting)
                 rows = 0
         _write_group(writer, waiting)
-    sha256 = hashlib.sha256()
     with open(path, "rb") as written:
         os.fsync(written.fileno())
-        while block := written.read(1 << 20):
-            sha256.update(block)
-    return TableFile(file=path.name, rows=digest.rows, content_hash=digest.hexdigest(), sha256=sha256.hexdigest())
+    return TableFile(file=path.name, rows=digest.rows, content_hash=digest.hexdigest(), sha256=sha256_of(path))
 
 
 def _write_group(writer: Any, waiting: list[pa.Table]) -> None:
-    import pyarrow as pa
-
     if waiting:
         writer.write_table(pa.concat_tables(waiting).combine_chunks(), row_group_size=ROW_GROUP)
     waiting.clear()
@@ -282,13 +268,8 @@ def _write_group(writer: Any, waiting: list[pa.Table]) -> None:
 
 def environment() -> dict[str, str]:
     """What the run ran on, for the record: nothing of it changes the rows' hashes."""
-    found = {"python": platform.python_version(), "platform": platform.platform()}
-    for package in ("numpy", "opencv-python-headless", "pyarrow", "pycocotools", "scipy"):
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:
-            continue
-    return found
+    packages = versions_of("numpy", "opencv-python-headless", "pyarrow", "pycocotools", "scipy")
+    return {"python": platform.python_version(), "platform": platform.platform(), **packages}
 
 
 SCARCE = 20
@@ -328,18 +309,18 @@ def select(
     # A second hash, so that another selection seed chooses others of the same candidates.
     order_key = _mixed(ids, row_hash(config.seed, "select"))
     kept = _rank((frame, relation, target, reference), order_key) == 0
-    if config.per_frame is not None:
+
+    def keep_few(of: np.ndarray, in_turn: np.ndarray, most: np.ndarray) -> None:
+        """Of the rows of each `of` keep as many as it may have at most, its `in_turn` taking turns."""
         rows = np.flatnonzero(kept)
-        within = _rank((frame[rows], relation[rows]), order_key[rows])
-        order = np.lexsort((order_key[rows], within, frame[rows]))
-        place = _running_count(frame[rows][order])
-        kept[rows[order[place >= config.per_frame]]] = False
-    rows = np.flatnonzero(kept)
-    quota = _quotas(np.bincount(relation[rows], minlength=relation.max() + 1), config)
-    within = _rank((relation[rows], target[rows]), order_key[rows])
-    order = np.lexsort((order_key[rows], within, relation[rows]))
-    place = _running_count(relation[rows][order])
-    kept[rows[order[place >= quota[relation[rows][order]]]]] = False
+        within = _rank((of[rows], in_turn[rows]), order_key[rows])
+        order = np.lexsort((order_key[rows], within, of[rows]))
+        group = of[rows][order]
+        kept[rows[order[_running_count(group) >= most[group]]]] = False
+
+    if config.per_frame is not None:
+        keep_few(frame, relation, np.full(frame.max() + 1, config.per_frame))
+    keep_few(relation, target, _quotas(np.bincount(relation[kept], minlength=relation.max() + 1), config))
     return kept
 
 
@@ -353,27 +334,18 @@ def _mixed(ids: np.ndarray, seed: int) -> np.ndarray:
 
 
 def _rank(groups: tuple[np.ndarray, ...], key: np.ndarray) -> np.ndarray:
-    """(N,) place of each row among those of its group, by key."""
+    """(N,) rank of each row among those of its group, by key."""
     order = np.lexsort((key, *reversed(groups)))
-    new = np.zeros(len(key), np.bool_)
-    for group in groups:
-        sorted_group = group[order]
-        new[1:] |= sorted_group[1:] != sorted_group[:-1]
     ranks = np.empty(len(key), np.int64)
-    ranks[order] = _count_since(new)
+    ranks[order] = _running_count(*(group[order] for group in groups))
     return ranks
 
 
-def _running_count(sorted_group: np.ndarray) -> np.ndarray:
-    """Place of each row in its run of equal values."""
-    new = np.zeros(len(sorted_group), np.bool_)
-    new[1:] = sorted_group[1:] != sorted_group[:-1]
-    return _count_since(new)
-
-
-def _count_since(new: np.ndarray) -> np.ndarray:
-    start = np.where(new, np.arange(len(new)), 0)
-    return np.arange(len(new)) - np.maximum.accumulate(start) if len(new) else start
+def _running_count(*columns: np.ndarray) -> np.ndarray:
+    """(N,) how many rows of equal values come right before each."""
+    at = np.arange(len(columns[0]))
+    new = np.any([np.diff(column, prepend=column[:1]) != 0 for column in columns], axis=0)
+    return at - np.maximum.accumulate(np.where(new, at, 0))
 
 
 def _quotas(counts: np.ndarray, config: SelectConfig) -> np.ndarray:

@@ -1,22 +1,23 @@
-"""Opening merged labels: the four tables and the manifest, each checked when it is read."""
+"""Opening merged labels, each table checked when it is read, and the dataset that they were made from."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import Any
 
 from pydantic import ValidationError
 
+from pipeline.datasets import Dataset, open_dataset
+from pipeline.datasets.demo import DEMO_NAME, demo_path
 from pipeline.labels.schema import SCHEMA_VERSION, TABLES, Manifest
 from pipeline.labels.tables import read_table
 from pipeline.language.relation_names import PAIRWISE
+from pipeline.system.arrow import pa, pq
 from pipeline.system.errors import InputError
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 MANIFEST_FILE = "manifest.json"
 
@@ -138,9 +139,6 @@ def read_corrections(root: Path) -> Corrections:
     path = root / PROVENANCE_FILE
     if not path.exists():
         return Corrections()
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
     try:
         rows = pq.read_table(path, columns=["table", "frame", "key", "column", "origin", "was"]).to_pylist()
         relations, expressions = set(), set()
@@ -155,3 +153,73 @@ def read_corrections(root: Path) -> Corrections:
     except (pa.ArrowException, OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise InputError("the provenance of the labels is damaged", got=str(error).split("\n")[0], path=path) from error
     return Corrections(frozenset(relations), frozenset(expressions))
+
+
+Intrinsics = tuple[float, float, float, float]
+
+
+def labelled_dataset(
+    manifest: Manifest,
+    path: str | None = None,
+    *,
+    intrinsics: Intrinsics | None = None,
+    depth_scale: float | None = None,
+    up: str | None = None,
+    level_at: str | None = None,
+) -> Dataset:
+    """Open it where it was when it was labelled, or where it is now; its camera is the one that was said then.
+
+    Parameters
+    ----------
+    manifest : Manifest
+        Of the labels.
+    path : str, optional
+        Where it is now.
+    intrinsics : tuple of float, optional
+        fx, fy, cx, cy in pixels, instead of what was said then.
+    depth_scale : float, optional
+        Depth units in one metre, instead of what was said then.
+    up, level_at : str, optional
+        As for `open_dataset`, instead of what was said then.
+
+    Raises
+    ------
+    InputError
+        The labels do not name it, or it cannot be opened.
+    """
+    said = manifest.dataset
+    where = path or said.get("path")
+    if not where:
+        raise InputError("the labels do not say which dataset they are of")
+    if where == DEMO_NAME and not Path(where).exists():
+        where = demo_path()
+    options = dict(said.get("options") or {})
+    if intrinsics is None and options.get("intrinsics"):
+        intrinsics = _four(options["intrinsics"])
+    if depth_scale is None and options.get("depth_scale") is not None:
+        depth_scale = _number(options["depth_scale"])
+    told = labelled_up(manifest, {"up": up, "level_at": level_at})
+    return open_dataset(where, intrinsics=intrinsics, depth_scale=depth_scale, **told)
+
+
+def labelled_up(manifest: Manifest, options: Mapping[str, Any]) -> dict[str, Any]:
+    """Arguments of `open_dataset`, with the up vector that was said when the labels were made where none is said."""
+    said = manifest.dataset.get("options") or {}
+    told = {n: str(said[n]) for n in ("up", "level_at") if said.get(n) is not None}
+    return dict(options) if any(options.get(n) is not None for n in ("up", "level_at")) else {**options, **told}
+
+
+def _four(said: Any) -> Intrinsics:
+    numbers = said.strip("()[] ").split(",") if isinstance(said, str) else said
+    try:
+        fx, fy, cx, cy = (float(n) for n in numbers)
+    except (TypeError, ValueError) as error:
+        raise InputError("the labels name a camera that is none", got=repr(said)[:60]) from error
+    return fx, fy, cx, cy
+
+
+def _number(said: Any) -> float:
+    try:
+        return float(said)
+    except (TypeError, ValueError) as error:
+        raise InputError("the labels name a depth scale that is none", got=repr(said)[:60]) from error

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 import json
-import shutil
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from pipeline.labels.card import croissant, dataset_card
-from pipeline.labels.merge import CARD_FILE, CROISSANT_FILE, write_merged
+from pipeline.labels.merge import write_manifest, write_merged
 from pipeline.labels.reading import MANIFEST_FILE, Labels, open_labels
+from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError
-from pipeline.system.whole_files import temporary_beside, write_synced
+from pipeline.system.whole_files import temporary_folder
 
 
 def read_sentences(path: Path) -> dict[tuple[str, str], str]:
@@ -43,8 +42,6 @@ def reword(folder: Path, sentences: Mapping[tuple[str, str], str]) -> int:
     InputError
         No labels, or an expression that they do not have.
     """
-    import pyarrow as pa
-
     labels = open_labels(folder)
     table = labels.expressions
     keys = list(zip(*(table.column(n).to_pylist() for n in ("frame", "id")), strict=True))
@@ -54,21 +51,14 @@ def reword(folder: Path, sentences: Mapping[tuple[str, str], str]) -> int:
     texts = [sentences.get(key, text) for key, text in zip(keys, table.column("text").to_pylist(), strict=True)]
     place = table.schema.get_field_index("text")
     table = table.set_column(place, table.schema.field(place), pa.array(texts, pa.string()))
-    staging = temporary_beside(folder / "reworded")
-    staging.mkdir()
-    try:
+    with temporary_folder(folder / "reworded") as staging:
         written = write_merged(staging, "expressions", iter([table]))
         tables = {**labels.manifest.tables, "expressions": written}
         manifest = labels.manifest.model_copy(update={"tables": tables})
         # Without a manifest there are no labels: a crash in between leaves nothing half new.
         (folder / MANIFEST_FILE).unlink()
         (staging / "expressions.parquet").replace(folder / "expressions.parquet")
-        after = Labels(folder, manifest)
-        write_synced(folder / CARD_FILE, dataset_card(after).encode())
-        write_synced(folder / CROISSANT_FILE, json.dumps(croissant(after), indent=1, ensure_ascii=False).encode())
-        write_synced(folder / MANIFEST_FILE, manifest.model_dump_json(indent=1).encode())
-    finally:
-        shutil.rmtree(staging, ignore_errors=True)
+        write_manifest(Labels(folder, manifest))
     return len(sentences)
 
 

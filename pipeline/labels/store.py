@@ -8,13 +8,12 @@ import os
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from pipeline.labels.tables import read_table
+from pipeline.system.arrow import pa, pq
 from pipeline.system.errors import InputError, MissingExtra
-from pipeline.system.whole_files import clear_abandoned, temporary_beside, write_synced
-
-if TYPE_CHECKING:
-    import pyarrow as pa
+from pipeline.system.whole_files import clear_abandoned, sha256_of, temporary_beside, temporary_folder, write_synced
 
 PARTS = "parts"
 PLAN_FILE = "plan.json"
@@ -96,23 +95,21 @@ class Store:
         """A small file, or None where it is missing."""
         try:
             if self.remote:
-                with self._fs.open(f"{self._root}/{name}", "rb") as file:
-                    return file.read().decode()
+                return self._fs.cat_file(f"{self._root}/{name}").decode()
             return (self.folder / name).read_text(encoding="utf-8")
         except FileNotFoundError:
             return None
         except UnicodeDecodeError as error:
-            raise InputError("not a text file", path=self._place(name)) from error
+            raise InputError("not a text file", path=self._address(name)) from error
 
-    def _place(self, name: str) -> str:
+    def _address(self, name: str) -> str:
         """For messages: where something of the folder is."""
         return f"{self.where.rstrip('/')}/{name}"
 
     def write_text(self, name: str, text: str) -> None:
         """Write a small file whole; one that is there already stays, whoever wrote it first."""
         if self.remote:
-            with self._fs.open(f"{self._root}/{name}", "wb") as file:
-                file.write(text.encode())
+            self._fs.pipe_file(f"{self._root}/{name}", text.encode())
             return
         temporary = temporary_beside(self.folder / name)
         try:
@@ -129,26 +126,28 @@ class Store:
 
     def has_part(self, name: str) -> bool:
         """Whether a finished part is there."""
-        place = f"{PARTS}/{name}/{DONE_FILE}"
-        return self._fs.exists(f"{self._root}/{place}") if self.remote else (self.folder / place).is_file()
+        path = f"{PARTS}/{name}/{DONE_FILE}"
+        return self._fs.exists(f"{self._root}/{path}") if self.remote else (self.folder / path).is_file()
 
     def write_part(self, name: str, tables: Mapping[str, pa.Table], record: dict[str, Any]) -> None:
         """Write the tables of a part, and its record with the row counts and hashes of its files."""
         if self.has_part(name):
             return
+        contents = {f"{table}.parquet": parquet_bytes(rows) for table, rows in tables.items()}
+        files = {
+            table: {"rows": rows.num_rows, "sha256": hashlib.sha256(contents[f"{table}.parquet"]).hexdigest()}
+            for table, rows in tables.items()
+        }
+        contents[DONE_FILE] = json.dumps({**record, "files": files}).encode()
         if self.remote:
-            self._write_remote(name, tables, record)
+            self._fs.makedirs(f"{self._root}/{PARTS}/{name}", exist_ok=True)
+            for file, data in contents.items():
+                self._fs.pipe_file(f"{self._root}/{PARTS}/{name}/{file}", data)
             return
         final = self.folder / PARTS / name
-        temporary = temporary_beside(final)
-        temporary.mkdir(parents=True)
-        try:
-            files = {}
-            for table, rows in tables.items():
-                data = parquet_bytes(rows)
-                write_synced(temporary / f"{table}.parquet", data)
-                files[table] = {"rows": rows.num_rows, "sha256": hashlib.sha256(data).hexdigest()}
-            write_synced(temporary / DONE_FILE, json.dumps({**record, "files": files}).encode())
+        with temporary_folder(final) as temporary:
+            for file, data in contents.items():
+                write_synced(temporary / file, data)
             try:
                 os.rename(temporary, final)
             except OSError:
@@ -156,20 +155,6 @@ class Store:
                     # A folder of that name without its record can only be debris.
                     shutil.rmtree(final, ignore_errors=True)
                     os.rename(temporary, final)
-        finally:
-            shutil.rmtree(temporary, ignore_errors=True)
-
-    def _write_remote(self, name: str, tables: Mapping[str, pa.Table], record: dict[str, Any]) -> None:
-        files = {}
-        folder = f"{self._root}/{PARTS}/{name}"
-        self._fs.makedirs(folder, exist_ok=True)
-        for table, rows in tables.items():
-            data = parquet_bytes(rows)
-            with self._fs.open(f"{folder}/{table}.parquet", "wb") as file:
-                file.write(data)
-            files[table] = {"rows": rows.num_rows, "sha256": hashlib.sha256(data).hexdigest()}
-        with self._fs.open(f"{folder}/{DONE_FILE}", "wb") as file:
-            file.write(json.dumps({**record, "files": files}).encode())
 
     def read_part(self, name: str, table: str, columns: list[str] | None = None) -> pa.Table:
         """A table of a finished part.
@@ -179,13 +164,11 @@ class Store:
         InputError
             The file is missing or damaged.
         """
-        from pipeline.labels.tables import read_table
-
-        place = f"{PARTS}/{name}/{table}.parquet"
+        path = f"{PARTS}/{name}/{table}.parquet"
         if not self.remote:
-            return read_table(self.folder / place, table, columns)
-        with self._open_part(place) as file:
-            return read_table(file, table, columns, path=self._place(place))
+            return read_table(self.folder / path, table, columns)
+        with self._open_part(path) as file:
+            return read_table(file, table, columns, path=self._address(path))
 
     def part_record(self, name: str) -> dict[str, Any]:
         """The record of a finished part.
@@ -213,33 +196,28 @@ class Store:
         if record.get("key") != key:
             raise self._damaged(name, "the rows of another shard")
         for table, entry in record["files"].items():
-            place, sha256 = f"{PARTS}/{name}/{table}.parquet", hashlib.sha256()
             try:
-                with self._open_part(place) as file:
-                    while block := file.read(1 << 20):
-                        sha256.update(block)
+                with self._open_part(f"{PARTS}/{name}/{table}.parquet") as file:
+                    sha256 = sha256_of(file)
             except FileNotFoundError as error:
                 raise self._damaged(name, f"no {table}.parquet") from error
-            if sha256.hexdigest() != entry.get("sha256"):
+            if sha256 != entry.get("sha256"):
                 raise self._damaged(name, f"another content of {table}.parquet")
 
-    def _open_part(self, place: str) -> Any:
-        return self._fs.open(f"{self._root}/{place}", "rb") if self.remote else open(self.folder / place, "rb")
+    def _open_part(self, path: str) -> Any:
+        return self._fs.open(f"{self._root}/{path}", "rb") if self.remote else open(self.folder / path, "rb")
 
     def _damaged(self, name: str, got: str) -> InputError:
         return InputError(
             "a finished shard is damaged",
             got=got,
             cause="remove its folder, and run label again with --resume",
-            path=self._place(f"{PARTS}/{name}"),
+            path=self._address(f"{PARTS}/{name}"),
         )
 
 
 def parquet_bytes(table: pa.Table) -> bytes:
     """A table as the bytes of a Parquet file."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
     sink = pa.BufferOutputStream()
     pq.write_table(table, sink, compression="zstd")
     return sink.getvalue().to_pybytes()

@@ -9,17 +9,14 @@ import typing
 from collections.abc import Iterable, Sequence
 from functools import lru_cache
 from pathlib import Path
-from typing import IO, TYPE_CHECKING, Any
+from typing import IO, Any
 
 import numpy as np
-from pydantic import ValidationError
 
 from pipeline.labels.schema import ADDED_COLUMNS, SCHEMA_VERSION, TABLES
+from pipeline.system.arrow import pa, pc, pq
 from pipeline.system.errors import InputError
 from pipeline.system.whole_files import temporary_beside
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 VERSION_KEY = b"spatialviz.schema_version"
 TABLE_KEY = b"spatialviz.table"
@@ -38,8 +35,6 @@ PART_TABLES = ("frames", "objects", "relations", CANDIDATES)
 @lru_cache
 def arrow_schema(table: str) -> pa.Schema:
     """The Arrow schema of a table, with the schema's version in its metadata."""
-    import pyarrow as pa
-
     if table == CANDIDATES:
         worded = arrow_schema("expressions")
         metadata = {**worded.metadata, TABLE_KEY: CANDIDATES.encode()}
@@ -47,55 +42,41 @@ def arrow_schema(table: str) -> pa.Schema:
         return bare.append(pa.field("same_class", pa.int32(), False)).with_metadata(metadata)
     fields = []
     for name, info in TABLES[table].model_fields.items():
-        kinds = [k for k in (typing.get_args(info.annotation) or (info.annotation,)) if k is not types.NoneType]
-        nullable = type(None) in typing.get_args(info.annotation)
-        hint = (info.json_schema_extra or {}) if isinstance(info.json_schema_extra, dict) else {}
-        fields.append(pa.field(info.alias or name, _arrow_type(info.annotation, kinds, hint.get("arrow")), nullable))
-    return pa.schema(fields, metadata={VERSION_KEY: SCHEMA_VERSION.encode(), TABLE_KEY: table.encode()})
-
-
-def _arrow_type(annotation: Any, kinds: Sequence[Any], hint: Any) -> pa.DataType:
-    import pyarrow as pa
-
-    named = {"int8": pa.int8(), "int32": pa.int32(), "float32": pa.float32()}
-    for kind in (annotation, *kinds):
-        while typing.get_origin(kind) is typing.Annotated:
+        options = typing.get_args(info.annotation)
+        nullable = types.NoneType in options
+        kind = next(k for k in options if k is not types.NoneType) if nullable else info.annotation
+        if typing.get_origin(kind) is typing.Annotated:
             kind = typing.get_args(kind)[0]
         if typing.get_origin(kind) is list:
             (inner,) = typing.get_args(kind)
-            plain = {str: pa.string(), float: pa.float64(), int: pa.int32()}
-            return pa.list_(plain[inner])
-    if hint is not None:
-        return named[str(hint)]
-    for kind in kinds:
-        if kind in (str, bool, int, float):
-            return {str: pa.string(), bool: pa.bool_(), int: pa.int64(), float: pa.float64()}[kind]
-    return pa.string()
+            stored = pa.list_(pa.type_for_alias("int32" if inner is int else _STORED[inner]))
+        else:
+            hint = info.json_schema_extra if isinstance(info.json_schema_extra, dict) else {}
+            stored = pa.type_for_alias(str(hint.get("arrow") or _STORED.get(kind, "string")))
+        fields.append(pa.field(name, stored, nullable))
+    return pa.schema(fields, metadata={VERSION_KEY: SCHEMA_VERSION.encode(), TABLE_KEY: table.encode()})
+
+
+_STORED: dict[Any, str] = {str: "string", bool: "bool", int: "int64", float: "float64"}
 
 
 def build_table(table: str, columns: Columns) -> pa.Table:
     """Columns as an Arrow table of the schema; a column that is left out is null throughout."""
-    import pyarrow as pa
-
     schema = arrow_schema(table)
     unknown = set(columns) - set(schema.names)
     if unknown:
         raise InputError(f"table {table} has no column {sorted(unknown)[0]!r}")
     length = len(next(iter(columns.values()))) if columns else 0
-    arrays = []
-    for field in schema:
-        values = columns.get(field.name)
-        if values is None:
-            arrays.append(pa.nulls(length, field.type))
-        else:
-            arrays.append(pa.array(values, field.type, from_pandas=isinstance(values, np.ndarray)))
+    values = (columns.get(name) for name in schema.names)
+    arrays = [
+        pa.nulls(length, of) if v is None else pa.array(v, of, from_pandas=isinstance(v, np.ndarray))
+        for v, of in zip(values, schema.types, strict=True)
+    ]
     return pa.Table.from_arrays(arrays, schema=schema)
 
 
 def write_table(table: pa.Table, path: Path) -> None:
     """Write Parquet under a temporary name, sync it, and rename it into place."""
-    import pyarrow.parquet as pq
-
     temporary = temporary_beside(path)
     try:
         pq.write_table(table, temporary, compression="zstd", row_group_size=ROW_GROUP)
@@ -116,9 +97,6 @@ def read_table(
     InputError
         The file is missing, damaged, of another table, or of a newer schema.
     """
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
     path = source if isinstance(source, Path) else path or "an open file"
     try:
         with pq.ParquetFile(source) as file:
@@ -138,8 +116,6 @@ def read_table(
 
 def with_added(rows: pa.Table, table: str, columns: Sequence[str] | None = None) -> pa.Table:
     """Rows of a file that may be older than the columns in ADDED_COLUMNS: those are null, in their place."""
-    import pyarrow as pa
-
     wanted = columns or arrow_schema(table).names
     missing = [n for n in wanted if n in ADDED_COLUMNS and n not in rows.column_names]
     for name in missing:
@@ -184,23 +160,20 @@ class RowHash:
             if table.column(name).null_count < table.num_rows:
                 self._held.add(name)
             for chunk in table.column(name).chunks:
-                for place, part in enumerate(_plain_bytes(chunk)):
-                    self._digests.setdefault((name, place), hashlib.sha256()).update(part)
+                for k, part in enumerate(_plain_bytes(chunk)):
+                    self._digests.setdefault((name, k), hashlib.sha256()).update(part)
 
     def hexdigest(self) -> str:
         """64 hexadecimal digits."""
         whole = hashlib.sha256(str(self.rows).encode())
-        for (name, place), digest in sorted(self._digests.items()):
+        for (name, k), digest in sorted(self._digests.items()):
             if name in self._held:
-                whole.update(f"{name}.{place}".encode() + digest.digest())
+                whole.update(f"{name}.{k}".encode() + digest.digest())
         return whole.hexdigest()
 
 
 def _plain_bytes(array: Any) -> Iterable[bytes]:
     """The values as bytes that do not depend on how Arrow lays them out."""
-    import pyarrow as pa
-    import pyarrow.compute as pc
-
     yield np.asarray(pc.is_valid(array)).astype(np.uint8).tobytes()  # pyright: ignore[reportAttributeAccessIssue]
     if pa.types.is_dictionary(array.type):
         array = array.dictionary_decode()
@@ -223,23 +196,3 @@ def content_hash(table: pa.Table, name: str) -> str:
     digest = RowHash(name)
     digest.update(table)
     return digest.hexdigest()
-
-
-def validate_rows(table: pa.Table, name: str, path: Path | None = None) -> None:
-    """Every row against its pydantic model.
-
-    Raises
-    ------
-    InputError
-        The first row that does not fit: which, and why.
-    """
-    model = TABLES[name]
-    for number, row in enumerate(table.to_pylist()):
-        try:
-            model.model_validate(row)
-        except ValidationError as error:
-            first = error.errors()[0]
-            where = ".".join(str(p) for p in first["loc"])
-            raise InputError(
-                f"row {number} of {name}: {where}: {first['msg']}", got=repr(first.get("input"))[:80], path=path
-            ) from error

@@ -6,7 +6,6 @@ the same file until another revision is asked for.
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import re
@@ -19,6 +18,7 @@ from typing import Any
 from pipeline.system.errors import InputError, MissingExtra
 from pipeline.system.execution import is_verbose
 from pipeline.system.paths import cache_folder
+from pipeline.system.whole_files import sha256_of
 
 _ID = re.compile(
     r"(?P<repo>[A-Za-z0-9][\w.-]{0,95}/[\w.-]{1,96})(?::(?P<file>[^@:\\]+))?(?:@(?P<revision>[\w.][\w./-]*))?"
@@ -211,15 +211,6 @@ def _fetch_file(hub_id: HubId, name: str, commit: str, expected: KnownFile, endp
             )
     target.parent.mkdir(parents=True, exist_ok=True)
     os.replace(path, target)
-
-
-def sha256_of(path: Path) -> str:
-    """Of a file's content."""
-    digest = hashlib.sha256()
-    with path.open("rb") as file:
-        while block := file.read(1 << 20):
-            digest.update(block)
-    return digest.hexdigest()
 
 
 def _expected(repo: str, commit: str, name: str, listed: Any) -> KnownFile:

@@ -1,9 +1,10 @@
-"""What installed packages add through entry points: readers, detectors, segmenters, exports."""
+"""Installed packages: their versions, and the readers, detectors, segmenters and exports that entry points add."""
 
 from __future__ import annotations
 
 import warnings
-from importlib.metadata import entry_points
+from contextlib import suppress
+from importlib.metadata import PackageNotFoundError, entry_points, version
 from typing import Any
 
 
@@ -35,3 +36,12 @@ def load_plugins(group: str, what: str, kind: Any) -> tuple[tuple[str, Any], ...
         else:
             warnings.warn(f"{what} plugin {point.value} is no {kind.__name__}", stacklevel=3)
     return tuple(found)
+
+
+def versions_of(*packages: str) -> dict[str, str]:
+    """The versions of those packages that are installed."""
+    found = {}
+    for package in packages:
+        with suppress(PackageNotFoundError):
+            found[package] = version(package)
+    return found

@@ -1,14 +1,17 @@
-"""Files that appear whole or not at all: written under a hidden name, synced, and renamed into place."""
+"""Files that appear whole or not at all (written under a hidden name, synced, renamed into place), and their hashes."""
 
 from __future__ import annotations
 
+import hashlib
 import os
 import re
 import shutil
 import socket
 import time
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
+from typing import IO
 from uuid import uuid4
 
 from pipeline.system.errors import InputError
@@ -79,3 +82,23 @@ def write_synced(path: Path, data: bytes) -> None:
         file.write(data)
         file.flush()
         os.fsync(file.fileno())
+
+
+@contextmanager
+def temporary_folder(path: Path) -> Iterator[Path]:
+    """A new folder under a hidden name beside `path`; what is left of it at the end of the block is removed."""
+    folder = temporary_beside(path)
+    folder.mkdir(parents=True)
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def sha256_of(source: Path | IO[bytes]) -> str:
+    """Of a file's content, by its path or open for reading, in hexadecimal."""
+    digest = hashlib.sha256()
+    with source.open("rb") if isinstance(source, Path) else nullcontext(source) as file:
+        while block := file.read(1 << 20):
+            digest.update(block)
+    return digest.hexdigest()

@@ -6,10 +6,8 @@ robot's cameras, as the training rooms are, and from other heights, tilts and ro
 
 from __future__ import annotations
 
-import multiprocessing
 import tempfile
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
@@ -23,11 +21,12 @@ from pipeline.language.relation_names import DIRECTIONAL, HORIZONTAL
 from pipeline.metrics.counts import f1_of
 from pipeline.metrics.intervals import BootstrapConfig, Estimate, bootstrap
 from pipeline.metrics.relation_metrics import cell_outcomes
-from pipeline.metrics.tables import Cell, Row, Table
+from pipeline.metrics.tables import Row, Table
 from pipeline.relations.features import FEATURES, cli_features
 from pipeline.relations.model import OnnxScorer
 from pipeline.relations.scorer import rule_probabilities
 from pipeline.system.errors import InputError
+from pipeline.system.worker_pool import results_of
 from pipeline.training.onnx_file import save_onnx
 from pipeline.training.pairs import PairSet
 from pipeline.training.train import TrainConfig, require_training, train_pairs
@@ -96,10 +95,10 @@ class AblationViews:
 def other_camera(camera: Camera, rng: np.random.Generator) -> Camera:
     """A camera at the same place of the floor that looks the same way, from another height, tilted and rolled."""
     assert camera.T_world_camera is not None
-    forward, place = camera.T_world_camera[:3, 2], camera.T_world_camera[:3, 3].copy()
-    place[2] = rng.uniform(*HEIGHTS_M)
+    forward, position = camera.T_world_camera[:3, 2], camera.T_world_camera[:3, 3].copy()
+    position[2] = rng.uniform(*HEIGHTS_M)
     pitch, roll = (float(np.deg2rad(rng.uniform(*limits))) for limits in (PITCHES_DEG, ROLLS_DEG))
-    return camera_at(place, float(np.arctan2(forward[1], forward[0])), pitch, roll, camera.width, camera.height)
+    return camera_at(position, float(np.arctan2(forward[1], forward[0])), pitch, roll, camera.width, camera.height)
 
 
 def ablation_views(
@@ -121,17 +120,11 @@ def ablation_views(
     jobs = [
         (first + k, config.views, config.width, config.height, k >= train) for k in range(config.rooms)
     ]
-    found: list[tuple[tuple[FrameSamples, ...], tuple[FrameSamples, ...]]] = []
+    found = []
     tell = progress or (lambda done, of: None)
-    if min(workers, len(jobs)) <= 1:
-        for job in jobs:
-            found.append(_room(job))
-            tell(len(found), len(jobs))
-    else:
-        with ProcessPoolExecutor(min(workers, len(jobs)), multiprocessing.get_context("spawn")) as pool:
-            for samples in pool.map(_room, jobs):
-                found.append(samples)
-                tell(len(found), len(jobs))
+    for samples in results_of(_room, jobs, workers):
+        found.append(samples)
+        tell(len(found), len(jobs))
     usual = tuple(room for room, _ in found)
     return AblationViews(usual[:train], usual[train:], tuple(room for _, room in found[train:]))
 
@@ -225,13 +218,13 @@ def ablation_table(
     variants: Sequence[Variant], labels: Protocol, test_rooms: int, config: BootstrapConfig | None = None
 ) -> Table:
     """Every variant, and how much those of 3D are ahead of 2D with as many pairs."""
-    rows = [Row(_name(v), _cells(v.figures(config=config))) for v in variants]
+    rows = [Row(_name(v), tuple(v.figures(config=config))) for v in variants]
     flat = {v.pairs: v for v in variants if v.features == "geom2d8"}
     for v in variants:
         other = flat.get(v.pairs)
         if other is not None and v is not other:
-            rows.append(Row(f"{_name(v)}, less 2d", _cells(v.figures(other, config))))
-    said = {
+            rows.append(Row(f"{_name(v)}, less 2d", tuple(v.figures(other, config))))
+    source = {
         "exact": "the rule on the exact extents of whole objects",
         "seen": "the rule on the noisy extents that are seen, as the features are: imitation of the rule",
     }[labels]
@@ -240,7 +233,7 @@ def ablation_table(
         "Feature contracts on rendered rooms",
         COLUMNS,
         tuple(rows),
-        f"Percent. Labels: {said}. Other cameras: {HEIGHTS_M[0]} to {HEIGHTS_M[1]} m high, pitch "
+        f"Percent. Labels: {source}. Other cameras: {HEIGHTS_M[0]} to {HEIGHTS_M[1]} m high, pitch "
         f"{PITCHES_DEG[0]:.0f} to {PITCHES_DEG[1]:.0f}°, roll up to {ROLLS_DEG[1]:.0f}°. Brackets: 95 % bootstrap "
         f"intervals over {test_rooms} rooms that were not learnt from.",
     )
@@ -274,10 +267,6 @@ def compare_features(
     return ablation_table(variants, config.labels, len(views.test))
 
 
-def _cells(figures: Sequence[Estimate]) -> tuple[Cell, ...]:
-    return tuple(figures)
-
-
 def _name(variant: Variant) -> str:
     if variant.pairs is None:
         return variant.features
@@ -305,9 +294,9 @@ def _counts(
     """(rooms, 2, 6, 3): see `Variant`."""
     found = np.zeros((len(views.test), 2, len(DIRECTIONAL), 3))
     for side, rooms in enumerate((views.test, views.shifted)):
-        for place, room in enumerate(rooms):
+        for k, room in enumerate(rooms):
             for frame in room:
                 apart = ~np.eye(len(frame.seen_lo), dtype=np.bool_)
                 cells = cell_outcomes(scored(frame)[apart], _truth(frame, labels)[apart])
-                found[place, side] += np.stack([cells.tp, cells.fp, cells.fn], axis=-1).sum(axis=0)
+                found[k, side] += np.stack([cells.tp, cells.fp, cells.fn], axis=-1).sum(axis=0)
     return found

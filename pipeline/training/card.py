@@ -7,7 +7,6 @@ import platform
 import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +19,7 @@ from pipeline.relations.model import OnnxScorer
 from pipeline.relations.scorer import rule_probabilities
 from pipeline.system.errors import InputError
 from pipeline.system.onnx_session import file_hash
+from pipeline.system.plugins import versions_of
 from pipeline.system.threads import one_thread
 from pipeline.training.evaluation import clear_cut_report, evaluate
 from pipeline.training.onnx_file import save_onnx
@@ -175,13 +175,8 @@ def _command(out: Path, rooms: RoomConfig, config: TrainConfig) -> str:
 
 def versions() -> dict[str, str]:
     """Of this program, of Python and of what trains."""
-    found = {"python": platform.python_version(), "machine": platform.machine()}
-    for package in ("spatialviz", "numpy", "torch", "onnx", "onnxruntime", "embreex", "opencv-python-headless"):
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:
-            continue
-    return found
+    packages = ("spatialviz", "numpy", "torch", "onnx", "onnxruntime", "embreex", "opencv-python-headless")
+    return {"python": platform.python_version(), "machine": platform.machine(), **versions_of(*packages)}
 
 
 def rounded(value: Any) -> Any:

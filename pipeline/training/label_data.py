@@ -6,10 +6,10 @@ and the paper's PCA box of every object. Only usable objects take part.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
@@ -23,11 +23,9 @@ from pipeline.relations.class_vectors import ClassVectors
 from pipeline.relations.contract import TrainedOn
 from pipeline.relations.features import feature_set, geometry_of, rows_2d
 from pipeline.relations.relations import T, U
+from pipeline.system.arrow import pa, pc
 from pipeline.system.errors import InputError
 from pipeline.training.pairs import PairSet
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 _LENGTHS = {"bbox": 4, "lo": 3, "hi": 3, "pca_center": 3, "pca_R": 9, "pca_size": 3, "center": 3, "R": 9, "size": 3}
 GEOMETRY_COLUMNS: dict[str, tuple[str, ...]] = {
@@ -129,15 +127,15 @@ def read_label_data(labels: Labels, features: str, vocabulary: Sequence[str]) ->
     names, classes = np.unique(objects["label"].astype(np.str_), return_inverse=True)
     order = np.argsort(frames["frame_index"], kind="stable")
     found = []
-    for place in order:
-        index = int(frames["frame_index"][place])
+    for k in order:
+        index = int(frames["frame_index"][k])
         mine = rows_of_frame(objects["frame_index"], index)
-        if not frames["ok"][place] or mine.stop - mine.start < 2:
+        if not frames["ok"][k] or mine.stop - mine.start < 2:
             continue
-        pose = frames["T_world_camera"][place]
+        pose = frames["T_world_camera"][k]
         position = None if pose is None else (float(pose[3]), float(pose[7]), float(pose[11]))
-        key = FrameKey(str(frames["frame"][place]), str(frames["scene"][place]), index, position)
-        rows = object_rows(features, objects, mine, {name: frames[name][place] for name in ("width", "height", "up")})
+        key = FrameKey(str(frames["frame"][k]), str(frames["scene"][k]), index, position)
+        rows = object_rows(features, objects, mine, {name: frames[name][k] for name in ("width", "height", "up")})
         known = np.isfinite(rows).all(axis=1)
         if known.sum() < 2:
             continue
@@ -175,16 +173,15 @@ def pair_set(
         Of that draw.
     """
     contract = feature_set(features)
-    kept = list(_learnable(frames, output))
-    total = sum(int(k.sum()) for k in kept)
+    # What can be learnt from, (N, N) bool of each frame.
+    kept = [f.single() >= 0 if output == "softmax" else (f.states != U).any(axis=2) for f in frames]
+    sizes = [int(mask.sum()) for mask in kept]
+    total = sum(sizes)
     if limit is not None and limit < total:
         chosen = np.zeros(total, np.bool_)
         chosen[np.random.default_rng([seed, 29]).choice(total, limit, replace=False)] = True
-        start = 0
-        for mask in kept:
-            stop = start + int(mask.sum())
-            mask[mask] = chosen[start:stop]
-            start = stop
+        for mask, part in zip(kept, np.split(chosen, np.cumsum(sizes)[:-1]), strict=True):
+            mask[mask] = part
         total = limit
     relations = frames[0].states.shape[2] if frames else 0
     values = np.empty((total, contract.dimension), np.float32)
@@ -201,12 +198,6 @@ def pair_set(
     return PairSet(values, states, None if vectors is None else classes, vectors)
 
 
-def _learnable(frames: Sequence[LabelledFrame], output: str) -> Iterator[np.ndarray]:
-    """(N, N) bool of each frame."""
-    for frame in frames:
-        yield frame.single() >= 0 if output == "softmax" else (frame.states != U).any(axis=2)
-
-
 def _columns(labels: Labels, table: str, names: Sequence[str]) -> dict[str, np.ndarray]:
     return column_arrays(read_table(labels.root / f"{table}.parquet", table, names))
 
@@ -217,9 +208,6 @@ def column_arrays(table: pa.Table) -> dict[str, np.ndarray]:
 
 
 def _array(column: pa.ChunkedArray, name: str) -> np.ndarray:
-    import pyarrow as pa
-    import pyarrow.compute as pc
-
     if name in _LENGTHS:
         known = np.asarray(pc.is_valid(column).to_numpy())  # pyright: ignore[reportAttributeAccessIssue]
         values = np.full((len(column), _LENGTHS[name]), np.nan)
@@ -319,14 +307,8 @@ def same_dataset(learnt: TrainedOn, labels: Labels) -> bool:
 
 def parts_seen(learnt: TrainedOn, labels: Labels, frames: Sequence[FrameKey]) -> np.ndarray:
     """(F,) int8: TRAIN or VALIDATION where the network knows a frame; DROPPED where it has not seen it."""
-    found = np.full(len(frames), DROPPED, np.int8)
+    known = {**dict.fromkeys(learnt.validation, VALIDATION), **dict.fromkeys(learnt.train, TRAIN)}
     if not same_dataset(learnt, labels):
-        return found
-    train, validation = set(learnt.train), set(learnt.validation)
-    for k, frame in enumerate(frames):
-        name = frame.scene if learnt.split == "scene" else frame.frame
-        if name in train:
-            found[k] = TRAIN
-        elif name in validation:
-            found[k] = VALIDATION
-    return found
+        known = {}
+    names = [frame.scene if learnt.split == "scene" else frame.frame for frame in frames]
+    return np.array([known.get(name, DROPPED) for name in names], np.int8)

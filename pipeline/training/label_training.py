@@ -255,10 +255,5 @@ def _command(job: LabelTraining, out: Path) -> str:
     ]  # fmt: skip
     if job.vectors is not None:
         words += ["--vectors", job.vectors.name, *(["--normalised"] if job.normalised else [])]
-    if job.split is not None:
-        words += ["--split", job.split]
-    if config.batch is not None:
-        words += ["--batch", str(config.batch)]
-    if job.pairs is not None:
-        words += ["--pairs", str(job.pairs)]
-    return " ".join(words)
+    given = {"--split": job.split, "--batch": config.batch, "--pairs": job.pairs}
+    return " ".join([*words, *(f"{option} {value}" for option, value in given.items() if value is not None)])

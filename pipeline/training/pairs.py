@@ -65,7 +65,7 @@ class PairSet:
 
     def moments(self) -> tuple[np.ndarray, np.ndarray]:
         """Mean and deviation of all D inputs, (D,) float64 each; a deviation of nothing is 1."""
-        means, deviations = [self.features.mean(axis=0, dtype=np.float64)], [_deviation(self.features)]
+        means, deviations = ([of(axis=0, dtype=np.float64)] for of in (self.features.mean, self.features.std))
         if self.vectors is not None and self.classes is not None:
             table = self.vectors.vectors.astype(np.float64)
             for side in range(2):
@@ -105,10 +105,6 @@ class PairSet:
             digest.update(np.ascontiguousarray(self.classes).data)
             digest.update(self.vectors.hash.encode())
         return digest.hexdigest()
-
-
-def _deviation(features: np.ndarray) -> np.ndarray:
-    return features.std(axis=0, dtype=np.float64)
 
 
 def class_shares(states: np.ndarray, inverse: dict[int, int]) -> np.ndarray:

@@ -343,9 +343,9 @@ def _measure(
             logits = torch.cat([_forward(torch, given(rows), weights, biases) for rows in parts]).numpy()
         if output == "softmax":
             return float((logits.argmax(axis=1) == holds.argmax(axis=1)).mean())
-        said = (logits > 0) & known
-        right, all_said, all_true = (said & holds).sum(), said.sum(), (holds & known).sum()
-        return float(2 * right / max(all_said + all_true, 1))
+        positive = (logits > 0) & known
+        right, found, true = (positive & holds).sum(), positive.sum(), (holds & known).sum()
+        return float(2 * right / max(found + true, 1))
 
     return measure
 

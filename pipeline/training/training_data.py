@@ -28,7 +28,7 @@ from pipeline.geometry.viewer import ViewerAxes, viewer_axes
 from pipeline.relations.features import FEATURES, Appearance
 from pipeline.relations.relations import directional_states
 from pipeline.system.errors import InputError
-from pipeline.system.threads import threads_in_children
+from pipeline.system.worker_pool import results_of
 
 FIRST_ROOM = 500_000
 ROOMS_A_SEED = 1_000_000
@@ -160,22 +160,11 @@ def make_samples(
         raise InputError("views and workers must be at least 1, a side at least 16 pixels")
     jobs: list[Job] = [(seed, views, width, height, maker) for seed in seeds]
     tell = progress or (lambda done: None)
-    if min(workers, len(jobs)) <= 1:
-        found = []
-        for k, job in enumerate(jobs, start=1):
-            found.append(_room_samples(job))
-            tell(k)
-    else:
-        import multiprocessing
-        from concurrent.futures import ProcessPoolExecutor
-
-        spawn = multiprocessing.get_context("spawn")
-        with threads_in_children(), ProcessPoolExecutor(min(workers, len(jobs)), mp_context=spawn) as pool:
-            found = []
-            for k, samples in enumerate(pool.map(_room_samples, jobs), start=1):
-                found.append(samples)
-                tell(k)
-    return tuple(frame for room in found for frame in room)
+    found: list[FrameSamples] = []
+    for k, samples in enumerate(results_of(_room_samples, jobs, workers), start=1):
+        found += samples
+        tell(k)
+    return tuple(found)
 
 
 def room_seeds(seed: int, rooms: int) -> tuple[tuple[int, ...], tuple[int, ...], tuple[int, ...]]:

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from journal_world import FRAME, an_expression, half_of, saved, widest
+from label_sets import validate_rows
 
 from pipeline.corrections.journal import edits
 from pipeline.corrections.journal.effective import Corrector, effective_tables
@@ -21,7 +22,6 @@ from pipeline.datasets.given_up import with_frame_up
 from pipeline.geometry.boxes import Box3D
 from pipeline.labels.reading import Labels
 from pipeline.labels.schema import TABLES
-from pipeline.labels.tables import validate_rows
 from pipeline.language.naming import same_class
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.relations.relations import F, T, U

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 from journal_world import FRAME, an_expression, half_of, saved, widest
-from label_sets import write_labels
+from label_sets import validate_rows, write_labels
 
 from pipeline.corrections.journal import edits
 from pipeline.corrections.journal.batch import actions_of, apply_actions
@@ -23,7 +23,6 @@ from pipeline.labels.cases import read_cases
 from pipeline.labels.check import check_labels
 from pipeline.labels.reading import PROVENANCE_FILE, Labels, open_labels
 from pipeline.labels.schema import TABLES
-from pipeline.labels.tables import validate_rows
 from pipeline.relations.relations import F, U
 from pipeline.system.errors import InputError
 

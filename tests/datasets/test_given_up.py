@@ -33,8 +33,8 @@ from pipeline.evaluation.job import evaluate_dataset
 from pipeline.evaluation.run import EvalSpec
 from pipeline.labels.config import LabelConfig
 from pipeline.labels.job import label_dataset
-from pipeline.labels.pictures import labelled_dataset, labelled_up
 from pipeline.labels.plan import SourceSpec, make_plan
+from pipeline.labels.reading import labelled_dataset, labelled_up
 from pipeline.system.errors import InputError
 
 CAMERA: dict[str, Any] = {"intrinsics": (60.0, 61.0, 31.5, 23.5), "depth_scale": 1000.0}

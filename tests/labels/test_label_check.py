@@ -20,11 +20,11 @@ from label_damages_pairs import PAIR_DAMAGES
 
 from pipeline.labels.check import RULES, Finding, check_labels, finding_record, stream, summarise
 from pipeline.labels.config import LabelConfig
+from pipeline.labels.engines import label_shard, open_labeller
 from pipeline.labels.merge import merge_labels
 from pipeline.labels.plan import SourceSpec, make_plan, save_plan
 from pipeline.labels.reading import open_labels
 from pipeline.labels.schema import TABLES
-from pipeline.labels.shard import label_shard, open_labeller
 from pipeline.labels.store import Store
 from pipeline.system.errors import InputError
 

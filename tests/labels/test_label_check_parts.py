@@ -10,13 +10,19 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 from scenes import camera_of, frame_of, upright
 
+from pipeline.geometry.boxes import paired_iou_2d
 from pipeline.geometry.masks import encode_run_length
-from pipeline.labels.check.constraints import violations
 from pipeline.labels.check.expressions import says_the
-from pipeline.labels.check.objects import corners_of, iou_each, moved_towards, projected
+from pipeline.labels.check.objects import (
+    SizeSurvey,
+    corners_of,
+    moved_towards,
+    projected,
+    size_range,
+    size_table,
+)
 from pipeline.labels.check.relations import shortest_cycle
-from pipeline.labels.check.sizes import SizeSurvey, size_range, size_table
-from pipeline.labels.check.stream import Rows
+from pipeline.labels.check.stream import Rows, violations
 from pipeline.labels.check.view import MaskRuns, read_runs, runs_object
 from pipeline.labels.profiles import PROFILES
 from pipeline.labels.schema import TABLES
@@ -163,7 +169,7 @@ def test_slack_moves_sides_no_farther_than_the_target() -> None:
     box, target = np.array([[0.0, 10, 100, 50]]), np.array([[3.0, 20, 90, 50]])
     moved = moved_towards(box, target, np.array([[4.0]]))
     assert moved.tolist() == [[3, 14, 96, 50]]
-    assert iou_each(moved, target)[0] > iou_each(box, target)[0]
+    assert paired_iou_2d(moved, target)[0] > paired_iou_2d(box, target)[0]
 
 
 def rows_of_lengths(label: str, lengths: np.ndarray) -> Rows:

@@ -24,15 +24,15 @@ from pipeline.geometry.camera import Camera, project
 from pipeline.labels.exports import (
     FORMATS,
     ExportFormat,
+    base,
     export_labels,
     exporting,
-    frame_rows,
     import_labels,
     jsonl,
     kitti,
 )
 from pipeline.labels.exports.hub import HubConfig
-from pipeline.labels.exports.json_text import json_lines
+from pipeline.labels.exports.provenance import json_lines
 from pipeline.labels.exports.vqa_records import VqaConfig
 from pipeline.labels.reading import Labels
 from pipeline.labels.schema import SCHEMA_FOLDER, TABLES, json_schemas, schema_text
@@ -64,7 +64,7 @@ def test_small_batches_write_the_same_files(
     label_sets: dict[str, Labels], format: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     export_labels(label_sets["demo"], format, tmp_path / "whole")
-    monkeypatch.setattr(frame_rows, "BATCH", 37)
+    monkeypatch.setattr(base, "BATCH", 37)
     seen: list[tuple[int, int]] = []
     export_labels(label_sets["demo"], format, tmp_path / "pieces", progress=lambda done, of: seen.append((done, of)))
     assert format == "parquet" or seen[-1] == (12, 12)

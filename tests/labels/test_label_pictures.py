@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from dataset_writers import write_folder
 
-from pipeline.labels.pictures import labelled_dataset
-from pipeline.labels.reading import Labels
+from pipeline.labels.reading import Labels, labelled_dataset
 from pipeline.system.errors import InputError
 
 

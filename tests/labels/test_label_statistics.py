@@ -14,14 +14,13 @@ import numpy as np
 import pytest
 
 from pipeline.datasets import FrameReport, SurveyCounts, summarise
-from pipeline.labels import database
-from pipeline.labels.database import open_database, quantiles
+from pipeline.labels import statistics
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.labels.report import distributions as shown
 from pipeline.labels.report import need_matplotlib, write_report
 from pipeline.labels.report.folder import FILES
 from pipeline.labels.schema import SCHEMA_VERSION, TABLES
-from pipeline.labels.statistics import DISTANCE_BINS, label_statistics
+from pipeline.labels.statistics import DISTANCE_BINS, label_statistics, open_database, quantiles
 from pipeline.labels.tables import arrow_schema, build_table, read_table, write_table
 from pipeline.language.relation_names import PAIRWISE, RELATIONS
 from pipeline.system.errors import InputError, MissingExtra
@@ -174,7 +173,7 @@ def test_distance_ambiguity_occlusion_and_text_are_those_of_the_rows(
     labels: Labels, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     objects, pairs, expressions = (rows_of(labels, n) for n in ("objects", "relations", "expressions"))
-    monkeypatch.setattr(database, "FRAMES_AT_ONCE", 2)
+    monkeypatch.setattr(statistics, "FRAMES_AT_ONCE", 2)
     found = label_statistics(labels)
 
     def bin_of(distance: float | None) -> str:
@@ -208,7 +207,7 @@ def test_distance_ambiguity_occlusion_and_text_are_those_of_the_rows(
 def test_targets_are_counted_where_they_lie(labels: Labels, monkeypatch: pytest.MonkeyPatch) -> None:
     objects = {(r["frame"], r["object"]): r for r in rows_of(labels, "objects")}
     pairs = rows_of(labels, "relations")
-    monkeypatch.setattr(database, "FRAMES_AT_ONCE", 4)
+    monkeypatch.setattr(statistics, "FRAMES_AT_ONCE", 4)
     with open_database(labels) as opened:
         found = shown.displacements(opened, labels.relation_names, 9)
         some = shown.displacements(opened, labels.relation_names, 9, sampled=4)

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 from box_worlds import box_world
+from label_sets import validate_rows
 from other_makers import FIGURES, FLIPS, REGIMES, figures, tallied
 from scenes import frame_of, upright
 from waiting import wait_until
@@ -27,6 +28,7 @@ from pipeline.geometry.frame import Annotation, Frame
 from pipeline.geometry.lifting import LiftedObject
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.labels.config import LabelConfig, SelectConfig
+from pipeline.labels.engines import label_shard, open_labeller
 from pipeline.labels.job import label_dataset
 from pipeline.labels.labelling import FrameLabels, in_doubt, judge_objects, label_objects, occluded_share
 from pipeline.labels.merge import merge_labels
@@ -35,9 +37,8 @@ from pipeline.labels.profiles import PROFILES
 from pipeline.labels.reading import open_labels
 from pipeline.labels.schema import TABLES, Manifest
 from pipeline.labels.second_opinion import doubted, open_second_opinion
-from pipeline.labels.shard import label_shard, open_labeller
 from pipeline.labels.store import Store
-from pipeline.labels.tables import PART_TABLES, content_hash, read_table, validate_rows
+from pipeline.labels.tables import PART_TABLES, content_hash, read_table
 from pipeline.language.naming import same_class
 from pipeline.language.noun_phrase import readable
 from pipeline.language.relation_names import DIRECTIONAL, INVERSE, PAIRWISE

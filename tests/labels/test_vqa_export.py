@@ -8,9 +8,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from vqa_check import verify_vqa
 
 from pipeline.labels.exports import export_labels
-from pipeline.labels.exports.vqa_check import verify_vqa
 from pipeline.labels.exports.vqa_records import CONVERSATIONS_FILE, KINDS, VqaConfig, read_questions
 from pipeline.labels.reading import Labels
 from pipeline.system.errors import InputError

@@ -15,6 +15,7 @@ import pytest
 from box_worlds import box_world
 from scenes import frame_of, upright
 from scipy.optimize import lsq_linear
+from vqa_check import verify_vqa
 
 from pipeline.answering.objects import PreparedFrame, all_objects
 from pipeline.datasets import Dataset
@@ -23,8 +24,7 @@ from pipeline.geometry.frame import Annotation, Frame
 from pipeline.geometry.viewer import viewer_axes
 from pipeline.labels.config import LabelConfig
 from pipeline.labels.exports import export_labels
-from pipeline.labels.exports.frame_rows import FrameRows
-from pipeline.labels.exports.vqa_check import verify_vqa
+from pipeline.labels.exports.base import FrameRows
 from pipeline.labels.exports.vqa_geometry import EXACT, HUMAN, POINTS, Depths, Figures, figures_of, gap_between
 from pipeline.labels.exports.vqa_records import VqaConfig, read_questions
 from pipeline.labels.labelling import label_objects

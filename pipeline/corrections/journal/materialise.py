@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import shutil
 from datetime import datetime, timezone
 from pathlib import Path
 
@@ -12,15 +11,14 @@ from pipeline.corrections.journal.events import who_and_what
 from pipeline.corrections.journal.field_refs import shown_value
 from pipeline.corrections.journal.journal import Journal
 from pipeline.datasets import Dataset
-from pipeline.labels.card import croissant, dataset_card
 from pipeline.labels.makers import makers_of
-from pipeline.labels.merge import CARD_FILE, CROISSANT_FILE, environment, write_merged
-from pipeline.labels.reading import MANIFEST_FILE, MARKS_FILE, PROVENANCE_FILE, STATUSES_FILE, Labels
+from pipeline.labels.merge import environment, write_manifest, write_merged
+from pipeline.labels.reading import MARKS_FILE, PROVENANCE_FILE, STATUSES_FILE, Labels
 from pipeline.labels.schema import SCHEMA_VERSION, TABLES, Manifest, labels_version, write_schemas
 from pipeline.labels.tables import write_table
 from pipeline.system.errors import InputError
 from pipeline.system.version import __version__
-from pipeline.system.whole_files import temporary_beside, write_synced
+from pipeline.system.whole_files import temporary_folder, write_synced
 
 UNAPPLIED_FILE = "unapplied.json"
 
@@ -53,15 +51,11 @@ def materialise(
     if not folder.parent.is_dir():
         raise InputError("the folder to write into does not exist", path=folder.parent)
     found = effective_tables(labels, journal, dataset=dataset)
-    staging = temporary_beside(folder)
-    staging.mkdir()
-    try:
+    with temporary_folder(folder) as staging:
         manifest = _write(found, journal, staging)
         if folder.exists():
             folder.rmdir()
         staging.rename(folder)
-    finally:
-        shutil.rmtree(staging, ignore_errors=True)
     return manifest, found
 
 
@@ -116,9 +110,6 @@ def _write(found: EffectiveLabels, journal: Journal, folder: Path) -> Manifest:
         }
     )
     manifest.makers = makers_of(manifest).record()
-    after = Labels(folder, manifest)
-    write_synced(folder / CARD_FILE, dataset_card(after).encode())
-    write_synced(folder / CROISSANT_FILE, json.dumps(croissant(after), indent=1, ensure_ascii=False).encode())
     write_schemas(folder / "schemas")
-    write_synced(folder / MANIFEST_FILE, manifest.model_dump_json(indent=1).encode())
+    write_manifest(Labels(folder, manifest))
     return manifest

@@ -20,8 +20,7 @@ from pipeline.corrections.review.queue import QueueConfig, review_queue
 from pipeline.corrections.review.retraining_run import CorrectedLabelsJob, RetrainingJob, retraining_in_background
 from pipeline.corrections.review.reviewed import Reviewed, pair_agreements, reviewed_labels, states_on_labels
 from pipeline.corrections.review.worklist import NOTHING, Mark, Worklist, mark_of, read_queue, worklist, write_queue
-from pipeline.labels.pictures import labelled_dataset
-from pipeline.labels.reading import Labels, open_labels
+from pipeline.labels.reading import Labels, labelled_dataset, open_labels
 from pipeline.language.naming import Synonyms
 from pipeline.proposals.detector_setup import DetectorSetup, made_by
 from pipeline.system.errors import InputError

@@ -23,8 +23,7 @@ from pipeline.evaluation.job import evaluate_dataset
 from pipeline.evaluation.run_folder import Run, open_run
 from pipeline.evaluation.shared_makers import scorer_share
 from pipeline.labels.makers import makers_of
-from pipeline.labels.pictures import labelled_dataset
-from pipeline.labels.reading import Labels, open_labels
+from pipeline.labels.reading import Labels, labelled_dataset, open_labels
 from pipeline.relations import shipped_network
 from pipeline.relations.model import OnnxScorer
 from pipeline.system.errors import InputError

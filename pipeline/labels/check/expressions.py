@@ -98,15 +98,15 @@ def check_expressions(view: FrameView, rules: ExpressionRules) -> Iterator[Findi
 def says_the(text: str, names: Sequence[str]) -> list[bool]:
     """Of each name whether the text says `the` right before it, and not before a longer one of the others."""
     words = f" {' '.join(words_of(text))} "
-    said = [{f" the {' '.join(words_of(way))} " for way in (name, readable(name), readable(name, brief=False))}
+    definite = [{f" the {' '.join(words_of(way))} " for way in (name, readable(name), readable(name, brief=False))}
             for name in names]  # fmt: skip
     longer = [
-        {other for j, ways in enumerate(said) if j != k for other in ways if other not in own}
-        for k, own in enumerate(said)
+        {other for j, ways in enumerate(definite) if j != k for other in ways if other not in own}
+        for k, own in enumerate(definite)
     ]
     return [
         any(words.count(way) > sum(words.count(o) for o in more if o.startswith(way)) for way in own)
-        for own, more in zip(said, longer, strict=True)
+        for own, more in zip(definite, longer, strict=True)
     ]
 
 
@@ -159,8 +159,8 @@ def _against_objects(view: FrameView, row: int) -> Iterator[Found]:
             yield "expression/unusable", f"its {role}, {view.labels[k]} {number}, may not be asked for: {reason}", {
                 "object": number
             }
-    said = says_the(str(rows["text"][row]), [str(rows[role][row]) for role in ("target", "reference")])
-    for role, definite in zip(("target", "reference"), said, strict=True):
+    names = [str(rows[role][row]) for role in ("target", "reference")]
+    for role, definite in zip(("target", "reference"), says_the(str(rows["text"][row]), names), strict=True):
         k = view.row_of[int(rows[f"{role}_object"][row])]
         if definite and not view.alone[k]:
             message = f"it says `the` of its {role}, and the frame has others that {view.labels[k]!r} may mean"

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
+from functools import partial
 from typing import Any, Literal
 
 from pipeline.system.errors import InputError
@@ -57,12 +58,7 @@ class Rule:
     severity: Severity
 
 
-def _error(about: str) -> Rule:
-    return Rule(about, "error")
-
-
-def _warning(about: str) -> Rule:
-    return Rule(about, "warning")
+_error, _warning = partial(Rule, severity="error"), partial(Rule, severity="warning")
 
 
 RULES: dict[str, Rule] = {
@@ -128,25 +124,15 @@ def chosen_rules(names: Sequence[str] | None) -> frozenset[str]:
         group = name.removesuffix("/*").removesuffix("/")
         members = {r for r in RULES if r == name or r.split("/")[0] == group}
         if not members:
-            raise InputError("no such rule", got=repr(name), expected=" | ".join(dict.fromkeys(_groups_and_rules())))
+            known = (*(r.split("/")[0] for r in RULES), *RULES)
+            raise InputError("no such rule", got=repr(name), expected=" | ".join(dict.fromkeys(known)))
         found |= members
     return frozenset(found)
 
 
-def _groups_and_rules() -> list[str]:
-    return [*(r.split("/")[0] for r in RULES), *RULES]
-
-
 def finding_record(finding: Finding) -> dict[str, Any]:
     """A finding as JSON: plain values only."""
-    return {
-        "rule": finding.rule,
-        "severity": finding.severity,
-        "frame": finding.frame,
-        "objects": list(finding.objects),
-        "message": finding.message,
-        "figures": dict(finding.figures),
-    }
+    return {**asdict(finding), "objects": list(finding.objects)}
 
 
 @dataclass(frozen=True)
@@ -185,10 +171,8 @@ class Summary:
 
     def add(self, finding: Finding) -> None:
         """Count a finding."""
-        if finding.severity == "error":
-            self.errors += 1
-        else:
-            self.warnings += 1
+        self.errors += finding.severity == "error"
+        self.warnings += finding.severity == "warning"
         self._counts[finding.rule, finding.severity] += 1
         if finding.frame is not None and self._last.get(finding.rule) != finding.frame:
             self._last[finding.rule] = finding.frame
@@ -203,7 +187,6 @@ class Summary:
     @property
     def rules(self) -> tuple[RuleCount, ...]:
         """Rules that were broken: those with errors first, then by how often."""
-        names = {rule for rule, _ in self._counts}
         counts = [
             RuleCount(
                 name,
@@ -213,7 +196,7 @@ class Summary:
                 self._frames[name],
             )
             for name in RULES
-            if name in names
+            if self._counts[name, "error"] or self._counts[name, "warning"]
         ]
         return tuple(sorted(counts, key=lambda c: (-c.errors, -c.warnings)))
 

@@ -1,28 +1,32 @@
 """Checking labels: every rule on every frame, one frame in memory at a time.
 
-The rules on the up vector are here: something must say where up is, and the posed frames of a scene agree.
+The rules on whole files are here (readable, of the schema, as they were written, made by rules that are still the
+same), and those on the up vector: something must say where up is, and the posed frames of a scene agree.
 """
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Sequence
 
 import numpy as np
 
 from pipeline.datasets.up_text import ASSUMED
 from pipeline.labels.check.expressions import ExpressionRules, Reader, check_expressions
-from pipeline.labels.check.files import check_files, check_profile, profile_problem
-from pipeline.labels.check.findings import Finding, chosen_rules
-from pipeline.labels.check.geometry import EXPECTED, check_geometry
-from pipeline.labels.check.objects import check_duplicates, check_objects
-from pipeline.labels.check.relations import check_relations
+from pipeline.labels.check.findings import RULES, Figure, Finding, Severity, chosen_rules
+from pipeline.labels.check.objects import SizeSurvey, check_duplicates, check_objects, check_sizes
+from pipeline.labels.check.relations import EXPECTED, check_geometry, check_relations
 from pipeline.labels.check.rows import check_rows
-from pipeline.labels.check.sizes import SizeSurvey, check_sizes
-from pipeline.labels.check.stream import TableStream, frames_of, open_streams
-from pipeline.labels.check.view import FrameView, Names
+from pipeline.labels.check.stream import BATCH_ROWS, TableStream, frames_of, open_streams
+from pipeline.labels.check.view import FrameView
+from pipeline.labels.profiles import PROFILES
 from pipeline.labels.reading import Corrections, Labels, read_corrections
+from pipeline.labels.schema import Manifest
+from pipeline.labels.tables import RowHash
 from pipeline.language.naming import normal_form
 from pipeline.language.relation_names import PAIRWISE
+from pipeline.system.arrow import pa, pq
+from pipeline.system.whole_files import sha256_of
 
 OF_ANSWERS = ("expression/empty", "expression/sets", "expression/ambiguous", "expression/unreadable",
               "expression/state", "expression/article")  # fmt: skip
@@ -54,23 +58,18 @@ def check_labels(labels: Labels, *, rules: Sequence[str] | None = None) -> Itera
     InputError
         A rule has no such name; before anything is read.
     """
-    return _findings(labels, chosen_rules(rules))
+    chosen, by_people = chosen_rules(rules), read_corrections(labels.root)
+    found = _all_findings(labels, frozenset(rule.split("/")[0] for rule in chosen), chosen)
+    return (finding for finding in found if finding.rule in chosen and not _settled(finding, by_people))
 
 
-def _findings(labels: Labels, chosen: frozenset[str]) -> Iterator[Finding]:
-    said = read_corrections(labels.root)
-    for finding in _all_findings(labels, frozenset(rule.split("/")[0] for rule in chosen), chosen):
-        if finding.rule in chosen and not _settled(finding, said):
-            yield finding
-
-
-def _settled(finding: Finding, said: Corrections) -> bool:
-    """Whether a finding only tells that a person said otherwise than the rules."""
+def _settled(finding: Finding, by_people: Corrections) -> bool:
+    """Whether a finding only tells that a person set something else than the rules say."""
     if finding.frame is None or len(finding.objects) != 2:
         return False
     if finding.rule == "relation/geometry":
-        return (finding.frame, *finding.objects, finding.figures.get("relation")) in said.relations
-    return finding.rule in OF_ANSWERS and (finding.frame, finding.figures.get("id")) in said.expressions
+        return (finding.frame, *finding.objects, finding.figures.get("relation")) in by_people.relations
+    return finding.rule in OF_ANSWERS and (finding.frame, finding.figures.get("id")) in by_people.expressions
 
 
 def _all_findings(labels: Labels, groups: frozenset[str], chosen: frozenset[str]) -> Iterator[Finding]:
@@ -82,7 +81,7 @@ def _all_findings(labels: Labels, groups: frozenset[str], chosen: frozenset[str]
         yield from check_profile(manifest)
     profile = str(manifest.profile.get("name"))
     expected_of = EXPECTED[profile] if profile_problem(manifest) is None else None
-    names = Names(frozenset(normal_form(str(b)) for b in manifest.config.get("background", ())))
+    background = frozenset(normal_form(str(b)) for b in manifest.config.get("background", ()))
     relations = tuple(r for r in manifest.config.get("relations", ()) if r in PAIRWISE)
     class_names, survey = _surveyed(TableStream(labels.root / "objects.parquet", "objects"))
     expression_rules = ExpressionRules(Reader(class_names), manifest.seed, profile)
@@ -96,7 +95,7 @@ def _all_findings(labels: Labels, groups: frozenset[str], chosen: frozenset[str]
         groups -= {"expression"}
     ups = UpRules()
     for index, tables in frames_of(streams):
-        view = FrameView(index, tables, names, relations)
+        view = FrameView(index, tables, background, relations)
         if groups & {"row", "frame", "file", "object"}:
             yield from check_rows(view)
         if "frame" in groups:
@@ -134,7 +133,7 @@ def _broke_off(streams: dict[str, TableStream]) -> Iterator[Finding]:
     for name, stream in streams.items():
         if stream.problem is not None and stream.opened:
             message = f"{stream.path.name} could not be read to its end: {stream.problem}"
-            yield Finding("file/unreadable", "error", None, (), message, {"table": name})
+            yield _finding("file/unreadable", message, {"table": name})
 
 
 DISAGREE_DEG = 10.0
@@ -172,8 +171,100 @@ class UpRules:
         apart = np.degrees(np.arccos(np.clip(vectors @ vectors.T, -1, 1)))
         most = int((apart <= DISAGREE_DEG).sum(axis=1).argmax())
         agreeing = int((apart[most] <= DISAGREE_DEG).sum())
-        for place in np.flatnonzero(apart[most] > DISAGREE_DEG):
-            off = round(float(apart[most, place]), 1)
+        for k in np.flatnonzero(apart[most] > DISAGREE_DEG):
+            off = round(float(apart[most, k]), 1)
             message = f"its up is {off:g} degrees off that of {agreeing} of the {len(ups)} frames of {self._scene}"
             figures: dict[str, float | int | str] = {"degrees": off, "agreeing": agreeing, "frames": len(ups)}
-            yield Finding("frame/up-disagrees", "warning", ups[place][0], (), message, figures)
+            yield Finding("frame/up-disagrees", "warning", ups[k][0], (), message, figures)
+
+
+
+
+def _finding(rule: str, message: str, figures: dict[str, Figure], severity: Severity | None = None) -> Finding:
+    return Finding(rule, severity or RULES[rule].severity, None, (), message, figures)
+
+
+def check_files(labels: Labels, streams: dict[str, TableStream]) -> Iterator[Finding]:
+    """What is wrong with the tables as files."""
+    for name, stream in streams.items():
+        if stream.problem is not None:
+            yield _finding("file/unreadable", f"{stream.path.name}: {stream.problem}", {"table": name})
+            continue
+        for column in sorted(stream.lacking):
+            yield _finding(
+                "file/schema", f"{stream.path.name} has no usable column {column}", {"table": name, "column": column}
+            )
+        for words in stream.other_types:
+            yield _finding("file/schema", f"{stream.path.name}: {words}", {"table": name}, "warning")
+        for column in stream.extra:
+            yield _finding(
+                "file/schema", f"{stream.path.name} has an unknown column {column}", {"table": name, "column": column}
+            )
+        yield from _changed(labels, name, stream)
+        if not stream.ordered:
+            yield _finding("file/order", f"{stream.path.name} is not in the order of frames", {"table": name})
+    yield from _counts(labels.manifest)
+
+
+def _changed(labels: Labels, name: str, stream: TableStream) -> Iterator[Finding]:
+    record = labels.manifest.tables.get(name)
+    if record is None:
+        yield _finding("file/changed", f"the manifest does not know {stream.path.name}", {"table": name})
+        return
+    rows, content = _content(stream, name)
+    figures: dict[str, Figure] = {"table": name, "rows": rows, "rows_in_manifest": record.rows}
+    if sha256_of(stream.path) != record.sha256:
+        same = (rows, content) == (record.rows, record.content_hash)
+        what = "was written anew with the same rows" if same else "was changed after it was written"
+        yield _finding("file/changed", f"{stream.path.name} {what}", figures)
+    elif (content is not None and content != record.content_hash) or rows != record.rows:
+        yield _finding("file/changed", f"the manifest's rows or hash of {stream.path.name} were changed", figures)
+
+
+def _content(stream: TableStream, name: str) -> tuple[int, str | None]:
+    """Rows of a table and the hash of their content; None where its columns are not the schema's."""
+    file = pq.ParquetFile(stream.path, pre_buffer=False)
+    if stream.lacking or stream.other_types:
+        return file.metadata.num_rows, None
+    digest = RowHash(name)
+    for batch in file.iter_batches(BATCH_ROWS):
+        digest.update(pa.Table.from_batches([batch]))
+    return digest.rows, digest.hexdigest()
+
+
+def _counts(manifest: Manifest) -> Iterator[Finding]:
+    """The manifest against itself."""
+    pairs = {"frames": "frames", "objects": "objects", "pairs": "relations", "expressions": "expressions"}
+    for count, table in pairs.items():
+        record = manifest.tables.get(table)
+        if record is not None and count in manifest.counts and manifest.counts[count] != record.rows:
+            yield _finding(
+                "file/changed",
+                f"the manifest counts {manifest.counts[count]} {count} and lists {record.rows} rows",
+                {"table": table, "count": manifest.counts[count], "rows": record.rows},
+            )
+
+
+def profile_problem(manifest: Manifest) -> str | None:
+    """Why geometry cannot be compared under the manifest's profile; None where it can."""
+    name = str(manifest.profile.get("name"))
+    if name not in PROFILES:
+        return f"this release has no rule profile {name!r}"
+    parameters = json.dumps(manifest.profile.get("parameters"), sort_keys=True)
+    if parameters != json.dumps(PROFILES[name].parameters, sort_keys=True):
+        return f"the manifest lists other thresholds for {name!r} than this release"
+    if manifest.profile_hash not in PROFILES[name].hashes:
+        return f"the labels were made with other rules under the name {name!r}"
+    if name not in EXPECTED:
+        return f"what geometry says under the rule profile {name!r} cannot be recomputed from labels"
+    return None
+
+
+def check_profile(manifest: Manifest) -> Iterator[Finding]:
+    """Whether the rules that made the labels are still those of this release."""
+    problem = profile_problem(manifest)
+    if problem is not None:
+        name = str(manifest.profile.get("name"))
+        release = PROFILES[name].hash if name in PROFILES else ""
+        figures: dict[str, Figure] = {"profile": name, "labels": manifest.profile_hash, "release": release}
+        yield _finding("profile/changed", f"{problem}: states are not compared with geometry", figures)

@@ -1,16 +1,25 @@
-"""Rules on objects: mask, 2D box, 3D box and extents must show one thing, enough of it, and no thing twice."""
+"""Rules on objects: mask, 2D box, 3D box and extents must show one thing, enough of it, and no thing twice.
+
+Sizes are compared with what the class can be, and with the object's own kind in the dataset.
+"""
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator
+from dataclasses import dataclass, field
+from functools import lru_cache
+from pathlib import Path
 
 import numpy as np
 
-from pipeline.geometry.boxes import CORNER_SIGNS, Box3D, iou_3d
+from pipeline.geometry.boxes import CORNER_SIGNS, Box3D, iou_3d, paired_iou_2d
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.labels.check.findings import Finding
 from pipeline.labels.check.rows import rotation_fault
+from pipeline.labels.check.stream import Rows
 from pipeline.labels.check.view import FrameView, MaskRuns, indices_where, pairs_where, runs_object
+from pipeline.language.naming import normal_form, same_class
 from pipeline.system.errors import InputError
 
 NEAREST_M = 0.05
@@ -40,15 +49,6 @@ def clipped(boxes: np.ndarray, size: tuple[int, int]) -> np.ndarray:
 def moved_towards(boxes: np.ndarray, targets: np.ndarray, slack: np.ndarray) -> np.ndarray:
     """Each side of (N, 4) rectangles moved towards the target's, by at most `slack` ((N, 1)) pixels."""
     return boxes + np.clip(targets - boxes, -slack, slack)
-
-
-def iou_each(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """(N,) intersection over union of (N, 4) rectangles, row by row; 0 where either is empty."""
-    low, high = np.maximum(a[:, :2], b[:, :2]), np.minimum(a[:, 2:], b[:, 2:])
-    shared = np.clip(high - low, 0, None).prod(axis=1)
-    areas = [np.clip(x[:, 2:] - x[:, :2], 0, None).prod(axis=1) for x in (a, b)]
-    union = areas[0] + areas[1] - shared
-    return np.divide(shared, union, out=np.zeros_like(union), where=union > 0)
 
 
 def cleared(known: np.ndarray, *arrays: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -116,10 +116,9 @@ def _bbox(view: FrameView, sound: np.ndarray, mask_box: np.ndarray) -> Iterator[
         finite[k] = False
     slack = np.full((len(bbox), 1), SLACK_PIXELS / 2 * view.size[1] / 640)
     within = clipped(bbox, view.size)
-    overlap = iou_each(moved_towards(within, mask_box, slack), mask_box)
+    overlap = paired_iou_2d(moved_towards(within, mask_box, slack), mask_box)
     # Of an object without a mask of its own, pixels inside its annotated 3D box were taken: a part of the 2D box.
-    partial = view.objects["mask_source"] == "box3d"
-    overlap = np.where(partial, shared_share(mask_box, within), overlap)
+    overlap = np.where(view.objects["mask_source"] == "box3d", shared_share(mask_box, within), overlap)
     for k in indices_where(finite & sound & (overlap < BBOX_MASK_DOUBTFUL)):
         yield view.finding(
             "object/bbox-mask",
@@ -186,8 +185,7 @@ def _extents(view: FrameView, boxed: np.ndarray, corners: np.ndarray, viewer: Vi
     warn, fail = (m + s * length for m, s in zip(OUTSIDE_M, OUTSIDE_SHARE, strict=True))
     warn = np.where(upright, OUTSIDE_M[0], warn)
     filled = np.where(length - (hi - lo) > FLAT_M, (hi - lo) / np.maximum(length, 1e-3), 1.0)
-    turned = (hi < lo).any(axis=1)
-    bad = (reach > fail).any(axis=1) | (filled < FILLED).any(axis=1) | turned
+    bad = (reach > fail).any(axis=1) | (filled < FILLED).any(axis=1) | (hi < lo).any(axis=1)
     doubtful = (reach > warn).any(axis=1) | (filled < FILLED_DOUBTFUL).any(axis=1)
     off = known & boxed & (bad | doubtful)
     for k in indices_where(off):
@@ -294,3 +292,126 @@ def box_overlaps(view: FrameView, wanted: np.ndarray) -> np.ndarray:
             continue
         found[a, b] = found[b, a] = iou_3d(*boxes)
     return found
+
+
+TABLE = Path(__file__).with_name("object_sizes.json")
+LEAST_EXAMPLES = 8
+DEVIATIONS = 6.0
+LEAST_FACTOR = 2.0
+"""An object unlike its kind is at least so many times larger or smaller than the median."""
+MAD_SIGMA = 1.4826
+"""Standard deviations in one median absolute deviation of a normal distribution."""
+HARDLY_OCCLUDED = 0.05
+_BINS, _LOWEST, _HIGHEST = 600, np.log(1e-3), np.log(1e2)
+_STEP = (_HIGHEST - _LOWEST) / _BINS
+
+
+@dataclass
+class SizeSurvey:
+    """How long the objects of each class are: histograms of the logarithm, so that memory grows with classes alone."""
+
+    counts: dict[str, np.ndarray] = field(default_factory=dict)
+
+    def add(self, rows: Rows) -> None:
+        """Count the objects of a frame that are seen whole and well."""
+        longest, _ = lengths(rows)
+        good = np.isfinite(longest) & (longest > 0) & seen_whole(rows)
+        for label, length in zip(rows["label"][good], longest[good], strict=True):
+            if label is not None:
+                bins = self.counts.setdefault(label, np.zeros(_BINS, np.int64))
+                bins[int(np.clip((np.log(length) - _LOWEST) / _STEP, 0, _BINS - 1))] += 1
+
+    def spread(self, label: str) -> tuple[float, float, int]:
+        """Median and robust deviation of the logarithm, and of how many; to one step of 2 %."""
+        bins = self.counts.get(label)
+        n = 0 if bins is None else int(bins.sum())
+        if bins is None or not n:
+            return float("nan"), float("nan"), 0
+        center = _LOWEST + (np.arange(_BINS) + 0.5) * _STEP
+        median = float(center[np.searchsorted(np.cumsum(bins), n / 2)])
+        away = np.abs(center - median)
+        order = np.argsort(away)
+        deviation = float(away[order][np.searchsorted(np.cumsum(bins[order]), n / 2)])
+        return median, max(MAD_SIGMA * deviation, 2 * _STEP), n
+
+
+def lengths(rows: Rows) -> tuple[np.ndarray, np.ndarray]:
+    """Longest edges in metres of the lifted box and of the dataset's own; two (N,) with NaN where there is none."""
+    return rows["size"].max(axis=1), rows["exact_size"].max(axis=1)
+
+
+def seen_whole(rows: Rows) -> np.ndarray:
+    """(N,) bool: nothing hides or cuts the object, and its box was cleaned."""
+    return ~rows["touches_border"] & (rows["occluded"] < HARDLY_OCCLUDED) & ~rows["fallback"]
+
+
+@lru_cache(maxsize=1)
+def size_table() -> dict[str, tuple[float, float]]:
+    """Shortest and longest that the longest edge of a class can be, metres, by name."""
+    longest = json.loads(TABLE.read_text(encoding="utf-8"))["longest_edge_m"]
+    return {name: (float(low), float(high)) for name, (low, high) in longest.items()}
+
+
+@lru_cache(maxsize=65536)
+def size_range(label: str) -> tuple[float, float] | None:
+    """The range of a class, by any of its names; None where the table lacks it."""
+    form, table = normal_form(label), size_table()
+    ranges = [table[form]] if form in table else [bounds for name, bounds in table.items() if same_class(label, name)]
+    return (min(r[0] for r in ranges), max(r[1] for r in ranges)) if ranges else None
+
+
+def check_sizes(view: FrameView, survey: SizeSurvey) -> Iterator[Finding]:
+    """Objects that are too large or too small."""
+    rows = view.objects
+    if not len(rows):
+        return
+    lifted, exact = lengths(rows)
+    whole = seen_whole(rows)
+    own_pixels = np.isin(rows["mask_source"].astype(str), ["annotation", "detector"]) & ~rows["fallback"]
+    for k, label in enumerate(view.labels):
+        found = _against_table(label, lifted[k], exact[k], bool(whole[k]), bool(own_pixels[k])) or _against_kind(
+            label, lifted[k], bool(whole[k]), survey
+        )
+        if found:
+            message, figures, error = found
+            yield view.finding(
+                "object/implausible-size",
+                (view.ids[k],),
+                f"{view.named(k)} {message}",
+                figures,
+                "error" if error else "warning",
+            )
+
+
+Verdict = tuple[str, dict[str, float | int | str], bool]
+
+
+def _against_table(label: str, lifted: float, exact: float, whole: bool, own_pixels: bool) -> Verdict | None:
+    low, high = size_range(label) or (0.0, np.inf)
+    longest = np.fmax(lifted, exact)
+    figures: dict[str, float | int | str] = {"longest_edge": float(longest), "least": low, "most": high}
+    if longest > high:
+        # A box around pixels that are not all the object's own proves little.
+        return f"is {longest:.2f} m long; its class is at most {high:g} m", figures, exact > high or own_pixels
+    shortest = exact if np.isfinite(exact) else lifted
+    if shortest < low and (whole or np.isfinite(exact)):
+        figures["longest_edge"] = float(shortest)
+        return f"is {shortest:.3f} m long; its class is at least {low:g} m", figures, False
+    return None
+
+
+def _against_kind(label: str, lifted: float, whole: bool, survey: SizeSurvey) -> Verdict | None:
+    median, deviation, n = survey.spread(label)
+    if n < LEAST_EXAMPLES or not lifted > 0:
+        return None
+    away = float(np.log(lifted)) - median
+    far = abs(away) > max(DEVIATIONS * deviation, np.log(LEAST_FACTOR))
+    if not far or (away < 0 and not whole):
+        return None
+    figures: dict[str, float | int | str] = {
+        "longest_edge": float(lifted),
+        "median": float(np.exp(median)),
+        "deviations": away / deviation,
+        "examples": n,
+    }
+    return f"is {lifted:.2f} m long; the median of {n} is {np.exp(median):.2f} m", figures, False

@@ -1,4 +1,4 @@
-"""Rules on relations among themselves: what cannot hold together, and what is missing.
+"""Rules on relations: what cannot hold together, what is missing, and what geometry says.
 
 In every profile here a directional relation asks that centres (or mean points)
 be ordered along one axis, strictly. Such a relation has no cycle and never
@@ -6,20 +6,42 @@ holds both ways, though a cone is not transitive; a finding is then always an
 error. "On" and "in" compare surfaces and points, not an order: two flat things
 side by side at one height may each lie within 5 cm of "on" the other. Where the
 extents allow that, the finding is a warning.
+
+Against geometry stands what the stored extents say under the rules that the manifest names.
+Distances and all relations but on and in follow from the extents alone, and are
+compared exactly. "On" and "in" also read the objects' points, which labels do not keep:
+of them only what extents can decide is checked, as a lowest and a highest state.
+
+- "a on b" asks that 30 % of a's footprint lie over b's, that a's footprint be
+  less than 1.5 times b's, and that a's bottom be near b's surface. The first two
+  follow from the extents; the surface lies between b's bottom and top, give or
+  take SURFACE_SLACK for the points beyond the percentiles.
+- "a in b" asks that a reach below b's top, which follows from the extents, and
+  that enough of a's points lie in b: surely not where the extents are apart,
+  surely where a's lie within b's.
+
+Where the labels say that a second opinion doubts the rules, U is what is expected.
+
+In `semantic-abstraction-published` directions follow from extents, mean points
+and the stored "on" and "in". Without stored "on" and "in" a pair that may touch
+can be refused any direction, so that only T is compared.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from pipeline.labels.check.findings import Finding, Severity
-from pipeline.labels.check.geometry import Expected
 from pipeline.labels.check.stream import UNKNOWN
 from pipeline.labels.check.view import FrameView, pairs_where, state_letter
-from pipeline.language.relation_names import INVERSE, MIRRORED, OPPOSITES, PAIRWISE, PHRASE
-from pipeline.relations.relations import F, T
+from pipeline.labels.profiles import GIVEN, Judged, semantic_abstraction_directions
+from pipeline.language.relation_names import HORIZONTAL, INVERSE, MIRRORED, OPPOSITES, PAIRWISE, PHRASE
+from pipeline.relations.contact import Measured
+from pipeline.relations.predicates import PREDICATES, pair_margins, pair_states
+from pipeline.relations.relations import F, PairMeasures, Profile, T, U, known_extents, letter, measure_pairs
 
 MIRRORED_PROFILES = ("viewer-cone-v1",)
 """Profiles in which "a left of b" and "b right of a" are one question."""
@@ -56,8 +78,9 @@ def _missing(view: FrameView) -> Iterator[Finding]:
     for a, b in pairs_where(wanted & ~view.present):
         if view.present[b, a] or a < b:
             told = "has no row, the other way has one" if view.present[b, a] else "has no row, nor has the other way"
-            message = f"{view.named(a)} to {view.named(b)} {told}"
-            yield view.finding("relation/pair-missing", (view.ids[a], view.ids[b]), message)
+            yield view.finding(
+                "relation/pair-missing", (view.ids[a], view.ids[b]), f"{view.named(a)} to {view.named(b)} {told}"
+            )
     for relation, states in view.states.items():
         for a, b in pairs_where(view.present & (states == UNKNOWN)):
             yield view.finding(
@@ -82,12 +105,9 @@ def _unexpected(view: FrameView) -> Iterator[Finding]:
 
 
 def _inverse(view: FrameView) -> Iterator[Finding]:
-    for one, other in OPPOSITES:
-        if one not in view.states or other not in view.states:
-            continue
+    for one, other in _opposites(view):
         state, mirrored = view.states[one], view.states[other].T
-        differs = (state != mirrored) & (state != UNKNOWN) & (mirrored != UNKNOWN)
-        for a, b in pairs_where(differs):
+        for a, b in pairs_where((state != mirrored) & (state != UNKNOWN) & (mirrored != UNKNOWN)):
             yield view.finding(
                 "relation/inverse",
                 (view.ids[a], view.ids[b]),
@@ -97,10 +117,12 @@ def _inverse(view: FrameView) -> Iterator[Finding]:
             )
 
 
+def _opposites(view: FrameView) -> list[tuple[str, str]]:
+    return [(one, other) for one, other in OPPOSITES if one in view.states and other in view.states]
+
+
 def _exclusive(view: FrameView) -> Iterator[Finding]:
-    for one, other in OPPOSITES:
-        if one not in view.states or other not in view.states:
-            continue
+    for one, other in _opposites(view):
         for a, b in pairs_where((view.states[one] == T) & (view.states[other] == T)):
             yield view.finding(
                 "relation/exclusive",
@@ -182,8 +204,188 @@ def _severity(relation: str, edges: np.ndarray, expected: Expected | None) -> Se
     """Warning for on and in, unless geometry rules out one of the edges."""
     if relation in INVERSE:
         return "error"
-    if expected is not None and relation in expected.high:
-        most = expected.high[relation][edges[:, 0], edges[:, 1]]
-        if (most == F).any():
-            return "error"
-    return "warning"
+    high = None if expected is None else expected.high.get(relation)
+    return "error" if high is not None and (high[edges[:, 0], edges[:, 1]] == F).any() else "warning"
+
+
+SURFACE_SLACK = 0.10
+MANY_POINTS = 100
+"""With fewer points the percentiles of an object say little of where its points are."""
+MARGIN_TOLERANCE, MARGIN_TOLERANCE_RELATIVE = 1e-4, 1e-4
+"""Metres; margins are stored with 24 bits."""
+
+
+@dataclass(frozen=True)
+class Expected:
+    """What geometry allows of every ordered pair.
+
+    Attributes
+    ----------
+    low, high : dict of str to (N, N) int8
+        By relation: the stored state must lie between.
+    margins : dict of str to (N, N) float64
+        Metres; NaN where only its sign is known.
+    distance : (N, N) float64
+        Metres between the extents, NaN where unknown.
+    """
+
+    low: dict[str, np.ndarray]
+    high: dict[str, np.ndarray]
+    margins: dict[str, np.ndarray]
+    distance: np.ndarray
+
+
+def expected_viewer_cone(view: FrameView) -> Expected:
+    """`viewer-cone-v1` from the stored extents."""
+    known, pairs, contact = _measured(view)
+    both = known[:, None] & known[None, :]
+    exact = [relation for relation in PAIRWISE if not PREDICATES[relation].reads_points]
+    measured = Measured(pairs, Profile())
+    states = pair_states(measured, known, exact)
+    slack = np.where(both[..., None], pair_margins(measured, states, exact), 0.0)
+    for k, relation in enumerate(exact):
+        contact.low[relation] = contact.high[relation] = states[..., k]
+        contact.margins[relation] = slack[..., k]
+    return contact
+
+
+def _measured(view: FrameView) -> tuple[np.ndarray, PairMeasures, Expected]:
+    """(N,) bool whose extents are known, the measures of all pairs, and what they allow of on, in and distances."""
+    lo, hi = view.extents
+    known = known_extents(lo, hi)
+    pairs = measure_pairs(np.where(known[:, None], lo, 0.0), np.where(known[:, None], hi, 0.0), Profile())
+    both = known[:, None] & known[None, :]
+    distance = np.where(both, np.linalg.norm(pairs.gap, axis=2), np.nan)
+    return known, pairs, Expected(*_contact(view, pairs, Profile(), both), distance)
+
+
+def expected_semantic_abstraction(view: FrameView) -> Expected:
+    """`semantic-abstraction-published` from extents, mean points and the stored on and in."""
+    _, _, expected = _measured(view)
+    (lo, hi), centroid = view.extents, view.objects["centroid"]
+    centroid = np.where(np.isfinite(centroid), centroid, (lo + hi) / 2)
+    shape = (len(lo), len(lo), len(PAIRWISE))
+    contact = Judged(np.full(shape, F, np.int8), np.full(shape, -np.inf), expected.distance)
+    stored = {"on", "in"} <= set(view.states)
+    if stored:
+        for relation in ("on", "in"):
+            k = PAIRWISE.index(relation)
+            contact.states[..., k] = np.where(view.present, view.states[relation], F)
+            contact.margins[..., k] = np.nan_to_num(view.margins[relation], nan=-np.inf)
+    judged = semantic_abstraction_directions(lo, hi, centroid, contact)
+    low, high = expected.low, expected.high
+    touching = np.maximum(high["on"], high["in"]) == T
+    touching |= touching.T
+    for relation in HORIZONTAL:
+        k = PAIRWISE.index(relation)
+        high[relation] = judged.states[..., k]
+        low[relation] = high[relation] if stored else np.where(touching, F, high[relation]).astype(np.int8)
+        expected.margins[relation] = judged.margins[..., k] if stored else np.full(shape[:2], np.nan)
+    return expected
+
+
+def _contact(
+    view: FrameView, pairs: PairMeasures, profile: Profile, both: np.ndarray
+) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray], dict[str, np.ndarray]]:
+    """Lowest and highest states of on and in, and their margins as far as they are known."""
+    n = len(both)
+    if not n:
+        empty = np.zeros((0, 0), np.int8)
+        return ({"on": empty, "in": empty}, {"on": empty, "in": empty}, {"on": empty * 1.0, "in": empty * 1.0})
+    extent = pairs.extent
+    area = extent[:, 0] * extent[:, 2]
+    covered = pairs.overlap[..., 0] * pairs.overlap[..., 2] / area[:, None]
+    supported = (covered >= profile.on_overlap) & (area[:, None] / area[None, :] < profile.on_area_ratio)
+    bottom = pairs.lo[:, None, 1]
+    surface = np.clip(bottom, pairs.lo[None, :, 1] - SURFACE_SLACK, pairs.hi[None, :, 1] + SURFACE_SLACK)
+    gap = np.abs(bottom - surface)
+    touching = np.maximum(profile.on_gap, profile.on_gap_relative * extent[:, 1])[:, None]
+    on = np.where(gap <= touching, T, np.where(gap <= profile.on_gap_doubtful, U, F))
+    on = np.where(supported, on, F)
+
+    sunk = (pairs.hi[None, :, 1] - bottom) / extent[:, None, 1] >= profile.in_below_rim
+    low, high = pairs.lo - profile.in_inflation, pairs.hi + profile.in_inflation
+    apart = ((pairs.lo[:, None] > high[None]) | (pairs.hi[:, None] < low[None])).any(axis=2)
+    within = ((pairs.lo[:, None] >= low[None]) & (pairs.hi[:, None] <= high[None])).all(axis=2)
+    many = (view.objects["points"] >= MANY_POINTS)[:, None]
+    inside_high = np.where(sunk & ~(apart & many), T, F)
+    inside_low = np.where(sunk & within & many, T, F)
+
+    def settled(states: np.ndarray) -> np.ndarray:
+        return np.where(np.eye(n, dtype=np.bool_), F, np.where(both, states, U)).astype(np.int8)
+
+    unknown = np.where(both, np.nan, 0.0)
+    return (
+        {"on": settled(np.full((n, n), F)), "in": settled(inside_low)},
+        {"on": settled(on), "in": settled(inside_high)},
+        {"on": unknown, "in": unknown.copy()},
+    )
+
+
+def expected_given(view: FrameView) -> Expected:
+    """`given`: the dataset itself says the states, with no margin; only distances follow from the extents."""
+    shape = (len(view.ids), len(view.ids))
+    low, high, margins = (
+        {relation: np.full(shape, value) for relation in view.states} for value in (np.int8(F), np.int8(T), 0.0)
+    )
+    return Expected(low, high, margins, expected_viewer_cone(view).distance)
+
+
+EXPECTED: dict[str, Callable[[FrameView], Expected]] = {
+    "viewer-cone-v1": expected_viewer_cone,
+    "semantic-abstraction-published": expected_semantic_abstraction,
+    GIVEN: expected_given,
+}
+"""What geometry says under a profile. Of a profile without an entry here, `profile/changed` tells that it has none."""
+
+
+def check_geometry(view: FrameView, expected: Expected) -> Iterator[Finding]:
+    """States, margins and distances against what the extents allow."""
+    for relation, states in view.states.items():
+        if relation not in expected.high:
+            continue
+        doubted = view.doubted(relation)
+        low, high = (np.where(doubted, U, bound) for bound in (expected.low[relation], expected.high[relation]))
+        wanted = np.where(doubted, 0.0, expected.margins[relation])
+        margins = view.margins[relation]
+        judged = view.present & (states != UNKNOWN)
+        off = judged & ((states < low) | (states > high))
+        for a, b in pairs_where(off):
+            nearest = int(np.clip(states[a, b], low[a, b], high[a, b]))
+            opposite = abs(int(states[a, b]) - nearest) > 1
+            figures = {"relation": relation, "stored": int(states[a, b]), "geometry": nearest}
+            if np.isfinite(wanted[a, b]):
+                figures["margin"] = float(wanted[a, b])
+            yield view.finding(
+                "relation/geometry",
+                (view.ids[a], view.ids[b]),
+                f"{view.relation_text(a, relation, b)}: stored {state_letter(states[a, b])}, "
+                f"the extents say {letter(nearest)}",
+                figures,
+                "error" if opposite else "warning",
+            )
+        signed = np.where(states == T, margins >= 0, np.where(states == F, margins <= 0, margins == 0))
+        with np.errstate(invalid="ignore"):
+            differs = np.abs(margins - wanted) > MARGIN_TOLERANCE + MARGIN_TOLERANCE_RELATIVE * np.abs(wanted)
+        for a, b in pairs_where(judged & ~off & (~signed | differs)):
+            known = np.isfinite(wanted[a, b])
+            reason = f"the extents say {wanted[a, b]:.4f} m" if known else "its sign is that of another state"
+            yield view.finding(
+                "relation/geometry",
+                (view.ids[a], view.ids[b]),
+                f"{view.relation_text(a, relation, b)}: margin {margins[a, b]:.4f} m, {reason}",
+                {"relation": relation, "stored_margin": float(margins[a, b]), "margin": float(wanted[a, b])},
+                "warning",
+            )
+    with np.errstate(invalid="ignore"):
+        far = np.abs(view.distance - expected.distance) > MARGIN_TOLERANCE * (1 + np.abs(expected.distance))
+    far |= np.isfinite(view.distance) != np.isfinite(expected.distance)
+    for a, b in pairs_where(view.present & far):
+        yield view.finding(
+            "relation/geometry",
+            (view.ids[a], view.ids[b]),
+            f"{view.named(a)} to {view.named(b)}: distance {view.distance[a, b]:.4f} m, "
+            f"the extents say {expected.distance[a, b]:.4f} m",
+            {"stored": float(view.distance[a, b]), "geometry": float(expected.distance[a, b])},
+            "warning",
+        )

@@ -28,9 +28,11 @@ def check_rows(view: FrameView) -> Iterator[Finding]:
     """Everything that can be said of rows without knowing what they mean."""
     for table, rows in view.tables.items():
         for violation in rows.violations:
-            objects = _objects_of(table, rows, violation.row)
             yield view.finding(
-                violation.rule, objects, f"{table}: {violation.message}", {"table": table, "column": violation.column}
+                violation.rule,
+                _objects_of(table, rows, violation.row),
+                f"{table}: {violation.message}",
+                {"table": table, "column": violation.column},
             )
         yield from _keys(view, table, rows)
         yield from _order(view, table, rows)
@@ -65,8 +67,8 @@ def _order(view: FrameView, table: str, rows: Rows) -> Iterator[Finding]:
     columns = [rows[name] for name in KEYS[table][1:]] if len(rows) > 1 else []
     if not columns:
         return
-    place = {relation: k for k, relation in enumerate(PAIRWISE)}
-    keys = [np.array([place.get(v, -1) for v in c]) if c.dtype == object else c for c in columns]
+    rank = {relation: k for k, relation in enumerate(PAIRWISE)}
+    keys = [np.array([rank.get(v, -1) for v in c]) if c.dtype == object else c for c in columns]
     if not np.array_equal(np.lexsort(keys[::-1]), np.arange(len(rows))):
         yield view.finding("file/order", (), f"{table}: the rows of the frame are out of order", {"table": table})
 
@@ -84,8 +86,7 @@ def _references(view: FrameView, table: str, rows: Rows) -> Iterator[Finding]:
             {"table": table, "rows": len(rows), "frame_index": view.index},
         )
     else:
-        other = np.flatnonzero(rows["frame"] != frames["frame"][0])
-        for row in other:
+        for row in np.flatnonzero(rows["frame"] != frames["frame"][0]):
             yield view.finding(
                 "row/dangling",
                 _objects_of(table, rows, int(row)),

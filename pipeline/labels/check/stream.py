@@ -2,6 +2,9 @@
 
 A table in order of frames is read in batches, and no more than one batch and
 one frame are held. One that is out of order is reported and sorted in memory.
+
+The pydantic models of the rows stay the one source of what a cell may hold: it is read from their JSON Schema, whole
+columns are compared with that, and only rows that fall out are validated one by one, for the message.
 """
 
 from __future__ import annotations
@@ -9,18 +12,17 @@ from __future__ import annotations
 from bisect import bisect_left
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from pydantic import ValidationError
 
-from pipeline.labels.check.constraints import Violation, constraints, violations
 from pipeline.labels.schema import ADDED_COLUMNS, TABLES
 from pipeline.labels.tables import arrow_schema, check_version
+from pipeline.system.arrow import pa, pq
 from pipeline.system.errors import InputError
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 BATCH_ROWS = 8_192
 UNKNOWN = -128
@@ -76,9 +78,6 @@ class TableStream:
     """
 
     def __init__(self, path: Path, table: str) -> None:
-        import pyarrow as pa
-        import pyarrow.parquet as pq
-
         self.table, self.path = table, path
         self.problem: str | None = None
         self.lacking: frozenset[str] = frozenset()
@@ -131,8 +130,6 @@ class TableStream:
         return found
 
     def _advance(self) -> None:
-        import pyarrow as pa
-
         try:
             block = next(self._blocks, None)
         except (pa.ArrowInvalid, OSError) as error:
@@ -159,14 +156,11 @@ class TableStream:
 
     def _read(self, file: Any) -> Iterator[pa.Table]:
         """Blocks of whole frames, in order, of the schema's types."""
-        import pyarrow as pa
-
         wanted = [n for n in arrow_schema(self.table).names if n not in self.lacking | self._added]
         if not self.ordered:
             whole = self._typed(file.read(columns=wanted))
-            filled = whole.column("frame_index").fill_null(-1)
-            order = np.argsort(filled.to_numpy(), kind="stable")
-            yield whole.take(pa.array(order))
+            index = whole.column("frame_index").fill_null(-1).to_numpy()
+            yield whole.take(pa.array(np.argsort(index, kind="stable")))
             return
         tail: pa.Table | None = None
         for batch in file.iter_batches(BATCH_ROWS, columns=wanted):
@@ -181,36 +175,29 @@ class TableStream:
             yield tail
 
     def _typed(self, rows: pa.Table) -> pa.Table:
-        import pyarrow as pa
-
-        arrays = []
-        for field in arrow_schema(self.table):
-            if field.name in self.lacking | self._added:
-                arrays.append(pa.chunked_array([pa.nulls(rows.num_rows, field.type)]))
-                continue
-            column = rows.column(field.name)
-            arrays.append(column if column.type == field.type else column.cast(field.type, safe=False))
-        return pa.Table.from_arrays(arrays, names=arrow_schema(self.table).names)
+        absent, schema = self.lacking | self._added, arrow_schema(self.table)
+        arrays = [
+            pa.chunked_array([pa.nulls(rows.num_rows, field.type)])
+            if field.name in absent
+            else rows.column(field.name).cast(field.type, safe=False)
+            for field in schema
+        ]
+        return pa.Table.from_arrays(arrays, names=schema.names)
 
 
 def _is_ordered(file: Any) -> bool:
     """Whether frame_index never falls and is never null; read in batches."""
     last = -1
     for batch in file.iter_batches(BATCH_ROWS, columns=["frame_index"]):
-        column = batch.column(0)
-        if column.null_count:
+        index = np.append(last, batch.column(0).fill_null(-2).to_numpy(zero_copy_only=False))
+        if (np.diff(index) < 0).any():
             return False
-        index = column.to_numpy(zero_copy_only=False)
-        if len(index) and (index[0] < last or (np.diff(index) < 0).any()):
-            return False
-        last = index[-1] if len(index) else last
+        last = index[-1]
     return True
 
 
 def _alike(found: Any, wanted: Any) -> bool:
     """One type, but for the width of offsets and for dictionaries: other libraries write those."""
-    import pyarrow as pa
-
     if pa.types.is_dictionary(found):
         found = found.value_type
     if pa.types.is_large_string(found):
@@ -222,7 +209,6 @@ def _alike(found: Any, wanted: Any) -> bool:
 
 def _castable(found: Any, wanted: Any) -> bool:
     """Whether values of one type can stand for the other's."""
-    import pyarrow as pa
 
     def kind(of: Any) -> str:
         if pa.types.is_integer(of) or pa.types.is_floating(of):
@@ -234,15 +220,12 @@ def _castable(found: Any, wanted: Any) -> bool:
 
 
 def _arrays(block: pa.Table, table: str) -> dict[str, np.ndarray]:
-    import pyarrow as pa
-
     found = {}
     for name, constraint in constraints(table).items():
         column = block.column(name).combine_chunks()
         kind = column.type
         if pa.types.is_list(kind):
-            inner = kind.value_type
-            if pa.types.is_string(inner):
+            if pa.types.is_string(kind.value_type):
                 continue
             fixed = constraint.shortest if constraint.shortest == constraint.longest else None
             found[name] = _lists(column) if fixed is None else _vectors(column, fixed)
@@ -251,14 +234,9 @@ def _arrays(block: pa.Table, table: str) -> dict[str, np.ndarray]:
             known = np.array([*words.dictionary.to_pylist(), None], object)
             found[name] = known[words.indices.fill_null(len(known) - 1).to_numpy(zero_copy_only=False)]
         else:
-            empty: Any = -1
-            if pa.types.is_int8(kind):
-                empty = UNKNOWN
-            elif pa.types.is_floating(kind):
-                empty = float("nan")
-            elif pa.types.is_boolean(kind):
-                empty = False
-            values = column.fill_null(empty).to_numpy(zero_copy_only=False)
+            nulls = ((pa.types.is_int8, UNKNOWN), (pa.types.is_floating, float("nan")), (pa.types.is_boolean, False))
+            null: Any = next((value for of_type, value in nulls if of_type(kind)), -1)
+            values = column.fill_null(null).to_numpy(zero_copy_only=False)
             found[name] = values.astype(np.int64) if pa.types.is_int32(kind) else values
     return found
 
@@ -295,3 +273,139 @@ def frames_of(streams: dict[str, TableStream]) -> Iterator[tuple[int, dict[str, 
             return
         index = min(following)
         yield index, {name: stream.take(index) for name, stream in streams.items()}
+
+
+@dataclass(frozen=True)
+class Constraint:
+    """What a column may hold."""
+
+    nullable: bool
+    values: tuple[Any, ...] | None
+    least: float | None
+    most: float | None
+    shortest: int | None
+    longest: int | None
+
+
+@dataclass(frozen=True)
+class Violation:
+    """A cell that breaks its column's constraint, or is not finite.
+
+    `row` is its place in the table that was checked.
+    """
+
+    row: int
+    rule: str
+    column: str
+    message: str
+
+
+@lru_cache
+def constraints(table: str) -> dict[str, Constraint]:
+    """The constraints of a table's columns, by name."""
+    properties = TABLES[table].model_json_schema(by_alias=True)["properties"]
+    found = {}
+    for name, schema in properties.items():
+        options = schema.get("anyOf", [schema])
+        kinds = [o for o in options if o.get("type") != "null"]
+        kind = kinds[0]
+        values = kind.get("enum", [kind["const"]] if "const" in kind else None)
+        found[name] = Constraint(
+            len(kinds) < len(options),
+            None if values is None else tuple(values),
+            kind.get("minimum"),
+            kind.get("maximum"),
+            kind.get("minItems"),
+            kind.get("maxItems"),
+        )
+    return found
+
+
+def violations(rows: pa.Table, table: str, skip: frozenset[str] = frozenset()) -> list[Violation]:
+    """All cells that break the model of their table, in order of rows.
+
+    Parameters
+    ----------
+    rows : pa.Table
+        Of the table's Arrow schema.
+    skip : frozenset of str
+        Columns that the file lacks.
+    """
+    found: list[Violation] = []
+    broken: dict[int, list[str]] = {}
+    for name, constraint in constraints(table).items():
+        if name in skip:
+            continue
+        bad, wild = _broken(rows.column(name).combine_chunks(), constraint)
+        wild_rows = np.flatnonzero(wild).tolist()
+        found += [Violation(row, "row/non-finite", name, f"{name} is not finite") for row in wild_rows]
+        for row in np.flatnonzero(bad & ~wild):
+            broken.setdefault(int(row), []).append(name)
+    for row, names in broken.items():
+        messages = _messages(rows, table, row)
+        found += [
+            Violation(row, "row/model", n, f"{n}: {messages[n]}" if n in messages else f"{n} is not allowed")
+            for n in names
+        ]
+    return sorted(found, key=lambda v: v.row)
+
+
+def _messages(rows: pa.Table, table: str, row: int) -> dict[str, str]:
+    (record,) = rows.slice(row, 1).to_pylist()
+    try:
+        TABLES[table].model_validate(record)
+    except ValidationError as error:
+        return {
+            str(e["loc"][0]): f"{e['msg']}, got {repr(e.get('input'))[:60]}"
+            for e in reversed(error.errors())
+            if e["loc"]
+        }
+    return {}
+
+
+def _broken(column: Any, constraint: Constraint) -> tuple[np.ndarray, np.ndarray]:
+    """Which cells are not allowed, and which are not finite, as two (N,) bool."""
+    n = len(column)
+    null = _bools(column.is_null())
+    bad = np.zeros(n, np.bool_) if constraint.nullable else null.copy()
+    wild = np.zeros(n, np.bool_)
+    if pa.types.is_list(column.type):
+        _check_lists(column, constraint, null, bad, wild)
+    elif pa.types.is_string(column.type):
+        if constraint.values is not None:
+            words = column.dictionary_encode()
+            allowed = np.array([w in constraint.values for w in words.dictionary.to_pylist()] or [True], np.bool_)
+            codes = words.indices.fill_null(0).to_numpy(zero_copy_only=False)
+            bad |= ~null & ~allowed[codes]
+    elif not pa.types.is_boolean(column.type):
+        values = column.fill_null(0).to_numpy(zero_copy_only=False)
+        if pa.types.is_floating(column.type):
+            wild = ~null & ~np.isfinite(values)
+        if constraint.values is not None:
+            bad |= ~null & ~np.isin(values, constraint.values)
+        with np.errstate(invalid="ignore"):
+            if constraint.least is not None:
+                bad |= ~null & (values < constraint.least)
+            if constraint.most is not None:
+                bad |= ~null & (values > constraint.most)
+    return bad, wild
+
+
+def _check_lists(column: Any, constraint: Constraint, null: np.ndarray, bad: np.ndarray, wild: np.ndarray) -> None:
+    """Lengths and elements of a list column, into `bad` and `wild`."""
+    length = np.diff(column.offsets.to_numpy())
+    if constraint.shortest is not None:
+        bad |= ~null & (length < constraint.shortest)
+    if constraint.longest is not None:
+        bad |= ~null & (length > constraint.longest)
+    inner = column.flatten()
+    owner = np.repeat(np.flatnonzero(~null), length[~null])
+    if inner.null_count:
+        bad[owner[_bools(inner.is_null())]] = True
+    if pa.types.is_floating(inner.type):
+        values = inner.fill_null(0.0).to_numpy(zero_copy_only=False)
+        wild[owner[~np.isfinite(values)]] = True
+
+
+def _bools(array: Any) -> np.ndarray:
+    return array.to_numpy(zero_copy_only=False).astype(np.bool_)

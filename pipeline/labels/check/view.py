@@ -6,7 +6,7 @@ first, and only a sound one is handed on.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
@@ -16,16 +16,16 @@ from pipeline.geometry.masks import decode_crop, run_lengths
 from pipeline.geometry.viewer import ViewerAxes, viewer_axes
 from pipeline.labels.check.findings import RULES, Figure, Finding, Severity
 from pipeline.labels.check.stream import UNKNOWN, Rows
-from pipeline.language.naming import normal_form, same_class
-from pipeline.language.noun_phrase import alone
+from pipeline.language.naming import normal_form
+from pipeline.language.noun_phrase import alone, same_names
 from pipeline.language.relation_names import PAIRWISE, PHRASE
 from pipeline.relations.relations import F, T, U, letter
 
 
 def plain_figures(figures: dict[str, Figure]) -> dict[str, Figure]:
     """Figures as Python's own numbers; those that are not finite are left out, for JSON has none."""
-    plain = {k: v.item() if isinstance(v, np.generic) else v for k, v in figures.items()}
-    return {k: v for k, v in plain.items() if not isinstance(v, float) or np.isfinite(v)}
+    plain = ((k, v.item() if isinstance(v, np.generic) else v) for k, v in figures.items())
+    return {k: v for k, v in plain if not isinstance(v, float) or np.isfinite(v)}
 
 
 def pairs_where(chosen: np.ndarray) -> list[tuple[int, int]]:
@@ -44,34 +44,6 @@ def state_letter(state: int) -> str:
     return letter(state) if state in (T, U, F) else str(int(state))
 
 
-@dataclass
-class Names:
-    """Which class names mean the same and which are background, each looked up once.
-
-    Attributes
-    ----------
-    background : frozenset of str
-        Normal forms of the background classes.
-    """
-
-    background: frozenset[str]
-    _same: dict[tuple[str, str], bool] = field(default_factory=dict)
-
-    def same(self, a: str, b: str) -> bool:
-        key = (a, b)
-        if key not in self._same:
-            self._same[key] = a == b or same_class(a, b)
-        return self._same[key]
-
-    def alike(self, names: list[str]) -> np.ndarray:
-        """(N, N) bool: which of the names mean the same."""
-        distinct = list(dict.fromkeys(names))
-        table = np.array([[self.same(a, b) for b in distinct] for a in distinct], np.bool_)
-        place = {name: k for k, name in enumerate(distinct)}
-        at = np.array([place[name] for name in names], np.int64)
-        return table.reshape(len(distinct), -1)[np.ix_(at, at)]
-
-
 @dataclass(frozen=True)
 class FrameView:
     """The rows of one frame.
@@ -80,14 +52,15 @@ class FrameView:
     ----------
     index : int
     tables : dict of str to Rows
-    names : Names
+    background : frozenset of str
+        Normal forms of the background classes.
     relation_names : tuple of str
         The relations that the labels hold.
     """
 
     index: int
     tables: dict[str, Rows]
-    names: Names
+    background: frozenset[str]
     relation_names: tuple[str, ...]
 
     @cached_property
@@ -182,7 +155,7 @@ class FrameView:
     @cached_property
     def alike(self) -> np.ndarray:
         """(N, N) bool: objects whose names mean the same."""
-        return self.names.alike(self.labels)
+        return same_names(self.labels)
 
     @cached_property
     def alone(self) -> np.ndarray:
@@ -192,7 +165,7 @@ class FrameView:
     @cached_property
     def related(self) -> np.ndarray:
         """(N,) bool: objects that take part in relations."""
-        return np.array([normal_form(label) not in self.names.background for label in self.labels], np.bool_)
+        return np.array([normal_form(label) not in self.background for label in self.labels], np.bool_)
 
     @cached_property
     def runs(self) -> list[MaskRuns | str | None]:
@@ -203,20 +176,16 @@ class FrameView:
 
     @cached_property
     def pair_rows(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Rows of relations between two different known objects, and the places of a and b; three (P,) int64."""
+        """Rows of relations between two different known objects, and the indices of a and b; three (P,) int64."""
         none = np.zeros(0, np.int64)
         if not len(self.relations) or not len(self.ids):
             return none, none, none
         order = np.argsort(self.ids, kind="stable")
-        ids = self.ids[order]
-        places, known = [], np.ones(len(self.relations), np.bool_)
-        for end in ("a", "b"):
-            number = self.relations[end]
-            at = np.minimum(np.searchsorted(ids, number), len(ids) - 1)
-            known &= ids[at] == number
-            places.append(order[at])
-        known &= places[0] != places[1]
-        return np.flatnonzero(known), places[0][known], places[1][known]
+        ids, numbers = self.ids[order], np.stack([self.relations["a"], self.relations["b"]])
+        at = np.minimum(np.searchsorted(ids, numbers), len(ids) - 1)
+        a, b = order[at]
+        known = (ids[at] == numbers).all(axis=0) & (a != b)
+        return np.flatnonzero(known), a[known], b[known]
 
     @cached_property
     def present(self) -> np.ndarray:

@@ -28,17 +28,23 @@ import json
 import re
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, TextIO
+from typing import Any, TextIO
 
-from pipeline.labels.exports.base import ExportFormat, Job, Written, image_name
-from pipeline.labels.exports.frame_rows import FrameRows, iterate_frames, table_batches
-from pipeline.labels.exports.json_text import JsonList, json_line, load_json
+from pipeline.labels.exports.base import (
+    ExportFormat,
+    FrameRows,
+    Job,
+    Written,
+    image_name,
+    iterate_frames,
+    label_names,
+    table_batches,
+)
+from pipeline.labels.exports.provenance import JsonList, Provenance, json_line, load_json
 from pipeline.labels.tables import arrow_schema, build_table
+from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError
 from pipeline.system.staging import text_file
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 _WORD = re.compile(r"[^\W_]+(?:['’-][^\W_]+)*")
 
@@ -46,7 +52,7 @@ _WORD = re.compile(r"[^\W_]+(?:['’-][^\W_]+)*")
 def write_coco(job: Job) -> Written:
     """Write the three files, as streams."""
     manifest = job.labels.manifest
-    categories = _categories(job)
+    categories = {name: k for k, name in enumerate(label_names(job.labels), start=1)}
     info = {
         "description": f"Auto-labels of {manifest.dataset.get('path')} by {manifest.tool} {manifest.version}",
         "version": manifest.schema_version,
@@ -74,18 +80,19 @@ def write_coco(job: Job) -> Written:
         annotations, refs = JsonList(instances), JsonList(refs_file)
         relations_file.write(f'{{"relations": {json_line(list(job.labels.relation_names))},\n"images": ')
         related = JsonList(relations_file)
-        pairs = 0
+        pairs, known = 0, job.provenance.known
         for rows in iterate_frames(job.labels, job.tell):
             ids = {row["object"]: annotations.length + 1 + k for k, row in enumerate(rows.objects)}
             if len(ids) != len(rows.objects):
                 raise InputError(f"frame {rows.frame['frame']}: two objects of one number", path=job.labels.root)
             for row in rows.objects:
                 found = _annotation(row, ids[row["object"]], categories, rows.frame)
-                annotations.add(found | _known(job, "objects", rows, row["object"]))
+                annotations.add(found | known("objects", rows.frame["frame"], str(row["object"])))
             for row in rows.expressions:
-                refs.add(_ref(row, refs.length, ids, categories) | _known(job, "expressions", rows, row["id"]))
+                found = _ref(row, refs.length, ids, categories)
+                refs.add(found | known("expressions", rows.frame["frame"], row["id"]))
             if rows.relations.num_rows:
-                related.add(_relations(rows, ids) | _known_relations(job, rows, ids))
+                related.add(_relations(rows, ids) | _known_relations(job.provenance, rows, ids))
                 pairs += rows.relations.num_rows
             if job.images is not None and rows.frame["ok"]:
                 job.images.write(rows.frame, job.folder / image_name(rows.index))
@@ -101,14 +108,6 @@ def write_coco(job: Job) -> Written:
     return Written(files, {**rows, "categories": len(categories)})
 
 
-def _categories(job: Job) -> dict[str, int]:
-    """Category ids from 1, by name in alphabetical order."""
-    names: set[str] = set()
-    for batch in table_batches(job.labels, "objects", ["label"]):
-        names.update(batch.column("label").unique().to_pylist())
-    return {name: k for k, name in enumerate(sorted(names), start=1)}
-
-
 def _write_frames(job: Job, file: TextIO) -> int:
     """The lists `images` and `unusable_frames`; the length of the first."""
     lengths = []
@@ -119,8 +118,7 @@ def _write_frames(job: Job, file: TextIO) -> int:
             for row in batch.to_pylist():
                 if row["ok"] == usable:
                     found = _image(row)
-                    said = job.provenance.said("frames", row["frame"], "")
-                    found["spatialviz"] |= {**said, "provenance": job.provenance.of("frames", row["frame"], "")}
+                    found["spatialviz"] |= job.provenance.known("frames", row["frame"], "")
                     items.add(found)
         items.close()
         file.write(",\n")
@@ -144,17 +142,14 @@ def _annotation(
     row: Mapping[str, Any], ann_id: int, categories: Mapping[str, int], frame: Mapping[str, Any]
 ) -> dict[str, Any]:
     x0, y0, x1, y1 = row["bbox"]
-    if row["mask"] is None:
-        segmentation: Any = [[x0, y0, x1, y0, x1, y1, x0, y1]]
-    else:
-        segmentation = {"size": [frame["height"], frame["width"]], "counts": row["mask"]}
+    mask = {"size": [frame["height"], frame["width"]], "counts": row["mask"]}
     return {
         "id": ann_id,
         "image_id": row["frame_index"],
         "category_id": categories[row["label"]],
         "bbox": [x0, y0, x1 - x0, y1 - y0],
         "area": row["mask_pixels"],
-        "segmentation": segmentation,
+        "segmentation": [[x0, y0, x1, y0, x1, y1, x0, y1]] if row["mask"] is None else mask,
         "iscrowd": 0,
         "score": row["score"],
         "object": row["object"],
@@ -171,8 +166,7 @@ def _box(row: Mapping[str, Any], prefix: str) -> dict[str, Any] | None:
     center, R, size = (row[f"{prefix}{key}"] for key in ("center", "R", "size"))
     if center is None and R is None and size is None:
         return None
-    nested = None if R is None else [R[0:3], R[3:6], R[6:9]]
-    return {"center": center, "size": size, "R": nested, "frame": "camera"}
+    return {"center": center, "size": size, "R": R and [R[0:3], R[3:6], R[6:9]], "frame": "camera"}
 
 
 def _ref(row: Mapping[str, Any], number: int, ids: Mapping[int, int], categories: Mapping[str, int]) -> dict[str, Any]:
@@ -214,20 +208,14 @@ def _relations(rows: FrameRows, ids: Mapping[int, int]) -> dict[str, Any]:
     return found
 
 
-def _known(job: Job, table: str, rows: FrameRows, key: int | str) -> dict[str, Any]:
-    frame, name = rows.frame["frame"], str(key)
-    return {**job.provenance.said(table, frame, name), "provenance": job.provenance.of(table, frame, name)}
-
-
-def _known_relations(job: Job, rows: FrameRows, ids: Mapping[int, int]) -> dict[str, Any]:
+def _known_relations(provenance: Provenance, rows: FrameRows, ids: Mapping[int, int]) -> dict[str, Any]:
     found: dict[str, list[dict[str, Any]]] = {"statuses": [], "provenance": []}
-    if rows.frame["frame"] not in job.provenance.frames.get("relations", ()):
+    frame = rows.frame["frame"]
+    if frame not in provenance.frames.get("relations", ()):
         return found
     for a, b in zip(*(rows.relations.column(end).to_pylist() for end in ("a", "b")), strict=True):
-        pair, key = {"a": ids[a], "b": ids[b]}, f"{a},{b}"
-        said = job.provenance.said("relations", rows.frame["frame"], key)
-        found["statuses"] += [{**pair, **status} for status in said["statuses"]]
-        found["provenance"] += [{**pair, **e} for e in job.provenance.of("relations", rows.frame["frame"], key)]
+        for name, entries in provenance.known("relations", frame, f"{a},{b}").items():
+            found[name] += [{"a": ids[a], "b": ids[b], **entry} for entry in entries]
     return found
 
 
@@ -243,9 +231,8 @@ QUALITY = (
     "estimator", "visible", "occluded", "usable", "reason",
 )  # fmt: skip
 EXPRESSION_KEYS = ("id", "target", "relation", "reference", "ambiguous", "margin", "judged_in", "up_source", "profile")
-BESIDE = ("image_id", "statuses", "provenance")
+NO_COLUMNS = ("image_id", "statuses", "provenance")
 """What an image has in `relations.json` that is no column of the table."""
-Rows = list[dict[str, Any]]
 
 
 def read_coco(root: Path) -> dict[str, pa.Table]:
@@ -264,30 +251,25 @@ def read_coco(root: Path) -> dict[str, pa.Table]:
         categories = {c["id"]: c["name"] for c in instances["categories"]}
         annotations = sorted(instances["annotations"], key=lambda a: a["id"])
         numbers = {a["id"]: a["object"] for a in annotations}
-        rows: dict[str, Rows] = {
-            "frames": [_frame(image) for image in images],
-            "objects": [_object(a, names[a["image_id"]], categories) for a in annotations],
-            "expressions": [_expression(ref, names[ref["image_id"]], numbers) for ref in refs],
+        return {
+            "frames": _table("frames", [_frame(image) for image in images]),
+            "objects": _table("objects", [_object(a, names[a["image_id"]], categories) for a in annotations]),
+            "relations": _pairs(relations["images"], names, numbers),
+            "expressions": _table("expressions", [_expression(r, names[r["image_id"]], numbers) for r in refs]),
         }
-        tables = {name: _table(name, found) for name, found in rows.items()}
-        pairs = _pairs(relations["images"], names, numbers)
     except (KeyError, TypeError, IndexError, ValueError, AttributeError) as error:
         if isinstance(error, InputError):
             raise
         raise InputError(
             "not a COCO export of labels", got=f"{type(error).__name__}: {error}", cause="was it edited?", path=root
         ) from error
-    return {
-        "frames": tables["frames"],
-        "objects": tables["objects"],
-        "relations": pairs,
-        "expressions": tables["expressions"],
-    }
 
 
 def _frame(image: dict[str, Any]) -> dict[str, Any]:
-    own = {"frame": image["frame"], "frame_index": image["id"], "width": image["width"], "height": image["height"]}
-    return {**own, **{key: image["spatialviz"][key] for key in FRAME_KEYS}}
+    return {
+        "frame": image["frame"], "frame_index": image["id"], "width": image["width"], "height": image["height"],
+        **{key: image["spatialviz"][key] for key in FRAME_KEYS},
+    }  # fmt: skip
 
 
 def _object(annotation: dict[str, Any], frame: str, categories: dict[int, str]) -> dict[str, Any]:
@@ -326,21 +308,16 @@ def _expression(ref: dict[str, Any], frame: str, numbers: dict[int, int]) -> dic
 
 
 def _pairs(images: Iterable[dict[str, Any]], names: dict[int, str], numbers: dict[int, int]) -> pa.Table:
-    import pyarrow as pa
-
     found = []
     for image in images:
-        columns = {key: values for key, values in image.items() if key not in BESIDE}
-        length = len(columns["a"])
-        index = image["image_id"]
+        columns = {key: values for key, values in image.items() if key not in NO_COLUMNS}
         columns |= {key: [numbers[n] for n in columns[key]] for key in ("a", "b")}
-        found.append(
-            build_table("relations", {"frame": [names[index]] * length, "frame_index": [index] * length, **columns})
-        )
+        frames, index = [names[image["image_id"]]] * len(columns["a"]), [image["image_id"]] * len(columns["a"])
+        found.append(build_table("relations", {"frame": frames, "frame_index": index, **columns}))
     return pa.concat_tables(found) if found else arrow_schema("relations").empty_table()
 
 
-def _table(name: str, rows: Rows) -> pa.Table:
+def _table(name: str, rows: list[dict[str, Any]]) -> pa.Table:
     if not rows:
         return arrow_schema(name).empty_table()
     return build_table(name, {column: [row[column] for row in rows] for column in arrow_schema(name).names})

@@ -7,23 +7,19 @@ import json
 import shutil
 from collections.abc import Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 from pipeline.datasets import Dataset
 from pipeline.labels.exports import coco, hub, jsonl, kitti, vqa
 from pipeline.labels.exports.base import ExportFormat, ExportReport, ImageCopy, Job, Progress
-from pipeline.labels.exports.json_text import load_json
-from pipeline.labels.exports.provenance import open_provenance
-from pipeline.labels.pictures import labelled_dataset
-from pipeline.labels.reading import MANIFEST_FILE, Labels
+from pipeline.labels.exports.provenance import load_json, open_provenance
+from pipeline.labels.reading import MANIFEST_FILE, Labels, labelled_dataset
 from pipeline.labels.tables import content_hash
+from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError
 from pipeline.system.plugins import load_plugins
 from pipeline.system.staging import staged_folder, write_json
 from pipeline.system.version import __version__
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 FORMATS: dict[str, ExportFormat] = {
     "jsonl": jsonl.FORMAT,

@@ -8,23 +8,19 @@ copied, are in `images/` by frame_index.
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from pipeline.labels.card import UNKNOWN_LICENCE, DataFile, croissant, dataset_card
-from pipeline.labels.exports.base import ExportFormat, Job, Written
-from pipeline.labels.exports.frame_rows import table_batches
+from pipeline.labels.exports.base import ExportFormat, Job, Written, table_batches
 from pipeline.labels.exports.jsonl import copy_images
 from pipeline.labels.exports.provenance import extended_json_schemas, extended_schema
 from pipeline.labels.schema import TABLES, write_schemas
 from pipeline.labels.tables import ROW_GROUP, arrow_schema, read_table
+from pipeline.system.arrow import pa, pq
 from pipeline.system.errors import InputError
 from pipeline.system.staging import text_file, write_json
-
-if TYPE_CHECKING:
-    import pyarrow as pa
+from pipeline.system.whole_files import sha256_of
 
 ROWS_A_FILE = 1_000_000
 GROUP_BYTES = 1 << 25
@@ -70,9 +66,6 @@ def write_hub(job: Job) -> Written:
 
 def _write_table(job: Job, name: str, rows_a_file: int) -> list[DataFile]:
     """One table, cut into files of `rows_a_file` rows; of an empty one an empty file."""
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
     total = job.labels.manifest.tables[name].rows
     count = max(1, -(-total // rows_a_file))
     (job.folder / "data" / name).mkdir(parents=True)
@@ -103,18 +96,10 @@ def _write_table(job: Job, name: str, rows_a_file: int) -> list[DataFile]:
                     group.clear()
                     rows = size = 0
         relative = path.relative_to(job.folder).as_posix()
-        found.append(DataFile(relative, min(rows_a_file, total - number * rows_a_file), _sha256(path)))
+        found.append(DataFile(relative, min(rows_a_file, total - number * rows_a_file), sha256_of(path)))
     if waiting.num_rows or next(batches, None) is not None:
         raise InputError(f"the table {name} has more rows than its manifest says", path=job.labels.root)
     return found
-
-
-def _sha256(path: Path) -> str:
-    digest = hashlib.sha256()
-    with open(path, "rb") as file:
-        while block := file.read(1 << 20):
-            digest.update(block)
-    return digest.hexdigest()
 
 
 def read_hub(root: Path) -> dict[str, pa.Table]:
@@ -125,8 +110,6 @@ def read_hub(root: Path) -> dict[str, pa.Table]:
     InputError
         Files are missing or damaged.
     """
-    import pyarrow as pa
-
     tables = {}
     for name in TABLES:
         paths = sorted((root / "data" / name).glob("train-*-of-*.parquet"))

@@ -10,19 +10,14 @@ as float32 gives the same bits.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING
 
-from pipeline.labels.exports.base import ExportFormat, Job, Written, image_name
-from pipeline.labels.exports.frame_rows import iterate_frames, table_batches
-from pipeline.labels.exports.json_text import json_lines
-from pipeline.labels.exports.provenance import extended_json_schemas, extended_schema
+from pipeline.labels.exports.base import ExportFormat, Job, Written, image_name, iterate_frames, table_batches
+from pipeline.labels.exports.provenance import extended_json_schemas, extended_schema, json_lines
 from pipeline.labels.schema import TABLES, write_schemas
 from pipeline.labels.tables import arrow_schema
+from pipeline.system.arrow import pa, pj
 from pipeline.system.errors import InputError
 from pipeline.system.staging import text_file
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 BLOCK = 1 << 24
 """Bytes that are parsed at a time; no line may be longer."""
@@ -70,9 +65,6 @@ def read_rows(path: Path, name: str) -> pa.Table:
     InputError
         The file is missing, or a line of it is no row of that table.
     """
-    import pyarrow as pa
-    import pyarrow.json as pj
-
     schema = arrow_schema(name)
     try:
         if path.stat().st_size == 0:

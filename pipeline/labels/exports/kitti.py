@@ -54,20 +54,24 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from pipeline.geometry.viewer import IMAGE_UP, viewer_axes
-from pipeline.labels.exports.base import ExportFormat, Job, Written, image_name
-from pipeline.labels.exports.frame_rows import FrameRows, iterate_frames, table_batches
-from pipeline.labels.exports.json_text import json_line, load_json
+from pipeline.labels.exports.base import (
+    ExportFormat,
+    Job,
+    Written,
+    image_name,
+    iterate_frames,
+    label_names,
+)
+from pipeline.labels.exports.provenance import json_line, load_json
 from pipeline.labels.tables import arrow_schema
+from pipeline.system.arrow import pa
 from pipeline.system.errors import InputError
 from pipeline.system.staging import text_file, write_json
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 SURVIVING = {
     "frames": ("frame", "frame_index", "ok", "width", "height", "K", "up"),
@@ -104,36 +108,28 @@ def write_kitti(job: Job) -> Written:
             lines = [_line(row, tokens, level) for row in rows.objects]
             _write(job.folder / "label_2" / f"{rows.index:06d}.txt", lines)
             _write(job.folder / "object_ids" / f"{rows.index:06d}.txt", [str(row["object"]) for row in rows.objects])
-            for place, row in enumerate(rows.objects, start=1):
-                named = {"index": rows.index, "line": place, "frame": frame["frame"], "object": row["object"]}
+            for k, row in enumerate(rows.objects, start=1):
+                named = {"index": rows.index, "line": k, "frame": frame["frame"], "object": row["object"]}
                 known = job.provenance.row("objects", frame["frame"], str(row["object"]))
                 provenance.write(json_line({**named, **known}) + "\n")
-            _count(counts, rows, lines)
-            left_out += sum(row["center"] is not None for row in rows.objects) - sum(NO_BOX not in x for x in lines)
+            boxes = sum(NO_BOX not in line for line in lines)
+            for name, more in (("frames", 1), ("objects", len(lines)), ("boxes", boxes)):
+                counts[name] += more
+            left_out += sum(row["center"] is not None for row in rows.objects) - boxes
             if job.images is not None:
                 job.images.write(frame, job.folder / image_name(rows.index, "image_2", "png"))
     write_json(job.folder / "classes.json", {token: name for name, token in tokens.items()})
     files = ("index.txt", "classes.json", "provenance.jsonl", *(f"{name}/" for name in folders))
-    notes = ["relations and expressions have no place in this format"]
-    if left_out:
-        notes.append(f"{left_out} boxes are not upright, and are written as unknown")
-    return Written((*files, *(("image_2/",) if job.images is not None else ())), counts, tuple(notes))
-
-
-def _count(counts: dict[str, int], rows: FrameRows, lines: list[str]) -> None:
-    counts["frames"] += 1
-    counts["objects"] += len(rows.objects)
-    counts["boxes"] += sum(NO_BOX not in line for line in lines)
+    turned = (f"{left_out} boxes are not upright, and are written as unknown",) if left_out else ()
+    notes = ("relations and expressions have no place in this format", *turned)
+    return Written((*files, *(("image_2/",) if job.images is not None else ())), counts, notes)
 
 
 def class_tokens(job: Job) -> dict[str, str]:
     """Each class name as one word of its own; `DontCare` means something else in KITTI and is avoided."""
-    names: set[str] = set()
-    for batch in table_batches(job.labels, "objects", ["label"]):
-        names.update(batch.column("label").unique().to_pylist())
     tokens: dict[str, str] = {}
     taken = {"DontCare", ""}
-    for name in sorted(names):
+    for name in label_names(job.labels):
         # A NUL or another control character would end the line for some readers.
         plain = "_".join("".join(c if c.isprintable() or c.isspace() else " " for c in name).split()) or "_"
         token, number = plain, 2
@@ -156,8 +152,8 @@ def _line(row: Mapping[str, Any], tokens: Mapping[str, str], level: np.ndarray) 
         alpha = f"{observation_angle(location, rotation_y):.9f}"
         geometry = " ".join(f"{x:.9f}" for x in (*dimensions, *location, rotation_y))
     bbox = " ".join(repr(float(x)) for x in row["bbox"])
-    truncated = 1 if row["touches_border"] else 0
-    return f"{tokens[row['label']]} {truncated} {_occluded(row)} {alpha} {bbox} {geometry} {float(row['score'])!r}"
+    seen = f"{int(row['touches_border'])} {_occluded(row)}"
+    return f"{tokens[row['label']]} {seen} {alpha} {bbox} {geometry} {float(row['score'])!r}"
 
 
 def _occluded(row: Mapping[str, Any]) -> int:
@@ -241,7 +237,7 @@ def _read_objects(
     lines, ids = _lines(path), _lines(ids_path)
     if len(lines) != len(ids):
         raise InputError("another number of objects than of labels", got=len(ids), expected=len(lines), path=ids_path)
-    for place, (line, own) in enumerate(zip(lines, ids, strict=True)):
+    for k, (line, own) in enumerate(zip(lines, ids, strict=True), start=1):
         try:
             token, *rest = line.split(" ")
             values = [float(x) for x in rest]
@@ -253,7 +249,7 @@ def _read_objects(
                 "center": None, "R": None, "size": None,
             }  # fmt: skip
         except (ValueError, KeyError) as error:
-            raise InputError(f"line {place + 1} is no label", got=str(error)[:80], path=path) from error
+            raise InputError(f"line {k} is no label", got=str(error)[:80], path=path) from error
         if values[7] >= 0:
             box = from_kitti(np.array(values[7:10]), np.array(values[10:13]), values[13], level)
             row |= {key: part.ravel().tolist() for key, part in zip(("center", "R", "size"), box, strict=True)}
@@ -261,8 +257,6 @@ def _read_objects(
 
 
 def _surviving(name: str, rows: list[dict[str, Any]]) -> pa.Table:
-    import pyarrow as pa
-
     schema = arrow_schema(name)
     fields = [schema.field(column) for column in SURVIVING[name]]
     return pa.Table.from_arrays(
@@ -322,5 +316,4 @@ def from_kitti(
 
 def observation_angle(location: np.ndarray, rotation_y: float) -> float:
     """KITTI's alpha, radians in -pi..pi: the angle about the vertical at which the camera sees the box."""
-    alpha = rotation_y - np.arctan2(location[0], location[2])
-    return float((alpha + np.pi) % (2 * np.pi) - np.pi)
+    return float((rotation_y - np.arctan2(location[0], location[2]) + np.pi) % (2 * np.pi) - np.pi)

@@ -9,6 +9,8 @@ Every row of every table has, whether anything was corrected or not:
 * `status` (frames, objects, expressions): accepted, corrected, rejected, unsure; null is unreviewed. Of relations
   `statuses`: a list of {relation, status}. What one reviewer said for themselves alone is in the journal only.
 * `note` (frames), `mark` (expressions): BAD_LABEL, BAD_BOX or null.
+
+Rows as JSON text are here too: one line each, numbers in full, and long lists that are written item by item.
 """
 
 from __future__ import annotations
@@ -16,17 +18,15 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from itertools import repeat
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, TextIO
 
-from pipeline.labels.exports.json_text import json_line, load_json
 from pipeline.labels.reading import MARKS_FILE, PROVENANCE_FILE, STATUSES_FILE, Labels
-from pipeline.labels.schema import Manifest
+from pipeline.labels.schema import Manifest, labels_version
 from pipeline.labels.tables import arrow_schema
+from pipeline.system.arrow import pa, pc, pq
 from pipeline.system.errors import InputError
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 ENTRY = ("column", "source", "author", "time", "event", "reason", "was")
 REVIEWED: dict[str, tuple[str, ...]] = {
@@ -73,14 +73,10 @@ class ExportedFrom:
 
 def exported_from(manifest: Manifest) -> ExportedFrom | None:
     """The state that labels are in; None of corrected labels of an earlier release, which do not say."""
-    from pipeline.labels.schema import labels_version
-
-    said = manifest.corrections
-    if said is None:
+    made = manifest.corrections
+    if made is None:
         return ExportedFrom(labels_version(manifest), None, False)
-    if "last" not in said:
-        return None
-    return ExportedFrom(str(said["automatic"]), said["last"], bool(said.get("relifted")))
+    return ExportedFrom(str(made["automatic"]), made["last"], bool(made.get("relifted"))) if "last" in made else None
 
 
 def made_by(manifest: Manifest) -> str:
@@ -115,53 +111,41 @@ class Provenance:
         """The entries of a row."""
         return self.entries.get((table, frame, key), [])
 
-    def said(self, table: str, frame: str, key: str) -> dict[str, Any]:
-        """What reviewers said of a row: the columns of REVIEWED."""
+    def known(self, table: str, frame: str, key: str) -> dict[str, Any]:
+        """What reviewers said of a row: the columns of REVIEWED; and its `provenance`."""
         found = self.reviewed.get((table, frame, key), {})
+        entries = {"provenance": self.of(table, frame, key)}
         if table == "relations":
-            names = (name.removesuffix(".status") for name in found)
-            return {"statuses": [{"relation": r, "status": found[f"{r}.status"]} for r in names]}
-        return {name: found.get(name) for name in REVIEWED[table]}
+            statuses = [{"relation": name.removesuffix(".status"), "status": status} for name, status in found.items()]
+            return {"statuses": statuses, **entries}
+        return {**{name: found.get(name) for name in REVIEWED[table]}, **entries}
 
     def row(self, table: str, frame: str, key: str) -> dict[str, Any]:
         """All columns that a row has beside its own."""
-        return {
-            "base": self.base,
-            "made_by": self.made_by,
-            **self.said(table, frame, key),
-            "provenance": self.of(table, frame, key),
-        }
+        return {"base": self.base, "made_by": self.made_by, **self.known(table, frame, key)}
 
-    def rows(self, table: str, rows: pa.Table) -> Iterator[dict[str, Any] | None]:
-        """For each row of a table its further columns, None where nothing is known but `base` and `made_by`."""
-        touched = self.frames.get(table)
+    def rows(self, table: str, rows: pa.Table) -> Iterator[dict[str, Any]]:
+        """For each row of a table its further columns; the same dict for all of frames of which nothing is known."""
+        plain, touched = self.row(table, "", ""), self.frames.get(table)
         if not touched:
-            yield from (None for _ in range(rows.num_rows))
+            yield from repeat(plain, rows.num_rows)
             return
-        keys = zip(*(rows.column(name).to_pylist() for name in ("frame", *_KEY[table])), strict=True)
-        for frame, *parts in keys:
-            key = ",".join(str(p) for p in parts)
-            known = (table, frame, key) in self.entries or (table, frame, key) in self.reviewed
-            yield self.row(table, frame, key) if known else None
+        for frame, *key in zip(*(rows.column(name).to_pylist() for name in ("frame", *_KEY[table])), strict=True):
+            yield self.row(table, frame, ",".join(map(str, key))) if frame in touched else plain
 
     def line_ends(self, table: str, rows: pa.Table) -> Iterator[str]:
         """For each row the end of its JSON line, from the comma after its own columns."""
-        plain = _line_end(self.row(table, "", ""))
-        return (plain if row is None else _line_end(row) for row in self.rows(table, rows))
+        last, end = None, ""
+        for row in self.rows(table, rows):
+            if row is not last:
+                last, end = row, f", {json_line(row)[1:]}\n"
+            yield end
 
     def extend(self, table: str, rows: pa.Table) -> pa.Table:
         """The rows with the further columns, of the schema `extended_schema`."""
-        import pyarrow as pa
-
-        plain = self.row(table, "", "")
-        found = [plain if row is None else row for row in self.rows(table, rows)]
-        schema = extended_schema(table)
+        found = list(self.rows(table, rows))
         added = [pa.array([row[f.name] for row in found], f.type) for f in _fields(table)]
-        return pa.Table.from_arrays([*rows.columns, *added], schema=schema)
-
-
-def _line_end(row: dict[str, Any]) -> str:
-    return ", " + json_line(row)[1:] + "\n"
+        return pa.Table.from_arrays([*rows.columns, *added], schema=extended_schema(table))
 
 
 def open_provenance(labels: Labels) -> Provenance:
@@ -177,10 +161,10 @@ def open_provenance(labels: Labels) -> Provenance:
     if labels.manifest.corrections is None:
         return found
     for row in _provenance_rows(labels.root / PROVENANCE_FILE):
-        name = row["table"], row["frame"], row["key"]
         when = row["time"]
         entry = {**row, "source": row["origin"], "time": None if when is None else when.isoformat()}
-        found.entries.setdefault(name, []).append({key: entry[key] for key in ENTRY})
+        named = found.entries.setdefault((row["table"], row["frame"], row["key"]), [])
+        named.append({key: entry[key] for key in ENTRY})
     try:
         for mark in _listed(labels.root / MARKS_FILE):
             found.reviewed.setdefault(("expressions", mark["frame"], mark["id"]), {})["mark"] = mark["mark"]
@@ -202,34 +186,26 @@ def _listed(path: Path) -> list[dict[str, Any]]:
 
 
 def _provenance_rows(path: Path) -> list[dict[str, Any]]:
-    import pyarrow as pa
-    import pyarrow.parquet as pq
-
     if not path.exists():
         return []
+    columns = ["table", "frame", "key", "column", "origin", "author", "time", "event", "reason", "was"]
     try:
-        return pq.read_table(
-            path, columns=["table", "frame", "key", "column", "origin", "author", "time", "event", "reason", "was"]
-        ).to_pylist()
+        return pq.read_table(path, columns=columns).to_pylist()
     except (pa.ArrowException, OSError, ValueError) as error:
         raise InputError("the provenance of the labels is damaged", got=str(error).split("\n")[0], path=path) from error
 
 
 def _fields(table: str) -> list[pa.Field]:
-    import pyarrow as pa
-
     text, entry = pa.string(), pa.struct([pa.field(name, pa.string()) for name in ENTRY])
     statuses = pa.list_(pa.struct([pa.field("relation", text), pa.field("status", text)]))
-    said = [pa.field(name, statuses if name == "statuses" else text) for name in REVIEWED[table]]
-    return [pa.field("base", text), pa.field("made_by", text), *said, pa.field("provenance", pa.list_(entry))]
+    reviewed = [pa.field(name, statuses if name == "statuses" else text) for name in REVIEWED[table]]
+    return [pa.field("base", text), pa.field("made_by", text), *reviewed, pa.field("provenance", pa.list_(entry))]
 
 
 def extended_schema(table: str) -> pa.Schema:
     """The Arrow schema of a table with the further columns."""
-    found = arrow_schema(table)
-    for extra in _fields(table):
-        found = found.append(extra)
-    return found
+    own = arrow_schema(table)
+    return pa.schema([*own, *_fields(table)], metadata=own.metadata)
 
 
 def extended_json_schemas(folder: Path) -> None:
@@ -240,8 +216,98 @@ def extended_json_schemas(folder: Path) -> None:
     for table, names in REVIEWED.items():
         path = folder / f"{table}.json"
         schema = json.loads(path.read_text(encoding="utf-8"))
-        said = {n: {"type": "array", "items": status} if n == "statuses" else text for n in names}
+        reviewed = {n: {"type": "array", "items": status} if n == "statuses" else text for n in names}
         schema["properties"] |= {
-            "base": text, "made_by": text, **said, "provenance": {"type": "array", "items": entry},
+            "base": text, "made_by": text, **reviewed, "provenance": {"type": "array", "items": entry},
         }  # fmt: skip
         path.write_text(json.dumps(schema, indent=1, ensure_ascii=False) + "\n", encoding="utf-8", newline="\n")
+
+
+_LINE_ENDS = {ord(c): f"\\u{ord(c):04x}" for c in "\x85\u2028\u2029"}
+"""JSON lets these stand, but many readers split lines at them."""
+
+
+def json_line(content: Any) -> str:
+    """One line of JSON that gives the same values back, floats included.
+
+    Raises
+    ------
+    InputError
+        A number that JSON has no word for.
+    """
+    try:
+        text = json.dumps(content, ensure_ascii=False, allow_nan=False, separators=(", ", ": "))
+    except ValueError as error:
+        raise InputError("the labels hold a number that JSON cannot carry", got=str(error)) from error
+    return text.translate(_LINE_ENDS)
+
+
+def json_lines(table: pa.Table) -> Iterator[str]:
+    """A table's rows as lines of JSON, each with its line end; raises as `json_line`.
+
+    Tables without lists are put together by Arrow, column by column: the pairs
+    of a large set are many.
+    """
+    if any(pa.types.is_nested(field.type) for field in table.schema) or not table.num_rows:
+        return (json_line(row) + "\n" for row in table.to_pylist())
+    return _flat_lines(table)
+
+
+def _flat_lines(table: pa.Table) -> Iterator[str]:
+    parts: list[Any] = []
+    for name in table.column_names:
+        parts += [f"{', ' if parts else '{'}{json_line(name)}: ", _texts(table.column(name).combine_chunks())]
+    join = pc.binary_join_element_wise  # pyright: ignore[reportAttributeAccessIssue]
+    return iter(join(*(pa.scalar(p) if isinstance(p, str) else p for p in (*parts, "}\n")), "").to_pylist())
+
+
+def _texts(column: Any) -> Any:
+    """Each value as JSON text; floats as the shortest decimal of the same double."""
+    if pa.types.is_string(column.type):
+        coded = column.dictionary_encode()
+        texts = pa.array([json_line(text) for text in coded.dictionary.to_pylist()], pa.string()).take(coded.indices)
+    elif pa.types.is_floating(column.type):
+        if not pc.all(pc.is_finite(column)).as_py() and column.null_count < len(column):  # pyright: ignore[reportAttributeAccessIssue]
+            raise InputError("the labels hold a number that JSON cannot carry", got="an infinity or NaN")
+        texts = column.cast(pa.float64()).cast(pa.string())
+    else:
+        texts = column.cast(pa.string())
+    return texts.fill_null("null")
+
+
+class JsonList:
+    """A JSON list written item by item, one a line.
+
+    Parameters
+    ----------
+    file : text file
+        Open for writing; the list begins where it stands.
+    """
+
+    def __init__(self, file: TextIO) -> None:
+        self._file = file
+        self.length = 0
+        file.write("[")
+
+    def add(self, item: Any) -> None:
+        self._file.write((",\n" if self.length else "\n") + json_line(item))
+        self.length += 1
+
+    def close(self) -> None:
+        self._file.write("\n]")
+
+
+def load_json(path: Path) -> Any:
+    """The content of a JSON file.
+
+    Raises
+    ------
+    InputError
+        Missing or damaged.
+    """
+    try:
+        return json.loads(path.read_text(encoding="utf-8"))
+    except FileNotFoundError as error:
+        raise InputError("a file of the export is missing", path=path) from error
+    except (ValueError, RecursionError, OSError) as error:
+        raise InputError("not a readable JSON file", got=str(error)[:120], path=path) from error

@@ -16,8 +16,7 @@ An object is named only where its name means no other object of the frame.
 Distances and sizes are asked where a 3D box is given or the object is seen whole,
 and `metadata.rests_on` says which: see `pipeline.labels.exports.vqa_geometry`.
 Without the dataset's depth only given boxes are measured, which a note says. Which questions are
-asked, and how, depends on the rows and the seed alone. `pipeline.labels.exports.
-vqa_check` recomputes every answer.
+asked, and how, depends on the rows and the seed alone.
 
 `provenance` of a record lists, of the objects, the pair and the expression that a
 question is made from, every value that is not the labeller's: `table`, `key` and
@@ -26,10 +25,8 @@ the keys of `pipeline.labels.exports.provenance`. Whatever it does not list is "
 
 from __future__ import annotations
 
-from pipeline.labels.exports.base import ExportFormat, Job, Written, image_name
-from pipeline.labels.exports.frame_rows import FrameRows, iterate_frames
-from pipeline.labels.exports.json_text import JsonList
-from pipeline.labels.exports.provenance import Provenance
+from pipeline.labels.exports.base import ExportFormat, FrameRows, Job, Written, image_name, iterate_frames
+from pipeline.labels.exports.provenance import JsonList, Provenance
 from pipeline.labels.exports.vqa_geometry import Depths, figures_of
 from pipeline.labels.exports.vqa_questions import frame_questions
 from pipeline.labels.exports.vqa_records import CONVERSATIONS_FILE, Question, VqaConfig

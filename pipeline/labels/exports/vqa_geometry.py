@@ -23,7 +23,7 @@ from pipeline.geometry.camera import Camera, lift_pixels
 from pipeline.geometry.lifting import LiftConfig, Pixel, clean, depth_edges, flying_pixels, surface_step
 from pipeline.geometry.masks import decode_run_length
 from pipeline.geometry.viewer import ViewerAxes, viewer_axes
-from pipeline.labels.exports.frame_rows import FrameRows
+from pipeline.labels.exports.base import FrameRows
 from pipeline.labels.exports.vqa_records import VqaConfig
 from pipeline.system.errors import InputError
 

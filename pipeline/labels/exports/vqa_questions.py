@@ -1,28 +1,53 @@
-"""The questions that can be asked of a frame with a sure answer, and the choice among them."""
+"""The questions that can be asked of a frame with a sure answer, their sentences, and the choice among them.
+
+The words for objects and relations are those of the expressions.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+import re
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import combinations
-from typing import Any
+from operator import attrgetter
 
 import numpy as np
 
-from pipeline.labels.exports import vqa_wording as say
-from pipeline.labels.exports.base import image_name
-from pipeline.labels.exports.frame_rows import FrameRows
+from pipeline.labels.exports.base import FrameRows, image_name
 from pipeline.labels.exports.vqa_geometry import POINTS, Figures, gap_between
 from pipeline.labels.exports.vqa_records import Kind, Question, VqaConfig
 from pipeline.labels.labelling import row_hash
-from pipeline.language.noun_phrase import alone
+from pipeline.labels.wording import can_be_worded, question_text
+from pipeline.language.noun_phrase import alone, noun_phrase, readable
+from pipeline.language.relation_names import RELATIONS
 from pipeline.relations.relations import F, T
 from pipeline.system.errors import InputError
 
-Unit = Callable[[], tuple[Question, ...]]
-"""Questions that are asked together or not at all."""
 SIZE_AXES = {"height": 1, "width": 0}
 """What sizes are asked for, and along which of (right, up, forward)."""
+
+
+@dataclass(frozen=True)
+class Ask:
+    """A question that may be asked, of objects by their index; its text is made when it is its turn.
+
+    `key` is the hash that orders the questions of a kind; for the rest see `Question`.
+    """
+
+    key: int
+    kind: Kind
+    indices: tuple[int, ...]
+    about: str
+    text: Callable[[], str]
+    answer: str
+    source: str | None = None
+    rests_on: str | None = None
+
+
+Unit = tuple[Ask, ...]
+"""Questions that are asked together or not at all."""
+_by_key = attrgetter("key")
 
 
 @dataclass(frozen=True)
@@ -45,29 +70,27 @@ class Scene:
     clear: np.ndarray
     figures: Sequence[Figures]
 
-    def label(self, place: int) -> str:
-        return self.rows.objects[place]["label"]
+    def label(self, index: int) -> str:
+        return self.rows.objects[index]["label"]
 
     def key(self, kind: str, *parts: object) -> int:
         return row_hash(self.config.seed, self.rows.frame["frame"], kind, *parts)
 
-    def question(
-        self, kind: Kind, key: int, places: Sequence[int], about: str, text: str, answer: str,
-        source: str | None = None, rests_on: str | None = None,
-    ) -> Question:  # fmt: skip
-        frame = self.rows.frame
+    def question(self, ask: Ask) -> Question:
+        """The question in words; InputError where a sentence cannot carry the names."""
+        frame, index = self.rows.frame["frame"], self.rows.index
         return Question(
-            f"{frame['frame_index']:06d}-{kind}-{key:016x}",
-            image_name(frame["frame_index"]),
-            kind,
-            frame["frame"],
-            frame["frame_index"],
-            tuple(int(self.number[p]) for p in places),
-            about,
-            text,
-            answer,
-            source,
-            rests_on,
+            f"{index:06d}-{ask.kind}-{ask.key:016x}",
+            image_name(index),
+            ask.kind,
+            frame,
+            index,
+            tuple(int(self.number[k]) for k in ask.indices),
+            ask.about,
+            ask.text(),
+            ask.answer,
+            ask.source,
+            ask.rests_on,
         )
 
 
@@ -77,177 +100,131 @@ def frame_questions(
     """The chosen questions of a frame: kinds take turns until there are `per_frame`.
 
     A relation that holds is asked together with one of the same name that does
-    not, so that there are as many yes as no, of every relation.
+    not, so that there are as many yes as no, of every relation. `figures` are the
+    objects', see `vqa_geometry.figures_of`.
     """
     if not rows.frame["ok"] or not rows.objects:
         return []
-    scene = make_scene(rows, config, figures)
-    makers: dict[str, Callable[[], Iterator[Unit]]] = {
+    labels = [row["label"] for row in rows.objects]
+    clear = alone(labels) & [row["usable"] and can_be_asked(row["label"]) for row in rows.objects]
+    scene = Scene(rows, config, np.array([row["object"] for row in rows.objects], np.int64), clear, figures)
+    units: dict[str, Callable[[], Iterable[Unit]]] = {
         "relation": lambda: relation_units(scene, relations),
-        "which": lambda: which_units(scene, relations),
-        "grounding": lambda: grounding_units(scene),
-        "distance": lambda: distance_units(scene),
-        "size": lambda: size_units(scene),
+        "which": lambda: zip(which_asks(scene, relations)),
+        "grounding": lambda: zip(grounding_asks(scene)),
+        "distance": lambda: zip(distance_asks(scene)),
+        "size": lambda: zip(size_asks(scene)),
     }
-    waiting = [makers[kind]() for kind in config.kinds]
+    waiting = [iter(units[kind]()) for kind in config.kinds]
     found: list[Question] = []
     while waiting and len(found) < config.per_frame:
-        for units in list(waiting):
-            asked = _next_asked(units)
-            if asked is None:
-                waiting.remove(units)
-            elif len(found) + len(asked) <= config.per_frame:
-                found += asked
+        for kind in list(waiting):
+            asked = _next_asked(scene, kind)
+            if asked is None or len(found) + len(asked) > config.per_frame:
+                waiting.remove(kind)
             else:
-                waiting.remove(units)
+                found += asked
     return found
 
 
-def _next_asked(units: Iterator[Unit]) -> tuple[Question, ...] | None:
+def _next_asked(scene: Scene, units: Iterator[Unit]) -> list[Question] | None:
     """The next questions that can be put into words; None where there are no more."""
     for unit in units:
         try:
-            return unit()
+            return [scene.question(ask) for ask in unit]
         except InputError:
             # A name that a sentence cannot carry beside the other one.
             continue
     return None
 
 
-def make_scene(rows: FrameRows, config: VqaConfig, figures: Sequence[Figures]) -> Scene:
-    """Which objects may be named; `figures` are theirs, see `vqa_geometry.figures_of`."""
-    labels = [row["label"] for row in rows.objects]
-    usable = np.array([row["usable"] for row in rows.objects], np.bool_)
-    askable = np.array([say.can_be_asked(label) for label in labels], np.bool_)
-    clear = usable & askable & alone(labels)
-    return Scene(
-        rows,
-        config,
-        np.array([row["object"] for row in rows.objects], np.int64),
-        clear,
-        figures,
-    )
-
-
-@dataclass(frozen=True)
-class _Pairs:
-    """Pairs of a frame: places of a and b among the objects, and a relation's state and margin."""
-
-    a: np.ndarray
-    b: np.ndarray
-    state: np.ndarray
-    margin: np.ndarray
-
-
-def _pairs(scene: Scene, relation: str) -> _Pairs:
+def _pairs(scene: Scene, relation: str) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Pairs of a frame: indices of a and b among the objects, and a relation's state and margin; (P,) each."""
     table = scene.rows.relations
     order = np.argsort(scene.number)
     a, b = (order[np.searchsorted(scene.number, table.column(n).to_numpy(), sorter=order)] for n in ("a", "b"))
     # Null, as where a profile does not judge, is as little known as U.
-    state = np.nan_to_num(table.column(relation).to_numpy().astype(np.float64)).astype(np.int64)
-    margin = np.nan_to_num(table.column(f"{relation}_margin").to_numpy().astype(np.float64))
-    return _Pairs(a, b, state, margin)
+    state, margin = (
+        np.nan_to_num(table.column(n).to_numpy().astype(np.float64)) for n in (relation, f"{relation}_margin")
+    )
+    return a, b, state.astype(np.int64), margin
 
 
 def relation_units(scene: Scene, relations: Sequence[str]) -> Iterator[Unit]:
     """Pairs of a yes and a no of one relation, the relations in turn."""
-    lists: list[list[tuple[int, Unit]]] = []
+    lists: list[list[Unit]] = []
     for relation in relations:
-        pairs = _pairs(scene, relation)
-        asked = scene.clear[pairs.a] & scene.clear[pairs.b] & (np.abs(pairs.margin) >= scene.config.min_margin)
+        a, b, state, margin = _pairs(scene, relation)
+        clear = scene.clear[a] & scene.clear[b] & (np.abs(margin) >= scene.config.min_margin)
         ranked = []
         for wanted in (T, F):
-            found = [
-                (scene.key("relation", relation, scene.number[a], scene.number[b]), int(a), int(b))
-                for a, b in zip(
-                    pairs.a[asked & (pairs.state == wanted)], pairs.b[asked & (pairs.state == wanted)], strict=True
-                )
-            ]
-            ranked.append(sorted(found))
-        lists.append([(yes[0], _yes_and_no(scene, relation, yes, no)) for yes, no in zip(*ranked, strict=False)])
-    for place in range(max(map(len, lists), default=0)):
-        turn = sorted((units[place] for units in lists if place < len(units)), key=lambda item: item[0])
-        yield from (unit for _, unit in turn)
-
-
-def _yes_and_no(scene: Scene, relation: str, yes: tuple[int, int, int], no: tuple[int, int, int]) -> Unit:
-    def ask() -> tuple[Question, ...]:
-        return tuple(
-            scene.question(
-                "relation", key, (a, b), relation,
-                say.ask_relation(relation, scene.label(a), scene.label(b), key), say.say_yes(holds),
+            asked = clear & (state == wanted)
+            keyed = sorted(
+                (scene.key("relation", relation, scene.number[i], scene.number[j]), i, j)
+                for i, j in zip(a[asked].tolist(), b[asked].tolist(), strict=True)
             )
-            for (key, a, b), holds in ((yes, True), (no, False))
-        )  # fmt: skip
+            ranked.append([
+                Ask(
+                    key, "relation", (i, j), relation,
+                    partial(ask_relation, relation, scene.label(i), scene.label(j), key),
+                    "Yes" if wanted == T else "No",
+                )
+                for key, i, j in keyed
+            ])  # fmt: skip
+        lists.append(list(zip(*ranked, strict=False)))
+    for turn in range(max(map(len, lists), default=0)):
+        yield from sorted((units[turn] for units in lists if turn < len(units)), key=lambda unit: unit[0].key)
 
-    return ask
 
-
-def which_units(scene: Scene, relations: Sequence[str]) -> Iterator[Unit]:
+def which_asks(scene: Scene, relations: Sequence[str]) -> list[Ask]:
     """Which object has the relation to a reference: where one has, and every other surely has not."""
-    found: list[tuple[int, Unit]] = []
+    found = []
     n = len(scene.number)
     for relation in relations:
-        pairs = _pairs(scene, relation)
-        judged = np.bincount(pairs.b, minlength=n)
-        holds = np.bincount(pairs.b[pairs.state == T], minlength=n)
-        not_so = np.bincount(pairs.b[pairs.state == F], minlength=n)
+        a, b, state, margin = _pairs(scene, relation)
+        judged, holds, not_so = (np.bincount(b[rows], minlength=n) for rows in (np.s_[:], state == T, state == F))
         unique = (holds == 1) & (not_so == judged - 1) & scene.clear
-        sure = (pairs.state == T) & (pairs.margin >= scene.config.min_margin) & unique[pairs.b]
-        for a, b in zip(pairs.a[sure].tolist(), pairs.b[sure].tolist(), strict=True):
-            row = scene.rows.objects[a]
-            if row["usable"] and say.can_be_asked(row["label"]):
-                key = scene.key("which", relation, scene.number[a], scene.number[b])
-                found.append((key, _which(scene, relation, a, b, key)))
-    yield from (unit for _, unit in sorted(found, key=lambda item: item[0]))
+        sure = (state == T) & (margin >= scene.config.min_margin) & unique[b]
+        for i, j in zip(a[sure].tolist(), b[sure].tolist(), strict=True):
+            if scene.rows.objects[i]["usable"] and can_be_asked(scene.label(i)):
+                key = scene.key("which", relation, scene.number[i], scene.number[j])
+                text = partial(ask_which, relation, scene.label(j), key)
+                found.append(Ask(key, "which", (i, j), relation, text, readable(scene.label(i))))
+    return sorted(found, key=_by_key)
 
 
-def _which(scene: Scene, relation: str, a: int, b: int, key: int) -> Unit:
-    text = say.ask_which
-    return lambda: (
-        scene.question(
-            "which", key, (a, b), relation, text(relation, scene.label(b), key), say.say_name(scene.label(a))
-        ),
-    )
-
-
-def grounding_units(scene: Scene) -> Iterator[Unit]:
+def grounding_asks(scene: Scene) -> list[Ask]:
     """Where the only object is that an expression is true of."""
     frame = scene.rows.frame
-    place = {int(number): k for k, number in enumerate(scene.number)}
-    found: list[tuple[int, Unit]] = []
+    index_of = {int(number): k for k, number in enumerate(scene.number)}
+    found = []
     for row in scene.rows.expressions:
         if row["ambiguous"] or row["acceptable"] != [row["target_object"]]:
             continue
-        a, b = place[row["target_object"]], place[row["reference_object"]]
-        x0, y0, x1, y1 = scene.rows.objects[a]["bbox"]
+        pair = index_of[row["target_object"]], index_of[row["reference_object"]]
+        x0, y0, x1, y1 = scene.rows.objects[pair[0]]["bbox"]
         if x1 > x0 and y1 > y0:
             key = scene.key("grounding", row["id"])
-            box = say.say_box((x0, y0, x1, y1), frame["width"], frame["height"], scene.config.box_decimals)
-            found.append((key, _grounding(scene, row, (a, b), box, key)))
-    yield from (unit for _, unit in sorted(found, key=lambda item: item[0]))
+            box = box_text((x0, y0, x1, y1), frame["width"], frame["height"], scene.config.box_decimals)
+            text = partial(ask_grounding, row["text"], key)
+            found.append(Ask(key, "grounding", pair, row["relation"], text, box, row["id"]))
+    return sorted(found, key=_by_key)
 
 
-def _grounding(scene: Scene, row: dict[str, Any], places: tuple[int, int], box: str, key: int) -> Unit:
-    return lambda: (
-        scene.question("grounding", key, places, row["relation"], say.ask_grounding(row["text"], key), box, row["id"]),
-    )
-
-
-def distance_units(scene: Scene) -> Iterator[Unit]:
+def distance_asks(scene: Scene) -> Iterator[Ask]:
     """How far two objects are apart, by their centres or by the gap between them."""
     found: list[tuple[int, str, int, int]] = []
-    for places in combinations(np.flatnonzero(scene.clear).tolist(), 2):
+    for pair in combinations(np.flatnonzero(scene.clear).tolist(), 2):
         for measure in ("center", "gap"):
-            key = scene.key("distance", measure, *scene.number[list(places)])
+            key = scene.key("distance", measure, *scene.number[list(pair)])
             # Who is named first is left to the hash, not to the order of the list.
-            a, b = places if key & 1 else places[::-1]
-            found.append((key, measure, a, b))
+            found.append((key, measure, *(pair if key & 1 else pair[::-1])))
     for key, measure, a, b in sorted(found):
         # Measured in the order of asking: few of all pairs are asked for.
         value, rests_on = distance(measure, scene.figures[a], scene.figures[b])
         if value is not None and value >= scene.config.min_distance:
-            yield _distance(scene, measure, (a, b), value, rests_on, key)
+            text = partial(ask_distance, measure, scene.label(a), scene.label(b), key >> 1)
+            yield Ask(key, "distance", (a, b), measure, text, f"{value:.2f} m", rests_on=rests_on)
 
 
 def distance(measure: str, a: Figures, b: Figures) -> tuple[float | None, str | None]:
@@ -258,35 +235,92 @@ def distance(measure: str, a: Figures, b: Figures) -> tuple[float | None, str | 
     return (None if np.isnan(value) else value), " and ".join(sorted({str(a.rests_on), str(b.rests_on)}))
 
 
-def _distance(
-    scene: Scene, measure: str, places: tuple[int, int], value: float, rests_on: str | None, key: int
-) -> Unit:
-    a, b = places
-    return lambda: (
-        scene.question(
-            "distance", key, places, measure,
-            say.ask_distance(measure, scene.label(a), scene.label(b), key >> 1), say.say_metres(value),
-            rests_on=rests_on,
-        ),
-    )  # fmt: skip
-
-
-def size_units(scene: Scene) -> Iterator[Unit]:
+def size_asks(scene: Scene) -> list[Ask]:
     """How tall and how wide an object is, along the viewer's up and right."""
-    found: list[tuple[int, Unit]] = []
+    found = []
     for a in np.flatnonzero(scene.clear).tolist():
+        figures = scene.figures[a]
         for measure, axis in SIZE_AXES.items():
-            value = float(scene.figures[a].extents[axis])
-            if not np.isnan(value):
+            if not np.isnan(figures.extents[axis]):
                 key = scene.key("size", measure, scene.number[a])
-                found.append((key, _size(scene, measure, a, value, key)))
-    yield from (unit for _, unit in sorted(found, key=lambda item: item[0]))
+                text, value = partial(ask_size, measure, scene.label(a), key), f"{figures.extents[axis]:.2f} m"
+                found.append(Ask(key, "size", (a,), measure, text, value, rests_on=figures.rests_on))
+    return sorted(found, key=_by_key)
 
 
-def _size(scene: Scene, measure: str, a: int, value: float, key: int) -> Unit:
-    return lambda: (
-        scene.question(
-            "size", key, (a,), measure, say.ask_size(measure, scene.label(a), key), say.say_metres(value),
-            rests_on=scene.figures[a].rests_on,
-        ),
-    )  # fmt: skip
+BRIEF = "Answer the question using a single word or phrase."
+"""LLaVA's own words for a short answer."""
+WHICH = (
+    "Which object is {phrase} {the}?",
+    "What is {phrase} {the}?",
+    "Name the object {phrase} {the}.",
+    "In this image, which object is {phrase} {the}?",
+)
+WHICH_PHRASE = {name: r.which or r.phrase for name, r in RELATIONS.items()}
+"""`What is left of the lamp?` would ask for its remains."""
+GROUNDING = (
+    "Please provide the bounding box coordinate of the region this sentence describes: {text}",
+    "Give the normalised bounding box of what this describes: {text}",
+    "Locate the following as [x0, y0, x1, y1], each from 0 to 1: {text}",
+)
+DISTANCE = {
+    "center": (
+        "How far is it from the centre of {a} to the centre of {b}, in metres?",
+        "What is the distance between the centres of {a} and {b}, in metres?",
+    ),
+    "gap": (
+        "How wide is the gap between {a} and {b}, in metres?",
+        "How far apart are {a} and {b} at their nearest sides, in metres?",
+    ),
+}
+SIZE = {
+    "height": ("How tall {verb} {a}, in metres?", "What is the height of {a}, in metres?"),
+    "width": (
+        "How wide {verb} {a} from side to side as seen from the camera, in metres?",
+        "As seen from the camera, what is the width of {a}, in metres?",
+    ),
+}
+_TOKEN = re.compile(r"<[^<>\s]+>")
+"""What a tokenizer may take for one of its own marks: `<image>`, `</s>`, `<|im_end|>`."""
+
+
+def can_be_asked(name: str) -> bool:
+    """Whether a class name can stand in a question."""
+    return can_be_worded(name) and bool(readable(name)) and not _TOKEN.search(name)
+
+
+def _the(name: str) -> str:
+    return noun_phrase(readable(name)).definite()
+
+
+def _sentence(templates: Sequence[str], key: int, end: str = "", **words: str) -> str:
+    text = templates[key % len(templates)].format(**words) + end
+    if _TOKEN.search(text):
+        raise InputError("a sentence that a tokenizer would misread", got=repr(text)[:80])
+    return text
+
+
+def ask_relation(relation: str, target: str, reference: str, key: int) -> str:
+    return _sentence(("{text}",), 0, f"\n{BRIEF}", text=question_text(relation, target, reference, key))
+
+
+def ask_which(relation: str, reference: str, key: int) -> str:
+    return _sentence(WHICH, key, f"\n{BRIEF}", phrase=WHICH_PHRASE[relation], the=_the(reference))
+
+
+def ask_grounding(text: str, key: int) -> str:
+    return _sentence(GROUNDING, key, text=text)
+
+
+def ask_distance(measure: str, a: str, b: str, key: int) -> str:
+    return _sentence(DISTANCE[measure], key, f"\n{BRIEF}", a=_the(a), b=_the(b))
+
+
+def ask_size(measure: str, name: str, key: int) -> str:
+    return _sentence(SIZE[measure], key, f"\n{BRIEF}", a=_the(name), verb=noun_phrase(readable(name)).verb)
+
+
+def box_text(bbox: Sequence[float], width: int, height: int, decimals: int) -> str:
+    """[x0, y0, x1, y1] as shares of the picture's width and height."""
+    shares = [min(max(x / of, 0.0), 1.0) for x, of in zip(bbox, (width, height, width, height), strict=True)]
+    return "[" + ", ".join(f"{x:.{decimals}f}" for x in shares) + "]"

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from pipeline.labels.exports.json_text import load_json
+from pipeline.labels.exports.provenance import load_json
 from pipeline.system.errors import InputError
 
 Kind = Literal["relation", "which", "grounding", "distance", "size"]

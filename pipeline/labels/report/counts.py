@@ -15,17 +15,18 @@ from pipeline.labels.report.style import (
     LINE,
     PALE,
     QUIET,
+    bare,
     new_figure,
     percent,
     relation_color,
     say_nothing_there,
     short,
     thousands,
+    whole_percent,
 )
 from pipeline.labels.statistics import DISTANCE_BINS
 
 if TYPE_CHECKING:
-    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 CLASSES_SHOWN = 25
@@ -59,16 +60,14 @@ def draw_states(statistics: dict[str, Any]) -> Figure:
         axes.barh(row, 1 - t - u, left=t + u, height=0.68, color=PALE)
         axes.barh(row, u, left=t, height=0.68, color="white", edgecolor=color, hatch="//////", linewidth=0)
         axes.barh(row, t, height=0.68, color=color)
-        for place, value in ((SHARE_AT[0], t), (SHARE_AT[1], u)):
-            axes.text(place, row, percent(value), ha="right", va="center", fontsize=9)
-    for place, said in zip(SHARE_AT, ("holds", "in doubt"), strict=True):
-        axes.text(place, -0.78, said, ha="right", va="center", fontsize=9, color=QUIET)
+        for x, value in zip(SHARE_AT, (t, u), strict=True):
+            axes.text(x, row, percent(value), ha="right", va="center", fontsize=9)
+    for x, text in zip(SHARE_AT, ("holds", "in doubt"), strict=True):
+        axes.text(x, -0.78, text, ha="right", va="center", fontsize=9, color=QUIET)
     axes.set_yticks(range(len(relations)), list(relations))
-    axes.set_ylim(len(relations) - 0.5, -1)
-    axes.set_xlim(0, 1)
-    axes.xaxis.set_major_formatter(lambda value, _: f"{value:.0%}".replace("%", " %"))
-    axes.set_xlabel("share of ordered pairs")
-    _bare(axes)
+    axes.set(ylim=(len(relations) - 0.5, -1), xlim=(0, 1), xlabel="share of ordered pairs")
+    axes.xaxis.set_major_formatter(whole_percent)
+    bare(axes)
     return figure
 
 
@@ -93,12 +92,8 @@ def draw_ambiguity(statistics: dict[str, Any]) -> Figure:
     last = max(int(np.flatnonzero(counts)[-1]) + 1, 3)
     bars = axes.bar(range(1, last + 1), counts[:last], width=0.68, color=[DARK] + [LIGHT] * (last - 1))
     axes.bar_label(bars, [thousands(c) for c in counts[:last]], padding=3, fontsize=9)
-    names = [str(k) for k in range(1, last + 1)]
-    if last == LARGEST_SET:
-        names[-1] += "+"
-    axes.set_xticks(range(1, last + 1), names)
-    axes.set_xlabel("acceptable objects")
-    axes.set_ylabel("expressions")
+    axes.set_xticks(range(1, last + 1), [f"{k}+" if k == LARGEST_SET else str(k) for k in range(1, last + 1)])
+    axes.set(xlabel="acceptable objects", ylabel="expressions")
     axes.yaxis.set_major_formatter(thousands)
     axes.tick_params(length=0)
     axes.margins(y=0.1)
@@ -108,7 +103,10 @@ def draw_ambiguity(statistics: dict[str, Any]) -> Figure:
 def draw_distance(statistics: dict[str, Any], found: Distributions) -> Figure:
     """How far objects are, and how doubt grows with it."""
     bins = statistics["distance"]
-    median = _median_distance(found.distances)
+    counts = found.distances
+    upto = np.cumsum(counts)
+    # Rounded up to a step.
+    median = float(np.searchsorted(upto, upto[-1] / 2) + 1) * DISTANCE_STEP_M if upto[-1] else None
     figure = new_figure(
         FULL,
         250,
@@ -117,47 +115,37 @@ def draw_distance(statistics: dict[str, Any], found: Distributions) -> Figure:
         "by the distance of the first object of the pair.",
     )
     left, right = figure.subplots(1, 2, gridspec_kw={"width_ratios": [3, 2], "wspace": 0.06})
-    counts = found.distances
-    if not counts.sum():
+    if median is None:
         say_nothing_there(left, "no objects with a distance")
     else:
         last = min(int(np.flatnonzero(counts)[-1]) + 1, len(counts))
         starts = np.arange(last) * DISTANCE_STEP_M
         left.bar(starts, counts[:last], width=DISTANCE_STEP_M, align="edge", color=DARK, edgecolor="white", linewidth=1)
-        left.set_xlim(0, max(starts[-1] + DISTANCE_STEP_M, 1))
-        left.set_xlabel("distance (m)" + (f"; beyond {FARTHEST_M:g} m in the last bar" if counts[-1] else ""))
-        left.set_ylabel("objects")
+        left.set(
+            xlim=(0, max(starts[-1] + DISTANCE_STEP_M, 1)),
+            xlabel="distance (m)" + (f"; beyond {FARTHEST_M:g} m in the last bar" if counts[-1] else ""),
+            ylabel="objects",
+        )
         left.yaxis.set_major_formatter(thousands)
     names = [name for name in DISTANCE_BINS if bins[name]["cells"] or name != "unknown"]
-    shares = [bins[name]["u_share"] or 0.0 for name in names]
     if not any(bins[name]["cells"] for name in names):
         say_nothing_there(right, "no pairs")
         return figure
-    bars = right.bar(range(len(names)), shares, width=0.68, color=LIGHT)
-    said = [percent(bins[name]["u_share"]) for name in names]
-    right.bar_label(bars, said, padding=3, fontsize=9)
+    bars = right.bar(range(len(names)), [bins[name]["u_share"] or 0.0 for name in names], width=0.68, color=LIGHT)
+    right.bar_label(bars, [percent(bins[name]["u_share"]) for name in names], padding=3, fontsize=9)
     right.set_xticks(range(len(names)), [name.replace("-", "–") for name in names])
-    right.set_xlabel("distance of the first object (m)")
-    right.set_ylabel("labels in doubt")
-    right.yaxis.set_major_formatter(lambda value, _: f"{value:.0%}".replace("%", " %"))
+    right.set(xlabel="distance of the first object (m)", ylabel="labels in doubt")
+    right.yaxis.set_major_formatter(whole_percent)
     right.tick_params(length=0)
     right.margins(y=0.12)
     return figure
 
 
-def _median_distance(counts: np.ndarray) -> float | None:
-    """Metres, rounded up to a step."""
-    upto = np.cumsum(counts)
-    return float(np.searchsorted(upto, upto[-1] / 2) + 1) * DISTANCE_STEP_M if upto[-1] else None
-
-
 def draw_classes(statistics: dict[str, Any]) -> Figure:
     """The most frequent classes, and how many of their objects can be asked for."""
     classes = statistics["classes"]
-    shown = list(classes.items())[:CLASSES_SHOWN]
-    others = list(classes.values())[CLASSES_SHOWN:]
-    usable = statistics["counts"]["objects_usable"]
-    objects = statistics["counts"]["objects"]
+    shown, others = list(classes)[:CLASSES_SHOWN], list(classes.values())[CLASSES_SHOWN:]
+    usable, objects = statistics["counts"]["objects_usable"], statistics["counts"]["objects"]
     figure = new_figure(
         HALF,
         class_rows_height(statistics),
@@ -174,22 +162,18 @@ def draw_classes(statistics: dict[str, Any]) -> Figure:
     if not shown:
         say_nothing_there(axes, "no objects")
         return figure
-    names = [short(name) for name, _ in shown]
-    good = [entry["usable"] for _, entry in shown]
-    total = [entry["objects"] for _, entry in shown]
-    rows = np.arange(len(names))
+    rows, total = np.arange(len(shown)), [classes[name]["objects"] for name in shown]
     axes.barh(rows, total, height=0.68, color=LIGHT)
-    axes.barh(rows, good, height=0.68, color=DARK)
+    axes.barh(rows, [classes[name]["usable"] for name in shown], height=0.68, color=DARK)
     for row, count in enumerate(total):
         axes.annotate(thousands(count), (count, row), (4, 0), textcoords="offset points", va="center", fontsize=8.5,
                       color=QUIET)  # fmt: skip
-    axes.set_yticks(rows, names)
-    axes.set_ylim(max(len(names), FEWEST_ROWS) - 0.5, -0.5)
-    axes.set_xlabel("objects")
+    axes.set_yticks(rows, [short(name) for name in shown])
+    axes.set(ylim=(max(len(shown), FEWEST_ROWS) - 0.5, -0.5), xlabel="objects")
     axes.xaxis.set_major_formatter(thousands)
     axes.xaxis.set_major_locator(MaxNLocator(6, integer=True))
     axes.margins(x=0.1)
-    _bare(axes)
+    bare(axes)
     return figure
 
 
@@ -236,8 +220,7 @@ def draw_heat_map(statistics: dict[str, Any], found: Distributions) -> Figure:
     )
     axes.invert_yaxis()
     axes.set_xlim(0, max(len(names), 2 * FEWEST_ROWS))
-    _bare(axes)
-    axes.spines["bottom"].set_visible(False)
+    bare(axes, "left", "bottom")
     return figure
 
 
@@ -245,18 +228,12 @@ def _heat_title(asked: list[tuple[str, int]]) -> str:
     if not asked:
         return "There are no expressions"
     total = sum(count for _, count in asked)
+    name, count = asked[0]
     if len(asked) == 1:
-        return f"All expressions ask for “{short(asked[0][0])}”"
-    first = asked[0]
-    return f"Of {len(asked)} classes, “{short(first[0])}” is asked for most: {percent(first[1] / total)} of expressions"
+        return f"All expressions ask for “{short(name)}”"
+    return f"Of {len(asked)} classes, “{short(name)}” is asked for most: {percent(count / total)} of expressions"
 
 
 def class_rows_height(statistics: dict[str, Any]) -> int:
     """Pixels of a picture whose rows are the classes."""
-    classes = len(statistics["classes"])
-    return 60 + 21 * max(min(classes, CLASSES_SHOWN), FEWEST_ROWS)
-
-
-def _bare(axes: Axes) -> None:
-    axes.tick_params(axis="both", length=0)
-    axes.spines["left"].set_visible(False)
+    return 60 + 21 * max(min(len(statistics["classes"]), CLASSES_SHOWN), FEWEST_ROWS)

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.labels.database import Database, quantiles, quoted
-from pipeline.labels.statistics import margin_counts
+from pipeline.labels.statistics import Database, margin_counts, quantiles, quoted
 from pipeline.language.relation_names import DIRECTIONAL, RELATIONS
 
 SAMPLED_FRAMES = 5_000

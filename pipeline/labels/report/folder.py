@@ -5,17 +5,12 @@ The page has key figures, the pictures, and what made the labels; all strings of
 
 from __future__ import annotations
 
-import json
-import os
-import shutil
-import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
 from html import escape
 from pathlib import Path
 from typing import Any
 
-from pipeline.labels.database import open_database
 from pipeline.labels.makers import makers_of
 from pipeline.labels.reading import Labels
 from pipeline.labels.report.counts import (
@@ -39,7 +34,9 @@ from pipeline.labels.report.style import (
     thousands,
 )
 from pipeline.labels.schema import Manifest
+from pipeline.labels.statistics import open_database
 from pipeline.system.errors import InputError, MissingExtra
+from pipeline.system.staging import staged_folder, write_json
 
 PAGE = "index.html"
 NUMBERS = "statistics.json"
@@ -73,22 +70,14 @@ def write_report(labels: Labels, statistics: dict[str, Any], out: Path) -> list[
     out = Path(out).expanduser()
     check_report_folder(out)
     shown = list(statistics["classes"])[:CLASSES_SHOWN]
-    out.parent.mkdir(parents=True, exist_ok=True)
-    partial = Path(tempfile.mkdtemp(prefix=f".{out.name}.", suffix=".partial", dir=out.parent))
-    try:
+    with staged_folder(out, overwrite=True, mark=PAGE) as folder:
         pictures: list[Picture] = []
         if not MissingExtra.missing(need_matplotlib):
             with open_database(labels) as database:
                 found = distributions(database, labels.relation_names, statistics["counts"]["frames"], shown)
-            pictures = _draw(statistics, found, partial)
-        numbers = json.dumps(statistics, indent=1, ensure_ascii=False, allow_nan=False)
-        (partial / NUMBERS).write_text(numbers + "\n", encoding="utf-8")
-        (partial / PAGE).write_text(report_page(labels.manifest, statistics, pictures), encoding="utf-8")
-        # mkdtemp makes folders that only their owner can read.
-        partial.chmod(0o777 & ~_umask())
-        _move_into_place(partial, out)
-    finally:
-        shutil.rmtree(partial, ignore_errors=True)
+            pictures = _draw(statistics, found, folder)
+        write_json(folder / NUMBERS, statistics)
+        (folder / PAGE).write_text(report_page(labels.manifest, statistics, pictures), encoding="utf-8")
     return [out / name for name in (PAGE, NUMBERS, *(picture.file for picture in pictures))]
 
 
@@ -133,27 +122,6 @@ def check_report_folder(out: Path) -> None:
         )
     if there and not (PAGE in there and GENERATOR in (out / PAGE).read_text(encoding="utf-8", errors="replace")[:500]):
         raise InputError(f"the {PAGE} there is not of a report", expected="a new or empty folder", path=out)
-
-
-def _move_into_place(partial: Path, out: Path) -> None:
-    if not out.exists():
-        os.rename(partial, out)
-        return
-    old = Path(tempfile.mkdtemp(prefix=f".{out.name}.", suffix=".old", dir=out.parent))
-    os.rename(out, old / out.name)
-    try:
-        os.rename(partial, out)
-    except OSError:
-        os.rename(old / out.name, out)
-        old.rmdir()
-        raise
-    shutil.rmtree(old, ignore_errors=True)
-
-
-def _umask() -> int:
-    current = os.umask(0)
-    os.umask(current)
-    return current
 
 
 GENERATOR = "spatialviz report of labels"

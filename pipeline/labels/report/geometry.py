@@ -15,6 +15,7 @@ from pipeline.labels.report.style import (
     LIGHT,
     LINE,
     QUIET,
+    bare,
     new_figure,
     percent,
     relation_color,
@@ -80,10 +81,15 @@ def _limit(all_of_them: list[Displacements]) -> float:
     count = np.concatenate([d.count for d in all_of_them])
     if not count.sum():
         return 1.0
-    order = np.argsort(reach, kind="stable")
-    upto = np.cumsum(count[order])
-    needed = reach[order][np.searchsorted(upto, 0.98 * upto[-1])]
+    needed = _quantile(reach, count, 0.98)
     return next((limit for limit in LIMITS_M if limit >= needed), LIMITS_M[-1])
+
+
+def _quantile(values: np.ndarray, counts: np.ndarray, share: float) -> float:
+    """The least of counted values up to which there is this share of them."""
+    order = np.argsort(values, kind="stable")
+    upto = np.cumsum(counts[order])
+    return float(values[order][np.searchsorted(upto, share * upto[-1])])
 
 
 def _draw_place(axes: Axes, name: str, places: Displacements, limit: float) -> None:
@@ -106,18 +112,14 @@ def _draw_place(axes: Axes, name: str, places: Displacements, limit: float) -> N
         for slope in (1, -1):
             axes.plot([-limit, limit], [-slope * limit, slope * limit], color=LINE, lw=0.8, ls=(0, (3, 3)), zorder=0.5)
     axes.plot(0, 0, marker="+", color="black", markersize=9, markeredgewidth=1.3)
-    axes.set_xlim(-limit, limit)
-    axes.set_ylim(-limit, limit)
-    axes.set_aspect("equal")
-    ticks = [-limit, 0, limit]
-    said = [f"−{limit:g}", "0", f"{limit:g}"]
-    axes.set_xticks(ticks, said)
-    for text, side in zip(axes.get_xticklabels(), ("left", "center", "right"), strict=True):
-        text.set_horizontalalignment(side)
-    axes.set_yticks(ticks, said, color=QUIET)
+    axes.set(xlim=(-limit, limit), ylim=(-limit, limit), aspect="equal")
+    ticks, texts = [-limit, 0, limit], [f"−{limit:g}", "0", f"{limit:g}"]
+    axes.set_xticks(ticks, texts)
+    for label, side in zip(axes.get_xticklabels(), ("left", "center", "right"), strict=True):
+        label.set_horizontalalignment(side)
+    axes.set_yticks(ticks, texts, color=QUIET)
     axes.tick_params(length=2.5)
-    for side in ("top", "right"):
-        axes.spines[side].set_visible(True)
+    axes.spines[["top", "right"]].set_visible(True)
 
 
 def draw_margins(found: Distributions) -> Figure:
@@ -149,23 +151,13 @@ def draw_margins(found: Distributions) -> Figure:
                 continue
             shares = np.histogram(mm, bins=np.array(MARGIN_EDGES_MM), weights=n)[0] / n.sum()
             axes.stairs(base + 0.82 * shares / max(shares.max(), 0.2), edges, baseline=base, fill=True, color=color)
-            order = np.argsort(mm, kind="stable")
-            upto = np.cumsum(n[order])
-            median = mm[order][np.searchsorted(upto, upto[-1] / 2)] / 1000
+            median = _quantile(mm, n, 0.5) / 1000
             axes.plot(max(median, edges[0]), base, "o", color="#1f2630", markersize=4, zorder=3, clip_on=False)
     for axes, title in ((no, "does not hold"), (yes, "holds")):
-        axes.set_xscale("log")
-        axes.set_xlim(edges[0], 6)
-        ticks = [0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5]
-        axes.set_xticks(ticks, [f"{t:g}" for t in ticks])
-        axes.minorticks_off()
-        axes.set_ylim(-0.1, len(names))
-        axes.set_xlabel("margin (m)")
+        _log_scale(axes, edges[0], 6)
+        axes.set(ylim=(-0.1, len(names)), xlabel="margin (m)")
         axes.set_title(title, loc="right" if axes is no else "left", pad=6)
-        axes.grid(axis="x")
-        axes.tick_params(length=0)
-        axes.spines["left"].set_visible(False)
-        axes.spines["bottom"].set_visible(False)
+        bare(axes, "left", "bottom")
     no.invert_xaxis()
     no.set_yticks([len(names) - 1 - k + 0.3 for k in range(len(names))], names)
     yes.axvline(edges[0], color="#1f2630", lw=1)
@@ -192,19 +184,20 @@ def draw_sizes(found: Distributions, statistics: dict[str, Any]) -> Figure:
     axes.plot(half, y, "o", color=DARK, markersize=6)
     shortest = np.maximum([s.shortest for s in sizes], 0.001)
     axes.plot(shortest, y, "o", markerfacecolor="white", color=DARK, markersize=5, markeredgewidth=1.2)
-    axes.set_xscale("log")
-    lowest, highest = shortest.min() / 1.4, high.max() * 1.3
-    axes.set_xlim(lowest, highest)
+    _log_scale(axes, shortest.min() / 1.4, high.max() * 1.3)
+    axes.set_yticks(y, [short(s.label) for s in sizes])
+    axes.set(ylim=(max(len(sizes), FEWEST_ROWS) - 0.5, -0.5), xlabel="edge (m)")
+    bare(axes)
+    return figure
+
+
+def _log_scale(axes: Axes, lowest: float, highest: float) -> None:
+    """Metres on a log scale, with a tick at each 1, 2 and 5."""
     ticks = [t for t in (0.005, 0.01, 0.02, 0.05, 0.1, 0.2, 0.5, 1, 2, 5, 10) if lowest <= t <= highest]
+    axes.set(xscale="log", xlim=(lowest, highest))
     axes.set_xticks(ticks, [f"{t:g}" for t in ticks])
     axes.minorticks_off()
-    axes.set_yticks(y, [short(s.label) for s in sizes])
-    axes.set_ylim(max(len(sizes), FEWEST_ROWS) - 0.5, -0.5)
-    axes.set_xlabel("edge (m)")
     axes.grid(axis="x")
-    axes.tick_params(length=0)
-    axes.spines["left"].set_visible(False)
-    return figure
 
 
 def _size_title(sizes: list[Any]) -> str:

@@ -131,9 +131,20 @@ def percent(value: float | None) -> str:
     return f"{value:.{digits}%}".replace("%", " %")
 
 
-def thousands(value: float, _place: Any = None) -> str:
+def whole_percent(value: float, _tick: Any = None) -> str:
+    """A share as text without digits, for ticks."""
+    return f"{value:.0%}".replace("%", " %")
+
+
+def thousands(value: float, _tick: Any = None) -> str:
     """A count as text, also for ticks."""
     return f"{value:,.0f}"
+
+
+def bare(axes: Axes, *spines: str) -> None:
+    """No ticks, and none of these spines; without any named, no left one."""
+    axes.tick_params(length=0)
+    axes.spines[list(spines or ("left",))].set_visible(False)
 
 
 def say_nothing_there(axes: Axes, text: str) -> None:

@@ -10,14 +10,13 @@ from typing import Any
 import numpy as np
 
 from pipeline.datasets import Dataset
-from pipeline.labels.exports.frame_rows import FrameRows, iterate_frames
+from pipeline.labels.exports.base import FrameRows, iterate_frames
 from pipeline.labels.exports.provenance import open_provenance
 from pipeline.labels.exports.vqa import boxed_by_people
 from pipeline.labels.exports.vqa_geometry import Depths, Figures, figures_of
 from pipeline.labels.exports.vqa_questions import SIZE_AXES, distance
 from pipeline.labels.exports.vqa_records import Question, VqaConfig, read_questions
-from pipeline.labels.pictures import labelled_dataset
-from pipeline.labels.reading import Labels
+from pipeline.labels.reading import Labels, labelled_dataset
 from pipeline.language.naming import same_class
 from pipeline.language.noun_phrase import readable
 from pipeline.system.errors import InputError

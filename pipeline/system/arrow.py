@@ -1,0 +1,24 @@
+"""pyarrow and its modules, each loaded when something of it is first used: what only hands tables on starts without."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+    import pyarrow.compute as pc
+    import pyarrow.json as pj
+    import pyarrow.parquet as pq
+else:
+
+    class _Lazy:
+        def __init__(self, name: str) -> None:
+            self._name = name
+
+        def __getattr__(self, attribute: str) -> Any:
+            return getattr(import_module(self._name), attribute)
+
+    pa, pc, pj, pq = (_Lazy(f"pyarrow{part}") for part in ("", ".compute", ".json", ".parquet"))
+
+__all__ = ["pa", "pc", "pj", "pq"]

@@ -1,0 +1,114 @@
+"""Jobs in many processes: each opens once what its jobs need, and none outlives the one that started it."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+import threading
+from collections.abc import Callable, Generator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from typing import Any, TypeVar
+
+from pipeline.system.errors import InputError
+from pipeline.system.threads import one_thread, threads_in_children
+
+Job = TypeVar("Job")
+Result = TypeVar("Result")
+_PATIENCE_S = 5.0
+"""How long a worker that is told to end may take."""
+
+
+def results_of(
+    do: Callable[..., Result],
+    jobs: Sequence[Job],
+    workers: int,
+    *,
+    prepare: Callable[..., tuple[Any, ...]] = tuple,
+    arguments: tuple[Any, ...] = (),
+    ordered: bool = True,
+    cause: str = "out of memory? use fewer workers",
+) -> Generator[Result, None, None]:
+    """`do(job, *opened)` of each job, with one thread of arithmetic; processes are spawned.
+
+    Parameters
+    ----------
+    do : callable
+        Of the top level of a module.
+    jobs : sequence
+    workers : int
+        Processes at most; with one, or one job, this process does the work.
+    prepare : callable
+        `prepare(*arguments)` is what each process opens once, as a tuple; what it raises is raised here.
+    ordered : bool
+        Results in the order of the jobs, and not as they are done.
+    cause : str
+        What to do where a worker was killed.
+
+    Raises
+    ------
+    InputError
+        A worker was killed.
+    """
+    if min(workers, len(jobs)) <= 1:
+        with one_thread():
+            opened = prepare(*arguments)
+            for job in jobs:
+                yield do(job, *opened)
+        return
+    with threads_in_children():
+        pool = ProcessPoolExecutor(
+            min(workers, len(jobs)), multiprocessing.get_context("spawn"), _start, (do, prepare, arguments)
+        )
+        try:
+            if ordered:
+                yield from pool.map(_work, jobs)
+            else:
+                yield from (future.result() for future in as_completed([pool.submit(_work, job) for job in jobs]))
+        except BrokenProcessPool as error:
+            raise InputError("a worker process died", cause=cause) from error
+        except BaseException:
+            ours = list((pool._processes or {}).values())
+            pool.shutdown(wait=False, cancel_futures=True)
+            for process in ours:
+                process.terminate()
+            for process in ours:
+                process.join(_PATIENCE_S)
+            raise
+        pool.shutdown()
+
+
+_do: Callable[..., Any]
+_opened: tuple[Any, ...] | Exception
+"""What a worker process does, and what it opened when it started, or why it could not."""
+
+
+def _start(do: Callable[..., Any], prepare: Callable[..., tuple[Any, ...]], arguments: tuple[Any, ...]) -> None:
+    global _do, _opened
+    import cv2
+
+    # Ctrl-C reaches the whole group; the parent alone decides what to do.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    cv2.setNumThreads(1)
+    _do = do
+    try:
+        _opened = prepare(*arguments)
+    except Exception as error:
+        # Raised here it would only be told as a broken pool.
+        _opened = error
+
+
+def _end_with_parent() -> None:
+    """A worker whose parent was killed would wait for jobs for ever."""
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+def _work(job: Any) -> Any:
+    if isinstance(_opened, Exception):
+        raise _opened
+    return _do(job, *_opened)
