@@ -18,7 +18,7 @@ from pipeline.geometry.boxes import Box3D
 from pipeline.labels.labelling import judge_list
 from pipeline.language.relation_names import INVERSE, PAIRWISE
 from pipeline.relations.relations import F, T, U, letter
-from pipeline.system.errors import InputError
+from pipeline.system.errors import require
 
 ASKED_BEYOND_M = 0.1
 """A judgement that geometry contradicts by more metres than this is asked about before it is saved."""
@@ -115,10 +115,8 @@ def pair_card(frame: EffectiveFrame, a: int, b: int) -> PairCard:
         There is no such object, or both are the same.
     """
     for number in (a, b):
-        if number not in frame.objects:
-            raise InputError(f"frame {frame.frame} has no object {number}")
-    if a == b:
-        raise InputError("an object has no relation to itself", got=a)
+        require(number in frame.objects, f"frame {frame.frame} has no object {number}")
+    require(a != b, "an object has no relation to itself", got=a)
     names = frame.objects[a]["label"], frame.objects[b]["label"]
     pairs = frame.pairs
     i, j = pairs.index_of(a), pairs.index_of(b)
@@ -200,8 +198,7 @@ class MovingBox:
         self._relifter = corrector.relifter
         self._card = None
         self._lifted: dict[int, SceneObject] = {}
-        if number not in frame.objects:
-            raise InputError(f"frame {frame.frame} has no object {number} that stands")
+        require(number in frame.objects, f"frame {frame.frame} has no object {number} that stands")
         if pair is None or number not in pair or self._relifter is None:
             return
         card = pair_card(frame, *pair)

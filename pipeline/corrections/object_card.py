@@ -17,7 +17,7 @@ from pipeline.corrections.scene import labelled_box
 from pipeline.diagnosis.whatif.box_numbers import BoxNumbers, box_numbers
 from pipeline.geometry.viewer import ViewerAxes, viewer_axes
 from pipeline.relations.relations import F, T, U
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 FIELDS = ("label", "status", "mask", "bbox", "box")
 """What of an object can be corrected, in the order in which it is shown."""
@@ -197,8 +197,7 @@ def back_to_automatic(frame: EffectiveFrame, number: int, field: str, reason: st
     line = object_card(frame, number).line(field) if field in FIELDS else None
     if line is None:
         raise InputError("an object has no such field", got=repr(field), expected=", ".join(FIELDS))
-    if not line.settled:
-        raise InputError(f"nobody has changed the {field} of object {number}")
+    require(line.settled, f"nobody has changed the {field} of object {number}")
     default = {"status": "", "box": "as its points make it"}.get(field, "as the labeller had it")
     return set_value(frame, object_ref(frame.frame, number, field), _automatic(frame, number, field), reason or default)
 
@@ -216,8 +215,7 @@ def bring_back(frame: EffectiveFrame, number: int, author: str, reason: str = ""
     InputError
         It is not rejected.
     """
-    if number not in frame.left_out:
-        raise InputError(f"object {number} is not rejected")
+    require(number in frame.left_out, f"object {number} is not rejected")
     ref = object_ref(frame.frame, number, "status")
     own = judge(frame, ref, None, author, reason) if author in judgements(frame, number) else ()
     return (*own, *set_status(frame, ref, None, reason))
@@ -345,8 +343,7 @@ def expression_cards(frame: EffectiveFrame, pair: Iterable[int] = ()) -> tuple[E
 
 def expression_card(frame: EffectiveFrame, name: str) -> ExpressionCard:
     """One expression, by its id; InputError where the frame has no such expression."""
-    if name not in frame.auto.expressions:
-        raise InputError(f"frame {frame.frame} has no such expression", got=repr(name)[:60])
+    require(name in frame.auto.expressions, f"frame {frame.frame} has no such expression", got=repr(name)[:60])
     withdrawn = next((w.reason for w in frame.withdrawn if w.id == name), "")
     return _card(frame, name, withdrawn, statuses_of_items(frame.statuses))
 
@@ -389,6 +386,5 @@ def set_answer(frame: EffectiveFrame, name: str, number: int, certainty: Certain
         No such expression or object, nothing would be changed, or no answer would be left.
     """
     card = expression_card(frame, name)
-    if card.certainty(number) == certainty:
-        raise InputError("it says so already", got=f"object {number}: {certainty}")
+    require(card.certainty(number) != certainty, "it says so already", got=f"object {number}: {certainty}")
     return set_answers(frame, name, *answers_with(card, number, certainty), reason)

@@ -17,7 +17,7 @@ from pipeline.geometry.lifting import LiftedObject, Quality
 from pipeline.geometry.masks import decode_crop
 from pipeline.labels.cases import HIT, Case, FrameCases, frame_cases
 from pipeline.proposals.annotations import box_mask
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 # An edit changes one object of a frame; the pixels of the others are known already.
 _crop = lru_cache(maxsize=256)(decode_crop)
@@ -79,8 +79,7 @@ def effective_truth(frame: EffectiveFrame) -> FrameCases:
     InputError
         The frame was rejected: nothing is to be judged by it.
     """
-    if not frame.stands:
-        raise InputError(f"frame {frame.frame} was rejected: its labels are not to be used")
+    require(frame.stands, f"frame {frame.frame} was rejected: its labels are not to be used")
     rows = {
         name: {column: table.column(column).to_pylist() for column in table.column_names}
         for name, table in frame.tables().items()

@@ -21,7 +21,7 @@ from pipeline.geometry.camera import lift_pixels
 from pipeline.geometry.lifting import lift
 from pipeline.geometry.normals import surface_normals
 from pipeline.geometry.viewer import ViewerAxes
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 SnapMode = Literal["extend", "move"]
 """extend: the top stays, the bottom goes to the support. move: the whole box does, with the height that it has."""
@@ -151,11 +151,12 @@ def find_support(context: PreparedFrame, box: Box3D, objects: Sequence[SceneObje
         height, spread = _plane(level.plan[best.points] - middle, level.height[best.points])
     support = Support(height, None if best.owner < 0 else best.owner, len(best.points), spread)
     gap = bottom - height
-    if gap > max(FARTHEST_M, float((hi - lo).max()), 2 * (highest - bottom)):
-        raise InputError(
-            "no level surface is seen close under the box", got=f"the next is {gap:.2f} m lower",
-            cause="does it hang, or is what it stands on not seen?",
-        )  # fmt: skip
+    require(
+        gap <= max(FARTHEST_M, float((hi - lo).max()), 2 * (highest - bottom)),
+        "no level surface is seen close under the box",
+        got=f"the next is {gap:.2f} m lower",
+        cause="does it hang, or is what it stands on not seen?",
+    )
     return support
 
 
@@ -307,8 +308,10 @@ def fit_to_points(frame: EffectiveFrame, number: int, corrector: Corrector, reas
     made_of_box = number not in frame.auto.objects and row["mask_source"] == "box3d"
     if not made_of_box:
         ref = object_ref(frame.frame, number, "box")
-        if frame.version(ref) == 0 or frame.origin(ref).source != "human":
-            raise InputError(f"the box of object {number} is the one of its points already")
+        require(
+            frame.version(ref) != 0 and frame.origin(ref).source == "human",
+            f"the box of object {number} is the one of its points already",
+        )
         return set_box(frame, number, None, reason)
     box, context = _box(frame, number), _relifter(corrector).context(frame.frame)
     (mask,) = (o.mask for o in labelled_objects(frame) if o.id == number)
@@ -340,8 +343,7 @@ def snap_to_support(
     """
     support, gap = support_of(frame, number, corrector)
     on = support_name(frame, support)
-    if abs(gap) < SAME_M:
-        raise InputError(f"object {number} stands on {on} already")
+    require(abs(gap) >= SAME_M, f"object {number} stands on {on} already")
     box = snapped(_box(frame, number), support, _relifter(corrector).context(frame.frame).viewer, way)
     return set_box(frame, number, box, reason or f"{'extended' if way == 'extend' else 'moved'} to {on}")
 
@@ -353,8 +355,7 @@ def support_name(frame: EffectiveFrame, support: Support) -> str:
 
 
 def _standing(frame: EffectiveFrame, number: int) -> dict:
-    if number not in frame.objects:
-        raise InputError(f"frame {frame.frame} has no object {number} that stands")
+    require(number in frame.objects, f"frame {frame.frame} has no object {number} that stands")
     return frame.objects[number]
 
 

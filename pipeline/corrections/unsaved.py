@@ -20,7 +20,7 @@ from pipeline.corrections.journal.field_refs import FieldRef, shown_value
 from pipeline.corrections.journal.frame_rows import Setting
 from pipeline.corrections.journal.journal import Journal
 from pipeline.language.relation_names import PAIRWISE
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 
 @dataclass(frozen=True)
@@ -98,8 +98,7 @@ class Unsaved:
         InputError
             It is being saved at this moment.
         """
-        if not self._saving.acquire(timeout=1.0):
-            raise InputError("it is being saved at this moment", expected="try again")
+        require(self._saving.acquire(timeout=1.0), "it is being saved at this moment", expected="try again")
         try:
             with self._lock:
                 kept = self.waiting(author)

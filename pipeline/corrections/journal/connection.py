@@ -44,7 +44,7 @@ from pipeline.corrections.journal.sqlite_file import (
     plain_reason,
     sqlite_engine,
 )
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 NETWORK_FILE_SYSTEMS = frozenset(
     {"nfs", "nfs3", "nfs4", "cifs", "smb3", "smbfs", "fuse.sshfs", "9p", "lustre", "gpfs", "beegfs", "afs", "ceph",
@@ -94,8 +94,9 @@ def make_engine(where: str | Path) -> sa.Engine:
 def _come_instead(path: Path) -> None:
     """Believe a file that has come in the place of a journal that is open."""
     found = examine(path).believe()
-    if found.version != VERSION:
-        raise InputError("another file stands in the place of the journal", cause="open it anew", path=path)
+    require(
+        found.version == VERSION, "another file stands in the place of the journal", cause="open it anew", path=path
+    )
 
 
 def location_of(engine: sa.Engine) -> str:
@@ -178,18 +179,19 @@ def prepare(engine: sa.Engine) -> tuple[str, ...]:
                     examined_server(connection, location, chain=True).believe()
                 return ()
         if not writable:
-            if found != 1:
-                raise InputError("no journal can be made", cause="the folder cannot be written", path=location)
+            require(found == 1, "no journal can be made", cause="the folder cannot be written", path=location)
             return (f"{location} can only be read here: its events are checked, and not chained",)
         with writing(engine) as connection:
             found = version_of(connection)
-            if found is not None and found > VERSION:
-                raise InputError(
-                    "the journal is of a newer release", got=f"version {found}", expected=f"at most {VERSION}",
-                    cause="install the release that wrote it", path=location,
-                )  # fmt: skip
-            if found == 0:
-                raise InputError("the database holds something else than a journal", path=location)
+            require(
+                found is None or found <= VERSION,
+                "the journal is of a newer release",
+                got=f"version {found}",
+                expected=f"at most {VERSION}",
+                cause="install the release that wrote it",
+                path=location,
+            )
+            require(found != 0, "the database holds something else than a journal", path=location)
             if found is None:
                 create(connection, FIRST)
             elif found < VERSION:

@@ -27,7 +27,7 @@ from pipeline.corrections.journal.field_refs import (
 from pipeline.corrections.journal.replay import judgement_ref
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.masks import decode_run_length, encode_run_length
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 Edits = tuple[Edit, ...]
 Rectangle = Sequence[float] | np.ndarray
@@ -57,8 +57,7 @@ def set_status(
             return own if out else (*own, *set_status(frame, ref, status, reason))
         mine = out and frame.origin(ref).author == author
         return (*own, *set_status(frame, ref, None, reason)) if mine else own
-    if not ref.field.endswith("status"):
-        raise InputError("not a status", got=ref.field)
+    require(ref.field.endswith("status"), "not a status", got=ref.field)
     if ref.kind == "object":
         return (_object_edit(frame, ref.numbers[0], "status", status, reason),)
     _check_expression(frame, ref)
@@ -103,8 +102,12 @@ def add_object(
     if number is None:
         # Seven digits: people read them.
         number = random.SystemRandom().randrange(FIRST_NEW_OBJECT, 10 * FIRST_NEW_OBJECT)
-    if number < FIRST_NEW_OBJECT:
-        raise InputError("the number of a new object is too small", got=number, expected=f"from {FIRST_NEW_OBJECT} on")
+    require(
+        number >= FIRST_NEW_OBJECT,
+        "the number of a new object is too small",
+        got=number,
+        expected=f"from {FIRST_NEW_OBJECT} on",
+    )
     seed: dict[str, Any] = {"label": label}
     if mask is not None:
         seed["mask"] = _code(frame, mask)
@@ -118,29 +121,23 @@ def add_object(
 def merge_objects(frame: EffectiveFrame, numbers: Iterable[int], reason: str = "") -> Edits:
     """One object of several: the first gets the pixels of all, the others are rejected."""
     ids = list(dict.fromkeys(numbers))
-    if len(ids) < 2:
-        raise InputError("a merge needs two objects", got=ids)
+    require(len(ids) >= 2, "a merge needs two objects", got=ids)
     mask = np.logical_or.reduce([pixels_of(frame, n) for n in ids])
     note = reason or f"merged into object {ids[0]}"
     first = _object_edit(frame, ids[0], "mask", _code(frame, mask), reason or f"merged with {_listed(ids[1:])}")
     return (first, *(_object_edit(frame, n, "status", "rejected", note) for n in ids[1:]))
 
 
-def split_object(
-    frame: EffectiveFrame, number: int, masks: Sequence[np.ndarray | str], reason: str = ""
-) -> Edits:
+def split_object(frame: EffectiveFrame, number: int, masks: Sequence[np.ndarray | str], reason: str = "") -> Edits:
     """Several objects of one: it keeps the first mask, each other one makes a new object of its class."""
-    if len(masks) < 2:
-        raise InputError("a split needs two masks", got=len(masks))
+    require(len(masks) >= 2, "a split needs two masks", got=len(masks))
     label = _row(frame, number)["label"]
     note = reason or f"split off object {number}"
     first = _object_edit(frame, number, "mask", _code(frame, masks[0]), reason or f"split in {len(masks)}")
     return (first, *(e for m in masks[1:] for e in add_object(frame, label, mask=m, reason=note)))
 
 
-def set_relation(
-    frame: EffectiveFrame, a: int, b: int, relation: str, state: int | None, reason: str = ""
-) -> Edits:
+def set_relation(frame: EffectiveFrame, a: int, b: int, relation: str, state: int | None, reason: str = "") -> Edits:
     """T (1), U (0) or F (-1) for "a RELATION b"; the inverse, "b INVERSE a", gets the same state.
 
     Raises
@@ -188,9 +185,7 @@ def judge_relation(
     )
 
 
-def judge_both_ways(
-    frame: EffectiveFrame, ref: FieldRef, status: str | None, author: str, reason: str = ""
-) -> Edits:
+def judge_both_ways(frame: EffectiveFrame, ref: FieldRef, status: str | None, author: str, reason: str = "") -> Edits:
     """As `judge` of a relation, and of what says the same the other way round, unless the labels contradict it."""
     _check_judged(frame, ref)
     refs, inverse = [ref], frame.setting.inverse(ref.field.removesuffix(".status"))
@@ -237,8 +232,11 @@ def state_ref(ref: FieldRef) -> FieldRef:
 
 
 def _check_judged(frame: EffectiveFrame, ref: FieldRef) -> None:
-    if ref.kind not in ("object", "relation", "expression") or not ref.field.endswith("status"):
-        raise InputError("only objects, relations and expressions are judged", got=str(ref))
+    require(
+        ref.kind in ("object", "relation", "expression") and ref.field.endswith("status"),
+        "only objects, relations and expressions are judged",
+        got=str(ref),
+    )
     if ref.kind == "object":
         _row(frame, ref.numbers[0])
     _check_expression(frame, ref)
@@ -278,8 +276,7 @@ def set_answers(
     """
     sure = sorted(set(targets))
     likely = sorted({*sure, *acceptable}) if acceptable is not None else sure
-    if not likely:
-        raise InputError("an expression needs an answer", cause='is it wrong? then mark it "BAD_LABEL"')
+    require(likely, "an expression needs an answer", cause='is it wrong? then mark it "BAD_LABEL"')
     for number in likely:
         _row(frame, number)
     return (
@@ -314,8 +311,7 @@ def set_value(frame: EffectiveFrame, ref: FieldRef, value: Any, reason: str = ""
 
 
 def _edit(frame: EffectiveFrame, ref: FieldRef, after: Any, reason: str) -> Edit:
-    if ref.frame != frame.frame:
-        raise InputError("an edit of another frame", got=ref.frame, expected=frame.frame)
+    require(ref.frame == frame.frame, "an edit of another frame", got=ref.frame, expected=frame.frame)
     boxes = frame.auto.objects
     anchor = {str(n): [float(x) for x in boxes[n]["bbox"]] for n in ref.numbers if n in boxes}
     return Edit(ref, frame.value(ref), checked(ref, after), frame.version(ref), reason, anchor)
@@ -340,8 +336,11 @@ def _row(frame: EffectiveFrame, number: int) -> dict[str, Any]:
 
 
 def _check_expression(frame: EffectiveFrame, ref: FieldRef) -> None:
-    if ref.kind == "expression" and ref.key not in frame.auto.expressions:
-        raise InputError(f"frame {frame.frame} has no such expression", got=repr(ref.key))
+    require(
+        ref.kind != "expression" or ref.key in frame.auto.expressions,
+        f"frame {frame.frame} has no such expression",
+        got=repr(ref.key),
+    )
 
 
 def _check_pair(frame: EffectiveFrame, ref: FieldRef) -> None:
@@ -352,12 +351,14 @@ def _check_pair(frame: EffectiveFrame, ref: FieldRef) -> None:
         expected = _listed(frame.setting.relations)
         raise InputError("the labels hold no such relation", got=repr(relation), expected=expected)
     a, b = ref.numbers
-    if a == b:
-        raise InputError("an object has no relation to itself", got=a)
+    require(a != b, "an object has no relation to itself", got=a)
     for number in (a, b):
         _row(frame, number)
-        if frame.pairs.index_of(number) is None:
-            raise InputError(f"object {number} takes part in no relation", cause="is it background, or rejected?")
+        require(
+            frame.pairs.index_of(number) is not None,
+            f"object {number} takes part in no relation",
+            cause="is it background, or rejected?",
+        )
 
 
 def size_of(frame: EffectiveFrame) -> tuple[int, int]:
@@ -371,10 +372,12 @@ def _code(frame: EffectiveFrame, mask: np.ndarray | str) -> str:
         pixels = decode_run_length(size, mask)
     else:
         pixels = mask
-        if pixels.dtype != np.bool_ or pixels.shape != size:
-            raise InputError(f"a mask must be bool {size}", got=f"{pixels.dtype} {pixels.shape}")
-    if not pixels.any():
-        raise InputError("the mask is empty")
+        require(
+            pixels.dtype == np.bool_ and pixels.shape == size,
+            f"a mask must be bool {size}",
+            got=f"{pixels.dtype} {pixels.shape}",
+        )
+    require(pixels.any(), "the mask is empty")
     return mask if isinstance(mask, str) else encode_run_length(pixels)
 
 
@@ -394,8 +397,12 @@ def _within(frame: EffectiveFrame, bbox: Rectangle) -> list[float]:
     x0, y0, x1, y1 = checked(ref, [float(x) for x in bbox])
     width, height = float(frame.row["width"]), float(frame.row["height"])
     inside = [max(x0, 0.0), max(y0, 0.0), min(x1, width), min(y1, height)]
-    if inside[2] <= inside[0] or inside[3] <= inside[1]:
-        raise InputError("the 2D box is outside the picture", got=[x0, y0, x1, y1], expected=f"{width:g}x{height:g}")
+    require(
+        inside[2] > inside[0] and inside[3] > inside[1],
+        "the 2D box is outside the picture",
+        got=[x0, y0, x1, y1],
+        expected=f"{width:g}x{height:g}",
+    )
     return inside
 
 

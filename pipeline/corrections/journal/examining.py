@@ -31,7 +31,7 @@ from pipeline.corrections.journal.chain import (
     judged_alone,
 )
 from pipeline.corrections.journal.sqlite_file import connected, lost_in_log, plain_reason, read_plainly
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 _NOT_DAMAGE = ("locked", "unable to open", "disk i/o", "readonly", "full", "permission", "out of memory", "busy")
 """Words of SQLite's errors that say nothing of the file."""
@@ -139,13 +139,15 @@ class Examined:
         InputError
             It is of a newer release, or no journal.
         """
-        if self.version is not None and self.version > VERSION and not self.damage:
-            raise InputError(
-                "the journal is of a newer release", got=f"version {self.version}", expected=f"at most {VERSION}",
-                cause="install the release that wrote it", path=self.location,
-            )  # fmt: skip
-        if self.version == 0:
-            raise InputError("the database holds something else than a journal", path=self.location)
+        require(
+            self.version is None or self.version <= VERSION or self.damage,
+            "the journal is of a newer release",
+            got=f"version {self.version}",
+            expected=f"at most {VERSION}",
+            cause="install the release that wrote it",
+            path=self.location,
+        )
+        require(self.version != 0, "the database holds something else than a journal", path=self.location)
         return self
 
 

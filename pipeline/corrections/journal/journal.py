@@ -32,7 +32,7 @@ from pipeline.corrections.journal.examining import DamagedJournal, empty_file, e
 from pipeline.corrections.journal.field_refs import LONGEST_NAME, FieldRef, Kind, plain_text
 from pipeline.labels.reading import Labels
 from pipeline.labels.schema import labels_version
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 JOURNAL_FILE = "journal.sqlite"
 _CONTENT = tuple(EVENTS.c[name] for name in CONTENT)
@@ -101,8 +101,7 @@ class Journal:
             A full disk, a folder that cannot be written, a database that is away.
         """
         edits = tuple(edits)
-        if not edits:
-            raise InputError("there is nothing to save")
+        require(edits, "there is nothing to save")
         refs = [e.ref for e in edits]
         if len(set(refs)) < len(refs):
             twice = next(c for k, c in enumerate(refs) if c in refs[:k])
@@ -311,8 +310,9 @@ def open_journal(where: str | Path, *, project: str = "", labels: str = "", must
     warnings: list[str] = []
     if not is_url(where):
         path = Path(where).expanduser()
-        if path.is_dir() or not path.parent.is_dir():
-            raise InputError("the journal is a file in a folder that is there", path=path)
+        require(
+            not path.is_dir() and path.parent.is_dir(), "the journal is a file in a folder that is there", path=path
+        )
         if not path.exists() and (must_exist or not os.access(path.parent, os.W_OK)):
             cause = None if must_exist else "the folder cannot be written"
             raise InputError("no journal here" if must_exist else "no journal can be made", cause=cause, path=path)

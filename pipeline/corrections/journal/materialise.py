@@ -18,7 +18,7 @@ from pipeline.labels.merge import CARD_FILE, CROISSANT_FILE, environment, write_
 from pipeline.labels.reading import MANIFEST_FILE, MARKS_FILE, PROVENANCE_FILE, STATUSES_FILE, Labels
 from pipeline.labels.schema import SCHEMA_VERSION, TABLES, Manifest, labels_version, write_schemas
 from pipeline.labels.tables import write_table
-from pipeline.system.errors import InputError
+from pipeline.system.errors import require
 from pipeline.system.version import __version__
 from pipeline.system.whole_files import temporary_beside, write_synced
 
@@ -48,10 +48,12 @@ def materialise(
         The folder holds something, or the labels, the journal or a frame cannot be read.
     """
     folder = Path(out).expanduser().absolute()
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InputError("corrected labels go into a new or empty folder", path=folder)
-    if not folder.parent.is_dir():
-        raise InputError("the folder to write into does not exist", path=folder.parent)
+    require(
+        not folder.exists() or (folder.is_dir() and not any(folder.iterdir())),
+        "corrected labels go into a new or empty folder",
+        path=folder,
+    )
+    require(folder.parent.is_dir(), "the folder to write into does not exist", path=folder.parent)
     found = effective_tables(labels, journal, dataset=dataset)
     staging = temporary_beside(folder)
     staging.mkdir()
@@ -71,13 +73,15 @@ def _write(found: EffectiveLabels, journal: Journal, folder: Path) -> Manifest:
     write_table(found.provenance, folder / PROVENANCE_FILE)
     listed = {
         "events": [
-            {**who_and_what(u.event), "wanted": shown_value(u.event.ref, u.event.after), "because": u.kind,
-             "reason": u.reason}
+            {
+                **who_and_what(u.event),
+                "wanted": shown_value(u.event.ref, u.event.after),
+                "because": u.kind,
+                "reason": u.reason,
+            }
             for u in found.unapplied
         ],
-        "expressions": [
-            {"frame": w.frame, "id": w.id, "text": w.text, "reason": w.reason} for w in found.withdrawn
-        ],
+        "expressions": [{"frame": w.frame, "id": w.id, "text": w.text, "reason": w.reason} for w in found.withdrawn],
     }
     write_synced(folder / UNAPPLIED_FILE, json.dumps(listed, indent=1, ensure_ascii=False).encode())
     marks = [{"frame": frame, "id": name, "mark": mark} for (frame, name), mark in sorted(found.marks.items())]

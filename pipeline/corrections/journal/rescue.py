@@ -22,7 +22,7 @@ from pipeline.corrections.journal.connection import (
     writing,
 )
 from pipeline.corrections.journal.examining import Examined, empty_file, examine, is_empty
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 
 def check_journal(where: str | Path) -> Examined:
@@ -49,8 +49,7 @@ def check_journal(where: str | Path) -> Examined:
             engine.dispose()
         return Examined(location_of(engine), version, None, (), ()).believe()
     path = Path(where).expanduser()
-    if not path.is_file():
-        raise InputError("no journal here", path=path)
+    require(path.is_file(), "no journal here", path=path)
     if is_empty(path):
         raise empty_file(path)
     return examine(path)
@@ -111,8 +110,7 @@ def recover(where: str | Path, to: Path) -> tuple[Examined, Examined]:
 
 
 def _file(where: str | Path, to: Path, instead: str) -> Path:
-    if is_url(where):
-        raise InputError("a journal in a server is not copied into a file", cause=instead)
+    require(not is_url(where), "a journal in a server is not copied into a file", cause=instead)
     if to.exists() or not to.parent.is_dir():
         what = "there is a file of this name" if to.exists() else "the folder is not there"
         raise InputError(f"no journal can be written: {what}", path=to)

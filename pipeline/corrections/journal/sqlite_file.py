@@ -97,9 +97,7 @@ def sqlite_engine(path: str | Path, believe: Callable[[Path], object]) -> sa.Eng
         mode = "rw" if mode == "rwc" else mode
         return connection
 
-    engine = sa.create_engine(
-        sa.URL.create("sqlite", database=str(file)), creator=connect, poolclass=sa.QueuePool
-    )
+    engine = sa.create_engine(sa.URL.create("sqlite", database=str(file)), creator=connect, poolclass=sa.QueuePool)
 
     def settle(connection: Any, record: Any) -> None:
         record.info[_FILE] = _identity(file)

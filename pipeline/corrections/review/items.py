@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple, get_args
 
 import numpy as np
 
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -75,8 +75,11 @@ class ItemKey(NamedTuple):
         except (ValueError, TypeError) as error:
             raise InputError("not the key of a review item", got=repr(text)[:80]) from error
         numbers = type(a) is int and (b is None or type(b) is int)
-        if not (isinstance(frame, str) and kind in KINDS and numbers and isinstance(what, str)):
-            raise InputError("not the key of a review item", got=repr(text)[:80])
+        require(
+            isinstance(frame, str) and kind in KINDS and numbers and isinstance(what, str),
+            "not the key of a review item",
+            got=repr(text)[:80],
+        )
         return cls(frame, kind, a, b, what)
 
 

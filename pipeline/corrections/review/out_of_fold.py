@@ -26,7 +26,7 @@ from pipeline.metrics.platt import antisymmetric, sigmoid
 from pipeline.metrics.splits import FEWEST_SCENES, FRAME_GAP, GAP_M, FrameKey, along_spread
 from pipeline.relations.features import LANGUAGE, feature_set
 from pipeline.relations.relations import T, U
-from pipeline.system.errors import InputError
+from pipeline.system.errors import require
 from pipeline.system.threads import one_thread
 from pipeline.training.label_data import LabelData, LabelledFrame, pair_set
 from pipeline.training.train import OUTPUTS, TrainConfig, TrainedModel, train_pairs
@@ -64,10 +64,16 @@ class DoubtConfig:
     def check(self) -> None:
         """Raise InputError where the numbers make no sense."""
         self.train.check()
-        if self.folds < 2 or self.passes < 1:
-            raise InputError("there must be two folds and a pass", got=f"{self.folds} folds, {self.passes} passes")
-        if self.train.features.endswith(LANGUAGE):
-            raise InputError("labels are reviewed by geometry, without class names", got=self.train.features)
+        require(
+            self.folds >= 2 and self.passes >= 1,
+            "there must be two folds and a pass",
+            got=f"{self.folds} folds, {self.passes} passes",
+        )
+        require(
+            not self.train.features.endswith(LANGUAGE),
+            "labels are reviewed by geometry, without class names",
+            got=self.train.features,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,8 +128,12 @@ def doubt_labels(
     """
     config = config or DoubtConfig(train=TrainConfig(data.features, REVIEWED, epochs=EPOCHS))
     config.check()
-    if config.train.features != data.features:
-        raise InputError("the labels were read for other features", got=data.features, expected=config.train.features)
+    require(
+        config.train.features == data.features,
+        "the labels were read for other features",
+        got=data.features,
+        expected=config.train.features,
+    )
     train = replace(config.train, vocabulary=REVIEWED)
     folds = make_folds([f.key for f in data.frames], config.folds, train.seed)
     tell = progress or (lambda done, of: None)
@@ -167,8 +177,11 @@ def out_of_fold(
     trained : callable, optional
         Called after each network.
     """
-    if OUTPUTS[config.vocabulary] != "sigmoid":
-        raise InputError("labels are judged one by one, not as the one that fits best", got=config.vocabulary)
+    require(
+        OUTPUTS[config.vocabulary] == "sigmoid",
+        "labels are judged one by one, not as the one that fits best",
+        got=config.vocabulary,
+    )
     outputs = VOCABULARIES[config.vocabulary]
     indices = [outputs.index(relation) for relation in vocabulary]
     found: list[np.ndarray] = [np.zeros(0)] * len(frames)
@@ -277,10 +290,8 @@ def make_folds(frames: Sequence[FrameKey], folds: int = FOLDS, seed: int = 0) ->
     InputError
         Fewer than two folds are asked for, or there are fewer than two frames.
     """
-    if folds < 2:
-        raise InputError("there must be at least two folds", got=folds)
-    if len(frames) < 2:
-        raise InputError("out-of-fold probabilities need at least two frames", got=len(frames))
+    require(folds >= 2, "there must be at least two folds", got=folds)
+    require(len(frames) >= 2, "out-of-fold probabilities need at least two frames", got=len(frames))
     names = np.array([f.scene for f in frames], object)
     scenes = sorted(set(names.tolist()))
     if len(scenes) >= FEWEST_SCENES:

@@ -27,7 +27,7 @@ from pipeline.metrics.tables import Row, Table, markdown
 from pipeline.relations.features import LANGUAGE
 from pipeline.relations.model import OnnxScorer
 from pipeline.relations.relations import U, letter
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 from pipeline.training.card import network_path, rounded
 from pipeline.training.label_data import LabelData, LabelledFrame, read_label_data
 from pipeline.training.label_training import LabelTraining, train_on_labels
@@ -56,12 +56,12 @@ class RetrainConfig:
     def check(self) -> None:
         """Raise InputError where the comparison could not be made."""
         self.train.check()
-        if self.train.output != "sigmoid" or self.train.features.endswith(LANGUAGE):
-            raise InputError(
-                "networks are compared relation by relation, by geometry",
-                got=f"{self.train.features}, {self.train.vocabulary}",
-                expected="the vocabulary avd, features without +lang",
-            )
+        require(
+            self.train.output == "sigmoid" and not self.train.features.endswith(LANGUAGE),
+            "networks are compared relation by relation, by geometry",
+            got=f"{self.train.features}, {self.train.vocabulary}",
+            expected="the vocabulary avd, features without +lang",
+        )
 
 
 @dataclass(frozen=True)
@@ -270,10 +270,7 @@ def compare_networks(
     test = [now.frames[k] for k in own.indices(TEST)]
     truth = stacked([f.states for f in test])
     rows = _rows_of(test, fed_before or now), [f.rows for f in test]
-    p = [
-        stacked([scorer.probabilities(r) for r in fed])
-        for scorer, fed in zip((before, after), rows, strict=True)
-    ]
+    p = [stacked([scorer.probabilities(r) for r in fed]) for scorer, fed in zip((before, after), rows, strict=True)]
     scenes = {f.key.scene for f in test}
     names = [f.key.scene if len(scenes) > 1 else f.key.frame for f in test]
     clusters = np.repeat(np.array(names, np.str_), [len(f.rows) * (len(f.rows) - 1) for f in test])
@@ -286,9 +283,7 @@ def compare_networks(
     known, (old, new) = truth != U, (c.tp | c.tn for c in cells)
     tests = {r: mcnemar(new[known[:, k], k], old[known[:, k], k]) for k, r in enumerate(relations)}
     tests["all"] = mcnemar(new[known], old[known])
-    better, worse = (
-        _listed(test, relations, truth, p, chosen) for chosen in (new & ~old & known, old & ~new & known)
-    )
+    better, worse = (_listed(test, relations, truth, p, chosen) for chosen in (new & ~old & known, old & ~new & known))
     return Retraining(
         relations=relations,
         pairs=len(truth),

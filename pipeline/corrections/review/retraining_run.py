@@ -27,7 +27,7 @@ from pipeline.labels.pictures import labelled_dataset
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.relations import shipped_network
 from pipeline.relations.model import OnnxScorer
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 from pipeline.system.staging import staged_folder
 from pipeline.training.label_data import read_label_data
 
@@ -168,8 +168,7 @@ def run_retraining(job: RetrainingJob, progress: Progress | None = None) -> Retr
 def _mend(job: RetrainingJob, labels: Labels, folder: Path) -> tuple[Labels, dict[str, Any]]:
     with journal_of(labels, job.journal, project=job.project, must_exist=True) as journal:
         manifest, found = materialise(labels, journal, folder, dataset=job.corrected_dataset(labels))
-    if not found.events:
-        raise InputError("nothing was corrected yet", cause="is this the journal of these labels?", path=labels.root)
+    require(found.events, "nothing was corrected yet", cause="is this the journal of these labels?", path=labels.root)
     return open_labels(folder), dict(manifest.corrections or {})
 
 
@@ -204,8 +203,12 @@ def compare_with(
 
 def _replay(run: Run, folder: Path, workers: int, tell: Progress) -> tuple[Comparison | None, Comparison | None]:
     """Make a run again on the mended labels: as it was, and with the new network."""
-    if run.spec.system != "pipeline":
-        raise InputError("only a run of the pipeline can be made again", got=run.spec.system, path=run.folder)
+    require(
+        run.spec.system == "pipeline",
+        "only a run of the pipeline can be made again",
+        got=run.spec.system,
+        path=run.folder,
+    )
     marks = {**run.spec.marks, **read_marks(folder / LABELS / MARKS_FILE)}
     spec = replace(run.spec, labels=str(folder / LABELS), marks=marks)
     steps = (

@@ -42,7 +42,7 @@ from pipeline.labels.reading import Labels, open_labels
 from pipeline.labels.schema import Manifest, labels_version
 from pipeline.metrics.significance import Agreement, cohen_kappa
 from pipeline.relations.relations import F, T, U, letter
-from pipeline.system.errors import InputError
+from pipeline.system.errors import require
 from pipeline.training.label_data import LabelData
 
 if TYPE_CHECKING:
@@ -238,10 +238,8 @@ def left_for(
     InputError
         The share is none, or somebody is to be their own second.
     """
-    if not 0 <= overlap <= 1:
-        raise InputError("the overlap is a share from 0 to 1", got=overlap)
-    if second_opinion_of == author:
-        raise InputError("a second opinion is another person's", got=author)
+    require(0 <= overlap <= 1, "the overlap is a share from 0 to 1", got=overlap)
+    require(second_opinion_of != author, "a second opinion is another person's", got=author)
     own = judgements.states(author)
     keys = item_keys(queue)
     theirs = {} if second_opinion_of is None else judgements.states(second_opinion_of)
@@ -317,9 +315,7 @@ class PairAgreement:
         }
 
 
-def pair_agreements(
-    judgements: Judgements, inverse: Callable[[str], str | None]
-) -> tuple[PairAgreement, ...]:
+def pair_agreements(judgements: Judgements, inverse: Callable[[str], str | None]) -> tuple[PairAgreement, ...]:
     """Each two people who have judged an item in common.
 
     Compared is each one's newest word (`Judgement.verdict`); who is unsure, or has withdrawn a word, has not judged.

@@ -27,7 +27,7 @@ from pipeline.corrections.review.states import item_of, judgements_of
 from pipeline.labels.tables import write_table
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.relations.relations import letter
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -219,8 +219,11 @@ def worklist(queue: pa.Table, states: Mapping[ItemKey, State] | None = None) -> 
         states = dict(zip(keys, stored, strict=False))
     checked_states(states)
     indices = {key: k for k, key in enumerate(keys)}
-    if len(indices) < len(keys):
-        raise InputError("the queue holds an item twice", got=f"{len(keys) - len(indices)} of {len(keys)} items")
+    require(
+        len(indices) >= len(keys),
+        "the queue holds an item twice",
+        got=f"{len(keys) - len(indices)} of {len(keys)} items",
+    )
     codes = np.full(len(keys), _UNREVIEWED, np.int8)
     for key, state in states.items():
         index = indices.get(key.plain)
@@ -280,14 +283,18 @@ def read_queue(path: str | Path, version: str | None = None) -> pa.Table:
     except (pa.ArrowException, OSError, ValueError) as error:
         raise InputError("the queue cannot be read", got=str(error).split("\n")[0], path=path) from error
     metadata = queue.schema.metadata or {}
-    if VERSION_KEY not in metadata:
-        raise InputError("not a review queue", cause="was it written by `spatialviz review --out`?", path=path)
+    require(
+        VERSION_KEY in metadata, "not a review queue", cause="was it written by `spatialviz review --out`?", path=path
+    )
     found = metadata[VERSION_KEY].decode("utf-8", "replace")
-    if version is not None and found != version:
-        raise InputError(
-            "the queue is of other labels", got=found, expected=version,
-            cause="were the labels made again? then build the queue again: spatialviz review LABELS --out", path=path,
-        )  # fmt: skip
+    require(
+        version is None or found == version,
+        "the queue is of other labels",
+        got=found,
+        expected=version,
+        cause="were the labels made again? then build the queue again: spatialviz review LABELS --out",
+        path=path,
+    )
     _check_columns(queue, path)
     return queue
 
@@ -302,21 +309,28 @@ def _check_columns(queue: pa.Table, path: Path) -> None:
         "reasons": pa.list_(text),
     }  # fmt: skip
     for name, kind in wanted.items():
-        if len(queue.schema.get_all_field_indices(name)) != 1:
-            raise InputError(f"the queue lacks the column {name!r}", path=path)
+        require(len(queue.schema.get_all_field_indices(name)) == 1, f"the queue lacks the column {name!r}", path=path)
         have = queue.schema.field(name).type
         same = pa.types.is_list(have) and have.value_type == text if name == "reasons" else have == kind
-        if not same and not (pa.types.is_null(have) and not queue.num_rows):
-            raise InputError(f"the queue's column {name!r} is damaged", got=have, expected=kind, path=path)
+        require(
+            same or (pa.types.is_null(have) and not queue.num_rows),
+            f"the queue's column {name!r} is damaged",
+            got=have,
+            expected=kind,
+            path=path,
+        )
     for name in ("frame", "kind", "a", "score"):
-        if queue.column(name).null_count:
-            raise InputError(f"the queue's column {name!r} has gaps", got=queue.column(name).null_count, path=path)
+        require(
+            not queue.column(name).null_count,
+            f"the queue's column {name!r} has gaps",
+            got=queue.column(name).null_count,
+            path=path,
+        )
     strange = [k for k in queue.column("kind").unique().to_pylist() if k not in KINDS]
     if strange:
         raise InputError("the queue holds an unknown kind of item", got=repr(strange[0])[:60], path=path)
     keys = item_keys(queue)
-    if len(set(keys)) < len(keys):
-        raise InputError("the queue holds an item twice", path=path)
+    require(len(set(keys)) >= len(keys), "the queue holds an item twice", path=path)
 
 
 def frame_states(frame: EffectiveFrame, events: Sequence[Event]) -> dict[ItemKey, State]:
@@ -391,9 +405,7 @@ def _since(journal: Journal, after: Mark) -> tuple[Sequence[Event], bool]:
     return journal.events(), False
 
 
-def gone_items(
-    frame: EffectiveFrame, keys: Collection[ItemKey], states: Mapping[ItemKey, State]
-) -> frozenset[ItemKey]:
+def gone_items(frame: EffectiveFrame, keys: Collection[ItemKey], states: Mapping[ItemKey, State]) -> frozenset[ItemKey]:
     """The items of a frame that a queue made now would not have: nothing is left that could be right or wrong.
 
     A relation goes with its pair, an expression with its objects, everything with its frame. An object or expression

@@ -16,9 +16,9 @@ from pipeline.corrections.journal import edits as actions
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Conflict, Edit, Event, Saved, event_record
 from pipeline.corrections.journal.field_refs import LONGEST_NAME, FieldRef, box_of, plain_text, same_value, shown_value
-from pipeline.corrections.journal.incoming.coco_file import CocoOptions, load_coco, read_instances
+from pipeline.corrections.journal.incoming.coco_file import load_coco, read_instances
 from pipeline.corrections.journal.incoming.jsonl_file import annotated, read_lines, read_refs, read_relations
-from pipeline.corrections.journal.incoming.states import MOST_PROBLEMS, Claim, Claims, States, TooManyProblems
+from pipeline.corrections.journal.incoming.states import Claim, Claims, States
 from pipeline.corrections.journal.journal import Journal
 from pipeline.datasets import Dataset
 from pipeline.labels.exports.exporting import MARK
@@ -26,7 +26,7 @@ from pipeline.labels.exports.provenance import ExportedFrom
 from pipeline.labels.reading import Labels
 from pipeline.labels.schema import TABLES
 from pipeline.language.relation_names import PAIRWISE
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 COCO_FILES = ("instances.json", "refs.json", "relations.json")
 NOW = "now"
@@ -67,8 +67,7 @@ class ImportConfig:
     dry_run: bool = False
 
     def __post_init__(self) -> None:
-        if not 0 <= self.outline <= 100:
-            raise InputError("outline", got=self.outline, expected="0 to 100 pixels")
+        require(0 <= self.outline <= 100, "outline", got=self.outline, expected="0 to 100 pixels")
 
 
 @dataclass(frozen=True)
@@ -134,36 +133,31 @@ def import_corrections(
     """
     config = config or ImportConfig()
     author = plain_text(author, "an author", LONGEST_NAME)
-    if labels.manifest.corrections is not None:
-        raise InputError("these labels are corrected already", expected="the automatic ones", path=labels.root)
+    require(
+        labels.manifest.corrections is None,
+        "these labels are corrected already",
+        expected="the automatic ones",
+        path=labels.root,
+    )
     given = Path(path).expanduser()
     format = config.format or _format(given)
     states = States(labels, () if journal is None else journal.events(), open_dataset)
     claims, source = Claims(states), _Source(states, given, config.base)
-    try:
-        _read(given, format, claims, source, config)
-    except TooManyProblems:
-        claims.notes[f"reading stopped after {MOST_PROBLEMS} problems"] += 1
     reason = config.reason or f"imported from {given.name}"
-    conflicts: list[Contradiction] = []
-    edits: tuple[Edit, ...] = ()
-    agreed, saved, rivals = 0, None, ()
-    try:
+    settled, done = Settled(), None
+    with claims.stopping():
+        _read(given, format, claims, source, config)
+    with claims.stopping():
         settled = settle(claims, reason[:2000])
-        conflicts, edits, agreed = settled.contradictions, tuple(settled.edits.values()), settled.agreed
-    except TooManyProblems:
-        claims.notes[f"reading stopped after {MOST_PROBLEMS} problems"] += 1
+    conflicts, edits = settled.contradictions, tuple(settled.edits.values())
     wanted = not claims.problems and (config.skip_conflicts or not conflicts)
     if edits and wanted and not config.dry_run and journal is not None:
         done = journal.append(edits, author)
-        if isinstance(done, Conflict):
-            rivals = done.rivals
-        else:
-            saved = done
     notes = [f"{text}: {n}" for text, n in claims.notes.items()]
     notes += [f"{n} values of {column!r} differ, which cannot be corrected" for column, n in claims.ignored.items()]
-    told = (*map(str, conflicts), *map(str, rivals))
-    return ImportReport(claims.compared, edits, saved, agreed, told, tuple(claims.problems), tuple(notes))
+    told = (*map(str, conflicts), *map(str, done.rivals if isinstance(done, Conflict) else ()))
+    saved = done if isinstance(done, Saved) else None
+    return ImportReport(claims.compared, edits, saved, settled.agreed, told, tuple(claims.problems), tuple(notes))
 
 
 def _format(given: Path) -> Literal["coco", "jsonl"]:
@@ -178,27 +172,23 @@ def _format(given: Path) -> Literal["coco", "jsonl"]:
 
 
 def _read(given: Path, format: str, claims: Claims, source: _Source, config: ImportConfig) -> None:
-    reject = config.deleted == "reject"
-    if not given.exists():
-        raise InputError("there is no such file", path=given)
-    if format == "jsonl":
-        paths = [given] if given.is_file() else [p for n in TABLES if (p := given / f"{n}.jsonl").is_file()]
-        if not paths:
-            raise InputError("no file of a JSONL export here", path=given)
-        for path in paths:
-            read_lines(path, claims, source.state, reject_deleted=reject)
-        return
-    paths = [given] if given.is_file() else [p for n in COCO_FILES if (p := given / n).is_file()]
-    if not paths:
-        raise InputError("no file of a COCO export here", path=given)
-    options = CocoOptions(reject, config.crowds, config.outline)
+    reject, names = config.deleted == "reject", [f"{n}.jsonl" for n in TABLES] if format == "jsonl" else COCO_FILES
+    require(given.exists(), "there is no such file", path=given)
+    paths = [given] if given.is_file() else [p for n in names if (p := given / n).is_file()]
+    require(paths, f"no file of a {format.upper()} export here", path=given)
     beside: Any = None
     for path in paths:
+        if format == "jsonl":
+            read_lines(path, claims, source.state, reject_deleted=reject)
+            continue
         content = load_coco(path)
         if isinstance(content, dict) and "annotations" in content:
             beside = content
             with _in_file(path):
-                read_instances(content, path.name, claims, source.state, options)
+                read_instances(
+                    content, path.name, claims, source.state, reject_deleted=reject, crowds=config.crowds,
+                    outline=config.outline,
+                )  # fmt: skip
             continue
         if beside is None:
             beside = load_coco(path.with_name(COCO_FILES[0]))
@@ -243,11 +233,10 @@ class _Source:
 
     def _of_folder(self, folder: Path) -> ExportedFrom:
         mark = folder / MARK
-        if not mark.is_file():
-            raise InputError(
-                "it is not said what the file was exported from",
-                expected="--base EXPORT, the folder of the export, or --base now", path=folder,
-            )  # fmt: skip
+        require(
+            mark.is_file(), "it is not said what the file was exported from",
+            expected="--base EXPORT, the folder of the export, or --base now", path=folder,
+        )  # fmt: skip
         content = load_coco(mark)
         return ExportedFrom.parse(content.get("base") if isinstance(content, dict) else None)
 
@@ -374,9 +363,7 @@ def _grouped(claims: Iterable[Claim]) -> list[list[Claim]]:
     return sorted(found.values(), key=lambda group: group[0].ref.frame)
 
 
-def _gone(
-    ref: FieldRef, base: EffectiveFrame, now: EffectiveFrame, claims: Claims
-) -> tuple[Event | None, str] | None:
+def _gone(ref: FieldRef, base: EffectiveFrame, now: EffectiveFrame, claims: Claims) -> tuple[Event | None, str] | None:
     """Why there is nothing to correct any more, where it was taken away here since."""
     if ref.kind in ("object", "relation") and ref.field not in ("status", "exists"):
         for number in ref.numbers:
@@ -394,9 +381,7 @@ def _gone(
     return None
 
 
-def _edits(
-    group: Sequence[Claim], base: EffectiveFrame, now: EffectiveFrame, reason: str
-) -> tuple[Edit, ...]:
+def _edits(group: Sequence[Claim], base: EffectiveFrame, now: EffectiveFrame, reason: str) -> tuple[Edit, ...]:
     ref, value = group[0].ref, group[0].value
     if ref.kind == "expression" and ref.field in ANSWERS:
         return _answers({c.ref.field: c.value for c in group}, ref.key, now, reason)
@@ -428,8 +413,7 @@ def _answers(claimed: dict[str, Any], name: str, now: EffectiveFrame, reason: st
     if acceptable is None:
         acceptable = {*targets, *(set(row["acceptable"]) - set(row["targets"]))}
     elif not set(targets) <= set(acceptable):
-        if "targets" in claimed:
-            raise InputError("targets must be acceptable too", got=f"{targets} and {acceptable}")
+        require("targets" not in claimed, "targets must be acceptable too", got=f"{targets} and {acceptable}")
         targets = [n for n in targets if n in acceptable]
     made = actions.set_answers(now, name, targets, acceptable, reason)
     if "ambiguous" in claimed:
