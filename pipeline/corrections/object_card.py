@@ -155,7 +155,7 @@ def object_card(frame: EffectiveFrame, number: int) -> ObjectCard:
     InputError
         There is no such object.
     """
-    row = frame.objects.get(number) or frame.left_out.get(number)
+    row = frame.object(number)
     if row is None:
         raise InputError(f"frame {frame.frame} has no object {number}")
     box, viewer = labelled_box(row), viewer_of(frame)
@@ -241,7 +241,7 @@ def _line(frame: EffectiveFrame, number: int, field: str) -> FieldLine:
 
 def _added_by(frame: EffectiveFrame, number: int) -> str:
     """Every column of an added object comes from its adding, until it is corrected; this one cannot be."""
-    origin = frame.origins.get("objects", str(number), "frame")
+    origin = frame.noted("objects", str(number), "frame")
     return "somebody" if origin is None else str(origin.author)
 
 
@@ -355,7 +355,7 @@ def _card(
     assert row is not None
     refs = {field: FieldRef("expression", frame.frame, name, field) for field in CORRECTED_FIELDS}
     numbers = dict.fromkeys([row["target_object"], row["reference_object"], *row["targets"], *row["acceptable"]])
-    rows = {n: frame.objects.get(n) or frame.left_out.get(n) for n in numbers}
+    rows = {n: frame.object(n) for n in numbers}
     return ExpressionCard(
         frame.frame, name, row["text"], row["target"], row["relation"], row["reference"], row["target_object"],
         row["reference_object"], tuple(row["targets"]), tuple(row["acceptable"]),

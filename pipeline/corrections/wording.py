@@ -271,17 +271,17 @@ def consequences(before: EffectiveFrame, after: EffectiveFrame) -> Consequences:
         for n in sorted(new)
         if not new[n]["usable"] and (n not in old or old[n]["usable"]) and new[n]["reason"]
     )
-    told = before.origins.found
+    told = before.origins
     renewed = {
         (key, column): origin.source
-        for (table, key, column), (origin, _) in after.origins.found.items()
+        for (table, key, column), (origin, _) in after.origins.items()
         if table == "relations"
         and origin.source in ("recomputed", "stale")
         and ((table, key, column) not in told or told[table, key, column][0].event != origin.event)
     }
     human = {
         (key, column)
-        for (table, key, column), (origin, _) in after.origins.found.items()
+        for (table, key, column), (origin, _) in after.origins.items()
         if table == "relations" and origin.source == "human"
     }
     pairs = ((*map(int, key.split(",")), column) for key, column in renewed)

@@ -125,7 +125,7 @@ def gesture_of(kind: Any, points: Any, height: int, width: int, *, fractions: bo
         require(
             name not in more or (not isinstance(more[name], bool) and isinstance(more[name], (int, float))),
             f"the {name} must be a number",
-            got=repr(more[name])[:40],
+            got=repr(more.get(name))[:40],
         )
     if "radius" in more:
         more["radius"] = float(more["radius"]) * (width if fractions else 1)

@@ -58,10 +58,6 @@ def set_status(
         mine = out and frame.origin(ref).author == author
         return (*own, *set_status(frame, ref, None, reason)) if mine else own
     require(ref.field.endswith("status"), "not a status", got=ref.field)
-    if ref.kind == "object":
-        return (_object_edit(frame, ref.numbers[0], "status", status, reason),)
-    _check_expression(frame, ref)
-    _check_pair(frame, ref)
     return (_edit(frame, ref, status, reason),)
 
 
@@ -145,11 +141,7 @@ def set_relation(frame: EffectiveFrame, a: int, b: int, relation: str, state: in
     InputError
         No such pair or relation, or a state that is none.
     """
-    refs = [relation_ref(frame.frame, a, b, relation)]
-    _check_pair(frame, refs[0])
-    inverse = frame.setting.inverse(relation)
-    if inverse is not None:
-        refs.append(relation_ref(frame.frame, b, a, inverse))
+    refs = _both_ways(frame, relation_ref(frame.frame, a, b, relation))
     return tuple(_edit(frame, ref, state, reason) for ref in refs)
 
 
@@ -174,11 +166,8 @@ def judge_relation(
 
     It is "accepted" where the label says so, else "corrected", and the label stays what it is: for a second opinion.
     """
-    refs = [FieldRef("relation", frame.frame, f"{a},{b}", f"{relation}.status")]
+    refs = _both_ways(frame, relation_ref(frame.frame, a, b, f"{relation}.status"))
     _check_judged(frame, refs[0])
-    inverse = frame.setting.inverse(relation)
-    if inverse is not None:
-        refs.append(FieldRef("relation", frame.frame, f"{b},{a}", f"{inverse}.status"))
     return tuple(
         _judgement(frame, c, "accepted" if frame.value(state_ref(c)) == state else "corrected", state, author, reason)
         for c in refs
@@ -188,12 +177,8 @@ def judge_relation(
 def judge_both_ways(frame: EffectiveFrame, ref: FieldRef, status: str | None, author: str, reason: str = "") -> Edits:
     """As `judge` of a relation, and of what says the same the other way round, unless the labels contradict it."""
     _check_judged(frame, ref)
-    refs, inverse = [ref], frame.setting.inverse(ref.field.removesuffix(".status"))
-    if inverse is not None:
-        a, b = ref.numbers
-        mirror = FieldRef("relation", frame.frame, f"{b},{a}", f"{inverse}.status")
-        if frame.value(state_ref(mirror)) == frame.value(state_ref(ref)):
-            refs.append(mirror)
+    now = frame.value(state_ref(ref))
+    refs = [c for c in _both_ways(frame, ref) if frame.value(state_ref(c)) == now]
     return tuple(e for c in refs for e in judge(frame, c, status, author, reason))
 
 
@@ -226,6 +211,13 @@ def settle(frame: EffectiveFrame, ref: FieldRef, status: str, reason: str = "", 
     return (*made, _judgement(frame, ref, status, state, OF_ALL, reason))
 
 
+def _both_ways(frame: EffectiveFrame, ref: FieldRef) -> list[FieldRef]:
+    """A relation, or its status, and what says the same the other way round, where the profile has that."""
+    relation, status = state_ref(ref).field, ".status" if ref.field.endswith(".status") else ""
+    inverse, (a, b) = frame.setting.inverse(relation), ref.numbers
+    return [ref] if inverse is None else [ref, relation_ref(frame.frame, b, a, f"{inverse}{status}")]
+
+
 def state_ref(ref: FieldRef) -> FieldRef:
     """The relation that a status is of."""
     return FieldRef(ref.kind, ref.frame, ref.key, ref.field.removesuffix(".status"))
@@ -237,10 +229,7 @@ def _check_judged(frame: EffectiveFrame, ref: FieldRef) -> None:
         "only objects, relations and expressions are judged",
         got=str(ref),
     )
-    if ref.kind == "object":
-        _row(frame, ref.numbers[0])
-    _check_expression(frame, ref)
-    _check_pair(frame, ref)
+    _check(frame, ref)
 
 
 def _judgement(
@@ -303,14 +292,11 @@ def set_note(frame: EffectiveFrame, note: str | None, reason: str = "") -> Edits
 
 def set_value(frame: EffectiveFrame, ref: FieldRef, value: Any, reason: str = "") -> Edits:
     """Any one cell, as it is kept; nothing else is set with it."""
-    if ref.kind == "object" and ref.field != "exists":
-        return (_object_edit(frame, ref.numbers[0], ref.field, value, reason),)
-    _check_expression(frame, ref)
-    _check_pair(frame, ref)
     return (_edit(frame, ref, value, reason),)
 
 
 def _edit(frame: EffectiveFrame, ref: FieldRef, after: Any, reason: str) -> Edit:
+    _check(frame, ref)
     require(ref.frame == frame.frame, "an edit of another frame", got=ref.frame, expected=frame.frame)
     boxes = frame.auto.objects
     anchor = {str(n): [float(x) for x in boxes[n]["bbox"]] for n in ref.numbers if n in boxes}
@@ -318,32 +304,26 @@ def _edit(frame: EffectiveFrame, ref: FieldRef, after: Any, reason: str) -> Edit
 
 
 def _object_edit(frame: EffectiveFrame, number: int, field: str, after: Any, reason: str) -> Edit:
-    _row(frame, number)
     return _edit(frame, object_ref(frame.frame, number, field), after, reason)
 
 
 def _expression_edit(frame: EffectiveFrame, expression: str, field: str, after: Any, reason: str) -> Edit:
-    ref = FieldRef("expression", frame.frame, expression, field)
-    _check_expression(frame, ref)
-    return _edit(frame, ref, after, reason)
+    return _edit(frame, FieldRef("expression", frame.frame, expression, field), after, reason)
 
 
 def _row(frame: EffectiveFrame, number: int) -> dict[str, Any]:
-    row = frame.objects.get(number) or frame.left_out.get(number)
+    row = frame.object(number)
     if row is None:
         raise InputError(f"frame {frame.frame} has no object {number}", expected=_listed(frame.objects))
     return row
 
 
-def _check_expression(frame: EffectiveFrame, ref: FieldRef) -> None:
-    require(
-        ref.kind != "expression" or ref.key in frame.auto.expressions,
-        f"frame {frame.frame} has no such expression",
-        got=repr(ref.key),
-    )
-
-
-def _check_pair(frame: EffectiveFrame, ref: FieldRef) -> None:
+def _check(frame: EffectiveFrame, ref: FieldRef) -> None:
+    """Refuse what is of no object, expression or pair of the frame."""
+    if ref.kind == "object" and ref.field != "exists":
+        _row(frame, ref.numbers[0])
+    known = ref.kind != "expression" or ref.key in frame.auto.expressions
+    require(known, f"frame {frame.frame} has no such expression", got=repr(ref.key))
     if ref.kind != "relation":
         return
     relation = ref.field.removesuffix(".status")

@@ -8,8 +8,8 @@ from __future__ import annotations
 import threading
 from collections import Counter, OrderedDict
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -216,7 +216,7 @@ def effective_tables(
             if found.stands:
                 pieces[table].append(changed[table].cast(whole.schema))
             at[table] = stop
-        provenance += found.origins.rows()
+        provenance += found.provenance()
         unapplied += found.unapplied
         withdrawn += found.withdrawn
         statuses |= {ref: value for ref, value in found.statuses.items() if ref.field != "exists"}
@@ -249,11 +249,10 @@ def labelled_ups(frames: pa.Table) -> dict[str, LabelledUp]:
     return {name: (tuple(up), source or "assumed") for name, up, source in zip(*columns, strict=True) if up and any(up)}
 
 
-@dataclass
 class Relifter:
     """Lifts the objects of frames of one dataset; see `effective_frame.Relift`.
 
-    Attributes
+    Parameters
     ----------
     dataset : Dataset
     setting : Setting
@@ -262,33 +261,27 @@ class Relifter:
         correction is judged in the same level frame, whatever would be found now.
     """
 
-    dataset: Dataset
-    setting: Setting
-    ups: Mapping[str, LabelledUp]
-    _contexts: OrderedDict[str, PreparedFrame] = field(default_factory=OrderedDict, repr=False)
-    _lifted: dict[tuple[str, str, str], LiftedObject] = field(default_factory=dict, repr=False)
-    _network: OnnxScorer | None = field(default=None, repr=False)
+    def __init__(self, dataset: Dataset, setting: Setting, ups: Mapping[str, LabelledUp]) -> None:
+        self.dataset, self.setting, self.ups = dataset, setting, ups
+        # The lifted objects of a frame go with it.
+        self._loaded = lru_cache(maxsize=FRAMES_LOADED)(lambda frame: (self._load(frame), dict[Any, LiftedObject]()))
 
     def context(self, frame: str) -> PreparedFrame:
         """A frame of the dataset, ready to lift from; raises as `Dataset.load`."""
-        if frame not in self._contexts:
-            loaded = self.dataset.load(frame)
-            if frame in self.ups:
-                up, source = self.ups[frame]
-                loaded = replace(loaded, camera=loaded.camera.with_up(np.array(up), source))
-            self._contexts[frame] = prepare_frame(self.dataset, loaded, self.setting.config.lift)
-            while len(self._contexts) > FRAMES_LOADED:
-                gone, _ = self._contexts.popitem(last=False)
-                self._lifted = {key: value for key, value in self._lifted.items() if key[0] != gone}
-        self._contexts.move_to_end(frame)
-        return self._contexts[frame]
+        return self._loaded(frame)[0]
 
-    @property
+    def _load(self, frame: str) -> PreparedFrame:
+        loaded = self.dataset.load(frame)
+        if frame in self.ups:
+            up, source = self.ups[frame]
+            loaded = replace(loaded, camera=loaded.camera.with_up(np.array(up), source))
+        return prepare_frame(self.dataset, loaded, self.setting.config.lift)
+
+    @cached_property
     def network(self) -> OnnxScorer | None:
         """The second opinion of the labels, opened when it is first asked."""
-        if self._network is None and self.setting.config.second_opinion != NONE:
-            self._network = open_second_opinion(self.setting.config.second_opinion)
-        return self._network
+        name = self.setting.config.second_opinion
+        return None if name == NONE else open_second_opinion(name)
 
     def lifted(self, frame: str, row: Row, box: Any) -> SceneObject:
         """An object of a frame as its effective row and the 3D box that a person set have it."""
@@ -335,10 +328,11 @@ class Relifter:
     def _lift(self, context: PreparedFrame, mask: np.ndarray, source: Any) -> LiftedObject:
         import xxhash
 
-        key = context.frame.id, xxhash.xxh3_128_hexdigest(np.ascontiguousarray(mask).data), str(source)
-        if key not in self._lifted:
-            (self._lifted[key],) = lift(
+        known = self._loaded(context.frame.id)[1]
+        key = xxhash.xxh3_128_hexdigest(np.ascontiguousarray(mask).data), str(source)
+        if key not in known:
+            (known[key],) = lift(
                 context.frame.depth, context.frame.camera, [mask], context.viewer, config=context.config,
                 mask_source=source, edges=context.edges,
             )  # fmt: skip
-        return self._lifted[key]
+        return known[key]

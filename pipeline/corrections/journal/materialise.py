@@ -83,15 +83,10 @@ def _write(found: EffectiveLabels, journal: Journal, folder: Path) -> Manifest:
         ],
         "expressions": [{"frame": w.frame, "id": w.id, "text": w.text, "reason": w.reason} for w in found.withdrawn],
     }
-    write_synced(folder / UNAPPLIED_FILE, json.dumps(listed, indent=1, ensure_ascii=False).encode())
     marks = [{"frame": frame, "id": name, "mark": mark} for (frame, name), mark in sorted(found.marks.items())]
-    write_synced(folder / MARKS_FILE, json.dumps(marks, indent=1, ensure_ascii=False).encode())
-    statuses = [
-        {"kind": ref.kind, "frame": ref.frame, "key": ref.key, "field": ref.field, "value": value}
-        for ref, value in sorted(found.statuses.items())
-    ]
-    write_synced(folder / STATUSES_FILE, json.dumps(statuses, indent=1, ensure_ascii=False).encode())
-    usable = sum(found.frames.column("ok").to_pylist())
+    statuses = [{**vars(ref), "value": value} for ref, value in sorted(found.statuses.items())]
+    for name, content in ((UNAPPLIED_FILE, listed), (MARKS_FILE, marks), (STATUSES_FILE, statuses)):
+        write_synced(folder / name, json.dumps(content, indent=1, ensure_ascii=False).encode())
     manifest = was.model_copy(
         update={
             "schema_version": SCHEMA_VERSION,
@@ -99,7 +94,7 @@ def _write(found: EffectiveLabels, journal: Journal, folder: Path) -> Manifest:
             "counts": {
                 **was.counts,
                 "frames": tables["frames"].rows,
-                "frames_usable": usable,
+                "frames_usable": sum(found.frames.column("ok").to_pylist()),
                 "objects": tables["objects"].rows,
                 "pairs": tables["relations"].rows,
                 "expressions": tables["expressions"].rows,

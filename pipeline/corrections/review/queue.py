@@ -22,7 +22,7 @@ from pipeline.corrections.review.evidence import (
     read_relation_labels,
     undecided_evidence,
 )
-from pipeline.corrections.review.items import SETTLED, ItemKey
+from pipeline.corrections.review.items import SETTLED, ItemKey, Judgements
 from pipeline.corrections.review.out_of_fold import DoubtConfig, Doubts, doubt_labels
 from pipeline.corrections.review.reviewed import (
     automatic_version,
@@ -32,7 +32,6 @@ from pipeline.corrections.review.reviewed import (
     trusted_of_data,
     without_settled,
 )
-from pipeline.corrections.review.states import Judgements
 from pipeline.labels.check.linter import check_labels
 from pipeline.labels.reading import Labels
 from pipeline.training.label_data import LabelData, read_label_data

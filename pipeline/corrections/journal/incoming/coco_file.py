@@ -265,7 +265,7 @@ class _Reader:
         if number is None:
             self._new(where, row, label, pixels, box)
             return
-        was = self.base.objects.get(number) or self.base.left_out.get(number)
+        was = self.base.object(number)
         if was is None:
             raise InputError(f"frame {self.base.frame} had no object {number}", cause="a new one has no number")
         self._say(where, number, "label", label)

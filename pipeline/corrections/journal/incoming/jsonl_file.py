@@ -149,7 +149,7 @@ def _object(where: str, row: Row, frame: str, state: ExportedFrom, claims: Claim
         claims.say_new(where, frame, seed | ({"box": box} if box else {}), state)
         return
     number = _number(row, "object")
-    was = base.objects.get(number) or base.left_out.get(number)
+    was = base.object(number)
     if was is None:
         raise InputError(f"frame {frame} had no object {number}", cause="a new one has no number")
     seen.add(number)

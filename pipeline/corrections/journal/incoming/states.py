@@ -5,10 +5,11 @@ from __future__ import annotations
 import hashlib
 import json
 from bisect import bisect_right
-from collections import Counter, OrderedDict
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Any
 
 from pipeline.corrections.journal.effective import Corrector
@@ -54,7 +55,7 @@ class States:
         self._bare = Corrector(labels)
         self._open = open_dataset
         self._full: Corrector | None = None
-        self._frames: OrderedDict[tuple[str, int, bool], EffectiveFrame] = OrderedDict()
+        self._frame_after = lru_cache(maxsize=FRAMES_KEPT)(self._computed)
 
     @property
     def now(self) -> ExportedFrom:
@@ -110,15 +111,12 @@ class States:
     def _at(self, frame: str, last: int, relifted: bool) -> EffectiveFrame:
         events = self._events.get(frame, [])
         count = bisect_right([e.id for e in events], last)
-        key = frame, count, relifted and self._pixels
-        if key not in self._frames:
-            corrector = self._corrector(key[2])
-            assert corrector is not None
-            self._frames[key] = corrector.frame(frame, events[:count])
-            while len(self._frames) > FRAMES_KEPT:
-                self._frames.popitem(last=False)
-        self._frames.move_to_end(key)
-        return self._frames[key]
+        return self._frame_after(frame, count, relifted and self._pixels)
+
+    def _computed(self, frame: str, count: int, full: bool) -> EffectiveFrame:
+        corrector = self._corrector(full)
+        assert corrector is not None
+        return corrector.frame(frame, self._events.get(frame, [])[:count])
 
     def _corrector(self, full: bool) -> Corrector | None:
         if not full:
