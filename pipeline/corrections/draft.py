@@ -114,15 +114,15 @@ def with_gesture(draft: Draft, gesture: Gesture, canvas: Canvas | None = None) -
     cut = split_by_polygon if goes_around(gesture.points) else split_by_line
     # One more cut divides the part that it crosses.
     pieces: list[np.ndarray] = []
-    problem: InputError | None = None
+    problems: list[InputError] = []
     for part in draft.parts:
         try:
-            pieces += list(cut(part, gesture.points))
+            pieces += cut(part, gesture.points)
         except InputError as error:
             pieces.append(part)
-            problem = error
-    if len(pieces) == len(draft.parts) and problem is not None:
-        raise problem
+            problems.append(error)
+    if len(problems) == len(draft.parts):
+        raise problems[-1]
     return draft.after(*pieces)
 
 
@@ -175,14 +175,11 @@ def rebased(draft: Draft, frame: EffectiveFrame) -> Draft:
 
 def lifted_draft(canvas: Canvas, mask: np.ndarray) -> LiftedObject | None:
     """What a mask becomes in 3D: its points and its 3D box (camera frame), lifted as labels are; None for no pixels."""
-    if not mask.any():
-        return None
     context = canvas.context
-    found = lift(
+    return lift(
         context.frame.depth, context.frame.camera, [mask], context.viewer, config=context.config,
         mask_source="human", edges=context.edges,
-    )  # fmt: skip
-    return found[0]
+    )[0] if mask.any() else None  # fmt: skip
 
 
 def split_by_polygon(mask: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

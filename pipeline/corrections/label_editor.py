@@ -386,10 +386,9 @@ def event_lines(
             ref.kind == "expression" and ref.key == expression
         )
 
-    lines = []
-    for event in events:
-        if event.action == "edit" and wanted(event.ref):
-            last = newest[event.ulid]
-            undone, group = (last, "") if last.action == "undo" else (None, last.group)
-            lines.append(EventLine(event, undone, group if group in mine else "", event.group in unsaved))
-    return tuple(lines[::-1])
+    shown = [(e, newest[e.ulid]) for e in events if e.action == "edit" and wanted(e.ref)]
+    return tuple(
+        EventLine(e, last, "", e.group in unsaved) if last.action == "undo" else
+        EventLine(e, None, last.group if last.group in mine else "", e.group in unsaved)
+        for e, last in reversed(shown)
+    )  # fmt: skip

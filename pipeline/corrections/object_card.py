@@ -9,8 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from pipeline.corrections.journal.edits import Edits, judge, set_answers, set_status, set_value
-from pipeline.corrections.journal.effective_frame import EffectiveFrame
-from pipeline.corrections.journal.effective_objects import object_value
+from pipeline.corrections.journal.effective_frame import EffectiveFrame, object_value
 from pipeline.corrections.journal.field_refs import FieldRef, object_ref, same_value, shown_value
 from pipeline.corrections.journal.replay import Origin, statuses_of_items
 from pipeline.corrections.scene import labelled_box
@@ -194,9 +193,8 @@ def back_to_automatic(frame: EffectiveFrame, number: int, field: str, reason: st
     InputError
         There is no such object or field, the labeller had none, or nobody has changed it.
     """
-    line = object_card(frame, number).line(field) if field in FIELDS else None
-    if line is None:
-        raise InputError("an object has no such field", got=repr(field), expected=", ".join(FIELDS))
+    require(field in FIELDS, "an object has no such field", got=repr(field), expected=", ".join(FIELDS))
+    line = object_card(frame, number).line(field)
     require(line.settled, f"nobody has changed the {field} of object {number}")
     default = {"status": "", "box": "as its points make it"}.get(field, "as the labeller had it")
     return set_value(frame, object_ref(frame.frame, number, field), _automatic(frame, number, field), reason or default)
@@ -233,8 +231,7 @@ def _line(frame: EffectiveFrame, number: int, field: str) -> FieldLine:
     text = "unreviewed" if field == "status" and value is None else shown_value(ref, value)
     known = auto is not None or field in ("status", "box")
     settled = known and frame.version(ref) > 0 and origin.source == "human"
-    if field != "box":
-        settled = settled and not same_value(value, _automatic(frame, number, field) if known else None)
+    settled = settled and (field == "box" or not same_value(value, _automatic(frame, number, field)))
     automatic = None if auto is None else "unreviewed" if field == "status" else shown_value(ref, was)
     return FieldLine(field, value, text, automatic, origin, frame.version(ref), settled)
 
@@ -246,11 +243,8 @@ def _added_by(frame: EffectiveFrame, number: int) -> str:
 
 
 def _states(frame: EffectiveFrame, number: int) -> dict[str, int]:
-    at = frame.pairs.index_of(number)
-    if at is None:
-        return {"T": 0, "U": 0, "F": 0}
-    states = frame.pairs.states[at][frame.pairs.present[at]]
-    return {name: int((states == state).sum()) for name, state in (("T", T), ("U", U), ("F", F))}
+    seen = frame.pairs.states[(frame.pairs.numbers[:, None] == number) & frame.pairs.present]
+    return {name: int((seen == state).sum()) for name, state in (("T", T), ("U", U), ("F", F))}
 
 
 @dataclass(frozen=True)
@@ -369,11 +363,8 @@ def _card(
 
 def answers_with(card: ExpressionCard, number: int, certainty: Certainty) -> tuple[tuple[int, ...], tuple[int, ...]]:
     """The targets and the acceptable objects of an expression when one object is to be in, in doubt, or out."""
-    targets, acceptable = set(card.targets) - {number}, set(card.acceptable) - {number}
-    if certainty == "sure":
-        targets.add(number)
-    if certainty != "no":
-        acceptable.add(number)
+    targets = {*card.targets, number} if certainty == "sure" else {*card.targets} - {number}
+    acceptable = {*card.acceptable} - {number} if certainty == "no" else {*card.acceptable, number}
     return tuple(sorted(targets)), tuple(sorted(acceptable | targets))
 
 

@@ -177,16 +177,14 @@ def snapped(box: Box3D, support: Support, viewer: ViewerAxes, way: SnapMode = "e
     # Along the box's own axis, which need not be quite upright.
     drop = (float(bottom @ up) - support.height) / float(-down @ up)
     if way == "extend" and box.size[axis] + drop >= SMALLEST_SIDE:
-        size = box.size.copy()
-        size[axis] += drop
-        return Box3D(box.center + down * drop / 2, box.R, size)
+        return Box3D(box.center + down * drop / 2, box.R, box.size + drop * (np.arange(3) == axis))
     return Box3D(box.center + down * drop, box.R, box.size)
 
 
 def gap_below(box: Box3D, support: Support, viewer: ViewerAxes) -> float:
     """Metres between a support and the middle of the bottom of a box over it; negative where it sinks in."""
-    axis = int(np.abs(box.R.T @ viewer.up).argmax())
-    reach = abs(float(box.R[:, axis] @ viewer.up)) * box.size[axis] / 2
+    upright = np.abs(box.R.T @ viewer.up)
+    reach = upright.max() * box.size[upright.argmax()] / 2
     return float(box.center @ viewer.up) - float(reach) - support.height
 
 
@@ -257,20 +255,16 @@ def _levels(heights: np.ndarray, least: int) -> list[tuple[float, np.ndarray]]:
     """The heights where many points lie, fullest first, with the points: places in `heights`."""
     found: list[tuple[float, np.ndarray]] = []
     left = np.argsort(heights)
-    for _ in range(MOST_LEVELS):
-        if len(left) < least:
-            break
+    while len(left) >= least and len(found) < MOST_LEVELS:
         ordered = heights[left]
         stop = np.searchsorted(ordered, ordered + WINDOW_M, side="right")
-        counts = stop - np.arange(len(left))
-        first = int(counts.argmax())
-        if counts[first] < least:
-            break
+        first = int((stop - np.arange(len(left))).argmax())
         at = left[first : stop[first]]
+        if len(at) < least:
+            break
         found.append((float(np.median(heights[at])), at))
         # Its noise reaches beyond the window, and is no surface of its own.
-        keep = np.abs(ordered - found[-1][0]) > WINDOW_M
-        left = left[keep]
+        left = left[np.abs(ordered - found[-1][0]) > WINDOW_M]
     return found
 
 

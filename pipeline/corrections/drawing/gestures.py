@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
@@ -159,28 +160,26 @@ class Canvas:
     """
 
     context: PreparedFrame
-    _surface: Surface | None = field(default=None, repr=False)
-    _segmenter: Any = field(default=None, repr=False)
 
     @property
     def size(self) -> tuple[int, int]:
         """Height and width."""
         return self.context.frame.height, self.context.frame.width
 
-    @property
+    @cached_property
     def surface(self) -> Surface:
-        if self._surface is None:
-            self._surface = surface_of(self.context.frame)
-        return self._surface
+        return surface_of(self.context.frame)
 
     def inside(self, points: np.ndarray) -> np.ndarray:
         """(H, W) bool: what the depth segmenter finds between two corners (x, y, pixels)."""
-        from pipeline.proposals.depth_segmenter import DepthSegmenter
-
-        if self._segmenter is None:
-            self._segmenter = DepthSegmenter()
         box = np.sort(points, axis=0).ravel()
         return self._segmenter.segment(self.context.frame, box[None], [""])[0][0]
+
+    @cached_property
+    def _segmenter(self) -> Any:
+        from pipeline.proposals.depth_segmenter import DepthSegmenter
+
+        return DepthSegmenter()
 
 
 def drawn(gesture: Gesture, height: int, width: int, canvas: Canvas | None = None) -> np.ndarray:
@@ -201,9 +200,8 @@ def drawn(gesture: Gesture, height: int, width: int, canvas: Canvas | None = Non
         It means no pixel, or the depth is not at hand.
     """
     require(gesture.kind != "cut", "a cut means no pixels")
-    flat = _FLAT.get(gesture.kind)
-    if flat is not None:
-        mask = flat(gesture, height, width)
+    if gesture.kind in _FLAT:
+        mask = _FLAT[gesture.kind](gesture, height, width)
     elif canvas is None:
         raise InputError(f"a {gesture.kind} region needs the pictures", cause="name the dataset")
     elif gesture.kind == "surface":

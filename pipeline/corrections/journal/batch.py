@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, Union
 
@@ -186,12 +187,11 @@ def _judge(a: Any, frame: EffectiveFrame, author: str, canvas: Canvas | None) ->
 
 
 def _settle(a: Any, frame: EffectiveFrame, author: str, canvas: Canvas | None) -> Edits:
-    ref = a.ref
-    state = _STATES.get(a.to) if ref.kind == "relation" else None
+    state = _STATES.get(a.to) if a.ref.kind == "relation" else None
     if state is None:
-        return actions.settle(frame, ref, a.to, a.reason)
-    now = frame.value(actions.state_ref(ref))
-    return actions.settle(frame, ref, "accepted" if state == now else "corrected", a.reason, state)
+        return actions.settle(frame, a.ref, a.to, a.reason)
+    status = "accepted" if state == frame.value(actions.state_ref(a.ref)) else "corrected"
+    return actions.settle(frame, a.ref, status, a.reason, state)
 
 
 KINDS: dict[str, tuple[type[Action], dict[str, Any], Callable[[Any, EffectiveFrame, str, Canvas | None], Edits]]] = {
@@ -248,9 +248,9 @@ def read_actions(path: Path) -> list[Any]:
     """
     try:
         return actions_of(json.loads(Path(path).read_text(encoding="utf-8")), path)
+    except InputError:
+        raise
     except (OSError, ValueError, RecursionError) as error:
-        if isinstance(error, InputError):
-            raise
         reason = getattr(error, "strerror", None) or str(error)
         raise InputError("the edits cannot be read", got=reason, expected="a JSON list", path=path) from error
 
@@ -313,8 +313,7 @@ def apply_actions(
         except InputError as error:
             raise InputError(f"edit {k}: {error}") from error
         if action.base is not None:
-            first = made[0]
-            made = (Edit(first.ref, first.before, first.after, action.base, first.reason, first.anchor), *made[1:])
+            made = (replace(made[0], base=action.base), *made[1:])
         else:
             heads = journal.heads([e.ref for e in made])
             rivals += [Rival(e, heads[e.ref]) for e in made if e.ref in heads and heads[e.ref].author != author]
@@ -324,9 +323,7 @@ def apply_actions(
 
 def combined(mask: np.ndarray, pixels: np.ndarray, mode: Mode) -> np.ndarray:
     """A mask with other pixels added to it, taken from it, or in its place."""
-    if mode == "add":
-        return mask | pixels
-    return mask & ~pixels if mode == "remove" else pixels
+    return mask | pixels if mode == "add" else mask & ~pixels if mode == "remove" else pixels
 
 
 def needs_pictures(actions: Sequence[Any]) -> bool:

@@ -12,6 +12,7 @@ import sqlite3
 import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,6 @@ from pipeline.corrections.journal.chain import (
     VERSION,
     Head,
     Row,
-    Verdict,
     chained,
     create,
     drop_before,
@@ -34,7 +34,7 @@ from pipeline.corrections.journal.chain import (
     judged_alone,
     version_of,
 )
-from pipeline.corrections.journal.examining import Examined, examine, read_only
+from pipeline.corrections.journal.examining import Examined, examine, known_version, read_only
 from pipeline.corrections.journal.postgres import ask_for_turn, postgres_engine, state_of
 from pipeline.corrections.journal.sqlite_file import (
     BUSY_S,
@@ -89,6 +89,16 @@ def make_engine(where: str | Path) -> sa.Engine:
     if not is_url(where):
         return sqlite_engine(where, _come_instead)
     return postgres_engine(str(where))
+
+
+@contextmanager
+def opened(where: str | Path) -> Iterator[sa.Engine]:
+    """`make_engine` for as long as the block lasts."""
+    engine = make_engine(where)
+    try:
+        yield engine
+    finally:
+        engine.dispose()
 
 
 def _come_instead(path: Path) -> None:
@@ -183,15 +193,7 @@ def prepare(engine: sa.Engine) -> tuple[str, ...]:
             return (f"{location} can only be read here: its events are checked, and not chained",)
         with writing(engine) as connection:
             found = version_of(connection)
-            require(
-                found is None or found <= VERSION,
-                "the journal is of a newer release",
-                got=f"version {found}",
-                expected=f"at most {VERSION}",
-                cause="install the release that wrote it",
-                path=location,
-            )
-            require(found != 0, "the database holds something else than a journal", path=location)
+            known_version(found, location)
             if found is None:
                 create(connection, FIRST)
             elif found < VERSION:
@@ -245,17 +247,12 @@ def network_file_system(path: str | Path, mounts: str | Path = "/proc/self/mount
         lines = Path(mounts).read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
         return None
-    location = str(Path(path).expanduser().resolve())
-    found = ("", "")
-    for line in lines:
-        fields = line.split(" ")
-        if len(fields) < 3:
-            continue
-        point = _ESCAPE.sub(lambda m: chr(int(m[1], 8)), fields[1])
-        within = location == point or location.startswith(point.rstrip("/") + "/")
-        if within and len(point) >= len(found[0]):
-            found = point, fields[2]
-    return found[1] if found[1] in NETWORK_FILE_SYSTEMS else None
+    location, kind, longest = Path(path).expanduser().resolve(), "", 0
+    for fields in (line.split(" ") for line in lines):
+        point = _ESCAPE.sub(lambda m: chr(int(m[1], 8)), fields[1]) if len(fields) > 2 else ""
+        if point and location.is_relative_to(point) and len(point) >= longest:
+            kind, longest = fields[2], len(point)
+    return kind if kind in NETWORK_FILE_SYSTEMS else None
 
 
 def take_over(connection: sa.Connection, location: str) -> str:
@@ -306,18 +303,14 @@ def examined_server(connection: sa.Connection, location: str, *, chain: bool) ->
     rows = [(int(row["id"]), dict(row)) for row in connection.execute(query).mappings()]
     kept = connection.execute(sa.select(HEAD.c.events, HEAD.c.last, HEAD.c.hash)).one_or_none() if chain else None
     head = None if kept is None else Head(*kept)
-    found: Verdict = judged(rows, head) if chain else judged_alone(rows)
-    return Examined(location, 2 if chain else 1, head.events if head else len(rows), found.intact, found.damage)
+    found = judged(rows, head) if chain else judged_alone(rows)
+    return Examined(location, 2 if chain else 1, head.events if head else len(rows), *found)
 
 
 def _free(path: Path) -> Path:
     """A name beside the journal that nothing has."""
-    name = Path(f"{path}.{ORIGINAL}")
-    number = 1
-    while name.exists():
-        number += 1
-        name = Path(f"{path}.{ORIGINAL}-{number}")
-    return name
+    names = (Path(f"{path}.{ORIGINAL}{'' if number == 1 else f'-{number}'}") for number in count(1))
+    return next(name for name in names if not name.exists())
 
 
 def copy_whole(path: Path, to: Path) -> None:

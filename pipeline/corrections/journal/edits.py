@@ -49,14 +49,12 @@ def set_status(
     has left out, is set for all then.
     """
     if author is not None:
-        own = judge(frame, ref, status, author, reason)
-        if ref.kind not in ("object", "expression"):
-            return own
-        out = frame.statuses.get(ref) == "rejected"
-        if status == "rejected":
-            return own if out else (*own, *set_status(frame, ref, status, reason))
+        own, out = judge(frame, ref, status, author, reason), frame.statuses.get(ref) == "rejected"
         mine = out and frame.origin(ref).author == author
-        return (*own, *set_status(frame, ref, None, reason)) if mine else own
+        for_all = not out if status == "rejected" else mine
+        if ref.kind not in ("object", "expression") or not for_all:
+            return own
+        return (*own, *set_status(frame, ref, status if status == "rejected" else None, reason))
     require(ref.field.endswith("status"), "not a status", got=ref.field)
     return (_edit(frame, ref, status, reason),)
 
@@ -104,13 +102,9 @@ def add_object(
         got=number,
         expected=f"from {FIRST_NEW_OBJECT} on",
     )
-    seed: dict[str, Any] = {"label": label}
-    if mask is not None:
-        seed["mask"] = _code(frame, mask)
-    if bbox is not None:
-        seed["bbox"] = _within(frame, bbox)
-    if box is not None:
-        seed["box"] = box_value(box)
+    pixels = {} if mask is None else {"mask": _code(frame, mask)}
+    flat = {} if bbox is None else {"bbox": _within(frame, bbox)}
+    seed = {"label": label, **pixels, **flat, **({} if box is None else {"box": box_value(box)})}
     return (_edit(frame, object_ref(frame.frame, number, "exists"), seed, reason),)
 
 
@@ -204,8 +198,7 @@ def settle(frame: EffectiveFrame, ref: FieldRef, status: str, reason: str = "", 
         now = frame.value(state_ref(ref))
         state = now if state is None else state
         if state != now:
-            a, b = ref.numbers
-            made = set_relation(frame, a, b, ref.field.removesuffix(".status"), state, reason)
+            made = set_relation(frame, *ref.numbers, state_ref(ref).field, state, reason)  # pyright: ignore
     elif (status == "rejected") != (frame.statuses.get(ref) == "rejected"):
         made = set_status(frame, ref, status, reason)
     return (*made, _judgement(frame, ref, status, state, OF_ALL, reason))
@@ -235,12 +228,9 @@ def _check_judged(frame: EffectiveFrame, ref: FieldRef) -> None:
 def _judgement(
     frame: EffectiveFrame, ref: FieldRef, status: str | None, state: int | None, author: str, reason: str
 ) -> Edit:
-    a, b, what = -1, None, ref.key
-    if ref.kind == "object":
-        a, what = ref.numbers[0], ""
-    elif ref.kind == "relation":
-        (a, b), what = ref.numbers, ref.field.removesuffix(".status")
-    own = judgement_ref(frame.frame, ref.kind, a, b, what, author)
+    a, b = (*ref.numbers, None, None)[:2]
+    what = {"object": "", "relation": ref.field.removesuffix(".status")}.get(ref.kind, ref.key)
+    own = judgement_ref(frame.frame, ref.kind, -1 if a is None else a, b, what, author)
     return _edit(frame, own, None if status is None else {"status": status, "value": state}, reason)
 
 
@@ -348,15 +338,9 @@ def size_of(frame: EffectiveFrame) -> tuple[int, int]:
 
 def _code(frame: EffectiveFrame, mask: np.ndarray | str) -> str:
     size = size_of(frame)
-    if isinstance(mask, str):
-        pixels = decode_run_length(size, mask)
-    else:
-        pixels = mask
-        require(
-            pixels.dtype == np.bool_ and pixels.shape == size,
-            f"a mask must be bool {size}",
-            got=f"{pixels.dtype} {pixels.shape}",
-        )
+    pixels = decode_run_length(size, mask) if isinstance(mask, str) else mask
+    sound = pixels.dtype == np.bool_ and pixels.shape == size
+    require(sound, f"a mask must be bool {size}", got=f"{pixels.dtype} {pixels.shape}")
     require(pixels.any(), "the mask is empty")
     return mask if isinstance(mask, str) else encode_run_length(pixels)
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import threading
 from collections import Counter, OrderedDict
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any
@@ -15,13 +15,22 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.answering.objects import PreparedFrame, SceneObject, pixels_inside, prepare_frame
-from pipeline.corrections.journal.effective_expressions import Withdrawn
-from pipeline.corrections.journal.effective_frame import EffectiveFrame, effective_frame
+from pipeline.corrections.journal.effective_expressions import correct_expressions
+from pipeline.corrections.journal.effective_frame import BOX_COLUMNS, EffectiveFrame, Row, Withdrawn
+from pipeline.corrections.journal.effective_objects import DERIVED, OF_BOX, correct_objects, correct_pairs, unusable
 from pipeline.corrections.journal.events import Event
 from pipeline.corrections.journal.field_refs import FieldRef, box_of, judged_item
 from pipeline.corrections.journal.frame_rows import FrameIndex, FrameRows, Pairs, Setting, setting_of
 from pipeline.corrections.journal.journal import Journal
-from pipeline.corrections.journal.replay import Unapplied, all_gone, by_ref, provenance_schema
+from pipeline.corrections.journal.replay import (
+    Origin,
+    Unapplied,
+    all_gone,
+    by_ref,
+    provenance_schema,
+    replay,
+    replayed_judgement,
+)
 from pipeline.datasets import Dataset
 from pipeline.geometry.camera import UpSource
 from pipeline.geometry.lifting import LiftedObject, lift
@@ -45,7 +54,9 @@ FRAMES_KEPT = 8
 """Effective frames that a corrector keeps: the one that is looked at, and those next in a queue."""
 GEOMETRY = ("bbox", "mask", "center")
 """Columns of which a correction makes another object of what the dataset annotates."""
-Row = dict[str, Any]
+Relift = Callable[[FrameRows, Mapping[int, Row], Mapping[int, Any], Iterable[int]], tuple[dict[int, Row], Pairs]]
+"""Lifts and judges the objects of a frame anew, from the dataset: of its automatic rows, all standing objects, the 3D
+boxes (JSON values) that people set, and the objects whose 2D box is not to follow from their mask."""
 LabelledUp = tuple[tuple[float, ...], UpSource]
 FRAMES_LOADED = 4
 """Frames that stay loaded: who corrects one goes on correcting it."""
@@ -250,7 +261,7 @@ def labelled_ups(frames: pa.Table) -> dict[str, LabelledUp]:
 
 
 class Relifter:
-    """Lifts the objects of frames of one dataset; see `effective_frame.Relift`.
+    """Lifts the objects of frames of one dataset; see `Relift`.
 
     Parameters
     ----------
@@ -336,3 +347,95 @@ class Relifter:
                 mask_source=source, edges=context.edges,
             )  # fmt: skip
         return known[key]
+
+
+def effective_frame(
+    auto: FrameRows, events: Iterable[Event], setting: Setting, relift: Relift | None = None
+) -> EffectiveFrame:
+    """Apply the events of a frame to its automatic labels.
+
+    Parameters
+    ----------
+    auto : FrameRows
+    events : iterable of Event
+        Of this frame, in the order of their saving.
+    setting : Setting
+    relift : Relift, optional
+        Without it, what follows from new pixels or boxes is marked stale.
+
+    Raises
+    ------
+    InputError
+        The dataset was asked for, and the frame cannot be loaded.
+    """
+    events = tuple(events)
+    refs = by_ref(events)
+    frame = EffectiveFrame(auto, setting, auto.pairs, events[-1].id if events else 0)
+    correct_objects(frame, refs)
+    relifted = _lift(frame, relift)
+    _rename(frame)
+    correct_pairs(frame, refs, relifted)
+    cause = max((e for e in events if e.ref in frame.versions), key=lambda e: e.id, default=None)
+    correct_expressions(frame, refs, cause)
+    known = {n: row["bbox"] for n, row in auto.objects.items()}
+    for ref, members in refs.items():
+        if ref.kind == "review":
+            # A judgement is of labels, and never one itself: nothing follows from it.
+            after = replayed_judgement(ref, members, known, {*frame.objects, *frame.left_out}, auto.expressions)
+        elif ref.kind == "frame":
+            after = replay(None, members)
+        else:
+            continue
+        if frame.note(members, after).value is not None:
+            frame.statuses[ref] = after.value
+            if ref.kind == "frame" and after.event is not None:
+                frame.put("frames", "", ref.field, Origin.of("human", after.event))
+    frame.row = {**auto.row, "objects": len(frame.objects)}
+    frame.unapplied = tuple(sorted(frame.unapplied, key=lambda u: u.event.id))
+    return frame
+
+
+def _lift(frame: EffectiveFrame, relift: Relift | None) -> Pairs | None:
+    """Bring up to date what follows from pixels and boxes, or mark it stale; the relations where they were judged."""
+    auto, background = frame.auto, frame.setting.config.is_background
+    newly_related = any(
+        n in auto.objects and background(auto.objects[n]["label"]) and not background(frame.objects[n]["label"])
+        for n in frame.renamed
+        if n in frame.objects
+    )
+    if not frame.geometry and not newly_related:
+        return None
+    lifted: dict[int, Row] = {}
+    relifted = None
+    if relift is not None:
+        lifted, relifted = relift(auto, frame.objects, frame.boxes, frame.human_bbox)
+    pixels = {"mask", "mask_source", "bbox"}
+    for number, event in frame.geometry.items():
+        if number not in frame.objects:
+            continue
+        row, key, was = frame.objects[number], str(number), auto.objects.get(number, {})
+        origin = Origin.of("stale" if relift is None else "recomputed", event)
+        only_box = number in frame.boxes and frame.noted("objects", key, "mask") is None and number in auto.objects
+        new = {**row, **{c: lifted[number][c] for c in (*DERIVED, *pixels)}} if lifted else row
+        for column in (*(OF_BOX if only_box else DERIVED), *(pixels - {c for c in row if new[c] == row[c]})):
+            noted = frame.noted("objects", key, column)
+            by_hand = noted is not None and noted.source == "human" and (number in auto.objects or column == "label")
+            if not by_hand and not (column in BOX_COLUMNS and number in frame.boxes):
+                frame.put("objects", key, column, origin, was.get(column))
+        if row["mask_source"] == "human" and number not in frame.human_bbox:
+            frame.put("objects", key, "bbox", Origin.of("recomputed", event), was.get("bbox"))
+        frame.objects[number] = new
+    return relifted
+
+
+def _rename(frame: EffectiveFrame) -> None:
+    """Background classes are not asked for; what was one may be."""
+    for number, event in frame.renamed.items():
+        row = frame.objects.get(number)
+        if row is None or row["reason"] == "not lifted yet":
+            continue
+        reason = unusable(row, frame.setting)
+        if reason != row["reason"] and "background" in (reason, row["reason"]):
+            for column, value in (("usable", reason is None), ("reason", reason)):
+                frame.put("objects", str(number), column, Origin.of("recomputed", event), row[column])
+                row[column] = value

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pipeline.corrections.journal.effective_frame import EffectiveFrame, Row, Withdrawn
 from pipeline.corrections.journal.events import Event
 from pipeline.corrections.journal.field_refs import FieldRef
 from pipeline.corrections.journal.frame_rows import Pairs
@@ -18,32 +17,9 @@ from pipeline.language.relation_names import PAIRWISE
 from pipeline.relations.relations import T, U
 from pipeline.system.errors import InputError
 
-if TYPE_CHECKING:
-    from pipeline.corrections.journal.effective_frame import EffectiveFrame
-
-Row = dict[str, Any]
 SETS = ("targets", "acceptable", "ambiguous")
 OPEN_FIELDS = ("text", *SETS)
 """The columns that a person may set."""
-
-
-@dataclass(frozen=True)
-class Withdrawn:
-    """An expression that is left out of the effective labels.
-
-    Attributes
-    ----------
-    frame, id, text : str
-    reason : str
-    row : dict
-        As it would stand, with what people set.
-    """
-
-    frame: str
-    id: str
-    text: str
-    reason: str
-    row: Row = field(default_factory=dict, compare=False, repr=False)
 
 
 class Answers:

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from pipeline.corrections.journal.effective_frame import BOX_COLUMNS, EffectiveFrame, Row, object_value
 from pipeline.corrections.journal.events import Event
 from pipeline.corrections.journal.field_refs import FieldRef, box_of, object_ref, same_value
 from pipeline.corrections.journal.frame_rows import MATRICES, NO_STATE, FrameRows, Pairs, Setting
@@ -22,11 +23,6 @@ from pipeline.geometry.masks import decode_crop
 from pipeline.language.relation_names import INVERSE, PAIRWISE
 from pipeline.relations.relations import F, T
 
-if TYPE_CHECKING:
-    from pipeline.corrections.journal.effective_frame import EffectiveFrame
-
-Row = dict[str, Any]
-BOX_COLUMNS = ("center", "R", "size")
 DERIVED = (
     "mask_pixels", "points", "kept", "depth_missing", "touches_border", "fallback", "distance", *BOX_COLUMNS,
     "yaw_confidence", "pca_center", "pca_R", "pca_size", "lo", "hi", "centroid", "occluded", "usable", "reason",
@@ -132,13 +128,6 @@ def mask_facts(code: str, auto: FrameRows) -> tuple[list[float], int]:
     """The rectangle around a mask, and how many pixels it has; InputError where it is of another size."""
     crop = decode_crop((auto.row["height"], auto.row["width"]), code, f"a mask of frame {auto.frame}")
     return [float(x) for x in crop.box], int(crop.mask.sum())
-
-
-def object_value(row: Row, name: str) -> Any:
-    """The value of an object's cell in a row of the table `objects`."""
-    if name == "box":
-        return None if row["center"] is None else {column: row[column] for column in BOX_COLUMNS}
-    return None if name in ("status", "exists") else row[name]
 
 
 def new_row(number: int, seed: Mapping[str, Any], auto: FrameRows, setting: Setting) -> Row:

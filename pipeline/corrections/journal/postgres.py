@@ -176,12 +176,9 @@ def password_in_file(wanted: tuple[str, str, str, str], path: Path | None = None
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError):
         return None
-    for line in lines:
-        raw = _FIELD.findall(line)[:5]
+    for raw in (_FIELD.findall(line)[:5] for line in lines if not line.startswith("#")):
         fields = [re.sub(r"\\(.)", r"\1", f) for f in raw]
-        if line.startswith("#") or len(fields) < 5:
-            continue
-        if all(r == "*" or f == w for r, f, w in zip(raw, fields, wanted, strict=False)):
+        if len(raw) == 5 and all(r == "*" or f == w for r, f, w in zip(raw, fields, wanted, strict=False)):
             return fields[4]
     return None
 
@@ -361,8 +358,7 @@ class Server:
         try:
             link = connect()
         except Exception as error:
-            self.know(error)
-            return
+            return self.know(error)
         self.know(None)
         with suppress(Exception):
             link.close()

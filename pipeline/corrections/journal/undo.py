@@ -156,8 +156,7 @@ def _of_group(journal: Journal, author: str, action: Turn, group: str) -> tuple[
 def _take_back(
     journal: Journal, author: str, action: Turn, group: str | None, again: str | None
 ) -> Saved | Conflict | None:
-    saved = () if again is None else journal.events(group=again)
-    if saved:
+    if again is not None and (saved := journal.events(group=again)):
         return Saved(saved)
     members = newest(journal, author, action) if group is None else _of_group(journal, author, action, group)
     if members is None:

@@ -176,7 +176,6 @@ def bench_review(
     for k in range(config.seeds):
         runs.append(measure_recovery(truth, test, config, config.seed + k))
         tell("seeds", k + 1, config.seeds)
-    records = [run.record() for run in runs]
     lost = sum(run.f1["clean"] - run.f1["planted"] for run in runs)
     back = {s: sum(run.f1[s] - run.f1["planted"] for run in runs) for s in ("mended", "again")}
     mean = {
@@ -198,7 +197,7 @@ def bench_review(
         "again": config.again,
         "pairs": sum(len(f.rows) * (len(f.rows) - 1) for f in truth.frames),
         "mean": mean,
-        "runs": records,
+        "runs": [run.record() for run in runs],
     }
 
 
@@ -248,18 +247,13 @@ def measure_recovery(truth: LabelData, test: LabelData, config: ReviewBenchConfi
     seconds = time.perf_counter() - start
     looked = _looked_at(first, np.zeros(right.shape, np.bool_), config.top)
     mended = _mended(planted, looked)
-    f1 = {
-        "clean": _mean_f1(truth, test, train, config.networks),
-        "planted": _mean_f1(planted.data, test, train, config.networks),
-        "mended": _mean_f1(mended, test, train, config.networks),
-    }
-    found = looked
+    measured, found = {"clean": truth, "planted": planted.data, "mended": mended}, looked
     if config.again:
         trusted = unstacked(looked, [len(f.rows) for f in truth.frames])
         found = looked | _looked_at(doubt_labels(mended, doubts, trusted=trusted), looked, config.again)
-        f1["again"] = _mean_f1(_mended(planted, found), test, train, config.networks)
-    else:
-        f1["again"] = f1["mended"]
+        measured["again"] = _mended(planted, found)
+    f1 = {name: _mean_f1(data, test, train, config.networks) for name, data in measured.items()}
+    f1.setdefault("again", f1["mended"])
     count = int(planted.flipped.sum())
     return Recovery(
         int((right != U).sum()),

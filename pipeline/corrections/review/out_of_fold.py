@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import count
 from typing import Literal
 
 import numpy as np
@@ -136,14 +137,8 @@ def doubt_labels(
     )
     train = replace(config.train, vocabulary=REVIEWED)
     folds = make_folds([f.key for f in data.frames], config.folds, train.seed)
-    tell = progress or (lambda done, of: None)
-    done, total = 0, config.passes * len(folds)
-
-    def trained() -> None:
-        nonlocal done
-        done += 1
-        tell(done, total)
-
+    done, total = count(1), config.passes * len(folds)
+    trained = None if progress is None else lambda: progress(next(done), total)
     learnt_from, found, wrong, noise = data.frames, (), (), {}
     for number in range(config.passes):
         if number:
@@ -234,19 +229,17 @@ def _wrong(
 
 def stacked(matrices: Sequence[np.ndarray]) -> np.ndarray:
     """(P, R) cells of the pairs of different objects of all frames, from (N, N, R) of each."""
-    rows = [m[~np.eye(len(m), dtype=np.bool_)] for m in matrices]
-    return np.concatenate(rows)
+    return np.concatenate([m[~np.eye(len(m), dtype=np.bool_)] for m in matrices])
 
 
 def unstacked(cells: np.ndarray, sizes: Sequence[int]) -> tuple[np.ndarray, ...]:
     """The reverse of `stacked` for frames of so many objects; diagonals are NaN, or 0 where there is none."""
-    found, start = [], 0
-    for n in sizes:
-        matrix = np.full((n, n, cells.shape[1]), np.nan if cells.dtype.kind == "f" else 0, cells.dtype)
-        matrix[~np.eye(n, dtype=np.bool_)] = cells[start : start + n * (n - 1)]
-        start += n * (n - 1)
-        found.append(matrix)
-    return tuple(found)
+    nothing = np.nan if cells.dtype.kind == "f" else 0
+    found = tuple(np.full((n, n, cells.shape[1]), nothing, cells.dtype) for n in sizes)
+    ends = np.cumsum([n * (n - 1) for n in sizes])
+    for matrix, own in zip(found, np.split(cells, ends[:-1]), strict=True):
+        matrix[~np.eye(len(matrix), dtype=np.bool_)] = own
+    return found
 
 
 @dataclass(frozen=True, eq=False)

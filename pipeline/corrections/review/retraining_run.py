@@ -155,13 +155,12 @@ def run_retraining(job: RetrainingJob, progress: Progress | None = None) -> Retr
             labels, mended, folder / NETWORK, job.config,
             progress=lambda name, epoch: tell(name, epoch.number, epochs),
         )  # fmt: skip
-        current = _current(run)
+        # The network in use: the run's, else the shipped one.
+        current = OnnxScorer(shipped_network()) if run is None else run.source.scorer
         in_use = None
-        if current is not None:
+        if isinstance(current, OnnxScorer):
             in_use = compare_with(current, folder / NETWORK, labels, mended, job.config, retraining.cards[1])
-        comparisons: tuple[Comparison | None, Comparison | None] = None, None
-        if run is not None:
-            comparisons = _replay(run, folder, job.workers, tell)
+        comparisons = (None, None) if run is None else _replay(run, folder, job.workers, tell)
     return RetrainingRun(Path(job.out), corrections, retraining, in_use, *comparisons)
 
 
@@ -170,14 +169,6 @@ def _mend(job: RetrainingJob, labels: Labels, folder: Path) -> tuple[Labels, dic
         manifest, found = materialise(labels, journal, folder, dataset=job.corrected_dataset(labels))
     require(found.events, "nothing was corrected yet", cause="is this the journal of these labels?", path=labels.root)
     return open_labels(folder), dict(manifest.corrections or {})
-
-
-def _current(run: Run | None) -> OnnxScorer | None:
-    """The network in use: the run's, else the shipped one; None where the run uses the rule."""
-    if run is None:
-        return OnnxScorer(shipped_network())
-    scorer = run.source.scorer
-    return scorer if isinstance(scorer, OnnxScorer) else None
 
 
 def compare_with(

@@ -238,7 +238,6 @@ def write_queue(queue: pa.Table, path: Path) -> None:
     InputError
         It cannot be written.
     """
-    path = Path(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_table(queue, path)
@@ -312,9 +311,8 @@ def _check_columns(queue: pa.Table, path: Path) -> None:
             got=queue.column(name).null_count,
             path=path,
         )
-    strange = [k for k in queue.column("kind").unique().to_pylist() if k not in KINDS]
-    if strange:
-        raise InputError("the queue holds an unknown kind of item", got=repr(strange[0])[:60], path=path)
+    strange = next((k for k in queue.column("kind").unique().to_pylist() if k not in KINDS), None)
+    require(strange is None, "the queue holds an unknown kind of item", got=repr(strange)[:60], path=path)
     keys = item_keys(queue)
     require(len(set(keys)) >= len(keys), "the queue holds an item twice", path=path)
 

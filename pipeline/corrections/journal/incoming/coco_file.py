@@ -14,7 +14,7 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,7 +23,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from pipeline.corrections.journal.effective_frame import EffectiveFrame
+from pipeline.corrections.journal.effective_frame import EffectiveFrame, Row
 from pipeline.corrections.journal.field_refs import FieldRef, object_ref
 from pipeline.corrections.journal.incoming.states import Claims
 from pipeline.geometry.boxes import iou_2d
@@ -39,7 +39,6 @@ WITHIN = 0.9
 ROUNDED = 0.02
 """Pixels by which a 2D box may differ and be the same: tools write two decimals."""
 _NAMED = re.compile(r"(?:.*[/\\])?(\d{6,})\.\w+")
-Row = dict[str, Any]
 LONGEST_OUTLINE = 2e6
 """Pixels that all polygons of an object may run through: rasterising takes memory in proportion."""
 
@@ -287,33 +286,27 @@ class _Reader:
             # Exported as the corners of its 2D box: what moves them moves the box.
             return is_rectangle(row["segmentation"])
         before = decode_run_length(self.size, was["mask"])
-        if isinstance(row.get("segmentation"), list):
-            return same_outline(before, pixels, self.outline)
-        return bool((before == pixels).all())
+        polygons = isinstance(row.get("segmentation"), list)
+        return same_outline(before, pixels, self.outline) if polygons else bool((before == pixels).all())
 
     def _rectangle(self, where: str, row: Row, number: int, was: Row, drawn: np.ndarray | None) -> None:
         """The 2D box, where it was changed on purpose: that of a new mask follows from it."""
         if "bbox" not in row:
             return
         box, before = rectangle_of(row["bbox"]), list(was["bbox"])
-        if _near(box, before, ROUNDED):
-            drawn_as = row.get("segmentation")
-            if was["mask"] is None and is_rectangle(drawn_as):
-                box = bounds_of(polygons_of(drawn_as)[0])
-            if _near(box, before, ROUNDED):
-                own = row.get("bbox_xyxy")
-                if own is None or own == before:
-                    return
-                box = own
-        # The box around the pixels that the file has follows from them, and was not moved.
         slack, outline = max(self.outline, 1), row.get("segmentation")
-        if drawn is not None and _near(box, list(MaskCrop(0, 0, drawn).box), slack):
-            return
-        if outline and isinstance(outline, list) and was["mask"] is not None:
-            corners = np.concatenate(polygons_of(outline))
-            if _near(box, before, slack) or _near(box, bounds_of(corners), slack):
+        if _near(box, before, ROUNDED) and was["mask"] is None and is_rectangle(outline):
+            box = bounds_of(polygons_of(outline)[0])
+        if _near(box, before, ROUNDED):
+            box = row.get("bbox_xyxy")
+            if box is None or box == before:
                 return
-        self._say(where, number, "bbox", box)
+        # The box around the pixels that the file has follows from them, and was not moved.
+        around: list[Sequence[float]] = [] if drawn is None else [list(MaskCrop(0, 0, drawn).box)]
+        if outline and isinstance(outline, list) and was["mask"] is not None:
+            around += [before, bounds_of(np.concatenate(polygons_of(outline)))]
+        if not any(_near(box, other, slack) for other in around):
+            self._say(where, number, "bbox", box)
 
     def _new(self, where: str, row: Row, label: str, pixels: np.ndarray | None, box: Any) -> None:
         if row.get("iscrowd") == 1 and not self.crowds:
@@ -335,7 +328,7 @@ def bounds_of(corners: np.ndarray) -> list[float]:
     return [*corners.min(axis=0).tolist(), *corners.max(axis=0).tolist()]
 
 
-def _near(one: list[float], other: list[float], slack: float) -> bool:
+def _near(one: Sequence[float], other: Sequence[float], slack: float) -> bool:
     return all(math.isclose(x, y, abs_tol=slack, rel_tol=0) for x, y in zip(one, other, strict=True))
 
 
@@ -433,5 +426,5 @@ def is_rectangle(segmentation: Any) -> bool:
     (corners,) = polygons_of(segmentation)
     if len(corners) == 5 and (corners[0] == corners[4]).all():
         corners = corners[:4]
-    xs, ys = np.unique(corners[:, 0]), np.unique(corners[:, 1])
-    return len(corners) == 4 and len(xs) == len(ys) == 2 and len(np.unique(corners, axis=0)) == 4
+    sides = [len(np.unique(line)) for line in corners.T]
+    return len(corners) == 4 and sides == [2, 2] and len(np.unique(corners, axis=0)) == 4

@@ -14,11 +14,11 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from pipeline.corrections.journal.effective_frame import EffectiveFrame
-from pipeline.corrections.journal.effective_objects import BOX_COLUMNS
+from pipeline.corrections.journal.effective_frame import BOX_COLUMNS, EffectiveFrame, Row
 from pipeline.corrections.journal.field_refs import FieldRef, object_ref, relation_ref, same_value
 from pipeline.corrections.journal.incoming.coco_file import (
     base_of,
@@ -37,7 +37,6 @@ from pipeline.labels.schema import TABLES
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.system.errors import InputError, require
 
-Row = dict[str, Any]
 StateOf = Callable[[Any], ExportedFrom]
 """The state that a row's `base` names; InputError where it is not to be used."""
 _TEXTS = ("text", "targets", "acceptable", "ambiguous", "status", "mark")
@@ -96,16 +95,14 @@ def _rows(path: Path, claims: Claims) -> Iterator[tuple[str, Row]]:
                 where = f"{path.name} line {number}"
                 if len(line) == BLOCK:
                     raise InputError(f"line {number} is too long", expected=f"at most {BLOCK} characters", path=path)
-                if not line.strip():
-                    continue
                 try:
-                    row = json.loads(line, parse_constant=no_number)
+                    row = json.loads(line, parse_constant=no_number) if line.strip() else None
                 except (ValueError, RecursionError) as error:
                     claims.problem(where, f"not JSON: {str(error)[:80]}")
                     continue
                 if isinstance(row, dict):
                     yield where, row
-                else:
+                elif line.strip():
                     claims.problem(where, f"a row is an object of JSON, got {type(row).__name__}")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError("the file cannot be read", got=str(error)[:100], path=path) from error
@@ -164,14 +161,11 @@ def _object(where: str, row: Row, frame: str, state: ExportedFrom, claims: Claim
 
 def same_mask(code: Any, was: str | None, size: tuple[int, int]) -> bool:
     """Whether two codes are of the same pixels; one that is none is of no others."""
-    if code == was:
-        return True
-    if not isinstance(code, str) or was is None:
-        return False
-    try:
+    if code == was or not isinstance(code, str) or was is None:
+        return code == was
+    with suppress(InputError):
         return bool((decode_run_length(size, code) == decode_run_length(size, was)).all())
-    except InputError:
-        return False
+    return False
 
 
 def check_pair(base: EffectiveFrame, a: int, b: int) -> None:
