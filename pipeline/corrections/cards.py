@@ -18,7 +18,7 @@ from pipeline.geometry.boxes import Box3D
 from pipeline.labels.labelling import judge_list
 from pipeline.language.relation_names import INVERSE, PAIRWISE
 from pipeline.relations.relations import F, T, U, letter
-from pipeline.system.errors import InputError
+from pipeline.system.errors import require
 
 ASKED_BEYOND_M = 0.1
 """A judgement that geometry contradicts by more metres than this is asked about before it is saved."""
@@ -115,10 +115,8 @@ def pair_card(frame: EffectiveFrame, a: int, b: int) -> PairCard:
         There is no such object, or both are the same.
     """
     for number in (a, b):
-        if number not in frame.objects:
-            raise InputError(f"frame {frame.frame} has no object {number}")
-    if a == b:
-        raise InputError("an object has no relation to itself", got=a)
+        require(number in frame.objects, f"frame {frame.frame} has no object {number}")
+    require(a != b, "an object has no relation to itself", got=a)
     names = frame.objects[a]["label"], frame.objects[b]["label"]
     pairs = frame.pairs
     i, j = pairs.index_of(a), pairs.index_of(b)
@@ -126,23 +124,19 @@ def pair_card(frame: EffectiveFrame, a: int, b: int) -> PairCard:
         gone = a if i is None else b
         row = frame.objects[gone]
         return PairCard(frame.frame, a, b, names, None, (), f"{row['label']}·{gone}: {row['reason'] or 'not usable'}")
-    lines = []
-    for relation in frame.setting.relations:
-        ref = relation_ref(frame.frame, a, b, relation)
-        status = relation_ref(frame.frame, a, b, f"{relation}.status")
-        k = PAIRWISE.index(relation)
-        lines.append(
-            RelationLine(
-                relation, pairs.state(a, b, relation), _number(pairs.margins[i, j, k]), frame.origin(ref),
-                frame.statuses.get(status), frame.version(ref),
-            )
-        )  # fmt: skip
-    return PairCard(frame.frame, a, b, names, _number(pairs.distance[i, j]), tuple(lines))
+    refs = {relation: relation_ref(frame.frame, a, b, relation) for relation in frame.setting.relations}
+    lines = tuple(
+        RelationLine(
+            relation, pairs.state(a, b, relation), _number(pairs.margins[i, j, PAIRWISE.index(relation)]),
+            frame.origin(ref), frame.statuses.get(replace(ref, field=f"{relation}.status")), frame.version(ref),
+        )
+        for relation, ref in refs.items()
+    )  # fmt: skip
+    return PairCard(frame.frame, a, b, names, _number(pairs.distance[i, j]), lines)
 
 
 def _number(value: Any) -> float | None:
-    found = float(value)
-    return found if found == found else None
+    return None if np.isnan(value) else float(value)
 
 
 @dataclass(frozen=True)
@@ -200,21 +194,16 @@ class MovingBox:
         self._relifter = corrector.relifter
         self._card = None
         self._lifted: dict[int, SceneObject] = {}
-        if number not in frame.objects:
-            raise InputError(f"frame {frame.frame} has no object {number} that stands")
+        require(number in frame.objects, f"frame {frame.frame} has no object {number} that stands")
         if pair is None or number not in pair or self._relifter is None:
             return
         card = pair_card(frame, *pair)
         if card.why_none:
             return
         self._card = card
-        for n in pair:
-            box = frame.value(object_ref(frame.frame, n, "box"))
-            self._lifted[n] = self._lift(n, box if self._is_set(n) else None)
-
-    def _is_set(self, number: int) -> bool:
-        """Whether a person placed the box of an object."""
-        return self.frame.origin(object_ref(self.frame.frame, number, "box")).source == "human"
+        refs = {n: object_ref(frame.frame, n, "box") for n in pair}
+        by_hand = {n: frame.value(ref) for n, ref in refs.items() if frame.origin(ref).source == "human"}
+        self._lifted = {n: self._lift(n, by_hand.get(n)) for n in pair}
 
     def _lift(self, number: int, box: Any) -> SceneObject:
         assert self._relifter is not None
@@ -230,8 +219,7 @@ class MovingBox:
         card = self._card
         if card is None or self._relifter is None:
             return Moved(self.number, box, None, (), perf_counter() - start)
-        objects = dict(self._lifted)
-        objects[self.number] = self._lift(self.number, box_value(box))
+        objects = {**self._lifted, self.number: self._lift(self.number, box_value(box))}
         numbers = sorted(objects)
         context, config = self._relifter.context(self.frame.frame), self._relifter.setting.config
         judged = judge_list(context, [objects[n] for n in numbers], config, self._relifter.network)
@@ -248,19 +236,12 @@ class MovingBox:
 
     def _line(self, line: RelationLine, state: int, margin: float) -> RelationLine:
         """A relation judged anew: what a person said of it stands, and what that rules out."""
-        if line.origin.source == "human":
-            state, fixed = (NO_STATE if line.state is None else line.state), True
-        else:
-            fixed = state == T and self._ruled_out(line.relation)
-            state = F if fixed else state
-        if fixed and not ((state == T and margin > 0) or (state == F and margin < 0)):
+        human = line.origin.source == "human"
+        ruled_out = not human and state == T and self._ruled_out(line.relation)
+        now = line.state if human else F if ruled_out else None if state == NO_STATE else state
+        if (human or ruled_out) and not ((now == T and margin > 0) or (now == F and margin < 0)):
             margin = 0.0
-        return replace(
-            line,
-            state=None if state == NO_STATE else state,
-            margin=None if state == NO_STATE else margin,
-            origin=line.origin if line.origin.source == "human" else MOVED,
-        )
+        return replace(line, state=now, margin=None if now is None else margin, origin=line.origin if human else MOVED)
 
     def _ruled_out(self, relation: str) -> bool:
         """Whether a person said that the opposite holds, or the same the other way round."""

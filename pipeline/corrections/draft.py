@@ -18,7 +18,7 @@ from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.field_refs import FieldRef, object_ref
 from pipeline.geometry.lifting import LiftedObject, lift
 from pipeline.geometry.masks import decode_run_length, encode_run_length
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 MOST_STEPS = 500
 LEAST_PIXELS, LEAST_SHARE = 30, 0.03
@@ -87,8 +87,7 @@ class Draft:
         step = tuple(encode_run_length(np.ascontiguousarray(p)) for p in parts)
         if step == self.steps[self.at]:
             return self
-        if self.at + 1 > MOST_STEPS:
-            raise InputError("too many steps", got=MOST_STEPS, cause="apply what is drawn")
+        require(self.at + 1 <= MOST_STEPS, "too many steps", got=MOST_STEPS, cause="apply what is drawn")
         return replace(self, steps=(*self.steps[: self.at + 1], step), at=self.at + 1)
 
 
@@ -109,30 +108,27 @@ def with_gesture(draft: Draft, gesture: Gesture, canvas: Canvas | None = None) -
         The gesture means nothing here.
     """
     if gesture.kind != "cut":
-        if len(draft.parts) > 1:
-            raise InputError("the object is cut", cause="apply the parts, or take the cut back, then draw")
+        require(len(draft.parts) <= 1, "the object is cut", cause="apply the parts, or take the cut back, then draw")
         return draft.after(applied(draft.mask, gesture, canvas))
-    if draft.number is None:
-        raise InputError("a new object cannot be cut yet", cause="apply it first")
+    require(draft.number is not None, "a new object cannot be cut yet", cause="apply it first")
     cut = split_by_polygon if goes_around(gesture.points) else split_by_line
     # One more cut divides the part that it crosses.
     pieces: list[np.ndarray] = []
-    problem: InputError | None = None
+    problems: list[InputError] = []
     for part in draft.parts:
         try:
-            pieces += list(cut(part, gesture.points))
+            pieces += cut(part, gesture.points)
         except InputError as error:
             pieces.append(part)
-            problem = error
-    if len(pieces) == len(draft.parts) and problem is not None:
-        raise problem
+            problems.append(error)
+    if len(problems) == len(draft.parts):
+        raise problems[-1]
     return draft.after(*pieces)
 
 
 def with_depth_split(draft: Draft, canvas: Canvas) -> Draft:
     """A draft split where the object's depth comes apart; raises as `split_by_depth`."""
-    if draft.number is None:
-        raise InputError("a new object cannot be cut yet", cause="apply it first")
+    require(draft.number is not None, "a new object cannot be cut yet", cause="apply it first")
     return draft.after(*split_by_depth(draft.mask, canvas.context.frame.depth))
 
 
@@ -151,18 +147,15 @@ def edits_of_draft(draft: Draft, frame: EffectiveFrame, label: str = "") -> Edit
     InputError
         Nothing has changed, no pixel is left, a new object has no class, or somebody else has changed the pixels.
     """
-    if draft.frame != frame.frame:
-        raise InputError("the draft is of another frame", got=draft.frame, expected=frame.frame)
+    require(draft.frame == frame.frame, "the draft is of another frame", got=draft.frame, expected=frame.frame)
     parts = draft.parts
     if not all(p.any() for p in parts):
         what = "nothing is drawn yet" if draft.number is None else "no pixel is left"
         raise InputError(what, cause=None if draft.number is None else "reject the object instead")
     if draft.number is None:
-        if not label.strip():
-            raise InputError("a new object needs a class")
+        require(label.strip(), "a new object needs a class")
         return add_object(frame, label.strip(), mask=parts[0])
-    if not draft.changed:
-        raise InputError("nothing has changed")
+    require(draft.changed, "nothing has changed")
     assert draft.ref is not None
     if frame.version(draft.ref) != draft.version:
         origin = frame.origin(draft.ref)
@@ -182,14 +175,11 @@ def rebased(draft: Draft, frame: EffectiveFrame) -> Draft:
 
 def lifted_draft(canvas: Canvas, mask: np.ndarray) -> LiftedObject | None:
     """What a mask becomes in 3D: its points and its 3D box (camera frame), lifted as labels are; None for no pixels."""
-    if not mask.any():
-        return None
     context = canvas.context
-    found = lift(
+    return lift(
         context.frame.depth, context.frame.camera, [mask], context.viewer, config=context.config,
         mask_source="human", edges=context.edges,
-    )  # fmt: skip
-    return found[0]
+    )[0] if mask.any() else None  # fmt: skip
 
 
 def split_by_polygon(mask: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -225,8 +215,7 @@ def split_by_line(mask: np.ndarray, points: np.ndarray) -> tuple[np.ndarray, np.
     """
     line = np.asarray(points, np.float64).reshape(-1, 2)
     line = line[np.concatenate([[True], (np.diff(line, axis=0) != 0).any(axis=1)])]
-    if len(line) < 2:
-        raise InputError("a cut needs a line", got="one point")
+    require(len(line) >= 2, "a cut needs a line", got="one point")
     height, width = mask.shape
     reach = 4.0 * (height + width) + float(np.abs(line).max())
     # The hand's first and last pixels jitter: the ends go on in the direction of a good piece of the line.
@@ -263,14 +252,15 @@ def split_by_depth(mask: np.ndarray, depth: np.ndarray) -> tuple[np.ndarray, ...
     counts[0] = 0
     least = max(LEAST_PIXELS, LEAST_SHARE * int(mask.sum()))
     chosen = [int(k) for k in np.argsort(-counts, kind="stable") if counts[k] >= least]
-    if len(chosen) < 2:
-        raise InputError("the object is of one piece in depth", cause="draw a line across it")
-    if len(chosen) > MOST_PARTS:
-        raise InputError("the object falls into too many parts", got=len(chosen), expected=f"at most {MOST_PARTS}")
-    own = mask & np.isin(labels, chosen)
-    _, found = cv2.distanceTransformWithLabels(
-        (~own).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL
+    require(len(chosen) >= 2, "the object is of one piece in depth", cause="draw a line across it")
+    require(
+        len(chosen) <= MOST_PARTS,
+        "the object falls into too many parts",
+        got=len(chosen),
+        expected=f"at most {MOST_PARTS}",
     )
+    own = mask & np.isin(labels, chosen)
+    _, found = cv2.distanceTransformWithLabels((~own).astype(np.uint8), cv2.DIST_L2, 5, labelType=cv2.DIST_LABEL_PIXEL)
     nearest = np.asarray(found, np.int64)
     part_of = np.zeros(int(nearest.max()) + 1, np.int64)
     part_of[nearest[own]] = labels[own]
@@ -285,6 +275,5 @@ def _unit(direction: np.ndarray) -> np.ndarray:
 
 def _parts(mask: np.ndarray, inside: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     one, other = mask & ~inside, mask & inside
-    if not one.any() or not other.any():
-        raise InputError("the cut leaves one of both parts empty")
+    require(one.any() and other.any(), "the cut leaves one of both parts empty")
     return (one, other) if one.sum() >= other.sum() else (other, one)

@@ -121,10 +121,9 @@ class JournalLocation:
         """
         try:
             self.to_read()
-        except DamagedJournal:
-            raise
-        except InputError:
-            return
+        except InputError as error:
+            if isinstance(error, DamagedJournal):
+                raise
 
     def _open(self) -> Future[Journal]:
         """Open it on a thread of its own, so that a database that says nothing holds nobody up for long."""
@@ -141,10 +140,9 @@ class JournalLocation:
                 if wanted:
                     self._journal, self._opening = journal, None
             if journal is None:
-                opening.set_exception(problem)
-            else:
-                opening.set_result(journal)
-            if journal is not None and not wanted:
+                return opening.set_exception(problem)
+            opening.set_result(journal)
+            if not wanted:
                 journal.close()
 
         Thread(target=work, daemon=True, name="journal-open").start()

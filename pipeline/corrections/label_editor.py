@@ -18,7 +18,7 @@ from pipeline.corrections.journal_location import JournalLocation
 from pipeline.corrections.unsaved import Waiting, decided
 from pipeline.datasets import Dataset
 from pipeline.labels.reading import Labels
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 _NOT_IN_THE_JOURNAL = 2**62
 """Edits that wait to be saved come after every event of the journal."""
@@ -84,10 +84,16 @@ class LabelEditor:
             It is no name, or what was done under the one before is not saved, or not decided, yet.
         """
         name = plain_text(author.strip(), "an author", LONGEST_NAME).strip()
-        if name != self.author and self.waiting:
-            raise InputError(f"edits of {self.author} are not saved yet", expected="save them or take them back first")
-        if name != self.author and self.disputed:
-            raise InputError(f"{self.author} has not decided yet where somebody was faster", expected="decide first")
+        require(
+            name == self.author or not self.waiting,
+            f"edits of {self.author} are not saved yet",
+            expected="save them or take them back first",
+        )
+        require(
+            name == self.author or not self.disputed,
+            f"{self.author} has not decided yet where somebody was faster",
+            expected="decide first",
+        )
         return name
 
     def frame(self, frame: str) -> EffectiveFrame:
@@ -268,8 +274,11 @@ class LabelEditor:
             The journal cannot be read or written.
         """
         if waiting := self.waiting:
-            if group is not None and group != waiting[-1].group:
-                raise InputError("newer edits wait to be saved", expected="save them or take them back first")
+            require(
+                group is None or group == waiting[-1].group,
+                "newer edits wait to be saved",
+                expected="save them or take them back first",
+            )
             return self.location.unsaved.drop_last(self.author)
         return self._taken("undo", undo, group)
 
@@ -377,10 +386,9 @@ def event_lines(
             ref.kind == "expression" and ref.key == expression
         )
 
-    lines = []
-    for event in events:
-        if event.action == "edit" and wanted(event.ref):
-            last = newest[event.ulid]
-            undone, group = (last, "") if last.action == "undo" else (None, last.group)
-            lines.append(EventLine(event, undone, group if group in mine else "", event.group in unsaved))
-    return tuple(lines[::-1])
+    shown = [(e, newest[e.ulid]) for e in events if e.action == "edit" and wanted(e.ref)]
+    return tuple(
+        EventLine(e, last, "", e.group in unsaved) if last.action == "undo" else
+        EventLine(e, None, last.group if last.group in mine else "", e.group in unsaved)
+        for e, last in reversed(shown)
+    )  # fmt: skip

@@ -9,15 +9,14 @@ from typing import Any, Literal
 import numpy as np
 
 from pipeline.corrections.journal.edits import Edits, judge, set_answers, set_status, set_value
-from pipeline.corrections.journal.effective_frame import EffectiveFrame
-from pipeline.corrections.journal.effective_objects import object_value
+from pipeline.corrections.journal.effective_frame import EffectiveFrame, object_value
 from pipeline.corrections.journal.field_refs import FieldRef, object_ref, same_value, shown_value
 from pipeline.corrections.journal.replay import Origin, statuses_of_items
 from pipeline.corrections.scene import labelled_box
 from pipeline.diagnosis.whatif.box_numbers import BoxNumbers, box_numbers
 from pipeline.geometry.viewer import ViewerAxes, viewer_axes
 from pipeline.relations.relations import F, T, U
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 FIELDS = ("label", "status", "mask", "bbox", "box")
 """What of an object can be corrected, in the order in which it is shown."""
@@ -155,7 +154,7 @@ def object_card(frame: EffectiveFrame, number: int) -> ObjectCard:
     InputError
         There is no such object.
     """
-    row = frame.objects.get(number) or frame.left_out.get(number)
+    row = frame.object(number)
     if row is None:
         raise InputError(f"frame {frame.frame} has no object {number}")
     box, viewer = labelled_box(row), viewer_of(frame)
@@ -194,11 +193,9 @@ def back_to_automatic(frame: EffectiveFrame, number: int, field: str, reason: st
     InputError
         There is no such object or field, the labeller had none, or nobody has changed it.
     """
-    line = object_card(frame, number).line(field) if field in FIELDS else None
-    if line is None:
-        raise InputError("an object has no such field", got=repr(field), expected=", ".join(FIELDS))
-    if not line.settled:
-        raise InputError(f"nobody has changed the {field} of object {number}")
+    require(field in FIELDS, "an object has no such field", got=repr(field), expected=", ".join(FIELDS))
+    line = object_card(frame, number).line(field)
+    require(line.settled, f"nobody has changed the {field} of object {number}")
     default = {"status": "", "box": "as its points make it"}.get(field, "as the labeller had it")
     return set_value(frame, object_ref(frame.frame, number, field), _automatic(frame, number, field), reason or default)
 
@@ -216,8 +213,7 @@ def bring_back(frame: EffectiveFrame, number: int, author: str, reason: str = ""
     InputError
         It is not rejected.
     """
-    if number not in frame.left_out:
-        raise InputError(f"object {number} is not rejected")
+    require(number in frame.left_out, f"object {number} is not rejected")
     ref = object_ref(frame.frame, number, "status")
     own = judge(frame, ref, None, author, reason) if author in judgements(frame, number) else ()
     return (*own, *set_status(frame, ref, None, reason))
@@ -235,24 +231,20 @@ def _line(frame: EffectiveFrame, number: int, field: str) -> FieldLine:
     text = "unreviewed" if field == "status" and value is None else shown_value(ref, value)
     known = auto is not None or field in ("status", "box")
     settled = known and frame.version(ref) > 0 and origin.source == "human"
-    if field != "box":
-        settled = settled and not same_value(value, _automatic(frame, number, field) if known else None)
+    settled = settled and (field == "box" or not same_value(value, _automatic(frame, number, field)))
     automatic = None if auto is None else "unreviewed" if field == "status" else shown_value(ref, was)
     return FieldLine(field, value, text, automatic, origin, frame.version(ref), settled)
 
 
 def _added_by(frame: EffectiveFrame, number: int) -> str:
     """Every column of an added object comes from its adding, until it is corrected; this one cannot be."""
-    origin = frame.origins.get("objects", str(number), "frame")
+    origin = frame.noted("objects", str(number), "frame")
     return "somebody" if origin is None else str(origin.author)
 
 
 def _states(frame: EffectiveFrame, number: int) -> dict[str, int]:
-    at = frame.pairs.index_of(number)
-    if at is None:
-        return {"T": 0, "U": 0, "F": 0}
-    states = frame.pairs.states[at][frame.pairs.present[at]]
-    return {name: int((states == state).sum()) for name, state in (("T", T), ("U", U), ("F", F))}
+    seen = frame.pairs.states[(frame.pairs.numbers[:, None] == number) & frame.pairs.present]
+    return {name: int((seen == state).sum()) for name, state in (("T", T), ("U", U), ("F", F))}
 
 
 @dataclass(frozen=True)
@@ -345,8 +337,7 @@ def expression_cards(frame: EffectiveFrame, pair: Iterable[int] = ()) -> tuple[E
 
 def expression_card(frame: EffectiveFrame, name: str) -> ExpressionCard:
     """One expression, by its id; InputError where the frame has no such expression."""
-    if name not in frame.auto.expressions:
-        raise InputError(f"frame {frame.frame} has no such expression", got=repr(name)[:60])
+    require(name in frame.auto.expressions, f"frame {frame.frame} has no such expression", got=repr(name)[:60])
     withdrawn = next((w.reason for w in frame.withdrawn if w.id == name), "")
     return _card(frame, name, withdrawn, statuses_of_items(frame.statuses))
 
@@ -358,7 +349,7 @@ def _card(
     assert row is not None
     refs = {field: FieldRef("expression", frame.frame, name, field) for field in CORRECTED_FIELDS}
     numbers = dict.fromkeys([row["target_object"], row["reference_object"], *row["targets"], *row["acceptable"]])
-    rows = {n: frame.objects.get(n) or frame.left_out.get(n) for n in numbers}
+    rows = {n: frame.object(n) for n in numbers}
     return ExpressionCard(
         frame.frame, name, row["text"], row["target"], row["relation"], row["reference"], row["target_object"],
         row["reference_object"], tuple(row["targets"]), tuple(row["acceptable"]),
@@ -372,11 +363,8 @@ def _card(
 
 def answers_with(card: ExpressionCard, number: int, certainty: Certainty) -> tuple[tuple[int, ...], tuple[int, ...]]:
     """The targets and the acceptable objects of an expression when one object is to be in, in doubt, or out."""
-    targets, acceptable = set(card.targets) - {number}, set(card.acceptable) - {number}
-    if certainty == "sure":
-        targets.add(number)
-    if certainty != "no":
-        acceptable.add(number)
+    targets = {*card.targets, number} if certainty == "sure" else {*card.targets} - {number}
+    acceptable = {*card.acceptable} - {number} if certainty == "no" else {*card.acceptable, number}
     return tuple(sorted(targets)), tuple(sorted(acceptable | targets))
 
 
@@ -389,6 +377,5 @@ def set_answer(frame: EffectiveFrame, name: str, number: int, certainty: Certain
         No such expression or object, nothing would be changed, or no answer would be left.
     """
     card = expression_card(frame, name)
-    if card.certainty(number) == certainty:
-        raise InputError("it says so already", got=f"object {number}: {certainty}")
+    require(card.certainty(number) != certainty, "it says so already", got=f"object {number}: {certainty}")
     return set_answers(frame, name, *answers_with(card, number, certainty), reason)

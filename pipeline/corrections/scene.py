@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from dataclasses import replace
 from functools import lru_cache
 from typing import Any
@@ -11,13 +12,13 @@ import numpy as np
 from pipeline.answering.ask import Trace
 from pipeline.answering.objects import SceneObject
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
-from pipeline.corrections.journal.field_refs import FieldRef, same_value
+from pipeline.corrections.journal.field_refs import FieldRef, box_of, same_value
 from pipeline.geometry.boxes import Box3D, iou_2d
 from pipeline.geometry.lifting import LiftedObject, Quality
 from pipeline.geometry.masks import decode_crop
 from pipeline.labels.cases import HIT, Case, FrameCases, frame_cases
 from pipeline.proposals.annotations import box_mask
-from pipeline.system.errors import InputError
+from pipeline.system.errors import require
 
 # An edit changes one object of a frame; the pixels of the others are known already.
 _crop = lru_cache(maxsize=256)(decode_crop)
@@ -39,28 +40,24 @@ def labelled_box(row: dict[str, Any]) -> Box3D | None:
     """The 3D box of a row of `objects` (camera frame); None where it has none."""
     if row["center"] is None or not np.isfinite(np.array(row["center"], np.float64)).all():
         return None
-    try:
-        return Box3D(np.array(row["center"], np.float64), np.array(row["R"], np.float64).reshape(3, 3),
-                     np.array(row["size"], np.float64))  # fmt: skip
-    except (InputError, TypeError, ValueError):
-        return None
+    with suppress(TypeError, ValueError):
+        return box_of(row)
+    return None
 
 
 def _labelled(row: dict[str, Any], size: tuple[int, int]) -> SceneObject:
     bbox = np.array(row["bbox"], np.float32)
     if row["mask"] is None:
         mask = box_mask(bbox, *size)
-        pixels = int(mask.sum())
     else:
-        crop = _crop(size, row["mask"], f"object {row['object']}")
-        mask, pixels = np.zeros(size, np.bool_), int(crop.mask.sum())
-        crop.paint(mask)
+        mask = np.zeros(size, np.bool_)
+        _crop(size, row["mask"], f"object {row['object']}").paint(mask)
 
     def number(name: str, nothing: float) -> float:
         return nothing if row[name] is None else float(row[name])
 
     quality = Quality(
-        pixels, int(number("points", 0)), number("kept", 0.0), number("depth_missing", 0.0),
+        int(mask.sum()), int(number("points", 0)), number("kept", 0.0), number("depth_missing", 0.0),
         bool(row["touches_border"]), number("distance", float("nan")), bool(row["fallback"]),
         row["mask_source"] or "box",
     )  # fmt: skip
@@ -79,8 +76,7 @@ def effective_truth(frame: EffectiveFrame) -> FrameCases:
     InputError
         The frame was rejected: nothing is to be judged by it.
     """
-    if not frame.stands:
-        raise InputError(f"frame {frame.frame} was rejected: its labels are not to be used")
+    require(frame.stands, f"frame {frame.frame} was rejected: its labels are not to be used")
     rows = {
         name: {column: table.column(column).to_pylist() for column in table.column_names}
         for name, table in frame.tables().items()

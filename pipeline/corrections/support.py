@@ -21,7 +21,7 @@ from pipeline.geometry.camera import lift_pixels
 from pipeline.geometry.lifting import lift
 from pipeline.geometry.normals import surface_normals
 from pipeline.geometry.viewer import ViewerAxes
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 SnapMode = Literal["extend", "move"]
 """extend: the top stays, the bottom goes to the support. move: the whole box does, with the height that it has."""
@@ -151,11 +151,12 @@ def find_support(context: PreparedFrame, box: Box3D, objects: Sequence[SceneObje
         height, spread = _plane(level.plan[best.points] - middle, level.height[best.points])
     support = Support(height, None if best.owner < 0 else best.owner, len(best.points), spread)
     gap = bottom - height
-    if gap > max(FARTHEST_M, float((hi - lo).max()), 2 * (highest - bottom)):
-        raise InputError(
-            "no level surface is seen close under the box", got=f"the next is {gap:.2f} m lower",
-            cause="does it hang, or is what it stands on not seen?",
-        )  # fmt: skip
+    require(
+        gap <= max(FARTHEST_M, float((hi - lo).max()), 2 * (highest - bottom)),
+        "no level surface is seen close under the box",
+        got=f"the next is {gap:.2f} m lower",
+        cause="does it hang, or is what it stands on not seen?",
+    )
     return support
 
 
@@ -176,16 +177,14 @@ def snapped(box: Box3D, support: Support, viewer: ViewerAxes, way: SnapMode = "e
     # Along the box's own axis, which need not be quite upright.
     drop = (float(bottom @ up) - support.height) / float(-down @ up)
     if way == "extend" and box.size[axis] + drop >= SMALLEST_SIDE:
-        size = box.size.copy()
-        size[axis] += drop
-        return Box3D(box.center + down * drop / 2, box.R, size)
+        return Box3D(box.center + down * drop / 2, box.R, box.size + drop * (np.arange(3) == axis))
     return Box3D(box.center + down * drop, box.R, box.size)
 
 
 def gap_below(box: Box3D, support: Support, viewer: ViewerAxes) -> float:
     """Metres between a support and the middle of the bottom of a box over it; negative where it sinks in."""
-    axis = int(np.abs(box.R.T @ viewer.up).argmax())
-    reach = abs(float(box.R[:, axis] @ viewer.up)) * box.size[axis] / 2
+    upright = np.abs(box.R.T @ viewer.up)
+    reach = upright.max() * box.size[upright.argmax()] / 2
     return float(box.center @ viewer.up) - float(reach) - support.height
 
 
@@ -256,20 +255,16 @@ def _levels(heights: np.ndarray, least: int) -> list[tuple[float, np.ndarray]]:
     """The heights where many points lie, fullest first, with the points: places in `heights`."""
     found: list[tuple[float, np.ndarray]] = []
     left = np.argsort(heights)
-    for _ in range(MOST_LEVELS):
-        if len(left) < least:
-            break
+    while len(left) >= least and len(found) < MOST_LEVELS:
         ordered = heights[left]
         stop = np.searchsorted(ordered, ordered + WINDOW_M, side="right")
-        counts = stop - np.arange(len(left))
-        first = int(counts.argmax())
-        if counts[first] < least:
-            break
+        first = int((stop - np.arange(len(left))).argmax())
         at = left[first : stop[first]]
+        if len(at) < least:
+            break
         found.append((float(np.median(heights[at])), at))
         # Its noise reaches beyond the window, and is no surface of its own.
-        keep = np.abs(ordered - found[-1][0]) > WINDOW_M
-        left = left[keep]
+        left = left[np.abs(ordered - found[-1][0]) > WINDOW_M]
     return found
 
 
@@ -307,8 +302,10 @@ def fit_to_points(frame: EffectiveFrame, number: int, corrector: Corrector, reas
     made_of_box = number not in frame.auto.objects and row["mask_source"] == "box3d"
     if not made_of_box:
         ref = object_ref(frame.frame, number, "box")
-        if frame.version(ref) == 0 or frame.origin(ref).source != "human":
-            raise InputError(f"the box of object {number} is the one of its points already")
+        require(
+            frame.version(ref) != 0 and frame.origin(ref).source == "human",
+            f"the box of object {number} is the one of its points already",
+        )
         return set_box(frame, number, None, reason)
     box, context = _box(frame, number), _relifter(corrector).context(frame.frame)
     (mask,) = (o.mask for o in labelled_objects(frame) if o.id == number)
@@ -340,8 +337,7 @@ def snap_to_support(
     """
     support, gap = support_of(frame, number, corrector)
     on = support_name(frame, support)
-    if abs(gap) < SAME_M:
-        raise InputError(f"object {number} stands on {on} already")
+    require(abs(gap) >= SAME_M, f"object {number} stands on {on} already")
     box = snapped(_box(frame, number), support, _relifter(corrector).context(frame.frame).viewer, way)
     return set_box(frame, number, box, reason or f"{'extended' if way == 'extend' else 'moved'} to {on}")
 
@@ -353,8 +349,7 @@ def support_name(frame: EffectiveFrame, support: Support) -> str:
 
 
 def _standing(frame: EffectiveFrame, number: int) -> dict:
-    if number not in frame.objects:
-        raise InputError(f"frame {frame.frame} has no object {number} that stands")
+    require(number in frame.objects, f"frame {frame.frame} has no object {number} that stands")
     return frame.objects[number]
 
 

@@ -20,7 +20,7 @@ from pipeline.corrections.journal.field_refs import FieldRef, shown_value
 from pipeline.corrections.journal.frame_rows import Setting
 from pipeline.corrections.journal.journal import Journal
 from pipeline.language.relation_names import PAIRWISE
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 
 @dataclass(frozen=True)
@@ -98,8 +98,7 @@ class Unsaved:
         InputError
             It is being saved at this moment.
         """
-        if not self._saving.acquire(timeout=1.0):
-            raise InputError("it is being saved at this moment", expected="try again")
+        require(self._saving.acquire(timeout=1.0), "it is being saved at this moment", expected="try again")
         try:
             with self._lock:
                 kept = self.waiting(author)
@@ -175,12 +174,11 @@ def unsaved_actions(unsaved: Unsaved, author: str) -> list[list[dict[str, Any]]]
     The fields of objects that are not in the journal yet follow them in a
     second list. What others were in the way of is in the last ones, to be told so again.
     """
-    lists: list[list[Edit]] = []
     waiting = _merged(e for w in unsaved.waiting(author) for e in w.edits)
     new = {(e.ref.frame, n) for e in waiting if e.ref.field == "exists" for n in e.ref.numbers}
     later = [e for e in waiting if e.ref.field != "exists" and new & {(e.ref.frame, n) for n in e.ref.numbers}]
-    lists += [[e for e in waiting if e not in later], later]
-    lists += [list(_merged(c.edits)) for c in unsaved.disputed(author)]
+    disputed = [_merged(c.edits) for c in unsaved.disputed(author)]
+    lists = [[e for e in waiting if e not in later], later, *disputed]
     return [[_action(e) for e in edits] for edits in lists if edits]
 
 
@@ -244,13 +242,8 @@ def disputes(conflict: Conflict, setting: Setting) -> tuple[Dispute, ...]:
     groups: dict[Any, list[Edit]] = {}
     for edit in conflict.edits or tuple(r.edit for r in conflict.rivals):
         groups.setdefault(_together(edit.ref, setting), []).append(edit)
-    found = []
-    for members in groups.values():
-        refs = {e.ref for e in members}
-        rivals = tuple(r for r in conflict.rivals if r.edit.ref in refs)
-        if rivals:
-            found.append(Dispute(tuple(members), rivals))
-    return tuple(found)
+    rivals = {key: [r for r in conflict.rivals if _together(r.edit.ref, setting) == key] for key in groups}
+    return tuple(Dispute(tuple(members), tuple(rivals[key])) for key, members in groups.items() if rivals[key])
 
 
 def decided(conflict: Conflict, frame: EffectiveFrame, mine: Collection[int]) -> tuple[Edit, ...]:
@@ -269,23 +262,23 @@ def decided(conflict: Conflict, frame: EffectiveFrame, mine: Collection[int]) ->
     """
     found = disputes(conflict, frame.setting)
     disputed = {e.ref for d in found for e in d.edits}
-    kept = [e for e in conflict.edits if e.ref not in disputed]
-    for k, dispute in enumerate(found):
-        if k in mine:
-            rivals = {r.edit.ref: r for r in dispute.rivals}
-            kept += [_instead(e, rivals.get(e.ref), frame) for e in dispute.edits]
-    return tuple(kept)
+    rivals = {r.edit.ref: r for d in found for r in d.rivals}
+    wanted = (e for k, d in enumerate(found) if k in mine for e in d.edits)
+    return (
+        *(e for e in conflict.edits if e.ref not in disputed),
+        *(_instead(e, rivals.get(e.ref), frame) for e in wanted),
+    )
 
 
 def _instead(edit: Edit, rival: Rival | None, frame: EffectiveFrame) -> Edit:
     if rival is None:
         return edit
-    event, version = rival.event, 0 if rival.event is None else rival.event.version
-    before = frame.value(edit.ref)
-    if event is not None and version != frame.version(edit.ref):
-        before = event.after
-    over = "" if event is None else f"instead of {event.author}'s {shown_value(edit.ref, event.after)}"
-    return replace(edit, before=before, base=version, reason="; ".join(filter(None, (edit.reason, over))))
+    event, now = rival.event, frame.value(edit.ref)
+    if event is None:
+        return replace(edit, before=now, base=0)
+    before = now if event.version == frame.version(edit.ref) else event.after
+    over = f"instead of {event.author}'s {shown_value(edit.ref, event.after)}"
+    return replace(edit, before=before, base=event.version, reason="; ".join(filter(None, (edit.reason, over))))
 
 
 def _together(ref: FieldRef, setting: Setting) -> Any:

@@ -36,9 +36,7 @@ SAID = 3
 
 def object_text(number: int, frame: EffectiveFrame | None) -> str:
     """ "mug·3"; "object·3" where nothing is known of it."""
-    row = None
-    if frame is not None:
-        row = frame.objects.get(number) or frame.left_out.get(number) or frame.auto.objects.get(number)
+    row = None if frame is None else frame.object(number) or frame.auto.objects.get(number)
     return f"{'object' if row is None else row['label']}·{number}"
 
 
@@ -60,11 +58,10 @@ def ref_text(ref: FieldRef, frame: EffectiveFrame | None) -> str:
         a, b = (object_text(n, frame) for n in ref.numbers)
         relation, _, status = ref.field.partition(".")
         return f"{status and 'status of '}{a} {PHRASE.get(relation, relation)} {b}"
-    if ref.kind == "object":
-        return f"{field} of {object_text(ref.numbers[0], frame)}"
-    if ref.kind == "expression":
-        return f"{field} of {sentence_text(ref.key, frame)}"
-    return f"{field} of the {ref.kind}"
+    if ref.kind == "frame":
+        return f"{field} of the {ref.kind}"
+    named = object_text(ref.numbers[0], frame) if ref.kind == "object" else sentence_text(ref.key, frame)
+    return f"{field} of {named}"
 
 
 def value_text(ref: FieldRef, value: Any, frame: EffectiveFrame | None) -> str:
@@ -147,21 +144,14 @@ def _judged(ref: FieldRef, frame: EffectiveFrame | None) -> str:
 
 def _mirrors(one: Event, other: Event) -> bool:
     first, second = _pair(one.ref), _pair(other.ref)
-    if first is None or second is None:
-        return False
-    (a, b, relation), (c, d, mirrored) = first, second
-    return (a, b) == (d, c) and mirrored == MIRRORED.get(relation)
+    return second is not None and first == (second[1], second[0], MIRRORED.get(second[2]))
 
 
 def _pair(ref: FieldRef) -> tuple[int, int, str] | None:
     if ref.kind == "relation":
-        a, b = ref.numbers
-        return a, b, ref.field
-    if ref.kind == "review":
-        _, kind, a, b, what = judged_item(ref.key)
-        if kind == "relation" and b is not None:
-            return a, b, what
-    return None
+        return (*ref.numbers, ref.field)  # pyright: ignore[reportReturnType]
+    _, kind, a, b, what = judged_item(ref.key) if ref.kind == "review" else ("", "", 0, None, "")
+    return None if b is None or kind != "relation" else (a, b, what)
 
 
 @dataclass(frozen=True)
@@ -251,12 +241,8 @@ class Consequences:
             count = f"{counted(self.recomputed, 'relation')} recomputed, " if self.recomputed else "relations: "
             told = "; ".join(map(str, self.changed[:SAID])) + (" ..." if len(self.changed) > SAID else "")
             parts.append(f"{count}{len(self.changed) or 'none'} changed" + (f": {told}" if told else ""))
-        if self.answers:
-            parts.append(f"{counted(len(self.answers), 'expression')} answered otherwise")
-        if self.withdrawn:
-            parts.append(f"{counted(len(self.withdrawn), 'expression')} withdrawn")
-        if self.returned:
-            parts.append(f"{counted(len(self.returned), 'expression')} back")
+        texts = {"answered otherwise": self.answers, "withdrawn": self.withdrawn, "back": self.returned}
+        parts += [f"{counted(len(found), 'expression')} {what}" for what, found in texts.items() if found]
         if self.stale:
             parts.append("what follows is stale: the dataset is not at hand")
         return " · ".join(parts)
@@ -271,17 +257,17 @@ def consequences(before: EffectiveFrame, after: EffectiveFrame) -> Consequences:
         for n in sorted(new)
         if not new[n]["usable"] and (n not in old or old[n]["usable"]) and new[n]["reason"]
     )
-    told = before.origins.found
+    told = before.origins
     renewed = {
         (key, column): origin.source
-        for (table, key, column), (origin, _) in after.origins.found.items()
+        for (table, key, column), (origin, _) in after.origins.items()
         if table == "relations"
         and origin.source in ("recomputed", "stale")
         and ((table, key, column) not in told or told[table, key, column][0].event != origin.event)
     }
     human = {
         (key, column)
-        for (table, key, column), (origin, _) in after.origins.found.items()
+        for (table, key, column), (origin, _) in after.origins.items()
         if table == "relations" and origin.source == "human"
     }
     pairs = ((*map(int, key.split(",")), column) for key, column in renewed)
@@ -309,11 +295,9 @@ def _box_changes(before: EffectiveFrame, after: EffectiveFrame, both: Iterable[i
         now = labelled_box(after.objects[n])
         if after.origin(object_ref(after.frame, n, "box")).source == "human":
             continue
-        if now is None:
-            if was is not None:
-                yield BoxChange(n, _name(after, n), None, None, gone=True)
-        elif was is None:
-            yield BoxChange(n, _name(after, n), None, None)
+        if now is None or was is None:
+            if now is not was:
+                yield BoxChange(n, _name(after, n), None, None, gone=now is None)
         else:
             moved = float(np.linalg.norm(now.center - was.center))
             if moved >= SAME_PLACE or float(np.abs(now.corners - was.corners).max()) >= SAME_PLACE:

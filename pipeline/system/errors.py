@@ -48,6 +48,20 @@ class InputError(ValueError):
         self.path = None if path is None else Path(path)
 
 
+def require(
+    sound: object,
+    what: str,
+    *,
+    got: object = None,
+    expected: object = None,
+    cause: str | None = None,
+    path: str | Path | None = None,
+) -> None:
+    """Raise InputError with these words where something does not hold."""
+    if not sound:
+        raise InputError(what, got=got, expected=expected, cause=cause, path=path)
+
+
 class UnknownFormat(InputError):
     """A folder that no reader recognises as a dataset."""
 

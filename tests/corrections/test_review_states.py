@@ -23,7 +23,16 @@ from pipeline.corrections.journal.materialise import materialise
 from pipeline.corrections.journal.replay import judgement_ref
 from pipeline.corrections.journal.undo import redo, undo
 from pipeline.corrections.review.evidence import read_relation_labels
-from pipeline.corrections.review.items import NOBODY, SETTLED, ItemKey, State, item_keys, left_to_review
+from pipeline.corrections.review.items import (
+    NOBODY,
+    SETTLED,
+    ItemKey,
+    State,
+    item_keys,
+    item_of,
+    judgements_of,
+    left_to_review,
+)
 from pipeline.corrections.review.out_of_fold import DoubtConfig, doubt_labels
 from pipeline.corrections.review.queue import QueueConfig, review_queue
 from pipeline.corrections.review.queue_job import QueueJob, make_queue
@@ -38,7 +47,6 @@ from pipeline.corrections.review.reviewed import (
     without_gone,
     wrong_left,
 )
-from pipeline.corrections.review.states import item_of, judgements_of, states_of
 from pipeline.corrections.review.worklist import (
     NOTHING,
     frame_states,
@@ -55,6 +63,11 @@ from pipeline.training.label_data import read_label_data
 from pipeline.training.train import TrainConfig
 
 RULES_ONLY = QueueConfig(doubts=None)
+
+
+def states_of(journal: Journal, author: str | None = None) -> dict[ItemKey, State]:
+    """The state of every reviewed item, over all or by one person."""
+    return judgements_of(journal).states(author)
 
 
 @pytest.fixture

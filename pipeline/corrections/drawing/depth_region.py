@@ -11,7 +11,7 @@ from pipeline.geometry.camera import lift_pixels
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.lifting import surface_step
 from pipeline.geometry.normals import surface_normals
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 TOLERANCE = 0.015
 """The default."""
@@ -158,15 +158,13 @@ def grown_region(surface: Surface, seeds: np.ndarray, tolerance: float = TOLERAN
         A seed is outside of the picture or has no depth near it.
     """
     height, width = surface.known.shape
-    if not LEAST <= tolerance <= MOST:
-        raise InputError("the tolerance is out of range", got=tolerance, expected=f"{LEAST} to {MOST}")
+    require(LEAST <= tolerance <= MOST, "the tolerance is out of range", got=tolerance, expected=f"{LEAST} to {MOST}")
     loose = tolerance >= LOOSE
     bound = surface.measured if loose else surface.known
     links = surface.right.alike(tolerance, loose), surface.down.alike(tolerance, loose)
     found = np.zeros((height, width), np.bool_)
     for x, y in np.asarray(seeds, np.float64).reshape(-1, 2):
-        if not (0 <= x < width and 0 <= y < height):
-            raise InputError("the point is outside of the picture", got=f"{x:.1f}, {y:.1f}")
+        require(0 <= x < width and 0 <= y < height, "the point is outside of the picture", got=f"{x:.1f}, {y:.1f}")
         pixel = int(x), int(y)
         seed = _nearest(bound, pixel)
         if seed is not None:

@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, Literal
 
 import numpy as np
 
 from pipeline.answering.objects import PreparedFrame
 from pipeline.corrections.drawing.depth_region import LEAST, MOST, TOLERANCE, Surface, grown_region, surface_of
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 Kind = Literal["stroke", "polygon", "rectangle", "surface", "depth", "cut"]
 FEWEST: dict[Kind, int] = {"stroke": 1, "polygon": 3, "rectangle": 2, "surface": 2, "depth": 1, "cut": 2}
@@ -59,26 +60,33 @@ class Gesture:
     tolerance: float = TOLERANCE
 
     def __post_init__(self) -> None:
-        if self.kind not in FEWEST:
-            raise InputError("no such tool", got=repr(self.kind)[:40], expected=" | ".join(FEWEST))
-        if not isinstance(self.adds, bool):
-            raise InputError("a tool adds or removes: true or false", got=repr(self.adds)[:40])
+        require(self.kind in FEWEST, "no such tool", got=repr(self.kind)[:40], expected=" | ".join(FEWEST))
+        require(isinstance(self.adds, bool), "a tool adds or removes: true or false", got=repr(self.adds)[:40])
         points = self.points
         fewest, exact = FEWEST[self.kind], self.kind in ("rectangle", "surface")
         if len(points) < fewest or (exact and len(points) != fewest):
             expected = "two corners" if exact else f"at least {fewest}"
             raise InputError(f"not the points of a {self.kind}", got=len(points), expected=expected)
-        if len(points) > MOST_POINTS:
-            raise InputError(f"a {self.kind} has too many points", got=len(points), expected=f"at most {MOST_POINTS}")
-        if not (math.isfinite(self.radius) and self.radius >= 0):
-            raise InputError("the radius of a brush must be a positive number", got=self.radius)
-        if not LEAST <= self.tolerance <= MOST:
-            raise InputError("the tolerance is out of range", got=self.tolerance, expected=f"{LEAST} to {MOST}")
+        require(
+            len(points) <= MOST_POINTS,
+            f"a {self.kind} has too many points",
+            got=len(points),
+            expected=f"at most {MOST_POINTS}",
+        )
+        require(
+            math.isfinite(self.radius) and self.radius >= 0,
+            "the radius of a brush must be a positive number",
+            got=self.radius,
+        )
+        require(
+            LEAST <= self.tolerance <= MOST,
+            "the tolerance is out of range",
+            got=self.tolerance,
+            expected=f"{LEAST} to {MOST}",
+        )
 
 
-def gesture_of(
-    kind: Any, points: Any, height: int, width: int, *, fractions: bool = False, **more: Any
-) -> Gesture:
+def gesture_of(kind: Any, points: Any, height: int, width: int, *, fractions: bool = False, **more: Any) -> Gesture:
     """A gesture from numbers that nobody has checked.
 
     Parameters
@@ -93,28 +101,36 @@ def gesture_of(
     InputError
         These are no points of the picture, or it is no gesture.
     """
-    if isinstance(points, (list, tuple)) and len(points) > MOST_POINTS:
-        raise InputError("too many points", got=len(points), expected=f"at most {MOST_POINTS}")
+    require(
+        not isinstance(points, (list, tuple)) or len(points) <= MOST_POINTS,
+        "too many points",
+        got=len(points),
+        expected=f"at most {MOST_POINTS}",
+    )
     try:
         found = np.array(points, np.float64)
     except (TypeError, ValueError, OverflowError):
         found = np.zeros(0)
     if found.ndim != 2 or found.shape[1:] != (2,):
         raise InputError("points must be a list of [x, y]", got=repr(points)[:60])
-    if not np.isfinite(found).all():
-        raise InputError("points must be finite numbers")
+    require(np.isfinite(found).all(), "points must be finite numbers")
     scale = np.array([width, height], np.float64)
     if fractions:
         found = found * scale
-    if (found < -BEYOND * scale).any() or (found > (1 + BEYOND) * scale).any():
-        raise InputError("points are outside of the picture", expected=f"{width}x{height} pixels")
+    require(
+        not (found < -BEYOND * scale).any() and not (found > (1 + BEYOND) * scale).any(),
+        "points are outside of the picture",
+        expected=f"{width}x{height} pixels",
+    )
     for name in ("radius", "tolerance"):
-        if name in more and (isinstance(more[name], bool) or not isinstance(more[name], (int, float))):
-            raise InputError(f"the {name} must be a number", got=repr(more[name])[:40])
+        require(
+            name not in more or (not isinstance(more[name], bool) and isinstance(more[name], (int, float))),
+            f"the {name} must be a number",
+            got=repr(more.get(name))[:40],
+        )
     if "radius" in more:
         more["radius"] = float(more["radius"]) * (width if fractions else 1)
-        if more["radius"] > max(height, width):
-            raise InputError("the brush is larger than the picture", got=more["radius"])
+        require(not more["radius"] > max(height, width), "the brush is larger than the picture", got=more["radius"])
     return Gesture(kind if isinstance(kind, str) else repr(kind), found, **more)  # pyright: ignore[reportArgumentType]
 
 
@@ -144,28 +160,26 @@ class Canvas:
     """
 
     context: PreparedFrame
-    _surface: Surface | None = field(default=None, repr=False)
-    _segmenter: Any = field(default=None, repr=False)
 
     @property
     def size(self) -> tuple[int, int]:
         """Height and width."""
         return self.context.frame.height, self.context.frame.width
 
-    @property
+    @cached_property
     def surface(self) -> Surface:
-        if self._surface is None:
-            self._surface = surface_of(self.context.frame)
-        return self._surface
+        return surface_of(self.context.frame)
 
     def inside(self, points: np.ndarray) -> np.ndarray:
         """(H, W) bool: what the depth segmenter finds between two corners (x, y, pixels)."""
-        from pipeline.proposals.depth_segmenter import DepthSegmenter
-
-        if self._segmenter is None:
-            self._segmenter = DepthSegmenter()
         box = np.sort(points, axis=0).ravel()
         return self._segmenter.segment(self.context.frame, box[None], [""])[0][0]
+
+    @cached_property
+    def _segmenter(self) -> Any:
+        from pipeline.proposals.depth_segmenter import DepthSegmenter
+
+        return DepthSegmenter()
 
 
 def drawn(gesture: Gesture, height: int, width: int, canvas: Canvas | None = None) -> np.ndarray:
@@ -185,19 +199,16 @@ def drawn(gesture: Gesture, height: int, width: int, canvas: Canvas | None = Non
     InputError
         It means no pixel, or the depth is not at hand.
     """
-    if gesture.kind == "cut":
-        raise InputError("a cut means no pixels")
-    flat = _FLAT.get(gesture.kind)
-    if flat is not None:
-        mask = flat(gesture, height, width)
+    require(gesture.kind != "cut", "a cut means no pixels")
+    if gesture.kind in _FLAT:
+        mask = _FLAT[gesture.kind](gesture, height, width)
     elif canvas is None:
         raise InputError(f"a {gesture.kind} region needs the pictures", cause="name the dataset")
     elif gesture.kind == "surface":
         mask = canvas.inside(gesture.points)
     else:
         mask = grown_region(canvas.surface, gesture.points, gesture.tolerance)
-    if not mask.any():
-        raise InputError(f"this {gesture.kind} holds no pixel")
+    require(mask.any(), f"this {gesture.kind} holds no pixel")
     return mask
 
 

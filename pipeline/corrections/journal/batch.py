@@ -7,15 +7,17 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Union
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, model_validator
+from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError, create_model, model_validator
 
 from pipeline.corrections.drawing.depth_region import TOLERANCE
 from pipeline.corrections.drawing.gestures import Canvas, drawn, gesture_of
 from pipeline.corrections.journal import edits as actions
+from pipeline.corrections.journal.edits import Edits
 from pipeline.corrections.journal.effective import Corrector
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
 from pipeline.corrections.journal.events import Conflict, Edit, Rival, Saved
@@ -95,6 +97,7 @@ class Action(BaseModel):
 
     model_config = ConfigDict(extra="forbid", strict=True)
 
+    edit: str
     frame: str
     reason: str = ""
     base: int | None = Field(default=None, ge=0)
@@ -104,15 +107,9 @@ class OfObject(Action):
     object: int
 
 
-class ClassName(OfObject):
-    edit: Literal["class"]
-    to: str
-
-
 class Mask(OfObject, Shapes):
     """Pixels by a run-length code or a shape; a shape is in place of the mask, is added to it, or taken from it."""
 
-    edit: Literal["mask"]
     to: str | None = None
     mode: Mode = "replace"
 
@@ -125,52 +122,30 @@ class Mask(OfObject, Shapes):
         return self
 
 
-class Rectangle(OfObject):
-    edit: Literal["bbox"]
-    to: list[float]
-
-
-class Solid(OfObject):
-    """Null for the box that the object's points make."""
-
-    edit: Literal["box"]
-    to: dict[str, list[float]] | None
-
-
 class OfItem(Action):
-    """On an object, a relation of a pair, or an expression."""
+    """On an object, a relation of a pair, or an expression; of a status, on the frame where none of them is named."""
 
     object: int | None = None
     a: int | None = None
     b: int | None = None
     relation: str | None = None
     expression: str | None = None
-    to: str | None
 
-
-class Status(OfItem):
-    """Of the frame where none of them is named."""
-
-    edit: Literal["status"]
-
-
-class Judge(OfItem):
-    """A reviewer's own word: a status, or of a relation T, U or F."""
-
-    edit: Literal["judge"]
-
-
-class Settle(OfItem):
-    """The last word where reviewers differ."""
-
-    edit: Literal["settle"]
-    to: str  # pyright: ignore[reportIncompatibleVariableOverride]
+    @property
+    def ref(self) -> FieldRef:
+        """The status of what is named."""
+        if self.object is not None:
+            return FieldRef("object", self.frame, str(self.object), "status")
+        if self.expression is not None:
+            return FieldRef("expression", self.frame, self.expression, "status")
+        if self.a is not None and self.b is not None and self.relation is not None:
+            return FieldRef("relation", self.frame, f"{self.a},{self.b}", f"{self.relation}.status")
+        return FieldRef("frame", self.frame, "", "status")
 
 
 class NewObject(Action, Shapes):
     """With a mask, a 2D box, a 3D box, or a shape; in a rectangle the pixels are those of the depth segmenter."""
 
-    edit: Literal["new"]
     label: str
     mask: str | None = None
     bbox: list[float] | None = None
@@ -183,75 +158,87 @@ class NewObject(Action, Shapes):
         return self
 
 
-class Merge(Action):
-    edit: Literal["merge"]
-    objects: list[int]
+def _mask(a: Mask, frame: EffectiveFrame, author: str, canvas: Canvas | None) -> Edits:
+    mask = a.to
+    if a.shaped:
+        mask = combined(actions.pixels_of(frame, a.object), a.pixels(*actions.size_of(frame), canvas), a.mode)
+    return actions.set_mask(frame, a.object, mask, a.reason)
 
 
-class Split(OfObject):
-    edit: Literal["split"]
-    masks: list[str]
+def _new_object(a: NewObject, frame: EffectiveFrame, author: str, canvas: Canvas | None) -> Edits:
+    box = None if a.box is None else box_of(a.box)
+    mask = a.pixels(*actions.size_of(frame), canvas, surface=True) if a.shaped else a.mask
+    return actions.add_object(frame, a.label, mask=mask, bbox=a.bbox, box=box, reason=a.reason)
 
 
-class Relation(Action):
-    edit: Literal["relation"]
-    a: int
-    b: int
-    relation: str
-    to: Literal["T", "U", "F"]
+def _value(a: Any, frame: EffectiveFrame, author: str, canvas: Canvas | None) -> Edits:
+    ref = FieldRef(a.kind, a.frame, a.key, a.field)
+    if ref.kind == "review" and judged_item(ref.key)[0] not in (author.strip(), OF_ALL):
+        raise InputError("a judgement of another person", got=judged_item(ref.key)[0], expected=author)
+    return actions.set_value(frame, ref, a.to, a.reason)
 
 
-class OfExpression(Action):
-    expression: str
+def _judge(a: Any, frame: EffectiveFrame, author: str, canvas: Canvas | None) -> Edits:
+    ref = a.ref
+    if ref.kind == "relation" and a.to in _STATES:
+        (one, other), relation = ref.numbers, ref.field.removesuffix(".status")
+        return actions.judge_relation(frame, one, other, relation, _STATES[a.to], author, a.reason)
+    return actions.judge(frame, ref, a.to, author, a.reason)
 
 
-class Text(OfExpression):
-    edit: Literal["text"]
-    to: str
+def _settle(a: Any, frame: EffectiveFrame, author: str, canvas: Canvas | None) -> Edits:
+    state = _STATES.get(a.to) if a.ref.kind == "relation" else None
+    if state is None:
+        return actions.settle(frame, a.ref, a.to, a.reason)
+    status = "accepted" if state == frame.value(actions.state_ref(a.ref)) else "corrected"
+    return actions.settle(frame, a.ref, status, a.reason, state)
 
 
-class Answers(OfExpression):
-    edit: Literal["answers"]
-    targets: list[int]
-    acceptable: list[int] | None = None
+KINDS: dict[str, tuple[type[Action], dict[str, Any], Callable[[Any, EffectiveFrame, str, Canvas | None], Edits]]] = {
+    "class": (OfObject, {"to": str}, lambda a, frame, *_: actions.set_class(frame, a.object, a.to, a.reason)),
+    "mask": (Mask, {}, _mask),
+    "bbox": (OfObject, {"to": list[float]}, lambda a, frame, *_: actions.set_bbox(frame, a.object, a.to, a.reason)),
+    "box": (OfObject, {"to": dict[str, list[float]] | None}, lambda a, frame, *_: actions.set_box(
+        frame, a.object, None if a.to is None else box_of(a.to), a.reason)),
+    "status": (OfItem, {"to": str | None}, lambda a, frame, *_: actions.set_status(frame, a.ref, a.to, a.reason)),
+    "judge": (OfItem, {"to": str | None}, _judge),
+    "settle": (OfItem, {"to": str}, _settle),
+    "new": (NewObject, {}, _new_object),
+    "merge": (Action, {"objects": list[int]}, lambda a, frame, *_: actions.merge_objects(frame, a.objects, a.reason)),
+    "split": (OfObject, {"masks": list[str]}, lambda a, frame, *_: actions.split_object(
+        frame, a.object, a.masks, a.reason)),
+    "relation": (Action, {"a": int, "b": int, "relation": str, "to": Literal["T", "U", "F"]}, lambda a, frame, *_:
+        actions.set_relation(frame, a.a, a.b, a.relation, _STATES[a.to], a.reason)),
+    "text": (Action, {"expression": str, "to": str}, lambda a, frame, *_: actions.set_text(
+        frame, a.expression, a.to, a.reason)),
+    "answers": (Action, {"expression": str, "targets": list[int], "acceptable": (list[int] | None, None)},
+        lambda a, frame, *_: actions.set_answers(frame, a.expression, a.targets, a.acceptable, a.reason)),
+    "ambiguous": (Action, {"expression": str, "to": bool}, lambda a, frame, *_: actions.set_ambiguous(
+        frame, a.expression, a.to, a.reason)),
+    "mark": (Action, {"expression": str, "to": str | None}, lambda a, frame, *_: actions.set_mark(
+        frame, a.expression, a.to, a.reason)),
+    "note": (Action, {"to": str | None}, lambda a, frame, *_: actions.set_note(frame, a.to, a.reason)),
+    "value": (Action, {"kind": (Kind, ...), "key": str, "field": str, "to": Any}, _value),
+}  # fmt: skip
+"""Kinds of actions by their `edit`: what they are on, the fields that they have besides, and what makes their edits.
+
+"box" is null for the box that the object's points make; "judge" is a reviewer's own word (a status, or of a relation
+T, U or F), "settle" the last one where reviewers differ; "value" is any one field of one entity as the journal keeps
+it: nothing else is set with it, and of judgements it is one's own.
+"""
+_MODELS = tuple(
+    create_model(
+        edit, __base__=base, edit=(Literal[edit], ...),  # pyright: ignore
+        **{name: kind if isinstance(kind, tuple) else (kind, ...) for name, kind in more.items()},  # pyright: ignore
+    )
+    for edit, (base, more, _) in KINDS.items()
+)  # fmt: skip
+_LIST: TypeAdapter[list[Any]] = TypeAdapter(
+    list[Annotated[Union[_MODELS], Field(discriminator="edit")]]  # pyright: ignore  # noqa: UP007
+)
 
 
-class Ambiguous(OfExpression):
-    edit: Literal["ambiguous"]
-    to: bool
-
-
-class Mark(OfExpression):
-    edit: Literal["mark"]
-    to: str | None
-
-
-class Note(Action):
-    edit: Literal["note"]
-    to: str | None
-
-
-class Value(Action):
-    """One field of one entity, as the journal keeps it; nothing else is set with it. Of judgements, one's own."""
-
-    edit: Literal["value"]
-    kind: Kind
-    key: str
-    field: str
-    to: Any
-
-
-AnyAction = Annotated[
-    ClassName | Mask | Rectangle | Solid | Status | Judge | Settle | NewObject | Merge | Split | Relation | Text
-    | Answers | Ambiguous | Mark | Note | Value,
-    Field(discriminator="edit"),
-]  # fmt: skip
-
-
-_LIST: TypeAdapter[list[AnyAction]] = TypeAdapter(list[AnyAction])
-
-
-def read_actions(path: Path) -> list[AnyAction]:
+def read_actions(path: Path) -> list[Any]:
     """Actions from a file.
 
     Raises
@@ -261,14 +248,14 @@ def read_actions(path: Path) -> list[AnyAction]:
     """
     try:
         return actions_of(json.loads(Path(path).read_text(encoding="utf-8")), path)
+    except InputError:
+        raise
     except (OSError, ValueError, RecursionError) as error:
-        if isinstance(error, InputError):
-            raise
         reason = getattr(error, "strerror", None) or str(error)
         raise InputError("the edits cannot be read", got=reason, expected="a JSON list", path=path) from error
 
 
-def actions_of(entries: Any, path: Path | None = None) -> list[AnyAction]:
+def actions_of(entries: Any, path: Path | None = None) -> list[Any]:
     """Actions from parsed JSON; raises as `read_actions`."""
     if not isinstance(entries, list) or not entries:
         got = "an empty list" if entries == [] else type(entries).__name__
@@ -282,85 +269,16 @@ def actions_of(entries: Any, path: Path | None = None) -> list[AnyAction]:
         raise InputError(message, got=repr(first.get("input"))[:60], path=path) from error
 
 
-def edits_of(action: AnyAction, frame: EffectiveFrame, author: str, canvas: Canvas | None = None) -> tuple[Edit, ...]:
+def edits_of(action: Action, frame: EffectiveFrame, author: str, canvas: Canvas | None = None) -> tuple[Edit, ...]:
     """The edits that an action comes down to; InputError where it cannot be done to the frame.
 
     `canvas` is the frame's picture, for shapes that follow its depth.
     """
-    return _EDITS[action.edit](action, frame, author, canvas)
-
-
-def _mask(a: Mask, frame: EffectiveFrame, author: str, canvas: Canvas | None) -> actions.Edits:
-    mask = a.to
-    if a.shaped:
-        mask = combined(actions.pixels_of(frame, a.object), a.pixels(*actions.size_of(frame), canvas), a.mode)
-    return actions.set_mask(frame, a.object, mask, a.reason)
-
-
-def _new_object(a: NewObject, frame: EffectiveFrame, author: str, canvas: Canvas | None) -> actions.Edits:
-    box = None if a.box is None else box_of(a.box)
-    mask = a.pixels(*actions.size_of(frame), canvas, surface=True) if a.shaped else a.mask
-    return actions.add_object(frame, a.label, mask=mask, bbox=a.bbox, box=box, reason=a.reason)
-
-
-def _value(a: Value, frame: EffectiveFrame, author: str, canvas: Canvas | None) -> actions.Edits:
-    ref = FieldRef(a.kind, a.frame, a.key, a.field)
-    if ref.kind == "review" and judged_item(ref.key)[0] not in (author.strip(), OF_ALL):
-        raise InputError("a judgement of another person", got=judged_item(ref.key)[0], expected=author)
-    return actions.set_value(frame, ref, a.to, a.reason)
-
-
-def _judge(a: Judge, frame: EffectiveFrame, author: str, canvas: Canvas | None) -> actions.Edits:
-    ref = _status_cell(a)
-    if ref.kind == "relation" and a.to in _STATES:
-        (one, other), relation = ref.numbers, ref.field.removesuffix(".status")
-        return actions.judge_relation(frame, one, other, relation, _STATES[a.to], author, a.reason)
-    return actions.judge(frame, ref, a.to, author, a.reason)
-
-
-def _settle(a: Settle, frame: EffectiveFrame, author: str, canvas: Canvas | None) -> actions.Edits:
-    ref = _status_cell(a)
-    state = _STATES.get(a.to) if ref.kind == "relation" else None
-    if state is None:
-        return actions.settle(frame, ref, a.to, a.reason)
-    now = frame.value(actions.state_ref(ref))
-    return actions.settle(frame, ref, "accepted" if state == now else "corrected", a.reason, state)
-
-
-_EDITS: dict[str, Callable[[Any, EffectiveFrame, str, Canvas | None], actions.Edits]] = {
-    "class": lambda a, frame, *_: actions.set_class(frame, a.object, a.to, a.reason),
-    "mask": _mask,
-    "bbox": lambda a, frame, *_: actions.set_bbox(frame, a.object, a.to, a.reason),
-    "box": lambda a, frame, *_: actions.set_box(frame, a.object, None if a.to is None else box_of(a.to), a.reason),
-    "status": lambda a, frame, *_: actions.set_status(frame, _status_cell(a), a.to, a.reason),
-    "judge": _judge,
-    "settle": _settle,
-    "new": _new_object,
-    "merge": lambda a, frame, *_: actions.merge_objects(frame, a.objects, a.reason),
-    "split": lambda a, frame, *_: actions.split_object(frame, a.object, a.masks, a.reason),
-    "relation": lambda a, frame, *_: actions.set_relation(frame, a.a, a.b, a.relation, _STATES[a.to], a.reason),
-    "text": lambda a, frame, *_: actions.set_text(frame, a.expression, a.to, a.reason),
-    "answers": lambda a, frame, *_: actions.set_answers(frame, a.expression, a.targets, a.acceptable, a.reason),
-    "ambiguous": lambda a, frame, *_: actions.set_ambiguous(frame, a.expression, a.to, a.reason),
-    "mark": lambda a, frame, *_: actions.set_mark(frame, a.expression, a.to, a.reason),
-    "note": lambda a, frame, *_: actions.set_note(frame, a.to, a.reason),
-    "value": _value,
-}
-"""What makes the edits of an action, by its `edit`."""
-
-
-def _status_cell(action: OfItem) -> FieldRef:
-    if action.object is not None:
-        return FieldRef("object", action.frame, str(action.object), "status")
-    if action.expression is not None:
-        return FieldRef("expression", action.frame, action.expression, "status")
-    if action.a is not None and action.b is not None and action.relation is not None:
-        return FieldRef("relation", action.frame, f"{action.a},{action.b}", f"{action.relation}.status")
-    return FieldRef("frame", action.frame, "", "status")
+    return KINDS[action.edit][2](action, frame, author, canvas)
 
 
 def apply_actions(
-    corrector: Corrector, journal: Journal, todo: Sequence[AnyAction], author: str, *, again: str | None = None
+    corrector: Corrector, journal: Journal, todo: Sequence[Action], author: str, *, again: str | None = None
 ) -> Saved | Conflict:
     """Save actions as one: all of them, or none.
 
@@ -395,8 +313,7 @@ def apply_actions(
         except InputError as error:
             raise InputError(f"edit {k}: {error}") from error
         if action.base is not None:
-            first = made[0]
-            made = (Edit(first.ref, first.before, first.after, action.base, first.reason, first.anchor), *made[1:])
+            made = (replace(made[0], base=action.base), *made[1:])
         else:
             heads = journal.heads([e.ref for e in made])
             rivals += [Rival(e, heads[e.ref]) for e in made if e.ref in heads and heads[e.ref].author != author]
@@ -406,9 +323,7 @@ def apply_actions(
 
 def combined(mask: np.ndarray, pixels: np.ndarray, mode: Mode) -> np.ndarray:
     """A mask with other pixels added to it, taken from it, or in its place."""
-    if mode == "add":
-        return mask | pixels
-    return mask & ~pixels if mode == "remove" else pixels
+    return mask | pixels if mode == "add" else mask & ~pixels if mode == "remove" else pixels
 
 
 def needs_pictures(actions: Sequence[Any]) -> bool:

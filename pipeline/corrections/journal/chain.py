@@ -12,7 +12,7 @@ import math
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime, timedelta, timezone
-from typing import Any, get_args
+from typing import Any, NamedTuple, get_args
 
 import sqlalchemy as sa
 
@@ -99,17 +99,8 @@ class Head:
     hash: str
 
 
-@dataclass(frozen=True)
-class Verdict:
-    """What a chain says of its events.
-
-    Attributes
-    ----------
-    intact : tuple of dict
-        Events that are as they were saved.
-    damage : tuple of str
-        What is wrong, each in a clause; empty where nothing is.
-    """
+class Verdict(NamedTuple):
+    """What a chain says of its events: those that are as they were saved, and what is wrong, each in a clause."""
 
     intact: tuple[Row, ...]
     damage: tuple[str, ...]
@@ -232,10 +223,8 @@ def _against(row: Row, known: Mapping[str, Row], head: Row | None, group: Row | 
         return "its version does not follow"
     if head is not None and row["kind"] not in _LOOSE and _one_bit_apart(head["after"], row["before"]):
         return "what it was made on is not what was saved before it"
-    if group is not None:
-        alike = all(row[name] == group[name] for name in ("project", "author", "action", "labels"))
-        if not alike:
-            return "it is not of its action"
+    if group is not None and any(row[name] != group[name] for name in ("project", "author", "action", "labels")):
+        return "it is not of its action"
     if row["undo_of"] is None:
         return None
     source = known.get(row["undo_of"])
@@ -243,20 +232,17 @@ def _against(row: Row, known: Mapping[str, Row], head: Row | None, group: Row | 
         return "what it takes back is not there"
     same = ("project", "kind", "frame", "key", "field", "author", "reason", "anchor")
     turned = row["before"] == source["after"] and row["after"] == source["before"]
-    if not turned or any(row[name] != source[name] for name in same):
-        return "it is not the reverse of what it takes back"
-    return None
+    reverse = turned and all(row[name] == source[name] for name in same)
+    return None if reverse else "it is not the reverse of what it takes back"
 
 
 def _made(ulid: Any) -> datetime | None:
     """When a ULID was made; None where it is none."""
     if not isinstance(ulid, str) or len(ulid) != 26 or any(c not in CROCKFORD for c in ulid):
         return None
-    number = 0
-    for c in ulid[:10]:
-        number = number << 5 | CROCKFORD.index(c)
+    milliseconds = sum(CROCKFORD.index(c) << 5 * (9 - k) for k, c in enumerate(ulid[:10]))
     try:
-        return datetime.fromtimestamp(number / 1000, timezone.utc)
+        return datetime.fromtimestamp(milliseconds / 1000, timezone.utc)
     except (OverflowError, ValueError, OSError):
         return None
 
@@ -272,9 +258,7 @@ def _is_anchor(value: Any) -> bool:
 def _one_bit_apart(a: Any, b: Any) -> bool:
     """Whether the JSON of two values differs in one bit, as it does where one was flipped."""
     one, other = (json.dumps(v).encode() for v in (a, b))
-    if len(one) != len(other):
-        return False
-    return sum((x ^ y).bit_count() for x, y in zip(one, other, strict=True)) == 1
+    return len(one) == len(other) and sum((x ^ y).bit_count() for x, y in zip(one, other, strict=True)) == 1
 
 
 class UtcTime(sa.types.TypeDecorator[datetime]):

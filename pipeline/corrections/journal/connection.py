@@ -12,6 +12,7 @@ import sqlite3
 import time
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +27,6 @@ from pipeline.corrections.journal.chain import (
     VERSION,
     Head,
     Row,
-    Verdict,
     chained,
     create,
     drop_before,
@@ -34,7 +34,7 @@ from pipeline.corrections.journal.chain import (
     judged_alone,
     version_of,
 )
-from pipeline.corrections.journal.examining import Examined, examine, read_only
+from pipeline.corrections.journal.examining import Examined, examine, known_version, read_only
 from pipeline.corrections.journal.postgres import ask_for_turn, postgres_engine, state_of
 from pipeline.corrections.journal.sqlite_file import (
     BUSY_S,
@@ -44,7 +44,7 @@ from pipeline.corrections.journal.sqlite_file import (
     plain_reason,
     sqlite_engine,
 )
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 NETWORK_FILE_SYSTEMS = frozenset(
     {"nfs", "nfs3", "nfs4", "cifs", "smb3", "smbfs", "fuse.sshfs", "9p", "lustre", "gpfs", "beegfs", "afs", "ceph",
@@ -91,11 +91,22 @@ def make_engine(where: str | Path) -> sa.Engine:
     return postgres_engine(str(where))
 
 
+@contextmanager
+def opened(where: str | Path) -> Iterator[sa.Engine]:
+    """`make_engine` for as long as the block lasts."""
+    engine = make_engine(where)
+    try:
+        yield engine
+    finally:
+        engine.dispose()
+
+
 def _come_instead(path: Path) -> None:
     """Believe a file that has come in the place of a journal that is open."""
     found = examine(path).believe()
-    if found.version != VERSION:
-        raise InputError("another file stands in the place of the journal", cause="open it anew", path=path)
+    require(
+        found.version == VERSION, "another file stands in the place of the journal", cause="open it anew", path=path
+    )
 
 
 def location_of(engine: sa.Engine) -> str:
@@ -178,18 +189,11 @@ def prepare(engine: sa.Engine) -> tuple[str, ...]:
                     examined_server(connection, location, chain=True).believe()
                 return ()
         if not writable:
-            if found != 1:
-                raise InputError("no journal can be made", cause="the folder cannot be written", path=location)
+            require(found == 1, "no journal can be made", cause="the folder cannot be written", path=location)
             return (f"{location} can only be read here: its events are checked, and not chained",)
         with writing(engine) as connection:
             found = version_of(connection)
-            if found is not None and found > VERSION:
-                raise InputError(
-                    "the journal is of a newer release", got=f"version {found}", expected=f"at most {VERSION}",
-                    cause="install the release that wrote it", path=location,
-                )  # fmt: skip
-            if found == 0:
-                raise InputError("the database holds something else than a journal", path=location)
+            known_version(found, location)
             if found is None:
                 create(connection, FIRST)
             elif found < VERSION:
@@ -243,17 +247,12 @@ def network_file_system(path: str | Path, mounts: str | Path = "/proc/self/mount
         lines = Path(mounts).read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
         return None
-    location = str(Path(path).expanduser().resolve())
-    found = ("", "")
-    for line in lines:
-        fields = line.split(" ")
-        if len(fields) < 3:
-            continue
-        point = _ESCAPE.sub(lambda m: chr(int(m[1], 8)), fields[1])
-        within = location == point or location.startswith(point.rstrip("/") + "/")
-        if within and len(point) >= len(found[0]):
-            found = point, fields[2]
-    return found[1] if found[1] in NETWORK_FILE_SYSTEMS else None
+    location, kind, longest = Path(path).expanduser().resolve(), "", 0
+    for fields in (line.split(" ") for line in lines):
+        point = _ESCAPE.sub(lambda m: chr(int(m[1], 8)), fields[1]) if len(fields) > 2 else ""
+        if point and location.is_relative_to(point) and len(point) >= longest:
+            kind, longest = fields[2], len(point)
+    return kind if kind in NETWORK_FILE_SYSTEMS else None
 
 
 def take_over(connection: sa.Connection, location: str) -> str:
@@ -304,18 +303,14 @@ def examined_server(connection: sa.Connection, location: str, *, chain: bool) ->
     rows = [(int(row["id"]), dict(row)) for row in connection.execute(query).mappings()]
     kept = connection.execute(sa.select(HEAD.c.events, HEAD.c.last, HEAD.c.hash)).one_or_none() if chain else None
     head = None if kept is None else Head(*kept)
-    found: Verdict = judged(rows, head) if chain else judged_alone(rows)
-    return Examined(location, 2 if chain else 1, head.events if head else len(rows), found.intact, found.damage)
+    found = judged(rows, head) if chain else judged_alone(rows)
+    return Examined(location, 2 if chain else 1, head.events if head else len(rows), *found)
 
 
 def _free(path: Path) -> Path:
     """A name beside the journal that nothing has."""
-    name = Path(f"{path}.{ORIGINAL}")
-    number = 1
-    while name.exists():
-        number += 1
-        name = Path(f"{path}.{ORIGINAL}-{number}")
-    return name
+    names = (Path(f"{path}.{ORIGINAL}{'' if number == 1 else f'-{number}'}") for number in count(1))
+    return next(name for name in names if not name.exists())
 
 
 def copy_whole(path: Path, to: Path) -> None:

@@ -27,7 +27,7 @@ from pipeline.corrections.journal.field_refs import (
 from pipeline.corrections.journal.replay import judgement_ref
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.masks import decode_run_length, encode_run_length
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 Edits = tuple[Edit, ...]
 Rectangle = Sequence[float] | np.ndarray
@@ -49,20 +49,13 @@ def set_status(
     has left out, is set for all then.
     """
     if author is not None:
-        own = judge(frame, ref, status, author, reason)
-        if ref.kind not in ("object", "expression"):
-            return own
-        out = frame.statuses.get(ref) == "rejected"
-        if status == "rejected":
-            return own if out else (*own, *set_status(frame, ref, status, reason))
+        own, out = judge(frame, ref, status, author, reason), frame.statuses.get(ref) == "rejected"
         mine = out and frame.origin(ref).author == author
-        return (*own, *set_status(frame, ref, None, reason)) if mine else own
-    if not ref.field.endswith("status"):
-        raise InputError("not a status", got=ref.field)
-    if ref.kind == "object":
-        return (_object_edit(frame, ref.numbers[0], "status", status, reason),)
-    _check_expression(frame, ref)
-    _check_pair(frame, ref)
+        for_all = not out if status == "rejected" else mine
+        if ref.kind not in ("object", "expression") or not for_all:
+            return own
+        return (*own, *set_status(frame, ref, status if status == "rejected" else None, reason))
+    require(ref.field.endswith("status"), "not a status", got=ref.field)
     return (_edit(frame, ref, status, reason),)
 
 
@@ -103,44 +96,38 @@ def add_object(
     if number is None:
         # Seven digits: people read them.
         number = random.SystemRandom().randrange(FIRST_NEW_OBJECT, 10 * FIRST_NEW_OBJECT)
-    if number < FIRST_NEW_OBJECT:
-        raise InputError("the number of a new object is too small", got=number, expected=f"from {FIRST_NEW_OBJECT} on")
-    seed: dict[str, Any] = {"label": label}
-    if mask is not None:
-        seed["mask"] = _code(frame, mask)
-    if bbox is not None:
-        seed["bbox"] = _within(frame, bbox)
-    if box is not None:
-        seed["box"] = box_value(box)
+    require(
+        number >= FIRST_NEW_OBJECT,
+        "the number of a new object is too small",
+        got=number,
+        expected=f"from {FIRST_NEW_OBJECT} on",
+    )
+    pixels = {} if mask is None else {"mask": _code(frame, mask)}
+    flat = {} if bbox is None else {"bbox": _within(frame, bbox)}
+    seed = {"label": label, **pixels, **flat, **({} if box is None else {"box": box_value(box)})}
     return (_edit(frame, object_ref(frame.frame, number, "exists"), seed, reason),)
 
 
 def merge_objects(frame: EffectiveFrame, numbers: Iterable[int], reason: str = "") -> Edits:
     """One object of several: the first gets the pixels of all, the others are rejected."""
     ids = list(dict.fromkeys(numbers))
-    if len(ids) < 2:
-        raise InputError("a merge needs two objects", got=ids)
+    require(len(ids) >= 2, "a merge needs two objects", got=ids)
     mask = np.logical_or.reduce([pixels_of(frame, n) for n in ids])
     note = reason or f"merged into object {ids[0]}"
     first = _object_edit(frame, ids[0], "mask", _code(frame, mask), reason or f"merged with {_listed(ids[1:])}")
     return (first, *(_object_edit(frame, n, "status", "rejected", note) for n in ids[1:]))
 
 
-def split_object(
-    frame: EffectiveFrame, number: int, masks: Sequence[np.ndarray | str], reason: str = ""
-) -> Edits:
+def split_object(frame: EffectiveFrame, number: int, masks: Sequence[np.ndarray | str], reason: str = "") -> Edits:
     """Several objects of one: it keeps the first mask, each other one makes a new object of its class."""
-    if len(masks) < 2:
-        raise InputError("a split needs two masks", got=len(masks))
+    require(len(masks) >= 2, "a split needs two masks", got=len(masks))
     label = _row(frame, number)["label"]
     note = reason or f"split off object {number}"
     first = _object_edit(frame, number, "mask", _code(frame, masks[0]), reason or f"split in {len(masks)}")
     return (first, *(e for m in masks[1:] for e in add_object(frame, label, mask=m, reason=note)))
 
 
-def set_relation(
-    frame: EffectiveFrame, a: int, b: int, relation: str, state: int | None, reason: str = ""
-) -> Edits:
+def set_relation(frame: EffectiveFrame, a: int, b: int, relation: str, state: int | None, reason: str = "") -> Edits:
     """T (1), U (0) or F (-1) for "a RELATION b"; the inverse, "b INVERSE a", gets the same state.
 
     Raises
@@ -148,11 +135,7 @@ def set_relation(
     InputError
         No such pair or relation, or a state that is none.
     """
-    refs = [relation_ref(frame.frame, a, b, relation)]
-    _check_pair(frame, refs[0])
-    inverse = frame.setting.inverse(relation)
-    if inverse is not None:
-        refs.append(relation_ref(frame.frame, b, a, inverse))
+    refs = _both_ways(frame, relation_ref(frame.frame, a, b, relation))
     return tuple(_edit(frame, ref, state, reason) for ref in refs)
 
 
@@ -177,28 +160,19 @@ def judge_relation(
 
     It is "accepted" where the label says so, else "corrected", and the label stays what it is: for a second opinion.
     """
-    refs = [FieldRef("relation", frame.frame, f"{a},{b}", f"{relation}.status")]
+    refs = _both_ways(frame, relation_ref(frame.frame, a, b, f"{relation}.status"))
     _check_judged(frame, refs[0])
-    inverse = frame.setting.inverse(relation)
-    if inverse is not None:
-        refs.append(FieldRef("relation", frame.frame, f"{b},{a}", f"{inverse}.status"))
     return tuple(
         _judgement(frame, c, "accepted" if frame.value(state_ref(c)) == state else "corrected", state, author, reason)
         for c in refs
     )
 
 
-def judge_both_ways(
-    frame: EffectiveFrame, ref: FieldRef, status: str | None, author: str, reason: str = ""
-) -> Edits:
+def judge_both_ways(frame: EffectiveFrame, ref: FieldRef, status: str | None, author: str, reason: str = "") -> Edits:
     """As `judge` of a relation, and of what says the same the other way round, unless the labels contradict it."""
     _check_judged(frame, ref)
-    refs, inverse = [ref], frame.setting.inverse(ref.field.removesuffix(".status"))
-    if inverse is not None:
-        a, b = ref.numbers
-        mirror = FieldRef("relation", frame.frame, f"{b},{a}", f"{inverse}.status")
-        if frame.value(state_ref(mirror)) == frame.value(state_ref(ref)):
-            refs.append(mirror)
+    now = frame.value(state_ref(ref))
+    refs = [c for c in _both_ways(frame, ref) if frame.value(state_ref(c)) == now]
     return tuple(e for c in refs for e in judge(frame, c, status, author, reason))
 
 
@@ -224,11 +198,17 @@ def settle(frame: EffectiveFrame, ref: FieldRef, status: str, reason: str = "", 
         now = frame.value(state_ref(ref))
         state = now if state is None else state
         if state != now:
-            a, b = ref.numbers
-            made = set_relation(frame, a, b, ref.field.removesuffix(".status"), state, reason)
+            made = set_relation(frame, *ref.numbers, state_ref(ref).field, state, reason)  # pyright: ignore
     elif (status == "rejected") != (frame.statuses.get(ref) == "rejected"):
         made = set_status(frame, ref, status, reason)
     return (*made, _judgement(frame, ref, status, state, OF_ALL, reason))
+
+
+def _both_ways(frame: EffectiveFrame, ref: FieldRef) -> list[FieldRef]:
+    """A relation, or its status, and what says the same the other way round, where the profile has that."""
+    relation, status = state_ref(ref).field, ".status" if ref.field.endswith(".status") else ""
+    inverse, (a, b) = frame.setting.inverse(relation), ref.numbers
+    return [ref] if inverse is None else [ref, relation_ref(frame.frame, b, a, f"{inverse}{status}")]
 
 
 def state_ref(ref: FieldRef) -> FieldRef:
@@ -237,23 +217,20 @@ def state_ref(ref: FieldRef) -> FieldRef:
 
 
 def _check_judged(frame: EffectiveFrame, ref: FieldRef) -> None:
-    if ref.kind not in ("object", "relation", "expression") or not ref.field.endswith("status"):
-        raise InputError("only objects, relations and expressions are judged", got=str(ref))
-    if ref.kind == "object":
-        _row(frame, ref.numbers[0])
-    _check_expression(frame, ref)
-    _check_pair(frame, ref)
+    require(
+        ref.kind in ("object", "relation", "expression") and ref.field.endswith("status"),
+        "only objects, relations and expressions are judged",
+        got=str(ref),
+    )
+    _check(frame, ref)
 
 
 def _judgement(
     frame: EffectiveFrame, ref: FieldRef, status: str | None, state: int | None, author: str, reason: str
 ) -> Edit:
-    a, b, what = -1, None, ref.key
-    if ref.kind == "object":
-        a, what = ref.numbers[0], ""
-    elif ref.kind == "relation":
-        (a, b), what = ref.numbers, ref.field.removesuffix(".status")
-    own = judgement_ref(frame.frame, ref.kind, a, b, what, author)
+    a, b = (*ref.numbers, None, None)[:2]
+    what = {"object": "", "relation": ref.field.removesuffix(".status")}.get(ref.kind, ref.key)
+    own = judgement_ref(frame.frame, ref.kind, -1 if a is None else a, b, what, author)
     return _edit(frame, own, None if status is None else {"status": status, "value": state}, reason)
 
 
@@ -278,8 +255,7 @@ def set_answers(
     """
     sure = sorted(set(targets))
     likely = sorted({*sure, *acceptable}) if acceptable is not None else sure
-    if not likely:
-        raise InputError("an expression needs an answer", cause='is it wrong? then mark it "BAD_LABEL"')
+    require(likely, "an expression needs an answer", cause='is it wrong? then mark it "BAD_LABEL"')
     for number in likely:
         _row(frame, number)
     return (
@@ -306,45 +282,38 @@ def set_note(frame: EffectiveFrame, note: str | None, reason: str = "") -> Edits
 
 def set_value(frame: EffectiveFrame, ref: FieldRef, value: Any, reason: str = "") -> Edits:
     """Any one cell, as it is kept; nothing else is set with it."""
-    if ref.kind == "object" and ref.field != "exists":
-        return (_object_edit(frame, ref.numbers[0], ref.field, value, reason),)
-    _check_expression(frame, ref)
-    _check_pair(frame, ref)
     return (_edit(frame, ref, value, reason),)
 
 
 def _edit(frame: EffectiveFrame, ref: FieldRef, after: Any, reason: str) -> Edit:
-    if ref.frame != frame.frame:
-        raise InputError("an edit of another frame", got=ref.frame, expected=frame.frame)
+    _check(frame, ref)
+    require(ref.frame == frame.frame, "an edit of another frame", got=ref.frame, expected=frame.frame)
     boxes = frame.auto.objects
     anchor = {str(n): [float(x) for x in boxes[n]["bbox"]] for n in ref.numbers if n in boxes}
     return Edit(ref, frame.value(ref), checked(ref, after), frame.version(ref), reason, anchor)
 
 
 def _object_edit(frame: EffectiveFrame, number: int, field: str, after: Any, reason: str) -> Edit:
-    _row(frame, number)
     return _edit(frame, object_ref(frame.frame, number, field), after, reason)
 
 
 def _expression_edit(frame: EffectiveFrame, expression: str, field: str, after: Any, reason: str) -> Edit:
-    ref = FieldRef("expression", frame.frame, expression, field)
-    _check_expression(frame, ref)
-    return _edit(frame, ref, after, reason)
+    return _edit(frame, FieldRef("expression", frame.frame, expression, field), after, reason)
 
 
 def _row(frame: EffectiveFrame, number: int) -> dict[str, Any]:
-    row = frame.objects.get(number) or frame.left_out.get(number)
+    row = frame.object(number)
     if row is None:
         raise InputError(f"frame {frame.frame} has no object {number}", expected=_listed(frame.objects))
     return row
 
 
-def _check_expression(frame: EffectiveFrame, ref: FieldRef) -> None:
-    if ref.kind == "expression" and ref.key not in frame.auto.expressions:
-        raise InputError(f"frame {frame.frame} has no such expression", got=repr(ref.key))
-
-
-def _check_pair(frame: EffectiveFrame, ref: FieldRef) -> None:
+def _check(frame: EffectiveFrame, ref: FieldRef) -> None:
+    """Refuse what is of no object, expression or pair of the frame."""
+    if ref.kind == "object" and ref.field != "exists":
+        _row(frame, ref.numbers[0])
+    known = ref.kind != "expression" or ref.key in frame.auto.expressions
+    require(known, f"frame {frame.frame} has no such expression", got=repr(ref.key))
     if ref.kind != "relation":
         return
     relation = ref.field.removesuffix(".status")
@@ -352,12 +321,14 @@ def _check_pair(frame: EffectiveFrame, ref: FieldRef) -> None:
         expected = _listed(frame.setting.relations)
         raise InputError("the labels hold no such relation", got=repr(relation), expected=expected)
     a, b = ref.numbers
-    if a == b:
-        raise InputError("an object has no relation to itself", got=a)
+    require(a != b, "an object has no relation to itself", got=a)
     for number in (a, b):
         _row(frame, number)
-        if frame.pairs.index_of(number) is None:
-            raise InputError(f"object {number} takes part in no relation", cause="is it background, or rejected?")
+        require(
+            frame.pairs.index_of(number) is not None,
+            f"object {number} takes part in no relation",
+            cause="is it background, or rejected?",
+        )
 
 
 def size_of(frame: EffectiveFrame) -> tuple[int, int]:
@@ -367,14 +338,10 @@ def size_of(frame: EffectiveFrame) -> tuple[int, int]:
 
 def _code(frame: EffectiveFrame, mask: np.ndarray | str) -> str:
     size = size_of(frame)
-    if isinstance(mask, str):
-        pixels = decode_run_length(size, mask)
-    else:
-        pixels = mask
-        if pixels.dtype != np.bool_ or pixels.shape != size:
-            raise InputError(f"a mask must be bool {size}", got=f"{pixels.dtype} {pixels.shape}")
-    if not pixels.any():
-        raise InputError("the mask is empty")
+    pixels = decode_run_length(size, mask) if isinstance(mask, str) else mask
+    sound = pixels.dtype == np.bool_ and pixels.shape == size
+    require(sound, f"a mask must be bool {size}", got=f"{pixels.dtype} {pixels.shape}")
+    require(pixels.any(), "the mask is empty")
     return mask if isinstance(mask, str) else encode_run_length(pixels)
 
 
@@ -394,8 +361,12 @@ def _within(frame: EffectiveFrame, bbox: Rectangle) -> list[float]:
     x0, y0, x1, y1 = checked(ref, [float(x) for x in bbox])
     width, height = float(frame.row["width"]), float(frame.row["height"])
     inside = [max(x0, 0.0), max(y0, 0.0), min(x1, width), min(y1, height)]
-    if inside[2] <= inside[0] or inside[3] <= inside[1]:
-        raise InputError("the 2D box is outside the picture", got=[x0, y0, x1, y1], expected=f"{width:g}x{height:g}")
+    require(
+        inside[2] > inside[0] and inside[3] > inside[1],
+        "the 2D box is outside the picture",
+        got=[x0, y0, x1, y1],
+        expected=f"{width:g}x{height:g}",
+    )
     return inside
 
 

@@ -7,21 +7,30 @@ from __future__ import annotations
 
 import threading
 from collections import Counter, OrderedDict
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from pipeline.answering.objects import PreparedFrame, SceneObject, pixels_inside, prepare_frame
-from pipeline.corrections.journal.effective_expressions import Withdrawn
-from pipeline.corrections.journal.effective_frame import EffectiveFrame, effective_frame
+from pipeline.corrections.journal.effective_expressions import correct_expressions
+from pipeline.corrections.journal.effective_frame import BOX_COLUMNS, EffectiveFrame, Row, Withdrawn
+from pipeline.corrections.journal.effective_objects import DERIVED, OF_BOX, correct_objects, correct_pairs, unusable
 from pipeline.corrections.journal.events import Event
 from pipeline.corrections.journal.field_refs import FieldRef, box_of, judged_item
 from pipeline.corrections.journal.frame_rows import FrameIndex, FrameRows, Pairs, Setting, setting_of
 from pipeline.corrections.journal.journal import Journal
-from pipeline.corrections.journal.replay import Unapplied, all_gone, by_ref, provenance_schema
+from pipeline.corrections.journal.replay import (
+    Origin,
+    Unapplied,
+    all_gone,
+    by_ref,
+    provenance_schema,
+    replay,
+    replayed_judgement,
+)
 from pipeline.datasets import Dataset
 from pipeline.geometry.camera import UpSource
 from pipeline.geometry.lifting import LiftedObject, lift
@@ -45,7 +54,9 @@ FRAMES_KEPT = 8
 """Effective frames that a corrector keeps: the one that is looked at, and those next in a queue."""
 GEOMETRY = ("bbox", "mask", "center")
 """Columns of which a correction makes another object of what the dataset annotates."""
-Row = dict[str, Any]
+Relift = Callable[[FrameRows, Mapping[int, Row], Mapping[int, Any], Iterable[int]], tuple[dict[int, Row], Pairs]]
+"""Lifts and judges the objects of a frame anew, from the dataset: of its automatic rows, all standing objects, the 3D
+boxes (JSON values) that people set, and the objects whose 2D box is not to follow from their mask."""
 LabelledUp = tuple[tuple[float, ...], UpSource]
 FRAMES_LOADED = 4
 """Frames that stay loaded: who corrects one goes on correcting it."""
@@ -216,7 +227,7 @@ def effective_tables(
             if found.stands:
                 pieces[table].append(changed[table].cast(whole.schema))
             at[table] = stop
-        provenance += found.origins.rows()
+        provenance += found.provenance()
         unapplied += found.unapplied
         withdrawn += found.withdrawn
         statuses |= {ref: value for ref, value in found.statuses.items() if ref.field != "exists"}
@@ -249,11 +260,10 @@ def labelled_ups(frames: pa.Table) -> dict[str, LabelledUp]:
     return {name: (tuple(up), source or "assumed") for name, up, source in zip(*columns, strict=True) if up and any(up)}
 
 
-@dataclass
 class Relifter:
-    """Lifts the objects of frames of one dataset; see `effective_frame.Relift`.
+    """Lifts the objects of frames of one dataset; see `Relift`.
 
-    Attributes
+    Parameters
     ----------
     dataset : Dataset
     setting : Setting
@@ -262,33 +272,27 @@ class Relifter:
         correction is judged in the same level frame, whatever would be found now.
     """
 
-    dataset: Dataset
-    setting: Setting
-    ups: Mapping[str, LabelledUp]
-    _contexts: OrderedDict[str, PreparedFrame] = field(default_factory=OrderedDict, repr=False)
-    _lifted: dict[tuple[str, str, str], LiftedObject] = field(default_factory=dict, repr=False)
-    _network: OnnxScorer | None = field(default=None, repr=False)
+    def __init__(self, dataset: Dataset, setting: Setting, ups: Mapping[str, LabelledUp]) -> None:
+        self.dataset, self.setting, self.ups = dataset, setting, ups
+        # The lifted objects of a frame go with it.
+        self._loaded = lru_cache(maxsize=FRAMES_LOADED)(lambda frame: (self._load(frame), dict[Any, LiftedObject]()))
 
     def context(self, frame: str) -> PreparedFrame:
         """A frame of the dataset, ready to lift from; raises as `Dataset.load`."""
-        if frame not in self._contexts:
-            loaded = self.dataset.load(frame)
-            if frame in self.ups:
-                up, source = self.ups[frame]
-                loaded = replace(loaded, camera=loaded.camera.with_up(np.array(up), source))
-            self._contexts[frame] = prepare_frame(self.dataset, loaded, self.setting.config.lift)
-            while len(self._contexts) > FRAMES_LOADED:
-                gone, _ = self._contexts.popitem(last=False)
-                self._lifted = {key: value for key, value in self._lifted.items() if key[0] != gone}
-        self._contexts.move_to_end(frame)
-        return self._contexts[frame]
+        return self._loaded(frame)[0]
 
-    @property
+    def _load(self, frame: str) -> PreparedFrame:
+        loaded = self.dataset.load(frame)
+        if frame in self.ups:
+            up, source = self.ups[frame]
+            loaded = replace(loaded, camera=loaded.camera.with_up(np.array(up), source))
+        return prepare_frame(self.dataset, loaded, self.setting.config.lift)
+
+    @cached_property
     def network(self) -> OnnxScorer | None:
         """The second opinion of the labels, opened when it is first asked."""
-        if self._network is None and self.setting.config.second_opinion != NONE:
-            self._network = open_second_opinion(self.setting.config.second_opinion)
-        return self._network
+        name = self.setting.config.second_opinion
+        return None if name == NONE else open_second_opinion(name)
 
     def lifted(self, frame: str, row: Row, box: Any) -> SceneObject:
         """An object of a frame as its effective row and the 3D box that a person set have it."""
@@ -335,10 +339,103 @@ class Relifter:
     def _lift(self, context: PreparedFrame, mask: np.ndarray, source: Any) -> LiftedObject:
         import xxhash
 
-        key = context.frame.id, xxhash.xxh3_128_hexdigest(np.ascontiguousarray(mask).data), str(source)
-        if key not in self._lifted:
-            (self._lifted[key],) = lift(
+        known = self._loaded(context.frame.id)[1]
+        key = xxhash.xxh3_128_hexdigest(np.ascontiguousarray(mask).data), str(source)
+        if key not in known:
+            (known[key],) = lift(
                 context.frame.depth, context.frame.camera, [mask], context.viewer, config=context.config,
                 mask_source=source, edges=context.edges,
             )  # fmt: skip
-        return self._lifted[key]
+        return known[key]
+
+
+def effective_frame(
+    auto: FrameRows, events: Iterable[Event], setting: Setting, relift: Relift | None = None
+) -> EffectiveFrame:
+    """Apply the events of a frame to its automatic labels.
+
+    Parameters
+    ----------
+    auto : FrameRows
+    events : iterable of Event
+        Of this frame, in the order of their saving.
+    setting : Setting
+    relift : Relift, optional
+        Without it, what follows from new pixels or boxes is marked stale.
+
+    Raises
+    ------
+    InputError
+        The dataset was asked for, and the frame cannot be loaded.
+    """
+    events = tuple(events)
+    refs = by_ref(events)
+    frame = EffectiveFrame(auto, setting, auto.pairs, events[-1].id if events else 0)
+    correct_objects(frame, refs)
+    relifted = _lift(frame, relift)
+    _rename(frame)
+    correct_pairs(frame, refs, relifted)
+    cause = max((e for e in events if e.ref in frame.versions), key=lambda e: e.id, default=None)
+    correct_expressions(frame, refs, cause)
+    known = {n: row["bbox"] for n, row in auto.objects.items()}
+    for ref, members in refs.items():
+        if ref.kind == "review":
+            # A judgement is of labels, and never one itself: nothing follows from it.
+            after = replayed_judgement(ref, members, known, {*frame.objects, *frame.left_out}, auto.expressions)
+        elif ref.kind == "frame":
+            after = replay(None, members)
+        else:
+            continue
+        if frame.note(members, after).value is not None:
+            frame.statuses[ref] = after.value
+            if ref.kind == "frame" and after.event is not None:
+                frame.put("frames", "", ref.field, Origin.of("human", after.event))
+    frame.row = {**auto.row, "objects": len(frame.objects)}
+    frame.unapplied = tuple(sorted(frame.unapplied, key=lambda u: u.event.id))
+    return frame
+
+
+def _lift(frame: EffectiveFrame, relift: Relift | None) -> Pairs | None:
+    """Bring up to date what follows from pixels and boxes, or mark it stale; the relations where they were judged."""
+    auto, background = frame.auto, frame.setting.config.is_background
+    newly_related = any(
+        n in auto.objects and background(auto.objects[n]["label"]) and not background(frame.objects[n]["label"])
+        for n in frame.renamed
+        if n in frame.objects
+    )
+    if not frame.geometry and not newly_related:
+        return None
+    lifted: dict[int, Row] = {}
+    relifted = None
+    if relift is not None:
+        lifted, relifted = relift(auto, frame.objects, frame.boxes, frame.human_bbox)
+    pixels = {"mask", "mask_source", "bbox"}
+    for number, event in frame.geometry.items():
+        if number not in frame.objects:
+            continue
+        row, key, was = frame.objects[number], str(number), auto.objects.get(number, {})
+        origin = Origin.of("stale" if relift is None else "recomputed", event)
+        only_box = number in frame.boxes and frame.noted("objects", key, "mask") is None and number in auto.objects
+        new = {**row, **{c: lifted[number][c] for c in (*DERIVED, *pixels)}} if lifted else row
+        for column in (*(OF_BOX if only_box else DERIVED), *(pixels - {c for c in row if new[c] == row[c]})):
+            noted = frame.noted("objects", key, column)
+            by_hand = noted is not None and noted.source == "human" and (number in auto.objects or column == "label")
+            if not by_hand and not (column in BOX_COLUMNS and number in frame.boxes):
+                frame.put("objects", key, column, origin, was.get(column))
+        if row["mask_source"] == "human" and number not in frame.human_bbox:
+            frame.put("objects", key, "bbox", Origin.of("recomputed", event), was.get("bbox"))
+        frame.objects[number] = new
+    return relifted
+
+
+def _rename(frame: EffectiveFrame) -> None:
+    """Background classes are not asked for; what was one may be."""
+    for number, event in frame.renamed.items():
+        row = frame.objects.get(number)
+        if row is None or row["reason"] == "not lifted yet":
+            continue
+        reason = unusable(row, frame.setting)
+        if reason != row["reason"] and "background" in (reason, row["reason"]):
+            for column, value in (("usable", reason is None), ("reason", reason)):
+                frame.put("objects", str(number), column, Origin.of("recomputed", event), row[column])
+                row[column] = value

@@ -2,87 +2,142 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
-from pipeline.corrections.journal.effective_expressions import Withdrawn, correct_expressions
-from pipeline.corrections.journal.effective_objects import (
-    BOX_COLUMNS,
-    DERIVED,
-    OF_BOX,
-    CorrectedObjects,
-    correct_objects,
-    correct_pairs,
-    object_value,
-    unusable,
-)
+import numpy as np
+
 from pipeline.corrections.journal.events import Event
 from pipeline.corrections.journal.field_refs import FIELDS, FieldRef
 from pipeline.corrections.journal.frame_rows import FrameRows, Pairs, Setting
-from pipeline.corrections.journal.replay import (
-    Corrected,
-    Origin,
-    Origins,
-    Unapplied,
-    by_ref,
-    replay,
-    replayed_judgement,
-)
+from pipeline.corrections.journal.replay import Origin, Replayed, Unapplied
 
 if TYPE_CHECKING:
     import pyarrow as pa
 
 Row = dict[str, Any]
+BOX_COLUMNS = ("center", "R", "size")
 
 
-Relift = Callable[[FrameRows, Mapping[int, Row], Mapping[int, Any], Iterable[int]], tuple[dict[int, Row], Pairs]]
-"""Lifts and judges the objects of a frame anew, from the dataset: of its automatic rows, all standing objects, the 3D
-boxes (JSON values) that people set, and the objects whose 2D box is not to follow from their mask."""
+@dataclass(frozen=True)
+class Withdrawn:
+    """An expression that is left out of the effective labels.
+
+    Attributes
+    ----------
+    frame, id, text : str
+    reason : str
+    row : dict
+        As it would stand, with what people set.
+    """
+
+    frame: str
+    id: str
+    text: str
+    reason: str
+    row: Row = field(default_factory=dict, compare=False, repr=False)
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class EffectiveFrame:
     """What is known of a frame now, and of each value where it comes from.
+
+    `effective_frame` makes it; nothing changes it after that.
 
     Attributes
     ----------
     auto : FrameRows
+    setting : Setting
+    pairs : Pairs
+        Of the objects that stand and take part in relations.
+    last : int
+        `id` of the newest event that is in it.
     row : dict
         Of the table `frames`.
     objects : dict of int to dict
         Those that stand.
     left_out : dict of int to dict
         Rejected ones: they can be brought back.
-    pairs : Pairs
     expressions : dict of str to dict
+        Those that stand, by id.
     withdrawn : tuple of Withdrawn
     marks : dict of str to str
-        By the id of the expression.
+        BAD_LABEL or BAD_BOX by the id of the expression, whether it stands or not.
     versions : dict of FieldRef to int
         Of the cells that have events.
-    statuses : dict of FieldRef to str
+    statuses : dict of FieldRef to JSON value
     unapplied : tuple of Unapplied
-    origins : Origins
-    setting : Setting
-    last : int
-        `id` of the newest event that is in it.
+    origins : dict of (table, key, column) to (Origin, value that the labels had)
+        Of values that are not the labeller's.
+    geometry : dict of int to Event
+        Objects whose pixels or box a person set, and the newest such event.
+    boxes : dict of int to JSON value
+        3D boxes that people set.
+    human_bbox : set of int
+        Objects whose 2D box a person set.
+    renamed : dict of int to Event
+        Objects with another class.
+    stale : (N,) bool
+        Objects of `pairs` whose relations do not follow from their geometry yet.
+    related_anew : bool
+        Anything of `pairs` differs from the automatic labels.
     """
 
     auto: FrameRows
-    row: Row
-    objects: dict[int, Row]
-    left_out: dict[int, Row]
-    pairs: Pairs
-    expressions: dict[str, Row]
-    withdrawn: tuple[Withdrawn, ...]
-    marks: dict[str, str]
-    versions: dict[FieldRef, int]
-    statuses: dict[FieldRef, Any]
-    unapplied: tuple[Unapplied, ...]
-    origins: Origins
     setting: Setting
-    last: int
+    pairs: Pairs
+    last: int = 0
+    row: Row = field(default_factory=dict)
+    objects: dict[int, Row] = field(default_factory=dict)
+    left_out: dict[int, Row] = field(default_factory=dict)
+    expressions: dict[str, Row] = field(default_factory=dict)
+    withdrawn: tuple[Withdrawn, ...] = ()
+    marks: dict[str, str] = field(default_factory=dict)
+    versions: dict[FieldRef, int] = field(default_factory=dict)
+    statuses: dict[FieldRef, Any] = field(default_factory=dict)
+    unapplied: tuple[Unapplied, ...] = ()
+    origins: dict[tuple[str, str, str], tuple[Origin, Any]] = field(default_factory=dict)
+    geometry: dict[int, Event] = field(default_factory=dict)
+    boxes: dict[int, Any] = field(default_factory=dict)
+    human_bbox: set[int] = field(default_factory=set)
+    renamed: dict[int, Event] = field(default_factory=dict)
+    stale: np.ndarray = field(default_factory=lambda: np.zeros(0, np.bool_))
+    related_anew: bool = False
+
+    def note(self, events: Sequence[Event], replayed: Replayed) -> Replayed:
+        """Keep the version of the cell of these events and what does not apply to it; the same is returned."""
+        self.versions[events[0].ref] = replayed.version
+        self.unapplied += replayed.unapplied
+        return replayed
+
+    def put(self, table: str, key: str, column: str, origin: Origin, was: Any = None) -> None:
+        """Note where a value comes from, and what it was; the last word on a value counts."""
+        self.origins[table, key, column] = origin, was
+
+    def noted(self, table: str, key: str, column: str) -> Origin | None:
+        """Where a value comes from; None where it is the labeller's."""
+        return self.origins.get((table, key, column), (None,))[0]
+
+    def provenance(self) -> list[Row]:
+        """As rows of the provenance table."""
+        return [
+            {
+                "table": table,
+                "frame": self.frame,
+                "frame_index": self.auto.index,
+                "key": key,
+                "column": column,
+                "origin": origin.source,
+                "author": origin.author,
+                "time": origin.time,
+                "event": origin.event,
+                "reason": origin.reason,
+                "was": json.dumps(was, ensure_ascii=False),
+            }
+            for (table, key, column), (origin, was) in self.origins.items()
+        ]
 
     @property
     def frame(self) -> str:
@@ -100,7 +155,7 @@ class EffectiveFrame:
         if ref.kind in ("frame", "review") or ref.field.endswith("status"):
             return self.statuses.get(ref)
         if ref.kind == "object":
-            row = self.objects.get(ref.numbers[0]) or self.left_out.get(ref.numbers[0])
+            row = self.object(ref.numbers[0])
             if ref.field == "exists":
                 return None if row is None or ref.numbers[0] in self.auto.objects else self.statuses.get(ref)
             return None if row is None else object_value(row, ref.field)
@@ -110,6 +165,10 @@ class EffectiveFrame:
             return self.marks.get(ref.key)
         row = self.expression(ref.key)
         return None if row is None else row[ref.field]
+
+    def object(self, number: int) -> Row | None:
+        """The row of an object that stands, or was rejected; None where there is none."""
+        return self.objects.get(number) or self.left_out.get(number)
 
     def expression(self, name: str) -> Row | None:
         """The row of an expression as it is now, also of one that was left out; None where there never was one."""
@@ -122,134 +181,23 @@ class EffectiveFrame:
 
     def origin(self, ref: FieldRef) -> Origin:
         """Where the value of a cell comes from."""
-        table = {"object": "objects", "relation": "relations", "expression": "expressions", "frame": "frames",
-                 "review": "reviews"}  # fmt: skip
-        column = "center" if ref.field == "box" else ref.field
-        found = self.origins.get(table[ref.kind], ref.key, column)
+        found = self.noted(f"{ref.kind}s", ref.key, "center" if ref.field == "box" else ref.field)
         return found or Origin("auto", made_by=self.setting.made_by)
 
     def tables(self) -> dict[str, pa.Table]:
         """The frame's rows in each of the four tables, in canonical order."""
         from pipeline.labels.tables import arrow_schema, build_table
 
-        found = {}
         chosen = {"frames": [self.row], "objects": self.objects.values(), "expressions": self.expressions.values()}
-        for name, rows in chosen.items():
-            names = arrow_schema(name).names
-            found[name] = build_table(name, {column: [row[column] for row in rows] for column in names})
-        found["relations"] = self.pairs.table(self.frame, self.auto.index, self.setting.relations)
-        return found
+        found = {
+            name: build_table(name, {column: [row[column] for row in rows] for column in arrow_schema(name).names})
+            for name, rows in chosen.items()
+        }
+        return {**found, "relations": self.pairs.table(self.frame, self.auto.index, self.setting.relations)}
 
 
-def effective_frame(
-    auto: FrameRows, events: Iterable[Event], setting: Setting, relift: Relift | None = None
-) -> EffectiveFrame:
-    """Apply the events of a frame to its automatic labels.
-
-    Parameters
-    ----------
-    auto : FrameRows
-    events : iterable of Event
-        Of this frame, in the order of their saving.
-    setting : Setting
-    relift : Relift, optional
-        Without it, what follows from new pixels or boxes is marked stale.
-
-    Raises
-    ------
-    InputError
-        The dataset was asked for, and the frame cannot be loaded.
-    """
-    events = tuple(events)
-    refs = by_ref(events)
-    origins = Origins(auto.frame, auto.index)
-    objects = correct_objects(auto, refs, setting, origins)
-    relifted = _lift(auto, objects, setting, origins, relift)
-    _rename(auto, objects, setting, origins)
-    pairs = correct_pairs(auto, objects, relifted, refs, setting, origins)
-    concerned = {*objects.versions, *pairs.versions}
-    cause = max((e for e in events if e.ref in concerned), key=lambda e: e.id, default=None)
-    expressions = correct_expressions(auto, objects, pairs, refs, setting, origins, cause)
-    rest = Corrected()
-    known = {n: row["bbox"] for n, row in auto.objects.items()}
-    for ref, members in refs.items():
-        if ref.kind == "review":
-            # A judgement is of labels, and never one itself: nothing follows from it.
-            after = replayed_judgement(ref, members, known, {*objects.rows, *objects.left_out}, auto.expressions)
-        elif ref.kind == "frame":
-            after = replay(None, members)
-        else:
-            continue
-        if rest.note(ref, after).value is not None:
-            rest.statuses[ref] = after.value
-            if ref.kind == "frame" and after.event is not None:
-                origins.put("frames", "", ref.field, Origin.of("human", after.event))
-    parts = (objects, pairs, expressions, rest)
-    return EffectiveFrame(
-        auto,
-        {**auto.row, "objects": len(objects.rows)},
-        objects.rows,
-        objects.left_out,
-        pairs.pairs,
-        expressions.rows,
-        tuple(expressions.withdrawn),
-        expressions.marks,
-        {ref: version for part in parts for ref, version in part.versions.items()},
-        {ref: value for part in parts for ref, value in part.statuses.items()},
-        tuple(sorted((u for part in parts for u in part.unapplied), key=lambda u: u.event.id)),
-        origins,
-        setting,
-        events[-1].id if events else 0,
-    )
-
-
-def _lift(
-    auto: FrameRows, objects: CorrectedObjects, setting: Setting, origins: Origins, relift: Relift | None
-) -> Pairs | None:
-    """Bring up to date what follows from pixels and boxes, or mark it stale; the relations where they were judged."""
-    background = setting.config.is_background
-    newly_related = any(
-        n in auto.objects and background(auto.objects[n]["label"]) and not background(objects.rows[n]["label"])
-        for n in objects.renamed
-        if n in objects.rows
-    )
-    if not objects.geometry and not newly_related:
-        return None
-    lifted: dict[int, Row] = {}
-    relifted = None
-    if relift is not None:
-        lifted, relifted = relift(auto, objects.rows, objects.boxes, objects.human_bbox)
-    for number, event in objects.geometry.items():
-        if number not in objects.rows:
-            continue
-        row, key = objects.rows[number], str(number)
-        only_box = number in objects.boxes and origins.get("objects", key, "mask") is None and number in auto.objects
-        follows = OF_BOX if only_box else DERIVED
-        origin = Origin.of("stale" if relift is None else "recomputed", event)
-        new = {**row, **{c: lifted[number][c] for c in (*DERIVED, "mask", "mask_source", "bbox")}} if lifted else row
-        for column in (*follows, *({"mask", "mask_source", "bbox"} - {c for c in row if new[c] == row[c]})):
-            noted = origins.get("objects", key, column)
-            if noted is not None and noted.source == "human" and (number in auto.objects or column == "label"):
-                continue
-            if column in BOX_COLUMNS and number in objects.boxes:
-                continue
-            was = auto.objects[number][column] if number in auto.objects else None
-            origins.put("objects", key, column, origin, was)
-        if objects.rows[number]["mask_source"] == "human" and number not in objects.human_bbox:
-            was = auto.objects[number]["bbox"] if number in auto.objects else None
-            origins.put("objects", key, "bbox", Origin.of("recomputed", event), was)
-        objects.rows[number] = new
-    return relifted
-
-
-def _rename(auto: FrameRows, objects: CorrectedObjects, setting: Setting, origins: Origins) -> None:
-    """Background classes are not asked for; what was one may be."""
-    for number, event in objects.renamed.items():
-        row = objects.rows.get(number)
-        if row is None or row["reason"] == "not lifted yet":
-            continue
-        reason = unusable(row, setting)
-        if reason != row["reason"] and "background" in (reason, row["reason"]):
-            for column, value in (("usable", reason is None), ("reason", reason)):
-                origins.put("objects", str(number), column, Origin.of("recomputed", event), row[column])
-                row[column] = value
+def object_value(row: Row, name: str) -> Any:
+    """The value of an object's cell in a row of the table `objects`."""
+    if name == "box":
+        return None if row["center"] is None else {column: row[column] for column in BOX_COLUMNS}
+    return None if name in ("status", "exists") else row[name]

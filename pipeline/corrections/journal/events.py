@@ -10,7 +10,7 @@ from datetime import datetime
 from typing import Any, Literal
 
 from pipeline.corrections.journal.field_refs import LONGEST_TEXT, FieldRef, checked, plain_text, shown_value
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 Action = Literal["edit", "undo", "redo"]
 CROCKFORD = "0123456789ABCDEFGHJKMNPQRSTVWXYZ"
@@ -49,8 +49,11 @@ class Edit:
     def __post_init__(self) -> None:
         object.__setattr__(self, "before", checked(self.ref, self.before) if self.before is not None else None)
         object.__setattr__(self, "after", checked(self.ref, self.after))
-        if isinstance(self.base, bool) or not isinstance(self.base, int) or self.base < 0:
-            raise InputError("a version must be a number from 0 on", got=repr(self.base)[:60])
+        require(
+            not isinstance(self.base, bool) and isinstance(self.base, int) and self.base >= 0,
+            "a version must be a number from 0 on",
+            got=repr(self.base)[:60],
+        )
         if self.reason:
             plain_text(self.reason, "a reason", LONGEST_TEXT)
 

@@ -25,13 +25,12 @@ from pipeline.corrections.journal.chain import (
     VERSION,
     Head,
     Row,
-    Verdict,
     fingerprint,
     judged,
     judged_alone,
 )
 from pipeline.corrections.journal.sqlite_file import connected, lost_in_log, plain_reason, read_plainly
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 _NOT_DAMAGE = ("locked", "unable to open", "disk i/o", "readonly", "full", "permission", "out of memory", "busy")
 """Words of SQLite's errors that say nothing of the file."""
@@ -100,13 +99,11 @@ class Examined:
     @property
     def standing(self) -> tuple[Row, ...]:
         """The intact events without those that take back what is not intact: what a new journal can hold."""
-        known: set[str] = set()
-        found = []
+        found: dict[str, Row] = {}
         for row in self.intact:
-            if row["undo_of"] is None or row["undo_of"] in known:
-                known.add(row["ulid"])
-                found.append(row)
-        return tuple(found)
+            if row["undo_of"] is None or row["undo_of"] in found:
+                found[row["ulid"]] = row
+        return tuple(found.values())
 
     @property
     def help(self) -> str | None:
@@ -139,14 +136,17 @@ class Examined:
         InputError
             It is of a newer release, or no journal.
         """
-        if self.version is not None and self.version > VERSION and not self.damage:
-            raise InputError(
-                "the journal is of a newer release", got=f"version {self.version}", expected=f"at most {VERSION}",
-                cause="install the release that wrote it", path=self.location,
-            )  # fmt: skip
-        if self.version == 0:
-            raise InputError("the database holds something else than a journal", path=self.location)
+        known_version(None if self.damage and self.version else self.version, self.location)
         return self
+
+
+def known_version(version: int | None, location: str) -> None:
+    """Raise InputError where a journal's tables are of a newer release, or are none; see `chain.version_of`."""
+    require(
+        version is None or version <= VERSION, "the journal is of a newer release", got=f"version {version}",
+        expected=f"at most {VERSION}", cause="install the release that wrote it", path=location,
+    )  # fmt: skip
+    require(version != 0, "the database holds something else than a journal", path=location)
 
 
 def is_empty(path: Path) -> bool:
@@ -247,11 +247,9 @@ def _any_text(text: bytes) -> str:
 
 def _header(path: Path) -> str | None:
     """What is wrong with the file's first bytes that SQLite itself lets pass (sqlite.org/fileformat.html, 1.3)."""
-    try:
-        with open(path, "rb") as file:
-            head = file.read(100)
-    except OSError:
-        return None
+    head = b""
+    with suppress(OSError), open(path, "rb") as file:
+        head = file.read(100)
     if not head:
         return None
     sound = head[:16] == _MAGIC and head[18] == head[19] and head[18] in (1, 2)
@@ -303,7 +301,7 @@ def _with_head(path: Path, connection: sqlite3.Connection, kept: int, damage: li
     rows = _rows(connection, (*CONTENT, "hash"), damage)
     sound = row is not None and isinstance(row[1], int) and isinstance(row[2], int) and isinstance(row[3], str)
     head = Head(*row[1:4]) if sound and row is not None else None
-    found: Verdict = judged(rows, head)
+    found = judged(rows, head)
     events = head.events if head is not None and not found.damage else _saved(rows, head and head.events)
     return Examined(str(path), version, events, found.intact, (*damage, *found.damage))
 
@@ -344,17 +342,16 @@ def _rows(connection: sqlite3.Connection, names: Sequence[str], damage: list[str
     except _ERRORS as error:
         damage.append(_reason(error, None))
     # Beyond a page that is broken: one by one, each from the top of the tree.
-    last = found[-1][0] if found else 0
+    last = read = found[-1][0] if found else 0
     (pages,) = connection.execute("PRAGMA page_count").fetchone()
     for query in ("SELECT last FROM journal_head", "SELECT seq FROM sqlite_sequence WHERE name = 'events'"):
         with suppress(*_ERRORS):
             last = max([last, *(n for (n,) in connection.execute(query) if isinstance(n, int) and n < 100 * pages)])
-    for number in range(found[-1][0] + 1 if found else 1, last + 1):
-        row = None
+    for number in range(read + 1, last + 1):
+        found.append((number, None))
         with suppress(*_ERRORS):
             values = connection.execute(f"SELECT {columns} FROM events NOT INDEXED WHERE id = ?", (number,)).fetchone()
-            row = None if values is None else _row(names, values)
-        found.append((number, row))
+            found[-1] = number, None if values is None else _row(names, values)
     return found
 
 

@@ -16,7 +16,7 @@ from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.masks import run_lengths
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.relations.relations import letter
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 Kind = Literal["object", "relation", "expression", "frame", "review"]
 KINDS: tuple[Kind, ...] = ("object", "relation", "expression", "frame", "review")
@@ -110,8 +110,6 @@ def judged_item(key: str) -> tuple[str, str, int, int | None, str]:
         author, kind, a, b, what = found = json.loads(key)
         written = judged_key(*found)
     except (ValueError, TypeError, RecursionError) as error:
-        if isinstance(error, InputError):
-            raise
         raise InputError("not the key of a review", got=repr(key)[:60]) from error
     numbers = type(a) is int and (b is None or type(b) is int)
     sound = kind in ("object", "relation", "expression") and isinstance(author, str) and isinstance(what, str)
@@ -249,8 +247,7 @@ def _mark(value: Any) -> str:
 
 
 def _flag(value: Any) -> bool:
-    if not isinstance(value, bool):
-        raise InputError("must be true or false", got=repr(value)[:60])
+    require(isinstance(value, bool), "must be true or false", got=repr(value)[:60])
     return value
 
 
@@ -295,8 +292,7 @@ def _new_object(value: Any) -> dict[str, Any]:
     for name, check in (("mask", _mask), ("bbox", _rectangle), ("box", _box)):
         if value.get(name) is not None:
             found[name] = check(value[name])
-    if len(found) == 1:
-        raise InputError("a new object needs a mask, a 2D box or a 3D box")
+    require(len(found) > 1, "a new object needs a mask, a 2D box or a 3D box")
     return found
 
 

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
 
 NO_STATE = -128
 """Stands for null in matrices of states."""
+MATRICES = ("present", "states", "margins", "distance", "doubted")
 
 
 @dataclass(frozen=True)
@@ -80,26 +81,23 @@ class Pairs:
         found = Pairs.empty(numbers)
         kept = np.isin(found.numbers, self.numbers)
         to, at = np.flatnonzero(kept), np.searchsorted(self.numbers, found.numbers[kept])
-        for name in ("present", "states", "margins", "distance", "doubted"):
+        for name in MATRICES:
             getattr(found, name)[np.ix_(to, to)] = getattr(self, name)[np.ix_(at, at)]
         return found
 
     def copy(self) -> Pairs:
         """One whose matrices may be written to."""
-        return replace(
-            self, present=self.present.copy(), states=self.states.copy(), margins=self.margins.copy(),
-            distance=self.distance.copy(), doubted=self.doubted.copy(),
-        )  # fmt: skip
+        return replace(self, **{name: getattr(self, name).copy() for name in MATRICES})
 
-    def index_of(self, number: int) -> int | None:
-        """Where an object is among the pairs."""
-        return self._places.get(number)
+    def index_of(self, number: int | None) -> int | None:
+        """Where an object is among the pairs; None where it, or an object at all, is none of them."""
+        return None if number is None else self._places.get(number)
 
     @cached_property
     def _places(self) -> dict[int, int]:
         return {number: at for at, number in enumerate(self.numbers.tolist())}
 
-    def state(self, a: int, b: int, relation: str) -> int | None:
+    def state(self, a: int, b: int | None, relation: str) -> int | None:
         """The state of a relation by the objects' numbers; None where it has none."""
         i, j = self.index_of(a), self.index_of(b)
         if i is None or j is None or not self.present[i, j]:

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
+from collections import Counter
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from datetime import datetime, timezone
 from pathlib import Path
 from types import TracebackType
@@ -32,12 +33,13 @@ from pipeline.corrections.journal.examining import DamagedJournal, empty_file, e
 from pipeline.corrections.journal.field_refs import LONGEST_NAME, FieldRef, Kind, plain_text
 from pipeline.labels.reading import Labels
 from pipeline.labels.schema import labels_version
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 JOURNAL_FILE = "journal.sqlite"
 _CONTENT = tuple(EVENTS.c[name] for name in CONTENT)
 _AT_ONCE = 500
 """Cells asked for in one query: databases bound the number of a query's values."""
+_PLAIN = [f.name for f in fields(Event) if f.name != "ref"]
 
 
 @dataclass(frozen=True)
@@ -101,12 +103,9 @@ class Journal:
             A full disk, a folder that cannot be written, a database that is away.
         """
         edits = tuple(edits)
-        if not edits:
-            raise InputError("there is nothing to save")
-        refs = [e.ref for e in edits]
-        if len(set(refs)) < len(refs):
-            twice = next(c for k, c in enumerate(refs) if c in refs[:k])
-            raise InputError("two edits of one cell in one action", got=str(twice))
+        require(edits, "there is nothing to save")
+        (ref, times), *_ = Counter(e.ref for e in edits).most_common(1)
+        require(times == 1, "two edits of one cell in one action", got=str(ref))
         return self.write(edits, author, "edit", group=group)
 
     def write(
@@ -258,10 +257,9 @@ class Journal:
         self, connection: sa.Connection, *conditions: sa.ColumnElement[bool], last: int | None = None
     ) -> tuple[Event, ...]:
         query = sa.select(*_CONTENT).where(EVENTS.c.project == self.project, *conditions)
-        if last is None:
-            return tuple(_event(row) for row in connection.execute(query.order_by(EVENTS.c.id)).mappings())
-        rows = connection.execute(query.order_by(EVENTS.c.id.desc()).limit(last)).mappings()
-        return tuple(_event(row) for row in rows)[::-1]
+        newest_first = query.order_by(EVENTS.c.id.desc()).limit(last)
+        rows = connection.execute(query.order_by(EVENTS.c.id) if last is None else newest_first).mappings()
+        return tuple(_event(row) for row in rows)[:: 1 if last is None else -1]
 
 
 _TIP = sa.select(
@@ -280,11 +278,7 @@ def _last(connection: sa.Connection) -> Head:
 
 def _event(row: sa.RowMapping) -> Event:
     ref = FieldRef(row["kind"], row["frame"], row["key"], row["field"])
-    plain = (
-        "id", "ulid", "author", "time", "before", "after", "base", "version", "labels", "reason", "group", "action",
-        "undo_of", "anchor",
-    )  # fmt: skip
-    return Event(ref=ref, **{name: row[name] for name in plain})
+    return Event(ref=ref, **{name: row[name] for name in _PLAIN})
 
 
 def open_journal(where: str | Path, *, project: str = "", labels: str = "", must_exist: bool = False) -> Journal:
@@ -311,8 +305,9 @@ def open_journal(where: str | Path, *, project: str = "", labels: str = "", must
     warnings: list[str] = []
     if not is_url(where):
         path = Path(where).expanduser()
-        if path.is_dir() or not path.parent.is_dir():
-            raise InputError("the journal is a file in a folder that is there", path=path)
+        require(
+            not path.is_dir() and path.parent.is_dir(), "the journal is a file in a folder that is there", path=path
+        )
         if not path.exists() and (must_exist or not os.access(path.parent, os.W_OK)):
             cause = None if must_exist else "the folder cannot be written"
             raise InputError("no journal here" if must_exist else "no journal can be made", cause=cause, path=path)

@@ -16,7 +16,7 @@ from pipeline.labels.merge import environment, write_manifest, write_merged
 from pipeline.labels.reading import MARKS_FILE, PROVENANCE_FILE, STATUSES_FILE, Labels
 from pipeline.labels.schema import SCHEMA_VERSION, TABLES, Manifest, labels_version, write_schemas
 from pipeline.labels.tables import write_table
-from pipeline.system.errors import InputError
+from pipeline.system.errors import require
 from pipeline.system.version import __version__
 from pipeline.system.whole_files import temporary_folder, write_synced
 
@@ -46,10 +46,12 @@ def materialise(
         The folder holds something, or the labels, the journal or a frame cannot be read.
     """
     folder = Path(out).expanduser().absolute()
-    if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise InputError("corrected labels go into a new or empty folder", path=folder)
-    if not folder.parent.is_dir():
-        raise InputError("the folder to write into does not exist", path=folder.parent)
+    require(
+        not folder.exists() or (folder.is_dir() and not any(folder.iterdir())),
+        "corrected labels go into a new or empty folder",
+        path=folder,
+    )
+    require(folder.parent.is_dir(), "the folder to write into does not exist", path=folder.parent)
     found = effective_tables(labels, journal, dataset=dataset)
     with temporary_folder(folder) as staging:
         manifest = _write(found, journal, staging)
@@ -65,23 +67,20 @@ def _write(found: EffectiveLabels, journal: Journal, folder: Path) -> Manifest:
     write_table(found.provenance, folder / PROVENANCE_FILE)
     listed = {
         "events": [
-            {**who_and_what(u.event), "wanted": shown_value(u.event.ref, u.event.after), "because": u.kind,
-             "reason": u.reason}
+            {
+                **who_and_what(u.event),
+                "wanted": shown_value(u.event.ref, u.event.after),
+                "because": u.kind,
+                "reason": u.reason,
+            }
             for u in found.unapplied
         ],
-        "expressions": [
-            {"frame": w.frame, "id": w.id, "text": w.text, "reason": w.reason} for w in found.withdrawn
-        ],
+        "expressions": [{"frame": w.frame, "id": w.id, "text": w.text, "reason": w.reason} for w in found.withdrawn],
     }
-    write_synced(folder / UNAPPLIED_FILE, json.dumps(listed, indent=1, ensure_ascii=False).encode())
     marks = [{"frame": frame, "id": name, "mark": mark} for (frame, name), mark in sorted(found.marks.items())]
-    write_synced(folder / MARKS_FILE, json.dumps(marks, indent=1, ensure_ascii=False).encode())
-    statuses = [
-        {"kind": ref.kind, "frame": ref.frame, "key": ref.key, "field": ref.field, "value": value}
-        for ref, value in sorted(found.statuses.items())
-    ]
-    write_synced(folder / STATUSES_FILE, json.dumps(statuses, indent=1, ensure_ascii=False).encode())
-    usable = sum(found.frames.column("ok").to_pylist())
+    statuses = [{**vars(ref), "value": value} for ref, value in sorted(found.statuses.items())]
+    for name, content in ((UNAPPLIED_FILE, listed), (MARKS_FILE, marks), (STATUSES_FILE, statuses)):
+        write_synced(folder / name, json.dumps(content, indent=1, ensure_ascii=False).encode())
     manifest = was.model_copy(
         update={
             "schema_version": SCHEMA_VERSION,
@@ -89,7 +88,7 @@ def _write(found: EffectiveLabels, journal: Journal, folder: Path) -> Manifest:
             "counts": {
                 **was.counts,
                 "frames": tables["frames"].rows,
-                "frames_usable": usable,
+                "frames_usable": sum(found.frames.column("ok").to_pylist()),
                 "objects": tables["objects"].rows,
                 "pairs": tables["relations"].rows,
                 "expressions": tables["expressions"].rows,

@@ -29,7 +29,7 @@ import sqlalchemy as sa
 from sqlalchemy import event
 from sqlalchemy.exc import ArgumentError, DBAPIError, InvalidatePoolError
 
-from pipeline.system.errors import InputError, MissingExtra
+from pipeline.system.errors import InputError, MissingExtra, require
 
 CONNECT_S = 5.0
 PING_S = 3.0
@@ -98,8 +98,12 @@ def postgres_engine(where: str) -> sa.Engine:
         port = url.port
     except (ArgumentError, ValueError) as error:
         raise InputError("the journal's URL cannot be read", expected="postgresql://user@host/database") from error
-    if url.drivername not in ("postgresql", "postgres", "postgresql+pg8000"):
-        raise InputError("no such kind of journal", got=url.drivername, expected="a path, or postgresql://...")
+    require(
+        url.drivername in ("postgresql", "postgres", "postgresql+pg8000"),
+        "no such kind of journal",
+        got=url.drivername,
+        expected="a path, or postgresql://...",
+    )
     try:
         import pg8000  # noqa: F401
     except ImportError as error:
@@ -120,6 +124,7 @@ def postgres_engine(where: str) -> sa.Engine:
             raise InvalidatePoolError(str(error)) from error
 
     event.listen(engine, "checkout", check)
+
     def drop_what_broke(context: sa.engine.ExceptionContext) -> None:
         # A server that shut down, and a socket that failed, leave connections that cannot be used again.
         error = context.original_exception
@@ -142,12 +147,10 @@ def address_of(url: sa.URL) -> Address:
     """
     query = {name: value if isinstance(value, str) else value[-1] for name, value in url.query.items()}
     unknown = sorted(set(query) - set(OPTIONS))
-    if unknown:
-        raise InputError("no such option in the journal's URL", got=", ".join(unknown), expected=" | ".join(OPTIONS))
+    require(not unknown, "no such option in the journal's URL", got=", ".join(unknown), expected=" | ".join(OPTIONS))
     sockets = _SOCKETS if os.path.isdir(_SOCKETS) else "localhost"
     host = url.host or query.get("host") or os.environ.get("PGHOST") or sockets
-    if "," in host:
-        raise InputError("a journal is in one database", got=host, expected="one host")
+    require("," not in host, "a journal is in one database", got=host, expected="one host")
     port = url.port or _number("port", query.get("port") or os.environ.get("PGPORT") or "5432")
     user = url.username or os.environ.get("PGUSER") or getpass.getuser()
     database = url.database or os.environ.get("PGDATABASE") or user
@@ -158,9 +161,7 @@ def address_of(url: sa.URL) -> Address:
     limit = _number("connect_timeout", query["connect_timeout"]) if query.get("connect_timeout") else CONNECT_S
     mode = query.get("sslmode") or os.environ.get("PGSSLMODE") or "prefer"
     context = False if host.startswith("/") else _ssl(mode, query)
-    return Address(
-        host, port, user, database, password, context, limit, query.get("application_name") or "spatialviz"
-    )
+    return Address(host, port, user, database, password, context, limit, query.get("application_name") or "spatialviz")
 
 
 def password_in_file(wanted: tuple[str, str, str, str], path: Path | None = None) -> str | None:
@@ -175,25 +176,20 @@ def password_in_file(wanted: tuple[str, str, str, str], path: Path | None = None
         lines = path.read_text(encoding="utf-8").splitlines()
     except (OSError, UnicodeDecodeError):
         return None
-    for line in lines:
-        raw = _FIELD.findall(line)[:5]
+    for raw in (_FIELD.findall(line)[:5] for line in lines if not line.startswith("#")):
         fields = [re.sub(r"\\(.)", r"\1", f) for f in raw]
-        if line.startswith("#") or len(fields) < 5:
-            continue
-        if all(r == "*" or f == w for r, f, w in zip(raw, fields, wanted, strict=False)):
+        if len(raw) == 5 and all(r == "*" or f == w for r, f, w in zip(raw, fields, wanted, strict=False)):
             return fields[4]
     return None
 
 
 def _number(name: str, value: str) -> int:
-    if not value.isdecimal() or not 0 < int(value) < 1 << 16:
-        raise InputError(f"{name} in the journal's URL must be a number", got=value)
+    require(value.isdecimal() and 0 < int(value) < 1 << 16, f"{name} in the journal's URL must be a number", got=value)
     return int(value)
 
 
 def _ssl(mode: str, query: dict[str, str]) -> ssl.SSLContext | bool | None:
-    if mode not in SSL_MODES:
-        raise InputError("no such sslmode", got=mode, expected=" | ".join(SSL_MODES))
+    require(mode in SSL_MODES, "no such sslmode", got=mode, expected=" | ".join(SSL_MODES))
     root, own = query.get("sslrootcert"), query.get("sslcert")
     if mode == "disable":
         return False
@@ -362,8 +358,7 @@ class Server:
         try:
             link = connect()
         except Exception as error:
-            self.know(error)
-            return
+            return self.know(error)
         self.know(None)
         with suppress(Exception):
             link.close()

@@ -11,7 +11,7 @@ that is nobody's own and is locked as any other.
 from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import datetime
 from typing import TYPE_CHECKING, Any, Literal
 
@@ -89,28 +89,6 @@ def standing_at(events: Sequence[Event]) -> list[tuple[Event, int]]:
 def standing(events: Sequence[Event]) -> list[Event]:
     """The edits of a cell that were not taken back, in the order of their versions."""
     return [event for event, _ in standing_at(events)]
-
-
-@dataclass(kw_only=True)
-class Corrected:
-    """What became of the cells of one kind of entity.
-
-    Attributes
-    ----------
-    versions : dict of FieldRef to int
-    statuses : dict of FieldRef to JSON value
-    unapplied : list of Unapplied
-    """
-
-    versions: dict[FieldRef, int] = field(default_factory=dict)
-    statuses: dict[FieldRef, Any] = field(default_factory=dict)
-    unapplied: list[Unapplied] = field(default_factory=list)
-
-    def note(self, ref: FieldRef, replayed: Replayed) -> Replayed:
-        """Keep a cell's version and what does not apply to it; the same is returned."""
-        self.versions[ref] = replayed.version
-        self.unapplied += replayed.unapplied
-        return replayed
 
 
 def replay(
@@ -267,51 +245,6 @@ class Origin:
             return f"{self.author}{when}"
         verb = "recomputed from" if self.source == "recomputed" else "stale since"
         return f"{verb} {self.author}'s correction{when}"
-
-
-@dataclass
-class Origins:
-    """The origins of one frame's values that are not the labeller's.
-
-    Attributes
-    ----------
-    frame : str
-    frame_index : int
-    found : dict of (table, key, column) to (Origin, value that the labels had)
-    """
-
-    frame: str
-    frame_index: int
-    found: dict[tuple[str, str, str], tuple[Origin, Any]] = field(default_factory=dict)
-
-    def put(self, table: str, key: str, column: str, origin: Origin, was: Any = None) -> None:
-        """Note an origin; the last word on a value counts."""
-        self.found[table, key, column] = origin, was
-
-    def get(self, table: str, key: str, column: str) -> Origin | None:
-        entry = self.found.get((table, key, column))
-        return None if entry is None else entry[0]
-
-    def rows(self) -> list[dict[str, Any]]:
-        """As rows of the provenance table."""
-        import json
-
-        return [
-            {
-                "table": table,
-                "frame": self.frame,
-                "frame_index": self.frame_index,
-                "key": key,
-                "column": column,
-                "origin": origin.source,
-                "author": origin.author,
-                "time": origin.time,
-                "event": origin.event,
-                "reason": origin.reason,
-                "was": json.dumps(was, ensure_ascii=False),
-            }
-            for (table, key, column), (origin, was) in self.found.items()
-        ]
 
 
 def provenance_schema() -> pa.Schema:

@@ -14,7 +14,7 @@ from pipeline.corrections.journal.connection import (
     examined_server,
     is_url,
     location_of,
-    make_engine,
+    opened,
     prepare,
     reading,
     reason_of,
@@ -22,7 +22,7 @@ from pipeline.corrections.journal.connection import (
     writing,
 )
 from pipeline.corrections.journal.examining import Examined, empty_file, examine, is_empty
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 
 def check_journal(where: str | Path) -> Examined:
@@ -39,18 +39,13 @@ def check_journal(where: str | Path) -> Examined:
         There is none, or it cannot be opened.
     """
     if is_url(where):
-        engine = make_engine(where)
-        try:
-            with reading(engine) as connection:
-                version = version_of(connection)
-                if version is not None and 0 < version <= VERSION:
-                    return examined_server(connection, location_of(engine), chain=version == VERSION)
-        finally:
-            engine.dispose()
+        with opened(where) as engine, reading(engine) as connection:
+            version = version_of(connection)
+            if version is not None and 0 < version <= VERSION:
+                return examined_server(connection, location_of(engine), chain=version == VERSION)
         return Examined(location_of(engine), version, None, (), ()).believe()
     path = Path(where).expanduser()
-    if not path.is_file():
-        raise InputError("no journal here", path=path)
+    require(path.is_file(), "no journal here", path=path)
     if is_empty(path):
         raise empty_file(path)
     return examine(path)
@@ -95,13 +90,10 @@ def recover(where: str | Path, to: Path) -> tuple[Examined, Examined]:
     def write() -> None:
         part = Path(f"{to}.part")
         try:
-            engine = make_engine(part)
-            try:
+            with opened(part) as engine:
                 prepare(engine)
                 with writing(engine) as connection:
                     write_rows(connection, rows)
-            finally:
-                engine.dispose()
             os.replace(part, to)
         finally:
             for end in ("", "-wal", "-shm"):
@@ -111,11 +103,9 @@ def recover(where: str | Path, to: Path) -> tuple[Examined, Examined]:
 
 
 def _file(where: str | Path, to: Path, instead: str) -> Path:
-    if is_url(where):
-        raise InputError("a journal in a server is not copied into a file", cause=instead)
-    if to.exists() or not to.parent.is_dir():
-        what = "there is a file of this name" if to.exists() else "the folder is not there"
-        raise InputError(f"no journal can be written: {what}", path=to)
+    require(not is_url(where), "a journal in a server is not copied into a file", cause=instead)
+    what = "there is a file of this name" if to.exists() else "the folder is not there"
+    require(not to.exists() and to.parent.is_dir(), f"no journal can be written: {what}", path=to)
     return Path(where).expanduser()
 
 

@@ -15,6 +15,7 @@ import sqlite3
 import tempfile
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from functools import lru_cache
 from pathlib import Path
 from threading import Lock
@@ -97,9 +98,7 @@ def sqlite_engine(path: str | Path, believe: Callable[[Path], object]) -> sa.Eng
         mode = "rw" if mode == "rwc" else mode
         return connection
 
-    engine = sa.create_engine(
-        sa.URL.create("sqlite", database=str(file)), creator=connect, poolclass=sa.QueuePool
-    )
+    engine = sa.create_engine(sa.URL.create("sqlite", database=str(file)), creator=connect, poolclass=sa.QueuePool)
 
     def settle(connection: Any, record: Any) -> None:
         record.info[_FILE] = _identity(file)
@@ -144,11 +143,10 @@ def check_in_place(connection: sa.Connection) -> None:
 
 def _identity(path: Path) -> tuple[int, int] | None:
     """What tells one file from another; None where there is none."""
-    try:
+    with suppress(OSError):
         found = os.stat(path)
-    except OSError:
-        return None
-    return found.st_dev, found.st_ino
+        return found.st_dev, found.st_ino
+    return None
 
 
 def _settle(connection: Any) -> None:
@@ -189,10 +187,9 @@ def lost_in_log(path: Path) -> str | None:
 
 
 def _bytes(path: Path) -> bytes:
-    try:
+    with suppress(OSError):
         return path.read_bytes()
-    except OSError:
-        return b""
+    return b""
 
 
 def _lost(log: bytes, index: bytes) -> str | None:
@@ -248,13 +245,10 @@ def _sums(words: np.ndarray, before: np.ndarray | None = None) -> np.ndarray:
 @lru_cache
 def _weights(length: int) -> tuple[np.ndarray, np.ndarray]:
     """What the sums before (2, 2) and each word (2, length) count for in the sums after."""
-    limit = 1 << 32
     terms = np.zeros((2, length), np.uint32)
     # For each pair of words: s0 += w0 + s1, s1 += w1 + s0. `power` is what the sums after a pair count for at the end.
-    power = [[1, 0], [0, 1]]
+    power = np.eye(2, dtype=np.uint32)
     for k in range(length - 2, -1, -2):
-        for row in (0, 1):
-            a, b = power[row]
-            terms[row, k], terms[row, k + 1] = (a + b) % limit, b
-            power[row] = [(a + b) % limit, (a + 2 * b) % limit]
-    return np.array(power, np.uint32), terms
+        terms[:, k : k + 2] = power @ np.array([[1, 0], [1, 1]], np.uint32)
+        power = power @ np.array([[1, 1], [1, 2]], np.uint32)
+    return power, terms

@@ -14,7 +14,7 @@ from typing import Literal
 from pipeline.corrections.journal.events import Conflict, Edit, Event, Saved
 from pipeline.corrections.journal.journal import Journal
 from pipeline.corrections.journal.replay import standing
-from pipeline.system.errors import InputError
+from pipeline.system.errors import require
 
 Turn = Literal["undo", "redo"]
 Taken = defaultdict[str, set[str | None]]
@@ -145,16 +145,18 @@ def _of_group(journal: Journal, author: str, action: Turn, group: str) -> tuple[
     for found in later:
         taken[found[0].action].add(found[0].undo_of)
     cleared = action == "redo" and any(found[0].action == "edit" for found in later)
-    if not members or cleared or not _stands(members, action, taken):
-        raise InputError(f"{author} has no action of this group to {action}", got=repr(group))
+    require(
+        members and not cleared and _stands(members, action, taken),
+        f"{author} has no action of this group to {action}",
+        got=repr(group),
+    )
     return members
 
 
 def _take_back(
     journal: Journal, author: str, action: Turn, group: str | None, again: str | None
 ) -> Saved | Conflict | None:
-    saved = () if again is None else journal.events(group=again)
-    if saved:
+    if again is not None and (saved := journal.events(group=again)):
         return Saved(saved)
     members = newest(journal, author, action) if group is None else _of_group(journal, author, action, group)
     if members is None:

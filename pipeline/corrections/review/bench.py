@@ -26,7 +26,7 @@ from pipeline.metrics.counts import f1_of
 from pipeline.metrics.relation_metrics import cell_outcomes
 from pipeline.metrics.splits import FrameKey
 from pipeline.relations.relations import U
-from pipeline.system.errors import InputError
+from pipeline.system.errors import require
 from pipeline.system.threads import one_thread
 from pipeline.training.label_data import LabelData, LabelledFrame, pair_set
 from pipeline.training.train import TrainConfig, require_training, train_pairs
@@ -86,10 +86,16 @@ class ReviewBenchConfig:
         """Raise InputError where the numbers make no sense."""
         self.doubts.check()
         self.train.check()
-        if self.rooms < 6 or min(self.views, self.networks, self.seeds) < 1 or min(self.width, self.height) < 16:
-            raise InputError("review is measured in 6 rooms, a view, a network, a seed, sides of 16 pixels", got=self)
-        if not (0 < self.share < 1 and 0 < self.top < 1 and 0 <= self.again < 1 - self.top):
-            raise InputError("shares must lie between 0 and 1", got=f"{self.share}, {self.top}, {self.again}")
+        require(
+            self.rooms >= 6 and min(self.views, self.networks, self.seeds) >= 1 and min(self.width, self.height) >= 16,
+            "review is measured in 6 rooms, a view, a network, a seed, sides of 16 pixels",
+            got=self,
+        )
+        require(
+            0 < self.share < 1 and 0 < self.top < 1 and 0 <= self.again < 1 - self.top,
+            "shares must lie between 0 and 1",
+            got=f"{self.share}, {self.top}, {self.again}",
+        )
 
 
 @dataclass(frozen=True)
@@ -170,7 +176,6 @@ def bench_review(
     for k in range(config.seeds):
         runs.append(measure_recovery(truth, test, config, config.seed + k))
         tell("seeds", k + 1, config.seeds)
-    records = [run.record() for run in runs]
     lost = sum(run.f1["clean"] - run.f1["planted"] for run in runs)
     back = {s: sum(run.f1[s] - run.f1["planted"] for run in runs) for s in ("mended", "again")}
     mean = {
@@ -192,7 +197,7 @@ def bench_review(
         "again": config.again,
         "pairs": sum(len(f.rows) * (len(f.rows) - 1) for f in truth.frames),
         "mean": mean,
-        "runs": records,
+        "runs": [run.record() for run in runs],
     }
 
 
@@ -242,18 +247,13 @@ def measure_recovery(truth: LabelData, test: LabelData, config: ReviewBenchConfi
     seconds = time.perf_counter() - start
     looked = _looked_at(first, np.zeros(right.shape, np.bool_), config.top)
     mended = _mended(planted, looked)
-    f1 = {
-        "clean": _mean_f1(truth, test, train, config.networks),
-        "planted": _mean_f1(planted.data, test, train, config.networks),
-        "mended": _mean_f1(mended, test, train, config.networks),
-    }
-    found = looked
+    measured, found = {"clean": truth, "planted": planted.data, "mended": mended}, looked
     if config.again:
         trusted = unstacked(looked, [len(f.rows) for f in truth.frames])
         found = looked | _looked_at(doubt_labels(mended, doubts, trusted=trusted), looked, config.again)
-        f1["again"] = _mean_f1(_mended(planted, found), test, train, config.networks)
-    else:
-        f1["again"] = f1["mended"]
+        measured["again"] = _mended(planted, found)
+    f1 = {name: _mean_f1(data, test, train, config.networks) for name, data in measured.items()}
+    f1.setdefault("again", f1["mended"])
     count = int(planted.flipped.sum())
     return Recovery(
         int((right != U).sum()),
@@ -322,8 +322,7 @@ def plant_flips(truth: LabelData, share: float, seed: int = 0) -> Planted:
     InputError
         The share is not between 0 and 1.
     """
-    if not 0 < share < 1:
-        raise InputError("the share of planted errors must lie between 0 and 1", got=share)
+    require(0 < share < 1, "the share of planted errors must lie between 0 and 1", got=share)
     states = stacked([f.states for f in truth.frames])
     known = np.flatnonzero(states.ravel() != U)
     chosen = np.random.default_rng([seed, 41]).choice(known, round(share * len(known)), replace=False)
@@ -338,9 +337,7 @@ def with_labels(data: LabelData, states: np.ndarray) -> LabelData:
     return replace(data, frames=tuple(replace(f, states=s) for f, s in zip(data.frames, matrices, strict=True)))
 
 
-def data_of_samples(
-    samples: Sequence[FrameSamples], exact: bool, features: str = "rel14"
-) -> LabelData:
+def data_of_samples(samples: Sequence[FrameSamples], exact: bool, features: str = "rel14") -> LabelData:
     """Rendered views as labels: scenes are rooms, states by exact or by seen extents (see `FrameSamples`)."""
     frames = []
     for index, view in enumerate(samples):
@@ -351,6 +348,5 @@ def data_of_samples(
         states[np.eye(count, dtype=np.bool_)] = U
         key = FrameKey(f"{view.room}/{index}", str(view.room), index)
         frames.append(LabelledFrame(key, view.rows[features], np.zeros(count, np.int32), states, np.arange(count)))
-    if not frames:
-        raise InputError("these views show no two objects", got=f"{len(samples)} views")
+    require(frames, "these views show no two objects", got=f"{len(samples)} views")
     return LabelData(features, DIRECTIONAL, tuple(frames), ("",))

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pipeline.system.errors import InputError
+from pipeline.system.errors import require
 
 FEWEST = 10
 """With fewer labels of either answer no noise rates are estimated."""
@@ -141,8 +141,11 @@ def self_confidence(p: np.ndarray, says: np.ndarray) -> np.ndarray:
 
 def _checked(p: np.ndarray, says: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     p, says = np.asarray(p, np.float64), np.asarray(says, np.bool_)
-    if p.ndim != 1 or p.shape != says.shape:
-        raise InputError("one probability a label is needed", got=p.shape, expected=says.shape)
-    if len(p) and not (np.isfinite(p).all() and p.min() >= 0 and p.max() <= 1):
-        raise InputError("probabilities must lie between 0 and 1")
+    require(
+        p.ndim == 1 and p.shape == says.shape, "one probability a label is needed", got=p.shape, expected=says.shape
+    )
+    require(
+        not len(p) or (np.isfinite(p).all() and p.min() >= 0 and p.max() <= 1),
+        "probabilities must lie between 0 and 1",
+    )
     return p, says

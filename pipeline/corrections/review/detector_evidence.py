@@ -77,8 +77,7 @@ def detector_evidence(
         Not one of the frames can be looked at.
     """
     objects = column_arrays(labels.objects.select(["frame_index", "object", "label", "bbox"]))
-    frames = labels.frames.select(["frame", "frame_index", "ok"]).to_pylist()
-    frames = [row for row in frames if row["ok"]]
+    frames = [row for row in labels.frames.select(["frame", "frame_index", "ok"]).to_pylist() if row["ok"]]
     items: list[ItemEvidence] = []
     skipped: dict[str, str] = {}
     for done, row in enumerate(frames, start=1):
@@ -88,8 +87,7 @@ def detector_evidence(
         except InputError as error:
             skipped[row["frame"]] = str(error)
         except Exception as error:  # A network's own failure: its words, in one line.
-            classes = str(error).strip().split("\n")[0]
-            skipped[row["frame"]] = f"{type(error).__name__}: {classes}" if classes else type(error).__name__
+            skipped[row["frame"]] = f"{type(error).__name__}: {str(error).strip()}".split("\n")[0].removesuffix(": ")
         else:
             numbers, names, boxes = (objects[name][mine] for name in ("object", "label", "bbox"))
             items += compared(row["frame"], numbers, names, boxes, found, detector, synonyms, name)
@@ -125,8 +123,19 @@ def compared(
     name : str, optional
         What the detector is called.
     """
-    called = name or detector.name
-    same, knows = lru_cache(_same(synonyms)), lru_cache(_knows(detector, synonyms))
+    called, vocabulary = name or detector.name, detector.vocabulary
+
+    @lru_cache
+    def same(label: str, detected: str) -> bool:
+        # A more general name is no other name: the detector's "box" is the labels' "cracker box".
+        return same_class(label, detected, synonyms) or bool(
+            match(label, (detected,), synonyms) or match(detected, (label,), synonyms)
+        )
+
+    @lru_cache
+    def knows(label: str) -> bool:
+        return vocabulary is None or bool(match(label, vocabulary, synonyms))
+
     iou = iou_2d(boxes.reshape(-1, 4), found.boxes.astype(np.float64)) if len(numbers) else np.zeros((0, len(found)))
     here = iou >= SAME_BOX_IOU
     classes = [found.label(k) for k in range(len(found))]
@@ -144,10 +153,10 @@ def compared(
         if score < LEAST_SCORE:
             continue
         reason = f"the detector {called} calls it {classes[best]!r} (score {score:.2f})"
-        if knows(label):
-            yield ItemEvidence(key, DISPUTED, reason)
-        else:
-            yield ItemEvidence(key, WARNED, f"{reason}, and knows no {label!r}")
+        known = knows(label)
+        yield ItemEvidence(
+            key, DISPUTED if known else WARNED, f"{reason}{'' if known else f', and knows no {label!r}'}"
+        )
     yield from _missing(frame, found, np.asarray(here.any(axis=0)), classes, called)
 
 
@@ -168,18 +177,3 @@ def _missing(
             score = float(found.scores[k])
             reason = f"the detector {detector} sees {classes[k]!r} here (score {score:.2f}), and the labels nothing"
             yield ItemEvidence(key, UNMATCHED * score, reason, classes[k])
-
-
-def _same(synonyms: Synonyms | None) -> Callable[[str, str], bool]:
-    def same(label: str, detected: str) -> bool:
-        # A more general name is no other name: the detector's "box" is the labels' "cracker box".
-        return same_class(label, detected, synonyms) or bool(
-            match(label, (detected,), synonyms) or match(detected, (label,), synonyms)
-        )
-
-    return same
-
-
-def _knows(detector: Detector, synonyms: Synonyms | None) -> Callable[[str], bool]:
-    names = detector.vocabulary
-    return lambda name: names is None or bool(match(name, names, synonyms))

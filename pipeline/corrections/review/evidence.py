@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from functools import reduce
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -26,7 +27,7 @@ from pipeline.relations.relations import F, T, U
 from pipeline.training.label_data import LabelData, column_arrays, rows_of_frame
 
 if TYPE_CHECKING:
-    import pyarrow as pa
+    pass
 
 CONTRADICTED = 0.9
 """Of an error that names one label: the stored state contradicts the extents, an expression states what is F."""
@@ -170,17 +171,16 @@ def _blamed_cells(found: Finding) -> list[tuple[int, int, str, float]]:
     if found.rule == "relation/geometry":
         return [(a, b, relation, CONTRADICTED)]
     inverse = INVERSE.get(relation, relation)
+    if found.rule == "relation/cycle":
+        ring = (*found.objects, found.objects[0])
+        return [(i, j, relation, 1 / len(found.objects)) for i, j in pairwise(ring)]
     others = {
         "relation/inverse": (b, a, inverse),
         "relation/exclusive": (a, b, inverse),
         "relation/antisymmetry": (b, a, relation),
     }
-    if found.rule in others:
-        return [(a, b, relation, ONE_OF_TWO), (*others[found.rule], ONE_OF_TWO)]
-    if found.rule == "relation/cycle":
-        ring = (*found.objects, found.objects[0])
-        return [(i, j, relation, 1 / len(found.objects)) for i, j in pairwise(ring)]
-    return []
+    other = others.get(found.rule)
+    return [] if other is None else [(a, b, relation, ONE_OF_TWO), (*other, ONE_OF_TWO)]
 
 
 def _blamed_items(found: Finding) -> list[ItemEvidence]:
@@ -278,10 +278,7 @@ def letters(states: np.ndarray) -> np.ndarray:
 
 def _joined(*parts: str | np.ndarray) -> np.ndarray:
     """Texts joined element by element."""
-    found: np.ndarray = np.array("")
-    for part in parts:
-        found = np.char.add(found, part)
-    return found
+    return reduce(np.char.add, parts, np.array(""))
 
 
 def combined(parts: Sequence[RelationEvidence], shape: tuple[int, int]) -> np.ndarray:
@@ -322,12 +319,9 @@ class RelationLabels:
     def rows_of(self, keys: Iterable[tuple[str, int, int]]) -> np.ndarray:
         """(K,) int64: the row of each (frame id, a, b); -1 where there is none."""
         keys = list(keys)
-        index: dict[tuple[str, int, int], int] = {}
-        if keys:
-            wanted = {key[0] for key in keys}
-            of_them = np.flatnonzero(np.isin(self.frame, list(wanted)))
-            rows = zip(self.frame[of_them], self.a[of_them].tolist(), self.b[of_them].tolist(), strict=True)
-            index = dict(zip(rows, of_them.tolist(), strict=True))
+        of_them = np.flatnonzero(np.isin(self.frame, list({key[0] for key in keys})))
+        rows = zip(self.frame[of_them], self.a[of_them].tolist(), self.b[of_them].tolist(), strict=True)
+        index = dict(zip(rows, of_them.tolist(), strict=True))
         return np.array([index.get(key, -1) for key in keys], np.int64)
 
 
@@ -343,7 +337,7 @@ def read_relation_labels(labels: Labels) -> RelationLabels:
     margins = [f"{r}_margin" for r in relations]
     names = ("frame", "frame_index", "a", "b", *relations, *margins)
     table = read_table(labels.root / "relations.parquet", "relations", names)
-    table = table.take(_order(table))
+    table = table.take(np.lexsort([table.column(name).to_numpy() for name in ("b", "a", "frame_index")]))
     states = [table.column(r).fill_null(UNKNOWN).to_numpy().astype(np.int8) for r in relations]
     found = column_arrays(table.select(["frame", "frame_index", "a", "b"]))
     shape = (table.num_rows, len(relations))
@@ -357,10 +351,6 @@ def read_relation_labels(labels: Labels) -> RelationLabels:
         np.stack(states, axis=1) if states else np.zeros(shape, np.int8),
         np.stack(margin_columns, axis=1) if margins else np.zeros(shape),
     )
-
-
-def _order(table: pa.Table) -> np.ndarray:
-    return np.lexsort([table.column(name).to_numpy() for name in ("b", "a", "frame_index")])
 
 
 def doubts_of_labels(cells: RelationLabels, data: LabelData, doubts: Doubts) -> tuple[np.ndarray, np.ndarray]:

@@ -1,14 +1,35 @@
-"""What is reviewed, item by item: its key, its state, the order it is worked through, and how far a review has come."""
+"""What is reviewed, item by item: its key, where it stands by what people did, and the order it is worked through.
+
+What a person did to an item is a word on it. Correcting a value says
+"corrected", or "accepted" where it is what the labeller had said; leaving out
+an object or expression, or marking the latter as wrong, says "rejected"; a
+status says itself; a judgement (`pipeline.corrections.journal.replay`) says it for one
+person. Of each person the newest word counts, and what was taken back was never
+said.
+
+Over all, the newest word counts as well, unless people say different things:
+then the item is "unsure", and so open, until `edits.settle` says the last word.
+Who is unsure contradicts nobody. A word after the settlement that says
+something else opens the item again.
+"""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Literal, NamedTuple, get_args
+from collections import Counter
+from collections.abc import Callable, Collection, Container, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
-from pipeline.system.errors import InputError
+from pipeline.corrections.journal.events import Event
+from pipeline.corrections.journal.field_refs import FieldRef, judged_item, same_value
+from pipeline.corrections.journal.journal import Journal
+from pipeline.corrections.journal.replay import by_ref, standing_at
+from pipeline.relations.relations import letter
+from pipeline.system.errors import InputError, require
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -75,8 +96,11 @@ class ItemKey(NamedTuple):
         except (ValueError, TypeError) as error:
             raise InputError("not the key of a review item", got=repr(text)[:80]) from error
         numbers = type(a) is int and (b is None or type(b) is int)
-        if not (isinstance(frame, str) and kind in KINDS and numbers and isinstance(what, str)):
-            raise InputError("not the key of a review item", got=repr(text)[:80])
+        require(
+            isinstance(frame, str) and kind in KINDS and numbers and isinstance(what, str),
+            "not the key of a review item",
+            got=repr(text)[:80],
+        )
         return cls(frame, kind, a, b, what)
 
 
@@ -111,10 +135,9 @@ def with_states(queue: pa.Table, states: Mapping[ItemKey, State]) -> pa.Table:
     import pyarrow as pa
 
     checked_states(states)
-    if "state" in queue.column_names:
-        queue = queue.drop_columns(["state"])
+    kept = queue.select([name for name in queue.column_names if name != "state"])
     column = [states.get(key, "unreviewed") for key in item_keys(queue)]
-    return queue.append_column("state", pa.array(column, pa.string()))
+    return kept.append_column("state", pa.array(column, pa.string()))
 
 
 def left_to_review(queue: pa.Table, states: Mapping[ItemKey, State]) -> pa.Table:
@@ -122,13 +145,11 @@ def left_to_review(queue: pa.Table, states: Mapping[ItemKey, State]) -> pa.Table
 
     What reviewers judge differently is unsure, too, but stays where it is: at the top.
     """
-    import pyarrow as pa
-
     known = with_states(queue, states)
-    column, disputed = known.column("state").to_pylist(), disputed_rows(known)
-    last = [state == "unsure" and not first for state, first in zip(column, disputed.tolist(), strict=True)]
-    is_open = [k for k, state in enumerate(column) if state not in SETTLED]
-    return known.take(pa.array(sorted(is_open, key=lambda k: last[k]), pa.int64()))
+    state = np.array(known.column("state").to_pylist(), object)
+    last = (state == "unsure") & ~disputed_rows(known)
+    is_open = np.flatnonzero(~np.isin(state.astype(str), SETTLED))
+    return known.take(is_open[np.argsort(last[is_open], kind="stable")])
 
 
 def disputed_rows(queue: pa.Table) -> np.ndarray:
@@ -143,11 +164,31 @@ def progress_counts(queue: pa.Table, states: Mapping[ItemKey, State]) -> dict[st
     """How many items there are, in each state, settled, and not in the queue any more though they have a state."""
     keys = item_keys(queue)
     checked_states(states)
-    counts = dict.fromkeys(STATES, 0)
-    for key in keys:
-        counts[states.get(key, "unreviewed")] += 1
-    settled = sum(counts[state] for state in SETTLED)
-    return {"items": len(keys), **counts, "settled": settled, "elsewhere": len(set(states) - set(keys))}
+    found = Counter(states.get(key, "unreviewed") for key in keys)
+    counts = {"items": len(keys), **{state: found[state] for state in STATES}}
+    return {**counts, "settled": sum(found[s] for s in SETTLED), "elsewhere": len(set(states) - set(keys))}
+
+
+def key_stands(
+    key: ItemKey,
+    states: Mapping[ItemKey, State],
+    frames: Container[str],
+    pairs: Container[ItemKey],
+    objects: Container[tuple[str, int]],
+    expressions: Container[tuple[str, str]],
+) -> bool:
+    """Whether something is left of an item that could be right or wrong.
+
+    A relation goes with its pair, an expression with its objects, everything with its frame. An object or expression
+    that somebody has settled, by leaving it out for one, stays.
+    """
+    if key.kind == "relation":
+        return key in pairs
+    if states.get(key.plain) in SETTLED:
+        return True
+    if key.kind == "expression":
+        return (key.frame, key.what) in expressions
+    return key.frame in frames if key.a < 0 else (key.frame, key.a) in objects
 
 
 def checked_states(states: Mapping[ItemKey, str]) -> None:
@@ -181,3 +222,216 @@ def _first(rank: np.ndarray, *keys: np.ndarray) -> np.ndarray:
     first = np.full(int(group.max()) + 1, len(rank), np.int64)
     np.minimum.at(first, group.ravel(), rank)
     return first[group.ravel()]
+
+
+_RANK = {"unreviewed": 0, "unsure": 1, "accepted": 2, "corrected": 3, "rejected": 4}
+"""Of what one action says of an item, by several fields, the strongest counts."""
+Labelled = Callable[[ItemKey], "int | None"]
+"""The state (T, U, F) that automatic labels give a relation; None where it is not known."""
+
+
+@dataclass(frozen=True)
+class Judgement:
+    """What one person says of an item.
+
+    Attributes
+    ----------
+    author : str
+    status : str
+        "accepted", "corrected", "rejected" or "unsure"; "unreviewed" where an earlier word was withdrawn.
+    verdict : str
+        What is compared between people. Of relations T, U or F: who accepts a T says T. Of others the status; who
+        accepts what another has corrected says "corrected", as that one did.
+    at : int
+        `id` of the event that made it so: later words have greater ones.
+    time : datetime
+    """
+
+    author: str
+    status: State
+    verdict: str
+    at: int
+    time: datetime
+
+
+@dataclass(frozen=True)
+class Judgements:
+    """All words that stand.
+
+    Attributes
+    ----------
+    words : dict of ItemKey to dict of str to Word
+        The newest of each author.
+    settled : dict of ItemKey to Word
+        What was settled where people differed.
+    """
+
+    words: dict[ItemKey, dict[str, Judgement]]
+    settled: dict[ItemKey, Judgement]
+
+    @property
+    def authors(self) -> tuple[str, ...]:
+        """Who said anything, sorted."""
+        return tuple(sorted({author for of_item in self.words.values() for author in of_item}))
+
+    def of(self, author: str) -> dict[ItemKey, Judgement]:
+        """What one person says."""
+        return {key: words[author] for key, words in self.words.items() if author in words}
+
+    def differ(self, key: ItemKey) -> bool:
+        """Whether people say different things of an item, and nobody has settled it."""
+        return len({w.verdict for w in self._open_words(key)}) > 1
+
+    def state(self, key: ItemKey) -> State:
+        """The state of an item over all people."""
+        if self.differ(key):
+            return "unsure"
+        if key in self.settled:
+            return self.settled[key].status
+        words = [w for w in self.words.get(key, {}).values() if w.status != "unreviewed"]
+        return max(words, key=lambda w: w.at).status if words else "unreviewed"
+
+    def verdict(self, key: ItemKey) -> str | None:
+        """What stands of a settled item, as of `Judgement.verdict`; None where it is open."""
+        if self.state(key) not in SETTLED:
+            return None
+        return max(self._open_words(key), key=lambda w: w.at).verdict
+
+    def states(self, author: str | None = None) -> dict[ItemKey, State]:
+        """The state of every item that anyone, or this person, has said something of."""
+        if author is not None:
+            return {k: w.status for k, w in self.of(author).items() if w.status != "unreviewed"}
+        found: dict[ItemKey, State] = {key: self.state(key) for key in {**self.words, **self.settled}}
+        return {key: state for key, state in found.items() if state != "unreviewed"}
+
+    def states_now(self, now: Callable[[ItemKey], int | None]) -> dict[ItemKey, State]:
+        """The state of each item over all; "unsure" of a relation whose label is not what people said of it.
+
+        That is so where labels were made again, and where the only word on a label is that of a second opinion.
+
+        Parameters
+        ----------
+        now : callable
+            T, U or F of a relation as the labels are now; None where they have none.
+        """
+        found = self.states()
+        for key in found:
+            state, verdict = now(key) if key.kind == "relation" else None, self.verdict(key)
+            if state is not None and verdict in ("T", "U", "F") and verdict != letter(state):
+                found[key] = "unsure"
+        return found
+
+    def _open_words(self, key: ItemKey) -> list[Judgement]:
+        """Words that count now: a settlement and those after it, or all; of those who are sure."""
+        words = [w for w in self.words.get(key, {}).values() if w.status in SETTLED]
+        last = self.settled.get(key)
+        return words if last is None else [last, *(w for w in words if w.at > last.at)]
+
+
+def judgements_of(
+    journal: Journal | Iterable[Event],
+    *,
+    automatic: Labelled | None = None,
+    ignored: Collection[str] = (),
+) -> Judgements:
+    """Everyone's words.
+
+    Parameters
+    ----------
+    journal : Journal or iterable of Event
+        All events, in the order of their saving.
+    automatic : callable, optional
+        What the labeller says of a relation, for those who accepted it by its status alone. Without it, their word
+        is "accepted" where nobody ever changed the relation.
+    ignored : collection of str
+        ULIDs of events that say nothing of the labels as they are now (`EffectiveLabels.unapplied`).
+    """
+    events = journal.events() if isinstance(journal, Journal) else tuple(journal)
+    refs = by_ref(events)
+    standing = {ref: [x for x in standing_at(members) if x[0].ulid not in ignored] for ref, members in refs.items()}
+    settling = {e.group for ref, found in standing.items() if ref.field == "settled" for e, _ in found}
+    items = {ref: key for ref in refs if (key := item_of(ref)) is not None}
+    of_entity: dict[ItemKey, list[FieldRef]] = {}
+    for ref, key in items.items():
+        if _is_value(ref):
+            of_entity.setdefault(key, []).append(ref)
+    groups: dict[tuple[ItemKey, str, str], Judgement] = {}
+    settled: dict[ItemKey, Judgement] = {}
+    for ref, key in items.items():
+        for event, at in standing[ref]:
+            word = _word(event, at, key, refs, of_entity.get(key, ()), automatic)
+            if ref.field == "settled":
+                if word.status != "unreviewed" and (key not in settled or at > settled[key].at):
+                    settled[key] = word
+            elif event.group not in settling:
+                spoken = key, event.author, event.group
+                if spoken not in groups or _RANK[word.status] >= _RANK[groups[spoken].status]:
+                    groups[spoken] = word
+    words: dict[ItemKey, dict[str, Judgement]] = {}
+    for (key, author, _), word in groups.items():
+        newest = words.setdefault(key, {}).setdefault(author, word)
+        if word.at > newest.at:
+            words[key][author] = word
+    return Judgements(words, settled)
+
+
+def item_of(ref: FieldRef) -> ItemKey | None:
+    """The item that a cell is about; None of a frame's."""
+    a, b, what = NOBODY, None, ref.key
+    if ref.kind == "review":
+        _, kind, a, b, what = judged_item(ref.key)
+        return ItemKey(ref.frame, kind, a, b, what)
+    if ref.kind == "relation":
+        (a, b), what = ref.numbers, ref.field.removesuffix(".status")
+    elif ref.kind == "object":
+        a, what = ref.numbers[0], ""
+    return None if ref.kind == "frame" else ItemKey(ref.frame, ref.kind, a, b, what)
+
+
+def _is_value(ref: FieldRef) -> bool:
+    return ref.kind != "review" and not ref.field.endswith("status") and ref.field != "mark"
+
+
+def _word(
+    event: Event,
+    at: int,
+    key: ItemKey,
+    refs: Mapping[FieldRef, Sequence[Event]],
+    of_entity: Sequence[FieldRef],
+    automatic: Labelled | None,
+) -> Judgement:
+    ref, after = event.ref, event.after
+    status, state = _said_by(event, refs[ref][0].before)
+    if ref.kind == "review" and isinstance(after, dict):
+        state = after["value"]
+    elif key.kind == "relation" and status == "accepted" and not _is_value(ref):
+        values = refs.get(FieldRef("relation", key.frame, f"{key.a},{key.b}", key.what), ())
+        before = [e.after for e in values if e.id < event.id]
+        # The relation's state when the event was saved.
+        state = before[-1] if before else values[0].before if values else automatic and automatic(key)
+    if key.kind == "relation" and state is not None and status != "unsure":
+        verdict = letter(state)
+    elif key.kind != "relation" and status == "accepted" and _changed_before(event, of_entity, refs):
+        verdict = "corrected"
+    else:
+        verdict = status
+    return Judgement(event.author, status, verdict, at, event.time)
+
+
+def _said_by(event: Event, automatic: Any) -> tuple[State, int | None]:
+    """The status of an event, and of a relation's value the value."""
+    ref, after = event.ref, event.after
+    if ref.kind == "review":
+        return ("unreviewed" if after is None else after["status"]), None
+    if not _is_value(ref):
+        if after is None:
+            return "unreviewed", None
+        return ("rejected" if ref.field == "mark" else after), None
+    changed = ref.field == "exists" or not same_value(after, automatic)
+    return ("corrected" if changed else "accepted"), (after if ref.kind == "relation" else None)
+
+
+def _changed_before(event: Event, of_entity: Sequence[FieldRef], refs: Mapping[FieldRef, Sequence[Event]]) -> bool:
+    """Whether people had changed an object or expression when the event was saved."""
+    earlier = ((ref, [e for e in refs[ref] if e.id <= event.id]) for ref in of_entity)
+    return any(e and (ref.field == "exists" or not same_value(e[-1].after, e[0].before)) for ref, e in earlier)

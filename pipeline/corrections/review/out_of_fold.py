@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import count
 from typing import Literal
 
 import numpy as np
@@ -26,7 +27,7 @@ from pipeline.metrics.platt import antisymmetric, sigmoid
 from pipeline.metrics.splits import FEWEST_SCENES, FRAME_GAP, GAP_M, FrameKey, along_spread
 from pipeline.relations.features import LANGUAGE, feature_set
 from pipeline.relations.relations import T, U
-from pipeline.system.errors import InputError
+from pipeline.system.errors import require
 from pipeline.system.threads import one_thread
 from pipeline.training.label_data import LabelData, LabelledFrame, pair_set
 from pipeline.training.train import OUTPUTS, TrainConfig, TrainedModel, train_pairs
@@ -64,10 +65,16 @@ class DoubtConfig:
     def check(self) -> None:
         """Raise InputError where the numbers make no sense."""
         self.train.check()
-        if self.folds < 2 or self.passes < 1:
-            raise InputError("there must be two folds and a pass", got=f"{self.folds} folds, {self.passes} passes")
-        if self.train.features.endswith(LANGUAGE):
-            raise InputError("labels are reviewed by geometry, without class names", got=self.train.features)
+        require(
+            self.folds >= 2 and self.passes >= 1,
+            "there must be two folds and a pass",
+            got=f"{self.folds} folds, {self.passes} passes",
+        )
+        require(
+            not self.train.features.endswith(LANGUAGE),
+            "labels are reviewed by geometry, without class names",
+            got=self.train.features,
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,18 +129,16 @@ def doubt_labels(
     """
     config = config or DoubtConfig(train=TrainConfig(data.features, REVIEWED, epochs=EPOCHS))
     config.check()
-    if config.train.features != data.features:
-        raise InputError("the labels were read for other features", got=data.features, expected=config.train.features)
+    require(
+        config.train.features == data.features,
+        "the labels were read for other features",
+        got=data.features,
+        expected=config.train.features,
+    )
     train = replace(config.train, vocabulary=REVIEWED)
     folds = make_folds([f.key for f in data.frames], config.folds, train.seed)
-    tell = progress or (lambda done, of: None)
-    done, total = 0, config.passes * len(folds)
-
-    def trained() -> None:
-        nonlocal done
-        done += 1
-        tell(done, total)
-
+    done, total = count(1), config.passes * len(folds)
+    trained = None if progress is None else lambda: progress(next(done), total)
     learnt_from, found, wrong, noise = data.frames, (), (), {}
     for number in range(config.passes):
         if number:
@@ -167,8 +172,11 @@ def out_of_fold(
     trained : callable, optional
         Called after each network.
     """
-    if OUTPUTS[config.vocabulary] != "sigmoid":
-        raise InputError("labels are judged one by one, not as the one that fits best", got=config.vocabulary)
+    require(
+        OUTPUTS[config.vocabulary] == "sigmoid",
+        "labels are judged one by one, not as the one that fits best",
+        got=config.vocabulary,
+    )
     outputs = VOCABULARIES[config.vocabulary]
     indices = [outputs.index(relation) for relation in vocabulary]
     found: list[np.ndarray] = [np.zeros(0)] * len(frames)
@@ -221,19 +229,17 @@ def _wrong(
 
 def stacked(matrices: Sequence[np.ndarray]) -> np.ndarray:
     """(P, R) cells of the pairs of different objects of all frames, from (N, N, R) of each."""
-    rows = [m[~np.eye(len(m), dtype=np.bool_)] for m in matrices]
-    return np.concatenate(rows)
+    return np.concatenate([m[~np.eye(len(m), dtype=np.bool_)] for m in matrices])
 
 
 def unstacked(cells: np.ndarray, sizes: Sequence[int]) -> tuple[np.ndarray, ...]:
     """The reverse of `stacked` for frames of so many objects; diagonals are NaN, or 0 where there is none."""
-    found, start = [], 0
-    for n in sizes:
-        matrix = np.full((n, n, cells.shape[1]), np.nan if cells.dtype.kind == "f" else 0, cells.dtype)
-        matrix[~np.eye(n, dtype=np.bool_)] = cells[start : start + n * (n - 1)]
-        start += n * (n - 1)
-        found.append(matrix)
-    return tuple(found)
+    nothing = np.nan if cells.dtype.kind == "f" else 0
+    found = tuple(np.full((n, n, cells.shape[1]), nothing, cells.dtype) for n in sizes)
+    ends = np.cumsum([n * (n - 1) for n in sizes])
+    for matrix, own in zip(found, np.split(cells, ends[:-1]), strict=True):
+        matrix[~np.eye(len(matrix), dtype=np.bool_)] = own
+    return found
 
 
 @dataclass(frozen=True, eq=False)
@@ -277,10 +283,8 @@ def make_folds(frames: Sequence[FrameKey], folds: int = FOLDS, seed: int = 0) ->
     InputError
         Fewer than two folds are asked for, or there are fewer than two frames.
     """
-    if folds < 2:
-        raise InputError("there must be at least two folds", got=folds)
-    if len(frames) < 2:
-        raise InputError("out-of-fold probabilities need at least two frames", got=len(frames))
+    require(folds >= 2, "there must be at least two folds", got=folds)
+    require(len(frames) >= 2, "out-of-fold probabilities need at least two frames", got=len(frames))
     names = np.array([f.scene for f in frames], object)
     scenes = sorted(set(names.tolist()))
     if len(scenes) >= FEWEST_SCENES:

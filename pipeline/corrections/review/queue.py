@@ -22,7 +22,7 @@ from pipeline.corrections.review.evidence import (
     read_relation_labels,
     undecided_evidence,
 )
-from pipeline.corrections.review.items import SETTLED, ItemKey
+from pipeline.corrections.review.items import SETTLED, Judgements
 from pipeline.corrections.review.out_of_fold import DoubtConfig, Doubts, doubt_labels
 from pipeline.corrections.review.reviewed import (
     automatic_version,
@@ -32,7 +32,6 @@ from pipeline.corrections.review.reviewed import (
     trusted_of_data,
     without_settled,
 )
-from pipeline.corrections.review.states import Judgements
 from pipeline.labels.check.linter import check_labels
 from pipeline.labels.reading import Labels
 from pipeline.training.label_data import LabelData, read_label_data
@@ -166,8 +165,6 @@ def _relation_rows(
     row, column = np.nonzero((score >= LEAST) | settled)
     number = np.full(score.shape, -1, np.int64)
     number[row, column] = np.arange(len(row))
-    evidence = [(number[p.rows, p.columns], p.weight, p.reason) for p in parts]
-    states = cells.states[row, column]
     return {
         "frame": cells.frame[row],
         "frame_index": cells.frame_index[row],
@@ -177,36 +174,41 @@ def _relation_rows(
         "relation": np.array(cells.relations, object)[column],
         "expression": np.full(len(row), None, object),
         "place": np.full(len(row), None, object),
-        "label": letters(states).astype(object),
+        "label": letters(cells.states[row, column]).astype(object),
         "probability": probability[row, column],
         "wrong": wrong[row, column],
         "score": score[row, column],
         "order": column,
-        "evidence": evidence,
+        "evidence": [(number[p.rows, p.columns], p.weight, p.reason.astype(object)) for p in parts],
     }
 
 
 def _item_rows(labels: Labels, items: Sequence[ItemEvidence]) -> dict[str, Any]:
     """One row an object or expression, whatever the number of findings."""
-    row_of: dict[ItemKey, int] = {}
-    for item in items:
-        row_of.setdefault(item.key.plain, len(row_of))
+    keys = list(dict.fromkeys(item.key.plain for item in items))
+    row_of = {key: row for row, key in enumerate(keys)}
     at = np.array([row_of[item.key.plain] for item in items], np.int64)
     weight = np.array([item.weight for item in items], np.float64)
-    right = np.zeros(len(row_of))
+    right = np.zeros(len(keys))
     np.add.at(right, at, np.log1p(-weight))
-    names, texts, ends, index = _names(labels, row_of)
+    index = _looked_up(labels.frames, "frame_index") if keys else {}
+    names = _looked_up(labels.objects, "label", "object") if keys else {}
+    sentences = {
+        column: _looked_up(labels.expressions, column, "id") if keys else {}
+        for column in ("text", "target_object", "reference_object")
+    }
     missing = {item.key: item.label for item in items if item.label is not None}
-    keys = list(row_of)
-    label = [
-        missing.get(k) or (names.get((k.frame, k.a)) if k.kind == "object" else texts.get((k.frame, k.what)))
-        for k in keys
-    ]
-    numbers = [ends.get((k.frame, k.what), (k.a, k.b)) if k.kind == "expression" else (k.a, k.b) for k in keys]
+    known = [(k.frame, k.a if k.kind == "object" else k.what) for k in keys]
+    of = {"object": names, "expression": sentences["text"]}
+    label = [missing.get(k) or of[k.kind].get(name) for k, name in zip(keys, known, strict=True)]
+    numbers = [
+        (sentences["target_object"].get(n, k.a), sentences["reference_object"].get(n, k.b))
+        if k.kind == "expression" else (k.a, k.b) for k, n in zip(keys, known, strict=True)
+    ]  # fmt: skip
     nothing = np.full(len(keys), np.nan)
     return {
         "frame": _objects([k.frame for k in keys]),
-        "frame_index": np.array([index.get(k.frame, 0) for k in keys], np.int64),
+        "frame_index": np.array([index.get((k.frame,), 0) for k in keys], np.int64),
         "kind": _objects([k.kind for k in keys]),
         "a": np.array([a for a, _ in numbers], np.int64),
         "b": np.array([np.nan if b is None else b for _, b in numbers], np.float64),
@@ -222,26 +224,10 @@ def _item_rows(labels: Labels, items: Sequence[ItemEvidence]) -> dict[str, Any]:
     }
 
 
-Texts = dict[tuple[str, str], str]
-Ends = dict[tuple[str, str], tuple[int, int]]
-
-
-def _names(
-    labels: Labels, wanted: dict[ItemKey, int]
-) -> tuple[dict[tuple[str, int], str], Texts, Ends, dict[str, int]]:
-    """Class names of objects, texts and objects of expressions, places of frames; only where something is wanted."""
-    if not wanted:
-        return {}, {}, {}, {}
-    objects, expressions, frames = labels.objects, labels.expressions, labels.frames
-
-    def table(source: pa.Table, key: str, value: str) -> dict[tuple[str, Any], Any]:
-        columns = (source.column(name).to_pylist() for name in ("frame", key, value))
-        return {(frame, k): v for frame, k, v in zip(*columns, strict=True)}
-
-    index = zip(frames.column("frame").to_pylist(), frames.column("frame_index").to_pylist(), strict=True)
-    targets, references = (table(expressions, "id", f"{end}_object") for end in ("target", "reference"))
-    ends = {key: (target, references[key]) for key, target in targets.items()}
-    return table(objects, "object", "label"), table(expressions, "id", "text"), ends, dict(index)
+def _looked_up(table: pa.Table, value: str, *key: str) -> dict[tuple[Any, ...], Any]:
+    """A column of a table of labels, by the frame and what names the row there."""
+    columns = (table.column(name).to_pylist() for name in (value, "frame", *key))
+    return {tuple(named): found for found, *named in zip(*columns, strict=True)}
 
 
 def _objects(values: Sequence[Any]) -> np.ndarray:
@@ -265,13 +251,12 @@ def _ranked(columns: dict[str, Any], limit: int | None, metadata: dict[str, str]
     order = order if limit is None else order[: max(limit, 0)]
     rank = np.full(len(columns["a"]), -1, np.int64)
     rank[order] = np.arange(len(order))
-    evidence = columns["evidence"]
-    at = rank[np.concatenate([e[0] for e in evidence])] if evidence else np.zeros(0, np.int64)
+    # That of items is always there, if empty.
+    index, weight, texts = (np.concatenate([e[k] for e in columns["evidence"]]) for k in range(3))
     # A label whose evidence is all too weak has no row: its place is -1.
-    weight = np.concatenate([e[1] for e in evidence]) if evidence else np.zeros(0)
+    at = rank[index]
     kept = np.flatnonzero((at >= 0) & (weight >= LEAST))
     kept = kept[np.lexsort((-weight[kept], at[kept]))]
-    texts = np.concatenate([e[2].astype(object) for e in evidence]) if evidence else np.zeros(0, object)
     offsets = np.concatenate([[0], np.cumsum(np.bincount(at[kept], minlength=len(order)))])
     reasons = pa.ListArray.from_arrays(pa.array(offsets, pa.int32()), pa.array(texts[kept], pa.string()))
     kinds = {"frame_index": pa.int32(), "a": pa.int32(), "b": pa.int32()}

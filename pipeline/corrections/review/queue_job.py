@@ -225,12 +225,6 @@ class LabelJobs:
         job = job_for(Path(folder.name) / "queue.parquet")
         now = job if self.queue.seen.work is not None else replace(job, networks=False, detector=None)
 
-        def begun(seen: QueueProgress) -> QueueProgress:
-            return replace(seen, running=True, job=now, step=None, problem="")
-
-        def heard(seen: QueueProgress, step: Step) -> QueueProgress:
-            return replace(seen, step=step)
-
         def ended(seen: QueueProgress, record: Any, problem: str) -> QueueProgress:
             seen = replace(seen, running=False, step=None)
             try:
@@ -246,7 +240,10 @@ class LabelJobs:
             if now != job and not self.queue.seen.problem:
                 self.make(job_for)
 
-        started = self.queue.start(make_queue, now, begun=begun, heard=heard, ended=ended, then=then)
+        started = self.queue.start(
+            make_queue, now, begun=lambda seen: replace(seen, running=True, job=now, step=None, problem=""),
+            heard=lambda seen, step: replace(seen, step=step), ended=ended, then=then,
+        )  # fmt: skip
         if not started:
             folder.cleanup()
         return started
@@ -254,16 +251,13 @@ class LabelJobs:
     def train(self, job: RetrainingJob) -> bool:
         """Retrain; whether it was started, see `SharedJob.start`."""
         began = perf_counter()
-
-        def heard(seen: TrainingProgress, step: tuple[str, int, int]) -> TrainingProgress:
-            return replace(seen, step=step, seconds=perf_counter() - began)
-
-        def ended(_: TrainingProgress, record: Any, problem: str) -> TrainingProgress:
-            return TrainingProgress(record=record, problem=problem, seconds=perf_counter() - began)
-
         return self.training.start(
-            retraining_in_background, job, begun=lambda _: TrainingProgress(running=True), heard=heard, ended=ended
-        )
+            retraining_in_background, job, begun=lambda _: TrainingProgress(running=True),
+            heard=lambda seen, step: replace(seen, step=step, seconds=perf_counter() - began),
+            ended=lambda _, record, problem: TrainingProgress(
+                record=record, problem=problem, seconds=perf_counter() - began
+            ),
+        )  # fmt: skip
 
     def end(self) -> None:
         """End what runs, for good."""

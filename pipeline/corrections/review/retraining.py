@@ -27,7 +27,7 @@ from pipeline.metrics.tables import Row, Table, markdown
 from pipeline.relations.features import LANGUAGE
 from pipeline.relations.model import OnnxScorer
 from pipeline.relations.relations import U, letter
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 from pipeline.training.card import network_path, rounded
 from pipeline.training.label_data import LabelData, LabelledFrame, read_label_data
 from pipeline.training.label_training import LabelTraining, train_on_labels
@@ -56,12 +56,12 @@ class RetrainConfig:
     def check(self) -> None:
         """Raise InputError where the comparison could not be made."""
         self.train.check()
-        if self.train.output != "sigmoid" or self.train.features.endswith(LANGUAGE):
-            raise InputError(
-                "networks are compared relation by relation, by geometry",
-                got=f"{self.train.features}, {self.train.vocabulary}",
-                expected="the vocabulary avd, features without +lang",
-            )
+        require(
+            self.train.output == "sigmoid" and not self.train.features.endswith(LANGUAGE),
+            "networks are compared relation by relation, by geometry",
+            got=f"{self.train.features}, {self.train.vocabulary}",
+            expected="the vocabulary avd, features without +lang",
+        )
 
 
 @dataclass(frozen=True)
@@ -112,13 +112,14 @@ class Retraining:
     def table(self) -> Table:
         """F1 before and after, relation by relation and together."""
         columns = ("F1 before", "F1 after", "gain", "became right", "became wrong", "McNemar p", "labels changed")
-        rows = []
+        estimates = self.before, self.after, self.gain
         changed = {r: sum(part.get(r, 0) for part in self.changed.values()) for r in self.relations}
-        for k, relation in enumerate(self.relations):
-            figures = (self.before.f1[k], self.after.f1[k], self.gain.f1[k])
-            rows.append(Row(PHRASE[relation], (*figures, *_tested(self.tests[relation]), changed[relation])))
-        overall = (self.before.micro_f1, self.after.micro_f1, self.gain.micro_f1)
-        rows.append(Row("all (micro-F1)", (*overall, *_tested(self.tests["all"]), sum(changed.values()))))
+        rows = [
+            Row(PHRASE[relation], (*(e.f1[k] for e in estimates), *_tested(self.tests[relation]), changed[relation]))
+            for k, relation in enumerate(self.relations)
+        ]
+        overall = (*(e.micro_f1 for e in estimates), *_tested(self.tests["all"]), sum(changed.values()))
+        rows.append(Row("all (micro-F1)", overall))
         return Table(
             "retrain",
             "Relation networks before and after labels were mended",
@@ -159,17 +160,13 @@ class Retraining:
     def markdown(self) -> str:
         """The table, and the cells that changed most."""
         parts = [markdown([self.table()])]
-        for title, count, listed in (
-            ("Became right", self.counts[0], self.better),
-            ("Became wrong", self.counts[1], self.worse),
-        ):
-            lines = [f"## {title}: {count} held-out cells", ""]
-            for cell in listed[:20]:
-                lines.append(
-                    f"- frame {cell['frame']}: object {cell['a']} {PHRASE[cell['relation']]} object {cell['b']} is "
-                    f"{cell['label']}; probability {cell['before']:.2f} before, {cell['after']:.2f} after"
-                )
-            parts.append("\n".join(lines) + "\n")
+        for title, count, listed in zip(("right", "wrong"), self.counts, (self.better, self.worse), strict=True):
+            lines = [
+                f"- frame {cell['frame']}: object {cell['a']} {PHRASE[cell['relation']]} object {cell['b']} is "
+                f"{cell['label']}; probability {cell['before']:.2f} before, {cell['after']:.2f} after"
+                for cell in listed[:20]
+            ]
+            parts.append("\n".join([f"## Became {title}: {count} held-out cells", "", *lines]) + "\n")
         return "\n".join(parts)
 
 
@@ -221,10 +218,7 @@ def retrain(
         found = compare_networks(
             OnnxScorer(files[0]), OnnxScorer(files[1]), was, now, plan, (cards[0], cards[1]), config.bootstrap
         )
-        texts = {
-            ".comparison.json": json.dumps(found.record(), indent=1) + "\n",
-            ".comparison.md": found.markdown(),
-        }
+        texts = {".comparison.json": json.dumps(found.record(), indent=1) + "\n", ".comparison.md": found.markdown()}
         for suffix, text in texts.items():
             files[1].with_suffix(suffix).write_text(text, encoding="utf-8")
         # The network last: one that is there has its card and its comparison.
@@ -270,10 +264,7 @@ def compare_networks(
     test = [now.frames[k] for k in own.indices(TEST)]
     truth = stacked([f.states for f in test])
     rows = _rows_of(test, fed_before or now), [f.rows for f in test]
-    p = [
-        stacked([scorer.probabilities(r) for r in fed])
-        for scorer, fed in zip((before, after), rows, strict=True)
-    ]
+    p = [stacked([scorer.probabilities(r) for r in fed]) for scorer, fed in zip((before, after), rows, strict=True)]
     scenes = {f.key.scene for f in test}
     names = [f.key.scene if len(scenes) > 1 else f.key.frame for f in test]
     clusters = np.repeat(np.array(names, np.str_), [len(f.rows) * (len(f.rows) - 1) for f in test])
@@ -286,9 +277,7 @@ def compare_networks(
     known, (old, new) = truth != U, (c.tp | c.tn for c in cells)
     tests = {r: mcnemar(new[known[:, k], k], old[known[:, k], k]) for k, r in enumerate(relations)}
     tests["all"] = mcnemar(new[known], old[known])
-    better, worse = (
-        _listed(test, relations, truth, p, chosen) for chosen in (new & ~old & known, old & ~new & known)
-    )
+    better, worse = (_listed(test, relations, truth, p, chosen) for chosen in (new & ~old & known, old & ~new & known))
     return Retraining(
         relations=relations,
         pairs=len(truth),
@@ -338,15 +327,14 @@ def _listed(
     found = []
     for row, column in zip(rows[order].tolist(), columns[order].tolist(), strict=True):
         number = int(np.searchsorted(start, row, side="right") - 1)
-        frame, inside = frames[number], row - int(start[number])
-        a, b = divmod(inside, len(frame.rows) - 1)
-        # A row of pairs leaves out the object itself.
-        b += b >= a
+        frame = frames[number]
+        a, b = divmod(row - int(start[number]), len(frame.rows) - 1)
         found.append(
             {
                 "frame": frame.key.frame,
                 "a": int(frame.objects[a]),
-                "b": int(frame.objects[b]),
+                # A row of pairs leaves out the object itself.
+                "b": int(frame.objects[b + (b >= a)]),
                 "relation": relations[column],
                 "label": letter(int(truth[row, column])),
                 "before": float(p[0][row, column]),

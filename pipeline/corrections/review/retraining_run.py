@@ -26,7 +26,7 @@ from pipeline.labels.makers import makers_of
 from pipeline.labels.reading import Labels, labelled_dataset, open_labels
 from pipeline.relations import shipped_network
 from pipeline.relations.model import OnnxScorer
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 from pipeline.system.staging import staged_folder
 from pipeline.training.label_data import read_label_data
 
@@ -154,30 +154,20 @@ def run_retraining(job: RetrainingJob, progress: Progress | None = None) -> Retr
             labels, mended, folder / NETWORK, job.config,
             progress=lambda name, epoch: tell(name, epoch.number, epochs),
         )  # fmt: skip
-        current = _current(run)
+        # The network in use: the run's, else the shipped one.
+        current = OnnxScorer(shipped_network()) if run is None else run.source.scorer
         in_use = None
-        if current is not None:
+        if isinstance(current, OnnxScorer):
             in_use = compare_with(current, folder / NETWORK, labels, mended, job.config, retraining.cards[1])
-        comparisons: tuple[Comparison | None, Comparison | None] = None, None
-        if run is not None:
-            comparisons = _replay(run, folder, job.workers, tell)
+        comparisons = (None, None) if run is None else _replay(run, folder, job.workers, tell)
     return RetrainingRun(Path(job.out), corrections, retraining, in_use, *comparisons)
 
 
 def _mend(job: RetrainingJob, labels: Labels, folder: Path) -> tuple[Labels, dict[str, Any]]:
     with journal_of(labels, job.journal, project=job.project, must_exist=True) as journal:
         manifest, found = materialise(labels, journal, folder, dataset=job.corrected_dataset(labels))
-    if not found.events:
-        raise InputError("nothing was corrected yet", cause="is this the journal of these labels?", path=labels.root)
+    require(found.events, "nothing was corrected yet", cause="is this the journal of these labels?", path=labels.root)
     return open_labels(folder), dict(manifest.corrections or {})
-
-
-def _current(run: Run | None) -> OnnxScorer | None:
-    """The network in use: the run's, else the shipped one; None where the run uses the rule."""
-    if run is None:
-        return OnnxScorer(shipped_network())
-    scorer = run.source.scorer
-    return scorer if isinstance(scorer, OnnxScorer) else None
 
 
 def compare_with(
@@ -203,8 +193,12 @@ def compare_with(
 
 def _replay(run: Run, folder: Path, workers: int, tell: Progress) -> tuple[Comparison | None, Comparison | None]:
     """Make a run again on the mended labels: as it was, and with the new network."""
-    if run.spec.system != "pipeline":
-        raise InputError("only a run of the pipeline can be made again", got=run.spec.system, path=run.folder)
+    require(
+        run.spec.system == "pipeline",
+        "only a run of the pipeline can be made again",
+        got=run.spec.system,
+        path=run.folder,
+    )
     marks = {**run.spec.marks, **read_marks(folder / LABELS / MARKS_FILE)}
     spec = replace(run.spec, labels=str(folder / LABELS), marks=marks)
     steps = (

@@ -30,19 +30,23 @@ from pipeline.corrections.review.items import (
     SETTLED,
     STATES,
     ItemKey,
+    Judgement,
+    Judgements,
     State,
     item_keys,
+    item_of,
+    judgements_of,
+    key_stands,
     progress_counts,
     with_states,
 )
 from pipeline.corrections.review.out_of_fold import unstacked
-from pipeline.corrections.review.states import Judgement, Judgements, item_of, judgements_of
 from pipeline.datasets import Dataset
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.labels.schema import Manifest, labels_version
 from pipeline.metrics.significance import Agreement, cohen_kappa
-from pipeline.relations.relations import F, T, U, letter
-from pipeline.system.errors import InputError
+from pipeline.relations.relations import F, T, U
+from pipeline.system.errors import require
 from pipeline.training.label_data import LabelData
 
 if TYPE_CHECKING:
@@ -109,17 +113,8 @@ def _places(cells: RelationLabels, keys: set[ItemKey]) -> tuple[list[ItemKey], n
 
 
 def states_on_labels(judgements: Judgements, cells: RelationLabels) -> dict[ItemKey, State]:
-    """The state of each item over all; "unsure" of a relation whose label is not what people said of it.
-
-    That is so where labels were made again, and where the only word on a label is that of a second opinion.
-    """
-    states = judgements.states()
-    now = relation_states(cells, set(states))
-    for key, state in now.items():
-        verdict = judgements.verdict(key)
-        if verdict in ("T", "U", "F") and verdict != letter(state):
-            states[key] = "unsure"
-    return states
+    """The state of each item over all, see `Judgements.states_now`."""
+    return judgements.states_now(relation_states(cells, set(judgements.states())).get)
 
 
 def without_gone(queue: pa.Table, labels: Labels, states: Mapping[ItemKey, State]) -> pa.Table:
@@ -143,16 +138,7 @@ def without_gone(queue: pa.Table, labels: Labels, states: Mapping[ItemKey, State
         for table, number in ((labels.objects, "object"), (labels.expressions, "id"))
     )
 
-    def stands(key: ItemKey) -> bool:
-        if key.kind == "relation":
-            return key in pairs
-        if states.get(key) in SETTLED:
-            return True
-        if key.kind == "expression":
-            return (key.frame, key.what) in expressions
-        return key.frame in frames if key.a < 0 else (key.frame, key.a) in objects
-
-    return queue.filter([stands(key) for key in keys])
+    return queue.filter([key_stands(key, states, frames, pairs, objects, expressions) for key in keys])
 
 
 def settled_relations(cells: RelationLabels, states: Mapping[ItemKey, State]) -> np.ndarray:
@@ -238,26 +224,18 @@ def left_for(
     InputError
         The share is none, or somebody is to be their own second.
     """
-    if not 0 <= overlap <= 1:
-        raise InputError("the overlap is a share from 0 to 1", got=overlap)
-    if second_opinion_of == author:
-        raise InputError("a second opinion is another person's", got=author)
+    require(0 <= overlap <= 1, "the overlap is a share from 0 to 1", got=overlap)
+    require(second_opinion_of != author, "a second opinion is another person's", got=author)
     own = judgements.states(author)
     keys = item_keys(queue)
     theirs = {} if second_opinion_of is None else judgements.states(second_opinion_of)
     share = overlap if second_opinion_of is None else overlap or 1.0
-    first, again = [], []
-    for index, key in enumerate(keys):
-        if own.get(key, "unreviewed") in SETTLED:
-            continue
-        by_another = theirs.get(key) in SETTLED if second_opinion_of is not None else states.get(key) in SETTLED
-        if by_another and drawn(key) < share:
-            again.append(index)
-        elif second_opinion_of is None and not by_another:
-            first.append(index)
-    unsure = [k for k in first if own.get(keys[k]) == "unsure"]
-    first = [k for k in first if own.get(keys[k]) != "unsure"]
-    order = [*_strewn(first, again, keys), *unsure]
+    by_another = states if second_opinion_of is None else theirs
+    open_keys = [(index, key) for index, key in enumerate(keys) if own.get(key) not in SETTLED]
+    again = [k for k, key in open_keys if by_another.get(key) in SETTLED and drawn(key) < share]
+    rest = [] if second_opinion_of else [k for k, key in open_keys if states.get(key) not in SETTLED]
+    unsure = [k for k in rest if own.get(keys[k]) == "unsure"]
+    order = [*_strewn([k for k in rest if own.get(keys[k]) != "unsure"], again, keys), *unsure]
     return _without_others(with_states(queue, own).take(np.array(order, np.int64)))
 
 
@@ -317,9 +295,7 @@ class PairAgreement:
         }
 
 
-def pair_agreements(
-    judgements: Judgements, inverse: Callable[[str], str | None]
-) -> tuple[PairAgreement, ...]:
+def pair_agreements(judgements: Judgements, inverse: Callable[[str], str | None]) -> tuple[PairAgreement, ...]:
     """Each two people who have judged an item in common.
 
     Compared is each one's newest word (`Judgement.verdict`); who is unsure, or has withdrawn a word, has not judged.
@@ -392,21 +368,18 @@ def review_progress(queue: pa.Table, judgements: Judgements, states: Mapping[Ite
     """
     counts = progress_counts(queue, states)
     column = np.array(queue.column("kind").to_pylist(), object)
-    kinds = {}
-    for kind in KINDS:
-        of_kind: dict[ItemKey, State] = {key: state for key, state in states.items() if key.kind == kind}
-        kinds[kind] = progress_counts(queue.filter(column == kind), of_kind)
-    reviewers = {}
-    for author in judgements.authors:
-        of_author = Counter(judgements.states(author).values())
-        reviewers[author] = {state: of_author.get(state, 0) for state in STATES if state != "unreviewed"}
+    kinds = {
+        kind: progress_counts(queue.filter(column == kind), {k: s for k, s in states.items() if k.kind == kind})
+        for kind in KINDS
+    }
+    said = {author: Counter(judgements.states(author).values()) for author in judgements.authors}
     newest = [max(words.values(), key=lambda w: w.at) for words in judgements.words.values()]
     days = Counter(w.time.date().isoformat() for w in newest if w.status != "unreviewed")
     return {
         **counts,
         "share": counts["settled"] / counts["items"] if counts["items"] else None,
         "kinds": kinds,
-        "reviewers": reviewers,
+        "reviewers": {author: {s: n[s] for s in STATES if s != "unreviewed"} for author, n in said.items()},
         "days": dict(sorted(days.items())),
         "disagreements": sum(judgements.differ(key) for key in judgements.words),
         "estimated_wrong": wrong_left(queue, states),

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -22,12 +23,12 @@ from pipeline.corrections.review.items import (
     checked_states,
     disputed_rows,
     item_keys,
+    item_of,
+    judgements_of,
+    key_stands,
 )
-from pipeline.corrections.review.states import item_of, judgements_of
 from pipeline.labels.tables import write_table
-from pipeline.language.relation_names import PAIRWISE
-from pipeline.relations.relations import letter
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -53,8 +54,6 @@ class Worklist:
         The reverse.
     codes : (N,) int8
         States as places in STATES.
-    tally : tuple of int
-        How many items are in each of STATES, of those that have not gone.
     kinds : (N,) int8
         Places in KINDS.
     disputed : (N,) bool
@@ -70,7 +69,6 @@ class Worklist:
     keys: tuple[ItemKey, ...]
     indices: Mapping[ItemKey, int]
     codes: np.ndarray
-    tally: tuple[int, ...]
     kinds: np.ndarray
     disputed: np.ndarray
     frames: Mapping[str, np.ndarray]
@@ -78,6 +76,11 @@ class Worklist:
 
     def __len__(self) -> int:
         return len(self.keys)
+
+    @cached_property
+    def tally(self) -> tuple[int, ...]:
+        """How many items are in each of STATES, of those that have not gone."""
+        return tuple(np.bincount(self.codes[~self.gone], minlength=len(STATES)).tolist())
 
     @property
     def counts(self) -> dict[str, int]:
@@ -103,7 +106,11 @@ class Worklist:
         return self.queue.slice(self._place(key), 1).to_pylist()[0]
 
     def with_state(self, key: ItemKey, state: State) -> Worklist:
-        """The list after one item's state has changed. Nothing is ranked anew: one byte an item is copied.
+        """The list after one item's state has changed; as `with_states`."""
+        return self.with_states({key: state})
+
+    def with_states(self, states: Mapping[ItemKey, State]) -> Worklist:
+        """The list after the states of items have changed. Nothing is ranked anew: one byte an item is copied.
 
         An item that the queue does not hold changes nothing: people also edit what nobody doubted.
 
@@ -112,24 +119,8 @@ class Worklist:
         InputError
             There is no such state.
         """
-        checked_states({key: state})
-        index = self.indices.get(key.plain)
-        if index is None or STATES[self.codes[index]] == state:
-            return self
-        codes, tally, code = self.codes.copy(), list(self.tally), STATES.index(state)
-        if not self.gone[index]:
-            tally[codes[index]] -= 1
-            tally[code] += 1
-        codes[index] = code
-        codes.flags.writeable = False
-        return replace(self, codes=codes, tally=tuple(tally))
-
-    def with_states(self, states: Mapping[ItemKey, State]) -> Worklist:
-        """The list after the states of several items have changed; as `with_state`."""
-        found = self
-        for key, state in states.items():
-            found = found.with_state(key, state)
-        return found
+        codes = _codes(self.codes, self.indices, states)
+        return self if (codes == self.codes).all() else replace(self, codes=codes)
 
     @property
     def touched(self) -> tuple[str, ...]:
@@ -139,9 +130,7 @@ class Worklist:
 
     def untouched(self) -> Worklist:
         """The list as nobody has reviewed it."""
-        codes, gone = np.full_like(self.codes, _UNREVIEWED), np.zeros_like(self.gone)
-        codes.flags.writeable = gone.flags.writeable = False
-        return replace(self, codes=codes, gone=gone, tally=_tally(codes))
+        return replace(self, codes=np.full_like(self.codes, _UNREVIEWED), gone=np.zeros_like(self.gone))
 
     def with_gone(self, frame: str, gone: Collection[ItemKey]) -> Worklist:
         """The list after these items of a frame have gone, and all others of it have not."""
@@ -153,8 +142,7 @@ class Worklist:
             return self
         marks = self.gone.copy()
         marks[indices] = now
-        marks.flags.writeable = False
-        return replace(self, gone=marks, tally=_tally(self.codes[~marks]))
+        return replace(self, gone=marks)
 
     def next_item(
         self, after: ItemKey | None = None, skip: Collection[ItemKey] = (), kind: str | None = None
@@ -217,28 +205,29 @@ def worklist(queue: pa.Table, states: Mapping[ItemKey, State] | None = None) -> 
     if states is None:
         stored = queue.column("state").to_pylist() if "state" in queue.column_names else []
         states = dict(zip(keys, stored, strict=False))
-    checked_states(states)
     indices = {key: k for k, key in enumerate(keys)}
-    if len(indices) < len(keys):
-        raise InputError("the queue holds an item twice", got=f"{len(keys) - len(indices)} of {len(keys)} items")
-    codes = np.full(len(keys), _UNREVIEWED, np.int8)
-    for key, state in states.items():
-        index = indices.get(key.plain)
-        if index is not None:
-            codes[index] = STATES.index(state)
-    codes.flags.writeable = False
+    require(
+        len(indices) >= len(keys),
+        "the queue holds an item twice",
+        got=f"{len(keys) - len(indices)} of {len(keys)} items",
+    )
+    codes = _codes(np.full(len(keys), _UNREVIEWED, np.int8), indices, states)
     kinds = np.array([KINDS.index(key.kind) for key in keys], np.int8)
-    gone = np.zeros(len(keys), np.bool_)
-    gone.flags.writeable = False
     of_frame: dict[str, list[int]] = {}
     for index, key in enumerate(keys):
         of_frame.setdefault(key.frame, []).append(index)
     frames = {frame: np.array(found, np.int64) for frame, found in of_frame.items()}
-    return Worklist(queue, keys, indices, codes, _tally(codes), kinds, disputed_rows(queue), frames, gone)
+    return Worklist(queue, keys, indices, codes, kinds, disputed_rows(queue), frames, np.zeros(len(keys), np.bool_))
 
 
-def _tally(codes: np.ndarray) -> tuple[int, ...]:
-    return tuple(np.bincount(codes, minlength=len(STATES)).tolist())
+def _codes(codes: np.ndarray, indices: Mapping[ItemKey, int], states: Mapping[ItemKey, State]) -> np.ndarray:
+    """The codes with other states, where there are such items."""
+    checked_states(states)
+    found = codes.copy()
+    for key, state in states.items():
+        if (index := indices.get(key.plain)) is not None:
+            found[index] = STATES.index(state)
+    return found
 
 
 def write_queue(queue: pa.Table, path: Path) -> None:
@@ -249,7 +238,6 @@ def write_queue(queue: pa.Table, path: Path) -> None:
     InputError
         It cannot be written.
     """
-    path = Path(path)
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         write_table(queue, path)
@@ -280,14 +268,18 @@ def read_queue(path: str | Path, version: str | None = None) -> pa.Table:
     except (pa.ArrowException, OSError, ValueError) as error:
         raise InputError("the queue cannot be read", got=str(error).split("\n")[0], path=path) from error
     metadata = queue.schema.metadata or {}
-    if VERSION_KEY not in metadata:
-        raise InputError("not a review queue", cause="was it written by `spatialviz review --out`?", path=path)
+    require(
+        VERSION_KEY in metadata, "not a review queue", cause="was it written by `spatialviz review --out`?", path=path
+    )
     found = metadata[VERSION_KEY].decode("utf-8", "replace")
-    if version is not None and found != version:
-        raise InputError(
-            "the queue is of other labels", got=found, expected=version,
-            cause="were the labels made again? then build the queue again: spatialviz review LABELS --out", path=path,
-        )  # fmt: skip
+    require(
+        version is None or found == version,
+        "the queue is of other labels",
+        got=found,
+        expected=version,
+        cause="were the labels made again? then build the queue again: spatialviz review LABELS --out",
+        path=path,
+    )
     _check_columns(queue, path)
     return queue
 
@@ -302,21 +294,27 @@ def _check_columns(queue: pa.Table, path: Path) -> None:
         "reasons": pa.list_(text),
     }  # fmt: skip
     for name, kind in wanted.items():
-        if len(queue.schema.get_all_field_indices(name)) != 1:
-            raise InputError(f"the queue lacks the column {name!r}", path=path)
+        require(len(queue.schema.get_all_field_indices(name)) == 1, f"the queue lacks the column {name!r}", path=path)
         have = queue.schema.field(name).type
         same = pa.types.is_list(have) and have.value_type == text if name == "reasons" else have == kind
-        if not same and not (pa.types.is_null(have) and not queue.num_rows):
-            raise InputError(f"the queue's column {name!r} is damaged", got=have, expected=kind, path=path)
+        require(
+            same or (pa.types.is_null(have) and not queue.num_rows),
+            f"the queue's column {name!r} is damaged",
+            got=have,
+            expected=kind,
+            path=path,
+        )
     for name in ("frame", "kind", "a", "score"):
-        if queue.column(name).null_count:
-            raise InputError(f"the queue's column {name!r} has gaps", got=queue.column(name).null_count, path=path)
-    strange = [k for k in queue.column("kind").unique().to_pylist() if k not in KINDS]
-    if strange:
-        raise InputError("the queue holds an unknown kind of item", got=repr(strange[0])[:60], path=path)
+        require(
+            not queue.column(name).null_count,
+            f"the queue's column {name!r} has gaps",
+            got=queue.column(name).null_count,
+            path=path,
+        )
+    strange = next((k for k in queue.column("kind").unique().to_pylist() if k not in KINDS), None)
+    require(strange is None, "the queue holds an unknown kind of item", got=repr(strange)[:60], path=path)
     keys = item_keys(queue)
-    if len(set(keys)) < len(keys):
-        raise InputError("the queue holds an item twice", path=path)
+    require(len(set(keys)) >= len(keys), "the queue holds an item twice", path=path)
 
 
 def frame_states(frame: EffectiveFrame, events: Sequence[Event]) -> dict[ItemKey, State]:
@@ -328,20 +326,9 @@ def frame_states(frame: EffectiveFrame, events: Sequence[Event]) -> dict[ItemKey
     events : sequence of Event
         All of it, in the order of their saving.
     """
-
-    def automatic(key: ItemKey) -> int | None:
-        return frame.auto.pairs.state(key.a, -1 if key.b is None else key.b, key.what)
-
     ignored = {u.event.ulid for u in frame.unapplied if u.kind != "agreed"}
-    judgements = judgements_of(events, automatic=automatic, ignored=ignored)
-    states = judgements.states()
-    for key in states:
-        if key.kind != "relation" or key.b is None or key.what not in PAIRWISE:
-            continue
-        now, verdict = frame.pairs.state(key.a, key.b, key.what), judgements.verdict(key)
-        if now is not None and verdict in ("T", "U", "F") and verdict != letter(now):
-            states[key] = "unsure"
-    return states
+    judgements = judgements_of(events, automatic=lambda k: frame.auto.pairs.state(k.a, k.b, k.what), ignored=ignored)
+    return judgements.states_now(lambda k: frame.pairs.state(k.a, k.b, k.what))
 
 
 def refreshed_worklist(work: Worklist, corrector: Corrector, journal: Journal, after: Mark) -> tuple[Worklist, Mark]:
@@ -391,27 +378,13 @@ def _since(journal: Journal, after: Mark) -> tuple[Sequence[Event], bool]:
     return journal.events(), False
 
 
-def gone_items(
-    frame: EffectiveFrame, keys: Collection[ItemKey], states: Mapping[ItemKey, State]
-) -> frozenset[ItemKey]:
-    """The items of a frame that a queue made now would not have: nothing is left that could be right or wrong.
-
-    A relation goes with its pair, an expression with its objects, everything with its frame. An object or expression
-    that somebody has settled, by leaving it out for one, stays.
-    """
-
-    def stands(key: ItemKey) -> bool:
-        if key.kind != "relation" and states.get(key.plain) in SETTLED:
-            return True
-        if not frame.stands:
-            return False
-        if key.kind == "relation":
-            return frame.pairs.state(key.a, -1 if key.b is None else key.b, key.what) is not None
-        if key.kind == "expression":
-            return key.what in frame.expressions
-        return key.a < 0 or key.a in frame.objects
-
-    return frozenset(key for key in keys if not stands(key))
+def gone_items(frame: EffectiveFrame, keys: Collection[ItemKey], states: Mapping[ItemKey, State]) -> frozenset[ItemKey]:
+    """The items of a frame that a queue made now would not have: see `key_stands`."""
+    name, stood = frame.frame, frame.stands
+    objects, expressions = ({(name, key) for key in rows if stood} for rows in (frame.objects, frame.expressions))
+    pairs = {k for k in keys if k.kind == "relation" and stood and frame.pairs.state(k.a, k.b, k.what) is not None}
+    frames = [name] if stood else []
+    return frozenset(key for key in keys if not key_stands(key, states, frames, pairs, objects, expressions))
 
 
 def _changed(

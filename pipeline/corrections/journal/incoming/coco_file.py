@@ -14,7 +14,8 @@ from __future__ import annotations
 import json
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -22,14 +23,14 @@ from typing import Any
 import cv2
 import numpy as np
 
-from pipeline.corrections.journal.effective_frame import EffectiveFrame
+from pipeline.corrections.journal.effective_frame import EffectiveFrame, Row
 from pipeline.corrections.journal.field_refs import FieldRef, object_ref
 from pipeline.corrections.journal.incoming.states import Claims
 from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.masks import MaskCrop, decode_run_length, encode_run_length, fill_polygons
 from pipeline.labels.exports.provenance import ExportedFrom
 from pipeline.proposals.assignment import share_inside
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 LARGEST = 1 << 31
 """Bytes of a file that is read as a whole."""
@@ -38,28 +39,8 @@ WITHIN = 0.9
 ROUNDED = 0.02
 """Pixels by which a 2D box may differ and be the same: tools write two decimals."""
 _NAMED = re.compile(r"(?:.*[/\\])?(\d{6,})\.\w+")
-Row = dict[str, Any]
 LONGEST_OUTLINE = 2e6
 """Pixels that all polygons of an object may run through: rasterising takes memory in proportion."""
-
-
-@dataclass(frozen=True)
-class CocoOptions:
-    """How annotations are read.
-
-    Attributes
-    ----------
-    reject_deleted : bool
-        An object that the file lacks, in a picture that it has, is rejected.
-    crowds : bool
-        New annotations with `iscrowd` 1 are objects too.
-    outline : float
-        Pixels by which a polygon may differ from the mask that was exported.
-    """
-
-    reject_deleted: bool = False
-    crowds: bool = False
-    outline: float = 1.5
 
 
 def load_coco(path: Path) -> Any:
@@ -71,12 +52,12 @@ def load_coco(path: Path) -> Any:
         Missing, too large, or no JSON.
     """
     try:
-        if path.stat().st_size > LARGEST:
-            raise InputError("the file is too large", got=f"{path.stat().st_size} bytes", expected=LARGEST, path=path)
+        size = path.stat().st_size
+        require(size <= LARGEST, "the file is too large", got=f"{size} bytes", expected=LARGEST, path=path)
         return json.loads(path.read_text(encoding="utf-8"), parse_constant=no_number)
+    except InputError:
+        raise
     except (OSError, ValueError, RecursionError, MemoryError) as error:
-        if isinstance(error, InputError):
-            raise
         raise InputError("not a readable JSON file", got=str(error)[:100], path=path) from error
 
 
@@ -93,12 +74,40 @@ def listed(content: Any, key: str, name: str) -> list[Any]:
     return found
 
 
-def read_instances(
-    content: Any, name: str, claims: Claims, state_of: Callable[[Any], ExportedFrom], options: CocoOptions
-) -> None:
-    """Read `instances.json`; raises InputError where it is no COCO at all."""
+def entries(rows: list[Any], what: str, key: str = "id") -> Iterator[tuple[str, Any]]:
+    """The rows of a list, each with what a message calls it: by its key, else by its place in the list."""
+    for index, row in enumerate(rows):
+        yield f"{what} {row.get(key) if isinstance(row, dict) else index!r}", row
+
+
+def base_of(content: Any) -> Any:
+    """What a file says of the state that it was exported from; None where it says nothing."""
     info = content.get("info") if isinstance(content, dict) else None
-    state = state_of(info.get("base") if isinstance(info, dict) else None)
+    return info.get("base") if isinstance(info, dict) else None
+
+
+def read_instances(
+    content: Any,
+    name: str,
+    claims: Claims,
+    state_of: Callable[[Any], ExportedFrom],
+    *,
+    reject_deleted: bool,
+    crowds: bool,
+    outline: float,
+) -> None:
+    """Read `instances.json`; raises InputError where it is no COCO at all.
+
+    Parameters
+    ----------
+    reject_deleted : bool
+        An object that the file lacks, in a picture that it has, is rejected.
+    crowds : bool
+        New annotations with `iscrowd` 1 are objects too.
+    outline : float
+        Pixels by which a polygon may differ from the mask that was exported.
+    """
+    state = state_of(base_of(content))
     categories = _categories(listed(content, "categories", name), name, claims)
     frames = images_of(listed(content, "images", name), name, claims)
     by_image: dict[Any, list[tuple[str, Row]]] = {image: [] for image in frames}
@@ -117,25 +126,22 @@ def read_instances(
             by_image[image].append((where, row))
         if isinstance(row.get("id"), int):
             ids.add(row["id"])
-    bare = not any(_has_number(row) for found in by_image.values() for _, row in found)
+    bare = all(_stated(row) is None for found in by_image.values() for _, row in found)
     for image, found in by_image.items():
         frame = frames[image]
-        reader = _Reader(claims, claims.base(frame, state), state, categories, options)
+        reader = _Reader(claims, claims.base(frame, state), state, categories, crowds, outline)
         numbers = reader.told_by_place(found) if bare else {}
         seen: set[int] = set()
         for index, (where, row) in enumerate(found):
             claims.compared += 1
-            try:
+            with claims.reading(where):
                 number = numbers.get(index) if bare else number_of(row)
-                if number in seen:
-                    raise InputError(f"a second annotation of object {number}")
+                require(number not in seen, f"a second annotation of object {number}")
                 if number is not None:
                     # Also one that cannot be read was not deleted.
                     seen.add(number)
                 reader.annotation(where, row, number)
-            except InputError as error:
-                claims.problem(where, error)
-        if options.reject_deleted:
+        if reject_deleted:
             claims.say_deleted(f"{name} image {image}", frame, seen, state)
 
 
@@ -143,18 +149,14 @@ def images_of(images: list[Any], name: str, claims: Claims) -> dict[int, str]:
     """Frames by the id of their image; what is wrong with an image is a problem of the file."""
     found: dict[int, str] = {}
     taken: set[str] = set()
-    for index, image in enumerate(images):
-        where = f"{name} image {image.get('id') if isinstance(image, dict) else index!r}"
-        try:
-            if not isinstance(image, dict) or type(image.get("id")) is not int or image["id"] in found:
-                raise InputError("an image has a whole number of its own as id")
+    for where, image in entries(images, f"{name} image"):
+        with claims.reading(where):
+            sound = isinstance(image, dict) and type(image.get("id")) is int and image["id"] not in found
+            require(sound, "an image has a whole number of its own as id")
             frame = _frame_of(image, claims)
-            if frame in taken:
-                raise InputError(f"the second image of frame {frame}")
+            require(frame not in taken, f"the second image of frame {frame}")
             taken.add(frame)
             found[image["id"]] = frame
-        except InputError as error:
-            claims.problem(where, error)
     return found
 
 
@@ -163,43 +165,41 @@ def _frame_of(image: Row, claims: Claims) -> str:
     if frame is None and isinstance(file_name, str):
         named = _NAMED.fullmatch(file_name)
         frame = claims.states.frame_of_index(int(named[1])) if named else None
-        if frame is None:
-            raise InputError("no file name of an export", got=repr(file_name)[:60], expected="such as 000012.jpg")
+        shown = repr(file_name)[:60]
+        require(frame is not None, "no file name of an export", got=shown, expected="such as 000012.jpg")
     if not isinstance(frame, str) or frame not in claims.states:
         raise InputError("the labels have no such frame", got=repr(frame)[:60])
     row = claims.base(frame, claims.states.now).auto.row
-    size = [image.get(key, row[key]) for key in ("width", "height")]
-    if size != [row["width"], row["height"]]:
-        raise InputError("the picture has another size", got=size, expected=[row["width"], row["height"]])
+    size, known = [image.get(key, row[key]) for key in ("width", "height")], [row["width"], row["height"]]
+    require(size == known, "the picture has another size", got=size, expected=known)
     return frame
 
 
 def _categories(categories: list[Any], name: str, claims: Claims) -> dict[int, str]:
     found: dict[int, str] = {}
-    for index, category in enumerate(categories):
-        where = f"{name} category {category.get('id') if isinstance(category, dict) else index!r}"
-        if not isinstance(category, dict) or type(category.get("id")) is not int or category["id"] in found:
-            claims.problem(where, "a category has a whole number of its own as id")
-        elif not isinstance(category.get("name"), str):
-            claims.problem(where, "a category has a name")
-        else:
+    for where, category in entries(categories, f"{name} category"):
+        with claims.reading(where):
+            sound = isinstance(category, dict) and type(category.get("id")) is int and category["id"] not in found
+            require(sound, "a category has a whole number of its own as id")
+            require(isinstance(category.get("name"), str), "a category has a name")
             found[category["id"]] = category["name"]
     return found
 
 
-def _has_number(row: Row) -> bool:
+def _stated(row: Row) -> Any:
+    """What an annotation says of its object: in the annotation, or among its attributes as tools keep it."""
     attributes = row.get("attributes")
-    return row.get("object") is not None or (isinstance(attributes, dict) and attributes.get("object") is not None)
+    if row.get("object") is not None or not isinstance(attributes, dict):
+        return row.get("object")
+    value = attributes.get("object")
+    if isinstance(value, str) and value.isascii() and value.isdigit() and len(value) <= 10:
+        return int(value)
+    return value
 
 
 def number_of(row: Row) -> int | None:
     """The object that an annotation is of; None for a new one; InputError where it is no number."""
-    attributes = row.get("attributes")
-    value = row.get("object")
-    if value is None and isinstance(attributes, dict):
-        value = attributes.get("object")
-        if isinstance(value, str):
-            value = int(value) if value.isascii() and value.isdigit() and len(value) <= 10 else value
+    value = _stated(row)
     if value is not None and (type(value) is not int or not 0 <= value < 2**31):
         raise InputError("object must be a number", got=repr(value)[:40])
     return value
@@ -223,7 +223,8 @@ class _Reader:
     base: EffectiveFrame
     state: ExportedFrom
     categories: dict[int, str]
-    options: CocoOptions
+    crowds: bool
+    outline: float
 
     @property
     def size(self) -> tuple[int, int]:
@@ -235,10 +236,8 @@ class _Reader:
 
         boxes: dict[int, list[float]] = {}
         for index, (_, row) in enumerate(found):
-            try:
+            with suppress(InputError):
                 boxes[index] = rectangle_of(row.get("bbox"))
-            except InputError:
-                continue
         objects = self.base.objects
         if not boxes or not objects:
             return {}
@@ -265,7 +264,7 @@ class _Reader:
         if number is None:
             self._new(where, row, label, pixels, box)
             return
-        was = self.base.objects.get(number) or self.base.left_out.get(number)
+        was = self.base.object(number)
         if was is None:
             raise InputError(f"frame {self.base.frame} had no object {number}", cause="a new one has no number")
         self._say(where, number, "label", label)
@@ -273,57 +272,48 @@ class _Reader:
             self._say(where, number, "status", row["status"])
         if "box3d" in row:
             self._say(where, number, "box", box)
-        drawn = pixels is not None and not self._same_pixels(row, pixels, was)
-        if drawn and pixels is not None:
-            if not pixels.any():
-                raise InputError("the mask is empty")
-            self._say(where, number, "mask", encode_run_length(pixels))
-        self._rectangle(where, row, number, was, pixels if drawn else None)
+        drawn = None if pixels is None or self._same_pixels(row, pixels, was) else pixels
+        if drawn is not None:
+            require(drawn.any(), "the mask is empty")
+            self._say(where, number, "mask", encode_run_length(drawn))
+        self._rectangle(where, row, number, was, drawn)
 
     def _say(self, where: str, number: int, field: str, value: Any) -> None:
         self.claims.say(where, object_ref(self.base.frame, number, field), value, self.state)
 
     def _same_pixels(self, row: Row, pixels: np.ndarray, was: Row) -> bool:
-        polygons = isinstance(row.get("segmentation"), list)
         if was["mask"] is None:
             # Exported as the corners of its 2D box: what moves them moves the box.
             return is_rectangle(row["segmentation"])
         before = decode_run_length(self.size, was["mask"])
-        if polygons:
-            return same_outline(before, pixels, self.options.outline)
-        return bool((before == pixels).all())
+        polygons = isinstance(row.get("segmentation"), list)
+        return same_outline(before, pixels, self.outline) if polygons else bool((before == pixels).all())
 
     def _rectangle(self, where: str, row: Row, number: int, was: Row, drawn: np.ndarray | None) -> None:
         """The 2D box, where it was changed on purpose: that of a new mask follows from it."""
         if "bbox" not in row:
             return
         box, before = rectangle_of(row["bbox"]), list(was["bbox"])
+        slack, outline = max(self.outline, 1), row.get("segmentation")
+        if _near(box, before, ROUNDED) and was["mask"] is None and is_rectangle(outline):
+            box = bounds_of(polygons_of(outline)[0])
         if _near(box, before, ROUNDED):
-            drawn_as = row.get("segmentation")
-            if was["mask"] is None and is_rectangle(drawn_as):
-                box = bounds_of(polygons_of(drawn_as)[0])
-            if _near(box, before, ROUNDED):
-                own = row.get("bbox_xyxy")
-                if own is None or own == before:
-                    return
-                box = own
-        # The box around the pixels that the file has follows from them, and was not moved.
-        slack, outline = max(self.options.outline, 1), row.get("segmentation")
-        if drawn is not None and _near(box, list(MaskCrop(0, 0, drawn).box), slack):
-            return
-        if outline and isinstance(outline, list) and was["mask"] is not None:
-            corners = np.concatenate(polygons_of(outline))
-            if _near(box, before, slack) or _near(box, bounds_of(corners), slack):
+            box = row.get("bbox_xyxy")
+            if box is None or box == before:
                 return
-        self._say(where, number, "bbox", box)
+        # The box around the pixels that the file has follows from them, and was not moved.
+        around: list[Sequence[float]] = [] if drawn is None else [list(MaskCrop(0, 0, drawn).box)]
+        if outline and isinstance(outline, list) and was["mask"] is not None:
+            around += [before, bounds_of(np.concatenate(polygons_of(outline)))]
+        if not any(_near(box, other, slack) for other in around):
+            self._say(where, number, "bbox", box)
 
     def _new(self, where: str, row: Row, label: str, pixels: np.ndarray | None, box: Any) -> None:
-        if row.get("iscrowd") == 1 and not self.options.crowds:
+        if row.get("iscrowd") == 1 and not self.crowds:
             self.claims.notes["new annotations with iscrowd 1 left out: they may be groups (--crowds takes them)"] += 1
             return
         seed: Row = {"label": label}
-        if pixels is not None and not pixels.any():
-            raise InputError("the mask is empty")
+        require(pixels is None or pixels.any(), "the mask is empty")
         if pixels is not None and not is_rectangle(row["segmentation"]):
             seed["mask"] = encode_run_length(pixels)
         elif row.get("bbox") is not None or box is None:
@@ -338,7 +328,7 @@ def bounds_of(corners: np.ndarray) -> list[float]:
     return [*corners.min(axis=0).tolist(), *corners.max(axis=0).tolist()]
 
 
-def _near(one: list[float], other: list[float], slack: float) -> bool:
+def _near(one: Sequence[float], other: Sequence[float], slack: float) -> bool:
     return all(math.isclose(x, y, abs_tol=slack, rel_tol=0) for x, y in zip(one, other, strict=True))
 
 
@@ -346,8 +336,7 @@ def _box3d(value: Any) -> Any:
     """As a cell keeps it: R row by row in one list."""
     if value is None:
         return None
-    if not isinstance(value, dict):
-        raise InputError("box3d is center, size and R", got=repr(value)[:40])
+    require(isinstance(value, dict), "box3d is center, size and R", got=repr(value)[:40])
     R = value.get("R")
     flat = [x for line in R for x in line] if isinstance(R, list) and all(isinstance(x, list) for x in R) else R
     found = {"center": value.get("center"), "R": flat, "size": value.get("size")}
@@ -373,8 +362,7 @@ def mask_of(segmentation: Any, size: tuple[int, int]) -> np.ndarray | None:
         return None
     if isinstance(segmentation, dict):
         found, counts = segmentation.get("size"), segmentation.get("counts")
-        if found != list(size):
-            raise InputError("the mask has another size", got=repr(found)[:40], expected=list(size))
+        require(found == list(size), "the mask has another size", got=repr(found)[:40], expected=list(size))
         if isinstance(counts, str) or (isinstance(counts, list) and all(type(n) is int for n in counts)):
             return decode_run_length(size, counts, "the mask")
         raise InputError("a run-length code is a text or a list of whole numbers", got=repr(counts)[:40])
@@ -398,8 +386,10 @@ def polygon_mask(polygons: list[np.ndarray], size: tuple[int, int]) -> np.ndarra
     """(H, W) bool: the pixels inside any of the polygons, as the COCO API has them."""
     clipped = [np.clip(p, 0, np.array(size[::-1], np.float64)) for p in polygons]
     length = sum(float(np.abs(np.diff(p, axis=0, append=p[:1])).max(axis=1).sum()) + len(p) for p in clipped)
-    if length > LONGEST_OUTLINE:
-        raise InputError("the polygons are too long", got=f"{length:.3g} pixels", expected=f"{LONGEST_OUTLINE:.3g}")
+    require(
+        length <= LONGEST_OUTLINE, "the polygons are too long", got=f"{length:.3g} pixels",
+        expected=f"{LONGEST_OUTLINE:.3g}",
+    )  # fmt: skip
     return fill_polygons(size, clipped)
 
 
@@ -436,5 +426,5 @@ def is_rectangle(segmentation: Any) -> bool:
     (corners,) = polygons_of(segmentation)
     if len(corners) == 5 and (corners[0] == corners[4]).all():
         corners = corners[:4]
-    xs, ys = np.unique(corners[:, 0]), np.unique(corners[:, 1])
-    return len(corners) == 4 and len(xs) == len(ys) == 2 and len(np.unique(corners, axis=0)) == 4
+    sides = [len(np.unique(line)) for line in corners.T]
+    return len(corners) == 4 and sides == [2, 2] and len(np.unique(corners, axis=0)) == 4

@@ -8,17 +8,17 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
 from pipeline.corrections.journal import edits as actions
 from pipeline.corrections.journal.effective_frame import EffectiveFrame
-from pipeline.corrections.journal.events import Conflict, Edit, Event, Saved, event_record
+from pipeline.corrections.journal.events import Conflict, Edit, Saved, event_record
 from pipeline.corrections.journal.field_refs import LONGEST_NAME, FieldRef, box_of, plain_text, same_value, shown_value
-from pipeline.corrections.journal.incoming.coco_file import CocoOptions, load_coco, read_instances
+from pipeline.corrections.journal.incoming.coco_file import load_coco, read_instances
 from pipeline.corrections.journal.incoming.jsonl_file import annotated, read_lines, read_refs, read_relations
-from pipeline.corrections.journal.incoming.states import MOST_PROBLEMS, Claim, Claims, States, TooManyProblems
+from pipeline.corrections.journal.incoming.states import Claim, Claims, States
 from pipeline.corrections.journal.journal import Journal
 from pipeline.datasets import Dataset
 from pipeline.labels.exports.exporting import MARK
@@ -26,7 +26,7 @@ from pipeline.labels.exports.provenance import ExportedFrom
 from pipeline.labels.reading import Labels
 from pipeline.labels.schema import TABLES
 from pipeline.language.relation_names import PAIRWISE
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 COCO_FILES = ("instances.json", "refs.json", "relations.json")
 NOW = "now"
@@ -67,8 +67,7 @@ class ImportConfig:
     dry_run: bool = False
 
     def __post_init__(self) -> None:
-        if not 0 <= self.outline <= 100:
-            raise InputError("outline", got=self.outline, expected="0 to 100 pixels")
+        require(0 <= self.outline <= 100, "outline", got=self.outline, expected="0 to 100 pixels")
 
 
 @dataclass(frozen=True)
@@ -134,36 +133,30 @@ def import_corrections(
     """
     config = config or ImportConfig()
     author = plain_text(author, "an author", LONGEST_NAME)
-    if labels.manifest.corrections is not None:
-        raise InputError("these labels are corrected already", expected="the automatic ones", path=labels.root)
+    require(
+        labels.manifest.corrections is None,
+        "these labels are corrected already",
+        expected="the automatic ones",
+        path=labels.root,
+    )
     given = Path(path).expanduser()
     format = config.format or _format(given)
     states = States(labels, () if journal is None else journal.events(), open_dataset)
     claims, source = Claims(states), _Source(states, given, config.base)
-    try:
-        _read(given, format, claims, source, config)
-    except TooManyProblems:
-        claims.notes[f"reading stopped after {MOST_PROBLEMS} problems"] += 1
     reason = config.reason or f"imported from {given.name}"
-    conflicts: list[Contradiction] = []
-    edits: tuple[Edit, ...] = ()
-    agreed, saved, rivals = 0, None, ()
-    try:
-        settled = settle(claims, reason[:2000])
-        conflicts, edits, agreed = settled.contradictions, tuple(settled.edits.values()), settled.agreed
-    except TooManyProblems:
-        claims.notes[f"reading stopped after {MOST_PROBLEMS} problems"] += 1
+    edits, conflicts, agreed, done = [], [], 0, None
+    with claims.stopping():
+        _read(given, format, claims, source, config)
+    with claims.stopping():
+        edits, conflicts, agreed = settle(claims, reason[:2000])
     wanted = not claims.problems and (config.skip_conflicts or not conflicts)
     if edits and wanted and not config.dry_run and journal is not None:
         done = journal.append(edits, author)
-        if isinstance(done, Conflict):
-            rivals = done.rivals
-        else:
-            saved = done
     notes = [f"{text}: {n}" for text, n in claims.notes.items()]
     notes += [f"{n} values of {column!r} differ, which cannot be corrected" for column, n in claims.ignored.items()]
-    told = (*map(str, conflicts), *map(str, rivals))
-    return ImportReport(claims.compared, edits, saved, agreed, told, tuple(claims.problems), tuple(notes))
+    told = (*conflicts, *map(str, done.rivals if isinstance(done, Conflict) else ()))
+    saved = done if isinstance(done, Saved) else None
+    return ImportReport(claims.compared, tuple(edits), saved, agreed, told, tuple(claims.problems), tuple(notes))
 
 
 def _format(given: Path) -> Literal["coco", "jsonl"]:
@@ -178,27 +171,23 @@ def _format(given: Path) -> Literal["coco", "jsonl"]:
 
 
 def _read(given: Path, format: str, claims: Claims, source: _Source, config: ImportConfig) -> None:
-    reject = config.deleted == "reject"
-    if not given.exists():
-        raise InputError("there is no such file", path=given)
-    if format == "jsonl":
-        paths = [given] if given.is_file() else [p for n in TABLES if (p := given / f"{n}.jsonl").is_file()]
-        if not paths:
-            raise InputError("no file of a JSONL export here", path=given)
-        for path in paths:
-            read_lines(path, claims, source.state, reject_deleted=reject)
-        return
-    paths = [given] if given.is_file() else [p for n in COCO_FILES if (p := given / n).is_file()]
-    if not paths:
-        raise InputError("no file of a COCO export here", path=given)
-    options = CocoOptions(reject, config.crowds, config.outline)
+    reject, names = config.deleted == "reject", [f"{n}.jsonl" for n in TABLES] if format == "jsonl" else COCO_FILES
+    require(given.exists(), "there is no such file", path=given)
+    paths = [given] if given.is_file() else [p for n in names if (p := given / n).is_file()]
+    require(paths, f"no file of a {format.upper()} export here", path=given)
     beside: Any = None
     for path in paths:
+        if format == "jsonl":
+            read_lines(path, claims, source.state, reject_deleted=reject)
+            continue
         content = load_coco(path)
         if isinstance(content, dict) and "annotations" in content:
             beside = content
             with _in_file(path):
-                read_instances(content, path.name, claims, source.state, options)
+                read_instances(
+                    content, path.name, claims, source.state, reject_deleted=reject, crowds=config.crowds,
+                    outline=config.outline,
+                )  # fmt: skip
             continue
         if beside is None:
             beside = load_coco(path.with_name(COCO_FILES[0]))
@@ -232,22 +221,18 @@ class _Source:
         """The state that a row or a file names; InputError where none is named or it cannot be used."""
         key = stated if isinstance(stated, str) else None
         if key not in self._known:
-            found = self._said
-            if found is None and stated is not None:
-                found = ExportedFrom.parse(stated)
-            if found is None:
-                found = self._of_folder(self._folder)
+            told = None if stated is None or self._said is not None else ExportedFrom.parse(stated)
+            found = self._said or told or self._of_folder(self._folder)
             self._states.check(found)
             self._known[key] = found
         return self._known[key]
 
     def _of_folder(self, folder: Path) -> ExportedFrom:
         mark = folder / MARK
-        if not mark.is_file():
-            raise InputError(
-                "it is not said what the file was exported from",
-                expected="--base EXPORT, the folder of the export, or --base now", path=folder,
-            )  # fmt: skip
+        require(
+            mark.is_file(), "it is not said what the file was exported from",
+            expected="--base EXPORT, the folder of the export, or --base now", path=folder,
+        )  # fmt: skip
         content = load_coco(mark)
         return ExportedFrom.parse(content.get("base") if isinstance(content, dict) else None)
 
@@ -271,97 +256,50 @@ def import_record(report: ImportReport) -> dict[str, Any]:
     }  # fmt: skip
 
 
-@dataclass(frozen=True)
-class Contradiction:
-    """A value that was corrected here since the file was exported, and that the file has otherwise.
+def settle(claims: Claims, reason: str) -> tuple[list[Edit], list[str], int]:
+    """Make edits of claims, and tell those that somebody's later correction stands against.
 
-    Attributes
-    ----------
-    where : str
-    ref : FieldRef
-    exported, wanted, now : JSON value
-    event : Event or None
-        The newest of the cell; None where `now` follows from something else.
-    because : str
-        Where it is not the value itself that is in the way.
-    """
+    A claim that cannot be done becomes a problem of the file.
 
-    where: str
-    ref: FieldRef
-    exported: Any
-    wanted: Any
-    now: Any
-    event: Event | None
-    because: str = ""
-
-    def __str__(self) -> str:
-        wanted = shown_value(self.ref, self.wanted)
-        if self.because:
-            return f"{self.where}: {self.ref}: wanted {wanted}, but {self.because}"
-        by = "it was recomputed since"
-        if self.event is not None:
-            by = f"{self.event.author} corrected it at {self.event.time:%Y-%m-%d %H:%M:%S UTC}"
-        was, now = shown_value(self.ref, self.exported), shown_value(self.ref, self.now)
-        return f"{self.where}: {self.ref}: exported as {was}, wanted {wanted}, is {now} now: {by}"
-
-
-@dataclass
-class Settled:
-    """What becomes of the claims of a file.
-
-    Attributes
-    ----------
-    edits : dict of FieldRef to Edit
-    contradictions : list of Contradiction
+    Returns
+    -------
+    edits : list of Edit
+    contradictions : list of str
+        A line each: a value that was corrected here since the file was exported, and that the file has otherwise.
     agreed : int
         Claims that the labels fulfil by now.
     """
-
-    edits: dict[FieldRef, Edit] = field(default_factory=dict)
-    contradictions: list[Contradiction] = field(default_factory=list)
-    agreed: int = 0
-
-
-def settle(claims: Claims, reason: str) -> Settled:
-    """Make edits of claims, and list those that somebody's later correction stands against.
-
-    A claim that cannot be done becomes a problem of the file.
-    """
-    found = Settled()
-    wanted: dict[FieldRef, str] = {}
+    edits: dict[FieldRef, tuple[Edit, str]] = {}
+    contradictions: list[str] = []
+    agreed = 0
     for group in _grouped(claims.found.values()):
         first = group[0]
         now = claims.states.frame_now(first.ref.frame, first.base)
         base = claims.base(first.ref.frame, first.base)
         gone = _gone(first.ref, base, now, claims)
         if gone is not None:
-            found.contradictions += [
-                Contradiction(c.where, c.ref, base.value(c.ref), c.value, None, *gone) for c in group
-            ]
+            contradictions += [f"{c.where}: {c.ref}: wanted {shown_value(c.ref, c.value)}, but {gone}" for c in group]
             continue
-        try:
-            made = _edits(group, base, now, reason)
-        except InputError as error:
-            claims.problem(first.where, error)
-            continue
-        made = [e for e in made if not same_value(e.before, e.after)]
-        found.agreed += not made
-        against = [e for e in made if not same_value(base.value(e.ref), now.value(e.ref))]
-        if against:
-            found.contradictions += [
-                Contradiction(
-                    first.where, e.ref, base.value(e.ref), e.after, e.before,
-                    claims.states.newest(e.ref.frame, e.ref),
-                )
-                for e in against
-            ]  # fmt: skip
-            continue
-        for edit in made:
-            before = found.edits.setdefault(edit.ref, edit)
-            if before is not edit and not same_value(before.after, edit.after):
-                claims.problem(first.where, f"{edit.ref} cannot be as here and as {wanted[edit.ref]} has it")
-            wanted.setdefault(edit.ref, first.where)
-    return found
+        with claims.reading(first.where):
+            made = [e for e in _edits(group, base, now, reason) if not same_value(e.before, e.after)]
+            agreed += not made
+            against = [e for e in made if not same_value(base.value(e.ref), now.value(e.ref))]
+            contradictions += [_contradiction(first.where, e, base.value(e.ref), claims) for e in against]
+            for edit in made if not against else ():
+                before, where = edits.setdefault(edit.ref, (edit, first.where))
+                if not same_value(before.after, edit.after):
+                    claims.problem(first.where, f"{edit.ref} cannot be as here and as {where} has it")
+    return [edit for edit, _ in edits.values()], contradictions, agreed
+
+
+def _contradiction(where: str, edit: Edit, exported: Any, claims: Claims) -> str:
+    """An edit that somebody's later correction stands against, or what follows from one."""
+    event = claims.states.newest(edit.ref.frame, edit.ref)
+    by = "it was recomputed since"
+    if event is not None:
+        by = f"{event.author} corrected it at {event.time:%Y-%m-%d %H:%M:%S UTC}"
+    was, wanted, now = (shown_value(edit.ref, value) for value in (exported, edit.after, edit.before))
+    return f"{where}: {edit.ref}: exported as {was}, wanted {wanted}, is {now} now: {by}"
 
 
 def _grouped(claims: Iterable[Claim]) -> list[list[Claim]]:
@@ -374,29 +312,24 @@ def _grouped(claims: Iterable[Claim]) -> list[list[Claim]]:
     return sorted(found.values(), key=lambda group: group[0].ref.frame)
 
 
-def _gone(
-    ref: FieldRef, base: EffectiveFrame, now: EffectiveFrame, claims: Claims
-) -> tuple[Event | None, str] | None:
+def _gone(ref: FieldRef, base: EffectiveFrame, now: EffectiveFrame, claims: Claims) -> str | None:
     """Why there is nothing to correct any more, where it was taken away here since."""
     if ref.kind in ("object", "relation") and ref.field not in ("status", "exists"):
         for number in ref.numbers:
             if number in base.objects and number not in now.objects:
                 by = claims.states.newest(ref.frame, FieldRef("object", ref.frame, str(number), "status"))
-                return by, f"object {number} was rejected since" + (f" by {by.author}" if by is not None else "")
+                return f"object {number} was rejected since" + (f" by {by.author}" if by is not None else "")
     if ref.kind == "relation" and any(
         base.pairs.index_of(n) is not None and now.pairs.index_of(n) is None for n in ref.numbers
     ):
-        return None, "one of its objects takes part in no relation any more"
-    if ref.kind == "expression" and ref.field not in ("status", "mark"):
-        reasons = {w.id: w.reason for w in now.withdrawn}
-        if ref.key in base.expressions and ref.key not in now.expressions:
-            return None, f"it was withdrawn since: {reasons.get(ref.key, '')}"
+        return "one of its objects takes part in no relation any more"
+    told = ref.kind == "expression" and ref.field not in ("status", "mark")
+    if told and ref.key in base.expressions and ref.key not in now.expressions:
+        return f"it was withdrawn since: {next((w.reason for w in now.withdrawn if w.id == ref.key), '')}"
     return None
 
 
-def _edits(
-    group: Sequence[Claim], base: EffectiveFrame, now: EffectiveFrame, reason: str
-) -> tuple[Edit, ...]:
+def _edits(group: Sequence[Claim], base: EffectiveFrame, now: EffectiveFrame, reason: str) -> tuple[Edit, ...]:
     ref, value = group[0].ref, group[0].value
     if ref.kind == "expression" and ref.field in ANSWERS:
         return _answers({c.ref.field: c.value for c in group}, ref.key, now, reason)
@@ -411,10 +344,9 @@ def _edits(
             now, value["label"], mask=value.get("mask"), bbox=value.get("bbox"), box=box, number=ref.numbers[0],
             reason=reason,
         )  # fmt: skip
-    if ref.kind == "object" and ref.field == "mask":
-        return actions.set_mask(now, ref.numbers[0], value, reason)
-    if ref.kind == "object" and ref.field == "bbox":
-        return actions.set_bbox(now, ref.numbers[0], value, reason)
+    pixels = {"mask": actions.set_mask, "bbox": actions.set_bbox}
+    if ref.field in pixels:
+        return pixels[ref.field](now, ref.numbers[0], value, reason)
     return actions.set_value(now, ref, value, reason)
 
 
@@ -428,8 +360,7 @@ def _answers(claimed: dict[str, Any], name: str, now: EffectiveFrame, reason: st
     if acceptable is None:
         acceptable = {*targets, *(set(row["acceptable"]) - set(row["targets"]))}
     elif not set(targets) <= set(acceptable):
-        if "targets" in claimed:
-            raise InputError("targets must be acceptable too", got=f"{targets} and {acceptable}")
+        require("targets" not in claimed, "targets must be acceptable too", got=f"{targets} and {acceptable}")
         targets = [n for n in targets if n in acceptable]
     made = actions.set_answers(now, name, targets, acceptable, reason)
     if "ambiguous" in claimed:

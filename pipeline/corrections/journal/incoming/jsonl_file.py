@@ -14,22 +14,29 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from pipeline.corrections.journal.effective_frame import EffectiveFrame
-from pipeline.corrections.journal.effective_objects import BOX_COLUMNS
+from pipeline.corrections.journal.effective_frame import BOX_COLUMNS, EffectiveFrame, Row
 from pipeline.corrections.journal.field_refs import FieldRef, object_ref, relation_ref, same_value
-from pipeline.corrections.journal.incoming.coco_file import expression_ref, images_of, listed, no_number, number_of
+from pipeline.corrections.journal.incoming.coco_file import (
+    base_of,
+    entries,
+    expression_ref,
+    images_of,
+    listed,
+    no_number,
+    number_of,
+)
 from pipeline.corrections.journal.incoming.states import Claims
 from pipeline.geometry.masks import decode_run_length
 from pipeline.labels.exports.jsonl import BLOCK
 from pipeline.labels.exports.provenance import ExportedFrom
 from pipeline.labels.schema import TABLES
 from pipeline.language.relation_names import PAIRWISE
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
-Row = dict[str, Any]
 StateOf = Callable[[Any], ExportedFrom]
 """The state that a row's `base` names; InputError where it is not to be used."""
 _TEXTS = ("text", "targets", "acceptable", "ambiguous", "status", "mark")
@@ -57,12 +64,12 @@ def read_lines(path: Path, claims: Claims, state_of: StateOf, *, reject_deleted:
             state = state_of(stated)
         except InputError as error:
             raise InputError(f"{where}: {error}") from error
-        try:
+        with claims.reading(where):
             kind = table or _table(row)
             frame = _frame(row, claims)
             name = hash((kind, frame, *(str(row.get(key)) for key in ("object", "a", "b", "id"))))
-            if name in twice and not (kind == "objects" and row.get("object") is None):
-                raise InputError("the second row of the same")
+            new = kind == "objects" and row.get("object") is None
+            require(new or name not in twice, "the second row of the same")
             twice.add(name)
             claims.compared += 1
             if kind == "objects":
@@ -74,8 +81,6 @@ def read_lines(path: Path, claims: Claims, state_of: StateOf, *, reject_deleted:
                 _expression(where, row, frame, state, claims)
             else:
                 claims.say_fields(where, row, FieldRef("frame", frame, "", "status"), ("status", "note"), state)
-        except InputError as error:
-            claims.problem(where, error)
     if reject_deleted:
         for frame, (numbers, state) in seen.items():
             claims.say_deleted(f"{path.name}, frame {frame}", frame, numbers, state)
@@ -90,16 +95,14 @@ def _rows(path: Path, claims: Claims) -> Iterator[tuple[str, Row]]:
                 where = f"{path.name} line {number}"
                 if len(line) == BLOCK:
                     raise InputError(f"line {number} is too long", expected=f"at most {BLOCK} characters", path=path)
-                if not line.strip():
-                    continue
                 try:
-                    row = json.loads(line, parse_constant=no_number)
+                    row = json.loads(line, parse_constant=no_number) if line.strip() else None
                 except (ValueError, RecursionError) as error:
                     claims.problem(where, f"not JSON: {str(error)[:80]}")
                     continue
                 if isinstance(row, dict):
                     yield where, row
-                else:
+                elif line.strip():
                     claims.problem(where, f"a row is an object of JSON, got {type(row).__name__}")
     except (OSError, UnicodeDecodeError) as error:
         raise InputError("the file cannot be read", got=str(error)[:100], path=path) from error
@@ -118,8 +121,8 @@ def _frame(row: Row, claims: Claims) -> str:
     if not isinstance(frame, str) or frame not in claims.states:
         raise InputError("the labels have no such frame", got=repr(frame)[:60])
     known = claims.states.index_of(frame)
-    if row.get("frame_index", known) != known:
-        raise InputError("frame_index is of another frame", got=repr(row["frame_index"])[:20], expected=known)
+    stated = row.get("frame_index", known)
+    require(stated == known, "frame_index is of another frame", got=repr(stated)[:20], expected=known)
     return frame
 
 
@@ -133,18 +136,17 @@ def _number(row: Row, key: str) -> int:
 def _object(where: str, row: Row, frame: str, state: ExportedFrom, claims: Claims, seen: set[int]) -> None:
     base = claims.base(frame, state)
     box = {key: row[key] for key in BOX_COLUMNS if key in row}
-    if box and len(box) < len(BOX_COLUMNS):
-        raise InputError("a 3D box is center, R and size", got=", ".join(box))
-    if any(v is None for v in box.values()):
-        if any(v is not None for v in box.values()):
-            raise InputError("a 3D box is center, R and size", cause="some of them are null")
-        box = None if box else {}
+    require(len(box) in (0, len(BOX_COLUMNS)), "a 3D box is center, R and size", got=", ".join(box))
+    if None in box.values():
+        whole = all(v is None for v in box.values())
+        require(whole, "a 3D box is center, R and size", cause="some of them are null")
+        box = None
     if row.get("object") is None:
         seed = {key: row[key] for key in ("label", "mask", "bbox") if row.get(key) is not None}
         claims.say_new(where, frame, seed | ({"box": box} if box else {}), state)
         return
     number = _number(row, "object")
-    was = base.objects.get(number) or base.left_out.get(number)
+    was = base.object(number)
     if was is None:
         raise InputError(f"frame {frame} had no object {number}", cause="a new one has no number")
     seen.add(number)
@@ -159,23 +161,19 @@ def _object(where: str, row: Row, frame: str, state: ExportedFrom, claims: Claim
 
 def same_mask(code: Any, was: str | None, size: tuple[int, int]) -> bool:
     """Whether two codes are of the same pixels; one that is none is of no others."""
-    if code == was:
-        return True
-    if not isinstance(code, str) or was is None:
-        return False
-    try:
+    if code == was or not isinstance(code, str) or was is None:
+        return code == was
+    with suppress(InputError):
         return bool((decode_run_length(size, code) == decode_run_length(size, was)).all())
-    except InputError:
-        return False
+    return False
 
 
 def check_pair(base: EffectiveFrame, a: int, b: int) -> None:
     """Refuse a pair that the export cannot have had."""
-    if a == b:
-        raise InputError("an object has no relation to itself", got=a)
+    require(a != b, "an object has no relation to itself", got=a)
     for number in (a, b):
-        if base.pairs.index_of(number) is None:
-            raise InputError(f"frame {base.frame} had no object {number} that takes part in relations")
+        known = base.pairs.index_of(number) is not None
+        require(known, f"frame {base.frame} had no object {number} that takes part in relations")
 
 
 def _relation(where: str, row: Row, frame: str, state: ExportedFrom, claims: Claims) -> None:
@@ -192,14 +190,11 @@ def _relation(where: str, row: Row, frame: str, state: ExportedFrom, claims: Cla
             claims.say(where, relation_ref(frame, a, b, f"{relation}.status"), statuses.get(relation), state)
 
 
-def _state(
-    where: str, base: EffectiveFrame, ref: FieldRef, value: Any, state: ExportedFrom, claims: Claims
-) -> None:
+def _state(where: str, base: EffectiveFrame, ref: FieldRef, value: Any, state: ExportedFrom, claims: Claims) -> None:
     """The state of a relation; one that the labels do not hold may be there as it was exported."""
     if value == base.value(ref) and type(value) in (int, type(None)):
         return
-    if ref.field not in base.setting.relations:
-        raise InputError(f"the labels hold no relation {ref.field!r}")
+    require(ref.field in base.setting.relations, f"the labels hold no relation {ref.field!r}")
     claims.say(where, ref, value, state)
 
 
@@ -240,27 +235,23 @@ def annotated(instances: Any, name: str, claims: Claims) -> tuple[dict[int, str]
         number = number_of(row) if isinstance(row, dict) else None
         if number is not None and row.get("image_id") in frames and type(row.get("id")) is int:
             found[row["id"]] = frames[row["image_id"]], number
-    info = instances.get("info")
-    return frames, found, info.get("base") if isinstance(info, dict) else None
+    return frames, found, base_of(instances)
 
 
 def read_refs(
     refs: Any, name: str, frames: dict[int, str], annotations: Annotations, state: ExportedFrom, claims: Claims
 ) -> None:
     """Read `refs.json`: sentences, answers, marks and statuses."""
-    if not isinstance(refs, list):
-        raise InputError(f"{name} is a list", got=type(refs).__name__)
+    require(isinstance(refs, list), f"{name} is a list", got=type(refs).__name__)
     seen: set[tuple[str, str]] = set()
-    for index, ref in enumerate(refs):
-        where = f"{name} ref {ref.get('ref_id') if isinstance(ref, dict) else index!r}"
-        try:
-            if not isinstance(ref, dict) or type(ref.get("image_id")) is not int or ref["image_id"] not in frames:
-                raise InputError("it is of no image that instances.json lists")
+    for where, ref in entries(refs, f"{name} ref", "ref_id"):
+        with claims.reading(where):
+            sound = isinstance(ref, dict) and type(ref.get("image_id")) is int and ref["image_id"] in frames
+            require(sound, "it is of no image that instances.json lists")
             frame, own = frames[ref["image_id"]], ref.get("id")
             if not isinstance(own, str) or own not in claims.base(frame, state).auto.expressions:
                 raise InputError(f"frame {frame} has no such expression", got=repr(own)[:60])
-            if (frame, own) in seen:
-                raise InputError("the second one of its expression")
+            require((frame, own) not in seen, "the second one of its expression")
             seen.add((frame, own))
             claims.compared += 1
             if "sentences" in ref:
@@ -270,8 +261,6 @@ def read_refs(
                     numbers = _objects(ref[key], frame, annotations, key)
                     claims.say(where, expression_ref(frame, own, field), numbers, state)
             claims.say_fields(where, ref, expression_ref(frame, own, "mark"), ("ambiguous", "mark", "status"), state)
-        except InputError as error:
-            claims.problem(where, error)
 
 
 def _raw(sentences: Any) -> Any:
@@ -285,8 +274,8 @@ def _objects(ids: Any, frame: str, annotations: Annotations, what: str) -> list[
     if not isinstance(ids, list) or not all(type(n) is int for n in ids):
         raise InputError(f"{what} is a list of annotations", got=repr(ids)[:40])
     for n in ids:
-        if annotations.get(n, ("", 0))[0] != frame:
-            raise InputError(f"{what} names annotation {n}, which instances.json does not give an object of this image")
+        known = annotations.get(n, ("", 0))[0] == frame
+        require(known, f"{what} names annotation {n}, which instances.json does not give an object of this image")
     return [annotations[n][1] for n in ids]
 
 
@@ -295,17 +284,13 @@ def read_relations(
 ) -> None:
     """Read `relations.json`: the columns of states."""
     seen: set[int] = set()
-    for index, image in enumerate(listed(content, "images", name)):
-        where = f"{name} image {image.get('image_id') if isinstance(image, dict) else index!r}"
-        try:
-            if not isinstance(image, dict) or type(image.get("image_id")) is not int:
-                raise InputError("it has no image_id")
-            if image["image_id"] not in frames or image["image_id"] in seen:
-                raise InputError("it is of no image that instances.json lists, or of one a second time")
+    for where, image in entries(listed(content, "images", name), f"{name} image", "image_id"):
+        with claims.reading(where):
+            require(isinstance(image, dict) and type(image.get("image_id")) is int, "it has no image_id")
+            new = image["image_id"] in frames and image["image_id"] not in seen
+            require(new, "it is of no image that instances.json lists, or of one a second time")
             seen.add(image["image_id"])
             _columns(image, where, frames[image["image_id"]], annotations, state, claims)
-        except InputError as error:
-            claims.problem(where, error)
 
 
 def _columns(
@@ -315,10 +300,10 @@ def _columns(
     base = claims.base(frame, state)
     relations = [r for r in PAIRWISE if r in image]
     for relation in relations:
-        if not isinstance(image[relation], list) or len(image[relation]) != len(a):
-            raise InputError(f"the column {relation!r} has not one state a pair")
-    if len(a) != len(b) or len(set(zip(a, b, strict=True))) != len(a):
-        raise InputError("the columns a and b do not give each pair once")
+        sound = isinstance(image[relation], list) and len(image[relation]) == len(a)
+        require(sound, f"the column {relation!r} has not one state a pair")
+    sound = len(a) == len(b) and len(set(zip(a, b, strict=True))) == len(a)
+    require(sound, "the columns a and b do not give each pair once")
     claims.compared += len(a)
     for m, n in zip(a, b, strict=True):
         check_pair(base, m, n)

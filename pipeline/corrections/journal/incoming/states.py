@@ -5,9 +5,11 @@ from __future__ import annotations
 import hashlib
 import json
 from bisect import bisect_right
-from collections import Counter, OrderedDict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections import Counter
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from typing import Any
 
 from pipeline.corrections.journal.effective import Corrector
@@ -18,7 +20,7 @@ from pipeline.datasets import Dataset
 from pipeline.labels.exports.provenance import ExportedFrom
 from pipeline.labels.reading import Labels
 from pipeline.labels.schema import labels_version
-from pipeline.system.errors import InputError
+from pipeline.system.errors import InputError, require
 
 FRAMES_KEPT = 16
 _OF_PIXELS = ("mask", "bbox", "box", "exists", "label")
@@ -53,7 +55,7 @@ class States:
         self._bare = Corrector(labels)
         self._open = open_dataset
         self._full: Corrector | None = None
-        self._frames: OrderedDict[tuple[str, int, bool], EffectiveFrame] = OrderedDict()
+        self._frame_after = lru_cache(maxsize=FRAMES_KEPT)(self._computed)
 
     @property
     def now(self) -> ExportedFrom:
@@ -80,20 +82,18 @@ class States:
         InputError
             Labels that were made again since, another journal, or the dataset is needed and not at hand.
         """
-        if state.labels != self.version:
-            raise InputError(
-                "the file was exported from other automatic labels", got=state.labels, expected=self.version,
-                cause="were the labels made again since?", path=self.labels.root,
-            )  # fmt: skip
-        if state.event is not None and state.event not in self._id_of:
-            raise InputError(
-                "the file was exported with another journal", got=f"no event {state.event}", cause="is --journal right?"
-            )
-        if state.relifted and self._pixels and self._corrector(True) is None:
-            raise InputError(
-                "the dataset is needed", cause="what follows from corrected pixels is in the file",
-                expected="--dataset says where it is",
-            )
+        require(
+            state.labels == self.version, "the file was exported from other automatic labels", got=state.labels,
+            expected=self.version, cause="were the labels made again since?", path=self.labels.root,
+        )  # fmt: skip
+        require(
+            state.event is None or state.event in self._id_of, "the file was exported with another journal",
+            got=f"no event {state.event}", cause="is --journal right?",
+        )  # fmt: skip
+        require(
+            not (state.relifted and self._pixels) or self._corrector(True) is not None, "the dataset is needed",
+            cause="what follows from corrected pixels is in the file", expected="--dataset says where it is",
+        )  # fmt: skip
 
     def frame(self, frame: str, state: ExportedFrom) -> EffectiveFrame:
         """A frame as it was in a state that `check` let pass."""
@@ -111,15 +111,12 @@ class States:
     def _at(self, frame: str, last: int, relifted: bool) -> EffectiveFrame:
         events = self._events.get(frame, [])
         count = bisect_right([e.id for e in events], last)
-        key = frame, count, relifted and self._pixels
-        if key not in self._frames:
-            corrector = self._corrector(key[2])
-            assert corrector is not None
-            self._frames[key] = corrector.frame(frame, events[:count])
-            while len(self._frames) > FRAMES_KEPT:
-                self._frames.popitem(last=False)
-        self._frames.move_to_end(key)
-        return self._frames[key]
+        return self._frame_after(frame, count, relifted and self._pixels)
+
+    def _computed(self, frame: str, count: int, full: bool) -> EffectiveFrame:
+        corrector = self._corrector(full)
+        assert corrector is not None
+        return corrector.frame(frame, self._events.get(frame, [])[:count])
 
     def _corrector(self, full: bool) -> Corrector | None:
         if not full:
@@ -184,6 +181,22 @@ class Claims:
         if len(self.problems) >= MOST_PROBLEMS:
             raise TooManyProblems
 
+    @contextmanager
+    def reading(self, where: str) -> Iterator[None]:
+        """What cannot be read inside of the block is a problem of the file there."""
+        try:
+            yield
+        except InputError as error:
+            self.problem(where, error)
+
+    @contextmanager
+    def stopping(self) -> Iterator[None]:
+        """Too many problems end the block, and are noted."""
+        try:
+            yield
+        except TooManyProblems:
+            self.notes[f"reading stopped after {MOST_PROBLEMS} problems"] += 1
+
     def base(self, frame: str, state: ExportedFrom) -> EffectiveFrame:
         """A frame as it was exported."""
         return self.states.frame(frame, state)
@@ -193,8 +206,7 @@ class Claims:
         try:
             value = checked(ref, value)
         except InputError as error:
-            self.problem(where, f"{ref.field}: {error}")
-            return
+            return self.problem(where, f"{ref.field}: {error}")
         if not same_value(value, self.base(ref.frame, state).value(ref)):
             self.put(Claim(where, ref, value, state))
 
@@ -217,8 +229,7 @@ class Claims:
         try:
             seed = checked(object_ref(frame, FIRST_NEW_OBJECT, "exists"), seed)
         except InputError as error:
-            self.problem(where, error)
-            return
+            return self.problem(where, error)
         text = json.dumps([frame, seed], sort_keys=True, ensure_ascii=True)
         digest = int(hashlib.sha256(text.encode()).hexdigest()[:15], 16)
         number = FIRST_NEW_OBJECT + digest % (2**31 - FIRST_NEW_OBJECT)
