@@ -15,11 +15,10 @@ from scenes import frame_of, upright
 from pipeline.evaluation.whole_expression import Referring
 from pipeline.geometry.frame import Frame
 from pipeline.proposals import make_detector
-from pipeline.proposals.captions import build_captions, sigmoid, span_scores, token_blocks
+from pipeline.proposals.captions import build_captions, load_tokenizer, sigmoid, span_scores, token_blocks
 from pipeline.proposals.grounding_dino import GroundingDinoDetector
 from pipeline.proposals.grounding_dino_contract import CONTRACTS
 from pipeline.proposals.resampling import IMAGENET_MEAN, IMAGENET_STD, normalised, pillow_resized, shortest_edge
-from pipeline.proposals.tokenizer_file import load_tokenizer
 from pipeline.system.errors import InputError, MissingExtra
 
 if TYPE_CHECKING:

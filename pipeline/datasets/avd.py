@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pipeline.datasets.assembly import make_frame, one_file, read_pair
 from pipeline.datasets.avd_scan import (
     DEFAULT_SIZE,
     REGISTERED_DEPTH,
@@ -28,9 +27,8 @@ from pipeline.datasets.avd_scan import (
     read_names,
     read_poses,
 )
-from pipeline.datasets.base import DatasetFormat, unknown_frame
-from pipeline.datasets.cameras import make_camera
-from pipeline.datasets.capabilities import MOVES
+from pipeline.datasets.base import MOVES, DatasetFormat, unknown_frame
+from pipeline.datasets.cameras import make_camera, make_frame, one_file, read_pair
 from pipeline.datasets.files import listing
 from pipeline.datasets.settings import Settings, unit_notes
 from pipeline.geometry.frame import Annotation, Frame
@@ -119,9 +117,7 @@ class AvdDataset:
         first = stem == scan.first
         notes: list[str] = list(tables.problems)
         jpg = scan.folder / "jpg_rgb"
-        color = one_file(
-            [jpg / scan.images[stem]] if stem in scan.images else [], "colour", jpg / f"{stem}.jpg"
-        )
+        color = one_file([jpg / scan.images[stem]] if stem in scan.images else [], "colour", jpg / f"{stem}.jpg")
         depth = scan.folder / "high_res_depth" / f"{stem.removesuffix(RGB)}{REGISTERED_DEPTH}.png"
         rgb, metres = read_pair(color, depth, self._settings.depth_scale or UNITS_PER_METRE)
         metres[metres > FARTHEST_M] = 0
@@ -154,7 +150,7 @@ class AvdDataset:
         return make_frame(frame_id, (rgb, metres), camera, depth, annotations, tuple(notes))
 
     def moves(self, frame_id: str) -> dict[str, str]:
-        """Where the robot's moves from a frame lead, for those that are possible; see `capabilities.moves`.
+        """Where the robot's moves from a frame lead, for those that are possible; see `base.moves`.
 
         A pointer to an image that is not there is left out.
         """
@@ -167,8 +163,7 @@ class AvdDataset:
         """The frames that each split of the site tests on, as far as their scans are here; see `SPLITS`."""
         places = self._place.items()
         found = {
-            split: tuple(frame_id for frame_id, (scan, _) in places if scan in scans)
-            for split, scans in SPLITS.items()
+            split: tuple(frame_id for frame_id, (scan, _) in places if scan in scans) for split, scans in SPLITS.items()
         }
         return {split: ids for split, ids in found.items() if ids}
 
@@ -219,9 +214,7 @@ class AvdDataset:
         return read_boxes(entry, scan.names, annotated, size, notes)
 
 
-def _remarks(
-    scan: _Scan, own: AvdCamera | None, annotated: tuple[int, int], size: tuple[int, int]
-) -> list[str]:
+def _remarks(scan: _Scan, own: AvdCamera | None, annotated: tuple[int, int], size: tuple[int, int]) -> list[str]:
     """What is so in the whole scan, for its first frame."""
     notes: list[str] = []
     if not scan.names:

@@ -14,7 +14,6 @@ from typing import Any
 import cv2
 import numpy as np
 
-from pipeline.datasets.assembly import make_frame, one_file, read_pair
 from pipeline.datasets.base import DatasetFormat, unknown_frame
 from pipeline.datasets.bop_scene import (
     BopScene,
@@ -27,7 +26,7 @@ from pipeline.datasets.bop_scene import (
     read_pose,
     read_scene,
 )
-from pipeline.datasets.cameras import make_camera
+from pipeline.datasets.cameras import make_camera, make_frame, one_file, read_pair
 from pipeline.datasets.files import as_floats, listing
 from pipeline.datasets.images import COLOR_SUFFIXES, read_mask
 from pipeline.datasets.settings import Settings
@@ -58,9 +57,7 @@ class BopDataset:
         self._folders = _scene_folders(root)
         gray = [f for f in self._folders.values() if (f / "gray").is_dir() and not (f / "rgb").is_dir()]
         if gray and len(gray) == len(self._folders):
-            raise InputError(
-                "grey-scale images only", expected="a folder rgb/ with colour images", path=gray[0]
-            )
+            raise InputError("grey-scale images only", expected="a folder rgb/ with colour images", path=gray[0])
         self._class_names: tuple[str, ...] | None = None
         self._place: dict[str, tuple[str, int]] = {}
         for scene, folder in self._folders.items():
@@ -160,9 +157,7 @@ class BopDataset:
         return tuple(found)
 
     @staticmethod
-    def _box(
-        entry: Mapping[str, Any], model: ObjectModel | None, path: Path, said: list[str]
-    ) -> Box3D | None:
+    def _box(entry: Mapping[str, Any], model: ObjectModel | None, path: Path, said: list[str]) -> Box3D | None:
         """The exact box in the camera frame: center = R (min + size / 2) + t."""
         if model is None or model.center is None or model.size is None:
             return None
@@ -199,9 +194,7 @@ def _extent(
     except InputError as error:
         raise InputError(f"a broken mask, {error.what}, {mask_path.name}") from error
     if mask.shape != size:
-        raise InputError(
-            f"the mask {mask_path.name} is {mask.shape[1]}x{mask.shape[0]}, not {size[1]}x{size[0]}"
-        )
+        raise InputError(f"the mask {mask_path.name} is {mask.shape[1]}x{mask.shape[0]}, not {size[1]}x{size[0]}")
     x, y, w, h = cv2.boundingRect(mask.view(np.uint8))
     if w == 0:
         raise InputError("empty mask")

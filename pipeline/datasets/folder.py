@@ -7,12 +7,28 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.datasets.assembly import make_frame, one_file, read_pair
 from pipeline.datasets.base import DatasetFormat, unknown_frame
-from pipeline.datasets.cameras import make_camera, pose_from_matrix, pose_from_quaternion
-from pipeline.datasets.files import as_floats, listing, read_lines, read_matrix
+from pipeline.datasets.cameras import (
+    make_camera,
+    make_frame,
+    one_file,
+    pose_from_matrix,
+    pose_from_quaternion,
+    read_pair,
+)
+from pipeline.datasets.files import (
+    Key,
+    Naming,
+    as_floats,
+    choose_naming,
+    image_files,
+    listing,
+    pair_files,
+    read_lines,
+    read_matrix,
+    twice,
+)
 from pipeline.datasets.images import COLOR_SUFFIXES, DEPTH_SUFFIXES, INTEGER_DEPTH_SUFFIXES
-from pipeline.datasets.pairing import Key, Naming, choose_naming, image_files, pair_files, twice
 from pipeline.datasets.settings import FILE_NAME, Settings
 from pipeline.geometry.frame import Frame
 from pipeline.system.errors import InputError
@@ -53,9 +69,7 @@ class FolderDataset:
         depths = image_files(root, DEPTH_FOLDERS, DEPTH_SUFFIXES, "depth")
         _ask_for_the_missing(root, depths, settings)
         naming = choose_naming(colors, depths)
-        self._pairs = {
-            (pair.color or pair.depth or root).stem: pair for pair in pair_files(naming, colors, depths)
-        }
+        self._pairs = {(pair.color or pair.depth or root).stem: pair for pair in pair_files(naming, colors, depths)}
         self.frame_ids = tuple(self._pairs)
         self.notes: tuple[str, ...] = ()
         if settings.depth_scale is None:

@@ -8,12 +8,19 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.datasets.assembly import make_frame, one_file, read_pair
 from pipeline.datasets.base import DatasetFormat, unknown_frame
-from pipeline.datasets.cameras import make_camera, pose_from_matrix
-from pipeline.datasets.files import as_floats, listing, numbered_lines, read_json
+from pipeline.datasets.cameras import make_camera, make_frame, one_file, pose_from_matrix, read_pair
+from pipeline.datasets.files import (
+    Key,
+    as_floats,
+    choose_naming,
+    image_files,
+    listing,
+    numbered_lines,
+    pair_files,
+    read_json,
+)
 from pipeline.datasets.images import COLOR_SUFFIXES
-from pipeline.datasets.pairing import Key, choose_naming, image_files, pair_files
 from pipeline.datasets.settings import Settings, unit_notes
 from pipeline.geometry.frame import Frame
 from pipeline.system.errors import InputError

@@ -8,12 +8,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from pipeline.datasets.assembly import differ_in_size, make_frame, one_file, read_pose
 from pipeline.datasets.base import DatasetFormat, unknown_frame
-from pipeline.datasets.cameras import make_camera
-from pipeline.datasets.files import read_matrix
+from pipeline.datasets.cameras import differ_in_size, make_camera, make_frame, one_file, read_pose
+from pipeline.datasets.files import choose_naming, image_files, pair_files, read_matrix
 from pipeline.datasets.images import COLOR_SUFFIXES, read_color, read_depth
-from pipeline.datasets.pairing import choose_naming, image_files, pair_files
 from pipeline.datasets.settings import Settings, unit_notes
 from pipeline.geometry.frame import Frame
 from pipeline.system.errors import InputError

@@ -13,10 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.datasets.assembly import make_frame
-from pipeline.datasets.base import DatasetFormat, unknown_frame
-from pipeline.datasets.cameras import make_camera
-from pipeline.datasets.capabilities import GivenExpression
+from pipeline.datasets.base import DatasetFormat, GivenExpression, unknown_frame
+from pipeline.datasets.cameras import make_camera, make_frame
 from pipeline.datasets.files import natural
 from pipeline.datasets.semantic_abstraction_file import (
     has,
@@ -29,13 +27,15 @@ from pipeline.datasets.semantic_abstraction_file import (
     read_names,
 )
 from pipeline.datasets.semantic_abstraction_objects import (
+    SCENE_BOUNDS,
     ObjectPoints,
+    ScenePose,
     annotated_objects,
     depth_samples,
+    fit_pose,
     object_ids,
     points_of,
 )
-from pipeline.datasets.semantic_abstraction_pose import SCENE_BOUNDS, ScenePose, fit_pose
 from pipeline.datasets.semantic_abstraction_splits import (
     RANDOMIZED,
     RENAMED,
@@ -145,7 +145,7 @@ class SemanticAbstractionDataset:
         return make_frame(frame_id, (rgb, depth), camera, path, annotations, tuple(notes))
 
     def given_expressions(self, frame_id: str) -> tuple[GivenExpression, ...]:
-        """The dataset's own expressions; see `capabilities.given_expressions`.
+        """The dataset's own expressions; see `base.given_expressions`.
 
         The target is one object by its id, the reference every object of its
         class. Of both only the annotated ones are given: a target may be hidden.
@@ -185,7 +185,7 @@ class SemanticAbstractionDataset:
         return None if named is None else named.group()
 
     def splits(self) -> dict[str, tuple[str, ...]]:
-        """The frames that the split files beside the views list, by "vool/train" and so on; see `capabilities.splits`.
+        """The frames that the split files beside the views list, by "vool/train" and so on; see `base.splits`.
 
         Files that are not here, and paths that lead outside, are left out. The
         frames of `unseen_instances_dr` are those with randomised materials, the

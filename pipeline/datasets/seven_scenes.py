@@ -7,9 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.datasets.assembly import make_frame, one_file, read_pair, read_pose
 from pipeline.datasets.base import DatasetFormat, unknown_frame
-from pipeline.datasets.cameras import make_camera
+from pipeline.datasets.cameras import make_camera, make_frame, one_file, read_pair, read_pose
 from pipeline.datasets.files import listing, read_matrix
 from pipeline.datasets.settings import Settings, camera_notes, unit_notes
 from pipeline.geometry.camera import intrinsics
@@ -67,9 +66,7 @@ class SevenScenesDataset:
         camera = make_camera(K, (size[0], size[1]), pose, self._settings, source)
         return make_frame(frame_id, pair, camera, depth, notes=tuple(notes))
 
-    def _camera_matrix(
-        self, folder: Path, size: tuple[int, int], color: Path
-    ) -> tuple[np.ndarray | None, Path]:
+    def _camera_matrix(self, folder: Path, size: tuple[int, int], color: Path) -> tuple[np.ndarray | None, Path]:
         if self._settings.intrinsics is not None:
             return None, color
         path = _camera_file(self.root, folder)

@@ -11,9 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.datasets.assembly import make_frame, read_pair
 from pipeline.datasets.base import DatasetFormat, unknown_frame
-from pipeline.datasets.cameras import make_camera, pose_from_quaternion
+from pipeline.datasets.cameras import make_camera, make_frame, pose_from_quaternion, read_pair
 from pipeline.datasets.files import as_floats, numbered_lines, path_inside
 from pipeline.datasets.settings import Settings, camera_notes, unit_notes
 from pipeline.geometry.camera import intrinsics
@@ -149,9 +148,7 @@ def _entries(root: Path, name: str) -> list[_Entry]:
     for number, line in numbered_lines(source):
         stamp, *rest = line.split(maxsplit=1)
         if not _TIME.fullmatch(stamp) or not math.isfinite(float(stamp)) or not rest:
-            raise InputError(
-                f"line {number} is malformed", got=repr(line[:60]), expected="timestamp path", path=source
-            )
+            raise InputError(f"line {number} is malformed", got=repr(line[:60]), expected="timestamp path", path=source)
         entry = _Entry(stamp, path_inside(root, rest[0], source, number))
         time = Decimal(stamp)
         if time in found:

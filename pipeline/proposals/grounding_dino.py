@@ -22,9 +22,12 @@ from pipeline.geometry.frame import Frame
 from pipeline.proposals.base import Proposals
 from pipeline.proposals.captions import (
     MAX_TOKENS,
+    TOKENIZER,
     Caption,
     build_captions,
     check_bert,
+    find_tokenizer,
+    load_tokenizer,
     sigmoid,
     span_scores,
     token_blocks,
@@ -33,7 +36,6 @@ from pipeline.proposals.grounding_dino_contract import CONTRACTS, tensors_of
 from pipeline.proposals.relative_boxes import proposals_of, to_pixels
 from pipeline.proposals.resampling import IMAGENET_MEAN, IMAGENET_STD, normalised, pillow_resized, shortest_edge
 from pipeline.proposals.selection import NMS_IOU, class_wise
-from pipeline.proposals.tokenizer_file import TOKENIZER, find_tokenizer, load_tokenizer
 from pipeline.system.errors import InputError
 from pipeline.system.onnx_session import file_hash, model_hash, open_session, run_session
 

@@ -16,12 +16,11 @@ import numpy as np
 
 from pipeline.geometry.frame import Frame
 from pipeline.proposals.base import Proposals
-from pipeline.proposals.captions import plain_name, sigmoid
+from pipeline.proposals.captions import find_tokenizer, load_tokenizer, plain_name, sigmoid
 from pipeline.proposals.owl_contract import CONTRACTS, SIDES, TOKENS, Kind, tensors_of
 from pipeline.proposals.relative_boxes import proposals_of, to_pixels
 from pipeline.proposals.resampling import CLIP_MEAN, CLIP_STD, normalised, padded_square, pillow_resized
 from pipeline.proposals.selection import NMS_IOU, class_wise
-from pipeline.proposals.tokenizer_file import find_tokenizer, load_tokenizer
 from pipeline.system.errors import InputError
 from pipeline.system.onnx_session import file_hash, model_hash, open_session, run_session
 

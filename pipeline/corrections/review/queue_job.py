@@ -23,7 +23,7 @@ from pipeline.corrections.review.worklist import NOTHING, Mark, Worklist, mark_o
 from pipeline.labels.pictures import labelled_dataset
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.language.naming import Synonyms
-from pipeline.proposals.detector_setup import DetectorSetup, made_by
+from pipeline.proposals.registry import DetectorSetup, made_by
 from pipeline.system.errors import InputError
 from pipeline.system.shared_job import SharedJob
 

@@ -4,8 +4,23 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.datasets.synthetic.model import Material, Model, Part, Surface, assemble, rgb
-from pipeline.datasets.synthetic.palettes import BLACK, BRASS, PAPER, Palette, cloth, metal, paint, pick, wood
+from pipeline.datasets.synthetic.model import (
+    BLACK,
+    BRASS,
+    PAPER,
+    Material,
+    Model,
+    Palette,
+    Part,
+    Surface,
+    assemble,
+    cloth,
+    metal,
+    paint,
+    pick,
+    rgb,
+    wood,
+)
 from pipeline.datasets.synthetic.shapes import ball, block, cylinder, joined, lathe, leaf, ring, rod
 
 Rng = np.random.Generator

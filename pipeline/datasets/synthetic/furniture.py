@@ -6,8 +6,21 @@ from dataclasses import replace
 
 import numpy as np
 
-from pipeline.datasets.synthetic.model import Material, Model, Part, Surface, assemble, rgb
-from pipeline.datasets.synthetic.palettes import BRASS, WHITE, Palette, cloth, metal, paint, wood
+from pipeline.datasets.synthetic.model import (
+    BRASS,
+    WHITE,
+    Material,
+    Model,
+    Palette,
+    Part,
+    Surface,
+    assemble,
+    cloth,
+    metal,
+    paint,
+    rgb,
+    wood,
+)
 from pipeline.datasets.synthetic.shapes import block, cylinder, joined, lathe, pillow, rod
 
 Rng = np.random.Generator

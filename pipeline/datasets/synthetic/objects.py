@@ -4,8 +4,21 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.datasets.synthetic.model import Material, Model, Part, assemble, rgb
-from pipeline.datasets.synthetic.palettes import BLACK, BRASS, PAPER, STEEL, WHITE, Palette, paint, pick
+from pipeline.datasets.synthetic.model import (
+    BLACK,
+    BRASS,
+    PAPER,
+    STEEL,
+    WHITE,
+    Material,
+    Model,
+    Palette,
+    Part,
+    assemble,
+    paint,
+    pick,
+    rgb,
+)
 from pipeline.datasets.synthetic.shapes import ball, block, cylinder, joined, lathe, leaf, ring, rod
 
 Rng = np.random.Generator

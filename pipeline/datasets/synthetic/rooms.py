@@ -7,9 +7,8 @@ import numpy as np
 from pipeline.datasets.synthetic import decor as c
 from pipeline.datasets.synthetic import furniture as f
 from pipeline.datasets.synthetic import objects as o
-from pipeline.datasets.synthetic import shelves
 from pipeline.datasets.synthetic.layout import Focus, Layout, Room
-from pipeline.datasets.synthetic.palettes import PALETTES, Palette
+from pipeline.datasets.synthetic.model import PALETTES, Model, Palette, Part, Surface, assemble
 from pipeline.datasets.synthetic.shell import build_shell, palette_of, window_opening
 from pipeline.system.errors import InputError
 
@@ -75,13 +74,13 @@ def _study(room: Layout, p: Palette) -> tuple[Focus, ...]:
     room.put(o.bottle(p, rng), table, (0.42, 0.70))
     room.put(o.mouse(p, rng), table, (0.21, -0.25), _turn(room, 10))
     room.put(c.plant(p, rng, 0.30), table, (-0.42, 0.75))
-    shelves.furnish_wall_shelf(room, p, room.hang(shelves.stocked_wall_shelf(p, rng), "back", x - 0.25, 1.42))
+    furnish_wall_shelf(room, p, room.hang(stocked_wall_shelf(p, rng), "back", x - 0.25, 1.42))
     room.hang(c.picture(p, rng, 0.44, 0.58), "back", x + 0.62, 1.25)
     seat = room.stand_near(f.office_chair(p, rng), x + 1.00, d - 1.32, np.pi + np.deg2rad(rng.uniform(30, 60)), 0.06)
     room.stand_near(c.trash_can(p, rng), x - 0.95, d - 0.85, 0, 0.04)
     room.stand_near(c.box(p, rng), x - 0.15, d - 0.36, _turn(room, 8), 0.05)
-    tall = room.against(shelves.stocked_bookshelf(p, rng), "back", w - 0.62, 0.02)
-    shelves.furnish_bookshelf(room, p, tall)
+    tall = room.against(stocked_bookshelf(p, rng), "back", w - 0.62, 0.02)
+    furnish_bookshelf(room, p, tall)
     room.put(c.plant(p, rng, 0.36), tall, (-0.4, 0.0), surface=0)
     room.lay_rug(f.rug(p, rng, 1.5, 1.5), w * 0.58, d * 0.42)
     arm = room.stand_near(f.armchair(p, rng), w * 0.77, d * 0.50, -np.pi / 2 + 0.35, 0.1)
@@ -132,8 +131,8 @@ def _dining(room: Layout, p: Palette) -> tuple[Focus, ...]:
     room.hang(c.picture(p, rng, 0.52, 0.68), "back", w * 0.47 - 0.36, 1.32)
     room.hang(c.picture(p, rng, 0.52, 0.68), "back", w * 0.47 + 0.36, 1.32)
     room.stand_near(c.plant(p, rng, 1.2), 0.48, d - 0.50, 1.0)
-    tall = room.against(shelves.stocked_bookshelf(p, rng), "back", w - 0.56)
-    shelves.furnish_bookshelf(room, p, tall)
+    tall = room.against(stocked_bookshelf(p, rng), "back", w - 0.56)
+    furnish_bookshelf(room, p, tall)
     room.put(c.candle(p, rng), side, (0.12, -0.5))
     room.put(c.candle(p, rng), side, (0.18, 0.3))
     room.stand_near(c.plant(p, rng, 0.95), 0.45, d * 0.24, 0.6)
@@ -176,8 +175,8 @@ def _living(room: Layout, p: Palette) -> tuple[Focus, ...]:
     room.put(c.candle(p, rng), stand, (0.92, -0.1))
     arm = room.stand_near(f.armchair(p, rng), x + 1.64, d - 2.45, np.deg2rad(-76), 0.05)
     room.put(f.throw_pillow(p, rng), arm, (0, 0.9), _turn(room, 8))
-    tall = room.against(shelves.stocked_bookshelf(p, rng), "back", w - 0.56)
-    shelves.furnish_bookshelf(room, p, tall)
+    tall = room.against(stocked_bookshelf(p, rng), "back", w - 0.56)
+    furnish_bookshelf(room, p, tall)
     room.stand_near(c.basket(p, rng), x - 1.45, d - 1.55, 0.2, 0.1)
     stool = room.stand_near(f.stool(p, rng), x + 1.42, d - 1.35, 0.3, 0.06)
     room.put(o.mug(p, rng), stool, (0, 0))
@@ -243,3 +242,102 @@ def _bedroom(room: Layout, p: Palette) -> tuple[Focus, ...]:
         _focus(w * 0.40, d * 0.52, 0.55, 158, 10, 2.0, 3.0),
         _focus(x - 0.35, d - 1.30, 0.55, 122, 14, 2.4, 3.3),
     )
+
+
+Rng = np.random.Generator
+FREE_M = 0.30
+"""Width that a row of books leaves free on its board."""
+THINGS = 3
+"""Boards of a bookshelf that hold something of its own beside their books; one more holds a lying book."""
+
+
+def stocked_bookshelf(p: Palette, rng: Rng) -> Model:
+    """A bookshelf whose rows of books are parts of it.
+
+    Its surfaces are the top, then what the books leave free of each board from
+    the lowest up. The books of one board end in a lying pile.
+    """
+    empty = f.bookshelf(p, rng)
+    top, *boards = empty.surfaces
+    piled = int(rng.integers(1, len(boards) - 1))
+    parts, free = list(empty.parts), [top]
+    for k, board in enumerate(boards):
+        row, rest = _book_row(p, rng, board, int(rng.integers(7, 14)), FREE_M, 0.004, 0.03, bool(k % 2))
+        parts += row
+        if k == piled:
+            parts += _lying_pile(p, rng, rest)
+        else:
+            free.append(rest)
+    return assemble(empty.label, parts, free)
+
+
+def stocked_wall_shelf(p: Palette, rng: Rng) -> Model:
+    """A wall shelf with a short row of books as parts of it; its surface is what they leave free."""
+    empty = f.wall_shelf(p, rng)
+    row, rest = _book_row(p, rng, empty.surfaces[0], 5, FREE_M, 0.05, 0.005, False)
+    return assemble(empty.label, [*empty.parts, *row], [rest])
+
+
+def furnish_bookshelf(room: Layout, p: Palette, shelf: int | None) -> None:
+    """Put a few things of their own on the boards: something different on each of most, a book on one."""
+    if shelf is None:
+        return
+    rng = room.rng
+    things: list[Model] = [
+        c.plant(p, rng, 0.26),
+        o.bowl(p, rng),
+        c.candle(p, rng),
+        c.teapot(p, rng),
+        c.alarm_clock(p, rng),
+        o.bottle(p, rng),
+    ]
+    waiting = [things[k] for k in rng.permutation(len(things))]
+    boards = 1 + rng.permutation(len(room.instances[shelf].model.surfaces) - 1)
+    for surface in boards[:THINGS]:
+        # A bowl or a plant may be too wide for what the books left.
+        for thing in waiting:
+            if room.put(thing, shelf, (0.0, 0.0), surface=int(surface)) is not None:
+                waiting.remove(thing)
+                break
+    for surface in boards[THINGS:]:
+        if room.put(o.book(p, rng), shelf, (0.0, 0.0), surface=int(surface)) is not None:
+            break
+
+
+def furnish_wall_shelf(room: Layout, p: Palette, shelf: int | None) -> None:
+    """A small plant and a candle beside the books."""
+    room.put(c.plant(p, room.rng, 0.24), shelf, (-0.25, 0.0))
+    room.put(c.candle(p, room.rng), shelf, (0.75, 0.0))
+
+
+def _book_row(
+    p: Palette, rng: Rng, board: Surface, most: int, keep: float, start: float, back: float, from_right: bool
+) -> tuple[list[Part], Surface]:
+    """Up to `most` upright books along a board from one of its ends.
+
+    They begin `start` from that end, stand `back` from the board's rear edge
+    and leave at least `keep` metres free, which is the second result.
+    """
+    parts: list[Part] = []
+    reach = start
+    for _ in range(most):
+        book = o.standing_book(p, rng, min(0.27, board.room - 0.02))
+        thick, deep, _ = book.size
+        if board.x0 + reach + thick > board.x1 - keep:
+            break
+        x = board.x1 - reach - thick / 2 if from_right else board.x0 + reach + thick / 2
+        parts += [part.moved((x, board.y1 - deep / 2 - back, board.z)) for part in book.parts]
+        reach += float(thick) + 0.002
+    gap = reach + 0.01
+    x0, x1 = (board.x0, board.x1 - gap) if from_right else (board.x0 + gap, board.x1)
+    return parts, Surface(board.z, x0, x1, board.y0, board.y1, board.room)
+
+
+def _lying_pile(p: Palette, rng: Rng, place: Surface) -> list[Part]:
+    """Three books lying on each other in the middle of a place, the widest lowest."""
+    x, z = (place.x0 + place.x1) / 2, place.z
+    parts: list[Part] = []
+    for book in sorted((o.book(p, rng) for _ in range(3)), key=lambda model: -float(model.size[0])):
+        parts += [part.moved((x, (place.y0 + place.y1) / 2, z)) for part in book.parts]
+        z += float(book.size[2])
+    return parts

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.datasets.synthetic.model import Material, Part, rgb
-from pipeline.datasets.synthetic.palettes import BRASS, PALETTES, Palette
+from pipeline.datasets.synthetic.model import BRASS, PALETTES, Material, Palette, Part, rgb
 from pipeline.datasets.synthetic.shapes import block, cylinder, rod, sheet
 
 Rng = np.random.Generator

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from pipeline.datasets.up_text import ASSUMED
+from pipeline.datasets.settings import ASSUMED
 from pipeline.labels.check.expressions import ExpressionRules, Reader, check_expressions
 from pipeline.labels.check.files import check_files, check_profile, profile_problem
 from pipeline.labels.check.findings import Finding, chosen_rules
