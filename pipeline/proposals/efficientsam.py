@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.proposals.efficientsam_contract import DECODERS, ENCODERS, OPTION
+from pipeline.proposals.contracts import EFFICIENTSAM_DECODERS, EFFICIENTSAM_ENCODERS, EFFICIENTSAM_OPTION
 from pipeline.proposals.model_pair import open_pair
 from pipeline.proposals.prompted import best_mask, corners, resampled, stretched
 from pipeline.system.errors import InputError
@@ -42,7 +42,7 @@ class EfficientSamModel:
     name = "efficientsam"
 
     def __init__(self, paths: Sequence[Path]) -> None:
-        self.pair = open_pair(OPTION, paths, ENCODERS, DECODERS)
+        self.pair = open_pair(EFFICIENTSAM_OPTION, paths, EFFICIENTSAM_ENCODERS, EFFICIENTSAM_DECODERS)
         (self._input,) = self.pair.encoder_inputs.values()
         _, queries, points, _ = self.pair.decoder_inputs["batched_point_coords"].shape
         self._points = points if isinstance(points, int) else 2

@@ -23,9 +23,9 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.proposals.contracts import ALL_MASKS, SAM_DECODERS, SAM_ENCODERS, SAM_OPTION, SAM_SIDE
 from pipeline.proposals.model_pair import open_pair
 from pipeline.proposals.prompted import best_mask, corners, resampled, stretched
-from pipeline.proposals.sam_contract import ALL_MASKS, DECODERS, ENCODERS, OPTION, SIDE
 from pipeline.system.errors import InputError
 
 VERSION = "1"
@@ -33,7 +33,7 @@ MEAN = np.array([123.675, 116.28, 103.53], np.float32)
 STD = np.array([58.395, 57.12, 57.375], np.float32)
 
 
-def resized_shape(height: int, width: int, side: int = SIDE) -> tuple[int, int]:
+def resized_shape(height: int, width: int, side: int = SAM_SIDE) -> tuple[int, int]:
     """Height and width of a picture whose long side is `side`."""
     scale = side / max(height, width)
     return max(int(height * scale + 0.5), 1), max(int(width * scale + 0.5), 1)
@@ -56,7 +56,7 @@ class SamModel:
     name = "sam"
 
     def __init__(self, paths: Sequence[Path]) -> None:
-        self.pair = open_pair(OPTION, paths, ENCODERS, DECODERS)
+        self.pair = open_pair(SAM_OPTION, paths, SAM_ENCODERS, SAM_DECODERS)
         (self._input,) = self.pair.encoder_inputs.values()
         outputs = self.pair.decoder_outputs()
         self._low_res = "low_res_masks" in outputs
@@ -71,7 +71,7 @@ class SamModel:
         image = resampled(rgb, height, width).astype(np.float32)
         if len(self._input.shape) == 3:
             return self.pair.encode(self._fitted(image))
-        square = np.zeros((1, 3, SIDE, SIDE), np.float32)
+        square = np.zeros((1, 3, SAM_SIDE, SAM_SIDE), np.float32)
         square[0, :, :height, :width] = ((image - MEAN) / STD).transpose(2, 0, 1)
         return self.pair.encode(square)
 
@@ -114,7 +114,7 @@ class SamModel:
         if logits.shape == (height, width) and logits.shape != (256, 256):
             return logits
         new_height, new_width = resized_shape(height, width)
-        return stretched(stretched(logits, SIDE, SIDE)[:new_height, :new_width], height, width)
+        return stretched(stretched(logits, SAM_SIDE, SAM_SIDE)[:new_height, :new_width], height, width)
 
     def _fitted(self, image: np.ndarray) -> np.ndarray:
         """(h, w, 3) of the size that the file declares, where it declares one."""
@@ -127,7 +127,7 @@ class SamModel:
         if height < image.shape[0] or width < image.shape[1]:
             raise InputError(
                 "the encoder takes pictures of one shape only",
-                got=f"{image.shape[1]}x{image.shape[0]} with the long side {SIDE}",
+                got=f"{image.shape[1]}x{image.shape[0]} with the long side {SAM_SIDE}",
                 expected=f"{width}x{height}",
                 cause="export it with a free height and width",
                 path=self.pair.encoder_path,

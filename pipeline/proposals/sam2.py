@@ -14,9 +14,9 @@ from pathlib import Path
 
 import numpy as np
 
+from pipeline.proposals.contracts import SAM2_DECODERS, SAM2_ENCODERS, SAM2_OPTION
 from pipeline.proposals.model_pair import open_pair
 from pipeline.proposals.prompted import best_mask, corners, resampled, stretched
-from pipeline.proposals.sam2_contract import DECODERS, ENCODERS, OPTION
 from pipeline.system.errors import InputError
 
 VERSION = "1"
@@ -44,7 +44,7 @@ class Sam2Model:
     name = "sam2"
 
     def __init__(self, paths: Sequence[Path]) -> None:
-        self.pair = open_pair(OPTION, paths, ENCODERS, DECODERS)
+        self.pair = open_pair(SAM2_OPTION, paths, SAM2_ENCODERS, SAM2_DECODERS)
         (spec,) = self.pair.encoder_inputs.values()
         height, width = spec.shape[2:]
         self._side = height if isinstance(height, int) else width if isinstance(width, int) else SIDE
