@@ -19,8 +19,7 @@ from pipeline.geometry.viewer import ViewerAxes
 from pipeline.language.naming import Synonyms
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.proposals import Detector, Segmented, Segmenter, make_segmenter
-from pipeline.proposals.registry import DetectorSetup
-from pipeline.proposals.segmenters import SegmenterFiles
+from pipeline.proposals.registry import DetectorSetup, SegmenterFiles
 from pipeline.relations import RelationScorer, RelationScores, make_scorer
 from pipeline.system.errors import FrameUnusable, InputError, UnknownFormat
 

@@ -65,10 +65,14 @@ def declared(values: Iterable[Any]) -> tuple[TensorSpec, ...]:
     return tuple(TensorSpec(v.name, _DTYPES.get(v.type, str(v.type)), shape(v)) for v in values)
 
 
+def by_name(values: Iterable[Any]) -> dict[str, TensorSpec]:
+    """The same by their names."""
+    return {spec.name: spec for spec in declared(values)}
+
+
 def follows(session: Any, contract: Contract) -> bool:
     """Whether a file declares what a contract wants: the same inputs, and at least its outputs."""
-    inputs = {s.name: s for s in declared(session.get_inputs())}
-    outputs = {s.name: s for s in declared(session.get_outputs())}
+    inputs, outputs = by_name(session.get_inputs()), by_name(session.get_outputs())
     if set(inputs) != {s.name for s in contract.inputs}:
         return False
     if not all(_fits(inputs[s.name], s) for s in contract.inputs):

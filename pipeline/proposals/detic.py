@@ -55,6 +55,7 @@ class DeticDetector(NetworkDetector):
     """
 
     name = "detic"
+    default_score = MIN_SCORE
 
     def __init__(
         self,
@@ -62,7 +63,7 @@ class DeticDetector(NetworkDetector):
         *,
         names: str | Path | None = None,
         synonyms: Synonyms | None = None,
-        min_score: float = MIN_SCORE,
+        min_score: float | None = None,
     ) -> None:
         super().__init__(path, min_score, synonyms)
         found = detic_tensors(self._session)

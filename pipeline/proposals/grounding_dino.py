@@ -80,13 +80,14 @@ class GroundingDinoDetector(TextDetector):
     """
 
     name = "grounding-dino"
+    default_score = BOX_THRESHOLD
 
     def __init__(
         self,
         path: str | Path,
         *,
         tokenizer: str | Path | None = None,
-        min_score: float = BOX_THRESHOLD,
+        min_score: float | None = None,
         text_threshold: float = TEXT_THRESHOLD,
         default_labels: Sequence[str] = (),
         nms_iou: float = NMS_IOU,

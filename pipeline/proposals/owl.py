@@ -65,13 +65,15 @@ class OwlDetector(TextDetector):
         Where the library `tokenizers` is not installed.
     """
 
+    default_score = MIN_SCORE
+
     def __init__(
         self,
         path: str | Path,
         kind: Kind = "owlv2",
         *,
         tokenizer: str | Path | None = None,
-        min_score: float = MIN_SCORE,
+        min_score: float | None = None,
         default_labels: Sequence[str] = (),
         prompt: str = PROMPT,
         fill: float = 0.0,

@@ -69,6 +69,7 @@ class YoloSegDetector(NetworkDetector):
     """
 
     name = "yolo-seg"
+    default_score = MIN_SCORE
 
     def __init__(
         self,
@@ -76,7 +77,7 @@ class YoloSegDetector(NetworkDetector):
         *,
         names: str | Path | None = None,
         synonyms: Synonyms | None = None,
-        min_score: float = MIN_SCORE,
+        min_score: float | None = None,
     ) -> None:
         super().__init__(path, min_score, synonyms)
         found = yolo_seg_tensors(self._session)
