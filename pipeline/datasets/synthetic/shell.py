@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.datasets.synthetic.model import BRASS, PALETTES, Material, Palette, Part, rgb
+from pipeline.datasets.synthetic.model import BRASS, Material, Palette, Part, rgb
 from pipeline.datasets.synthetic.shapes import SIDES, block, cylinder, each, rod, sheet
 
 Rng = np.random.Generator
@@ -118,8 +118,3 @@ def _door(door: tuple[str, float], white: Material) -> list[Part]:
     ]  # fmt: skip
     turn, at = (np.pi / 2, (0.0, along, 0)) if side == "left" else (np.pi, (along, 0.0, 0))
     return [part.turned(turn, 2).moved(at) for part in parts]
-
-
-def palette_of(index: int) -> Palette:
-    """The colour scheme with this number, counting round."""
-    return PALETTES[index % len(PALETTES)]
