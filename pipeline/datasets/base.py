@@ -121,7 +121,7 @@ def named_frame(ids: Sequence[str], key: str | int, root: Path) -> str:
         same = [frame_id for frame_id in ids if _loose(frame_id) == _loose(text)]
         if len(same) == 1:
             return same[0]
-    raise _unknown(ids, text, root)
+    raise unknown_id(ids, text, root)
 
 
 def _ambiguous(text: str, found: str, others: list[str], root: Path) -> InputError:
@@ -153,10 +153,11 @@ def frames_of_scene(dataset: Dataset, frame_id: str) -> tuple[str, ...]:
 
 def unknown_frame(dataset: Dataset, key: str) -> InputError:
     """The error for an id that a dataset does not have, with the nearest ids and the count."""
-    return _unknown(dataset.frame_ids, key, dataset.root)
+    return unknown_id(dataset.frame_ids, key, dataset.root)
 
 
-def _unknown(ids: Sequence[str], key: str, root: Path) -> InputError:
+def unknown_id(ids: Sequence[str], key: str, root: Path) -> InputError:
+    """The same for the ids and the folder of a dataset."""
     near = difflib.get_close_matches(key, ids[:20_000], n=3, cutoff=0.3) or list(ids[:3])
     return InputError(
         f"no frame {key[:80]!r} among {len(ids)}",

@@ -15,6 +15,8 @@ import numpy as np
 
 from pipeline.system.errors import InputError
 
+COLOR_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".ppm")
+
 
 def read_bytes(path: Path) -> bytes:
     """The whole file.
@@ -154,6 +156,11 @@ class Pair:
     color: Path | None
     depth: Path | None
 
+    @property
+    def stem(self) -> str:
+        """The name of the colour file without its ending, or of the depth file where there is none."""
+        return next(path.stem for path in (self.color, self.depth) if path is not None)
+
 
 def image_files(root: Path, folders: tuple[str, ...], suffixes: tuple[str, ...], what: str) -> list[Path]:
     """The image files of the only folder that is named as one of `folders`."""
@@ -181,18 +188,6 @@ def numbers(path: Path) -> Key:
     return tuple(re.sub(r"^0+(?=[0-9])", "", number) for number in found)
 
 
-def _last_number(path: Path) -> Key:
-    return numbers(path)[-1:]
-
-
-def _first_number(path: Path) -> Key:
-    return numbers(path)[:1]
-
-
-def _stem(path: Path) -> Key:
-    return (path.stem,)
-
-
 def choose_naming(colors: list[Path], depths: list[Path]) -> Naming:
     """The way of naming a frame that pairs the most files, and under which no folder has a name twice.
 
@@ -203,21 +198,16 @@ def choose_naming(colors: list[Path], depths: list[Path]) -> Naming:
     """
     numbered = all(numbers(path) for path in (*colors, *depths))
     # Recordings may number their files and add a time that differs between colour and depth.
-    namings: tuple[Naming, ...] = (_last_number, numbers, _first_number) if numbered else (_stem,)
-    good: list[Naming] = []
-    same: list[str] = []
-    for naming in namings:
-        same = [twice(naming, colors), twice(naming, depths)]
-        if not any(same):
-            good.append(naming)
+    by_number: tuple[Naming, ...] = (lambda path: numbers(path)[-1:], numbers, lambda path: numbers(path)[:1])
+    namings = by_number if numbered else (lambda path: (path.stem,),)
+    same = [[twice(naming, colors), twice(naming, depths)] for naming in namings]
+    good = [naming for naming, texts in zip(namings, same, strict=True) if not any(texts)]
     if good:
         return max(good, key=lambda naming: len(set(map(naming, colors)) & set(map(naming, depths))))
     raise InputError(
-        "colour and depth cannot be paired: two files have the same number"
-        if numbered
-        else "colour and depth cannot be paired: two files have the same name",
-        got=next(filter(None, same)),
-        path=(colors if same[0] else depths)[0].parent,
+        f"colour and depth cannot be paired: two files have the same {'number' if numbered else 'name'}",
+        got=next(filter(None, same[-1])),
+        path=(colors if same[-1][0] else depths)[0].parent,
     )
 
 
@@ -245,3 +235,12 @@ def pair_files(naming: Naming, colors: list[Path], depths: list[Path]) -> list[P
         )
     keys = sorted(color.keys() | depth.keys(), key=lambda key: [natural(part) for part in key])
     return [Pair(key, color.get(key), depth.get(key)) for key in keys]
+
+
+def paired_files(
+    root: Path, folders: tuple[str, ...], depth_suffixes: tuple[str, ...], depth_folders: tuple[str, ...] = ("depth",)
+) -> dict[str, Pair]:
+    """Every frame of a recording by the name of its colour file, or of its depth file; raises as above."""
+    colors = image_files(root, folders, COLOR_SUFFIXES, "colour")
+    depths = image_files(root, depth_folders, depth_suffixes, "depth")
+    return {pair.stem: pair for pair in pair_files(choose_naming(colors, depths), colors, depths)}

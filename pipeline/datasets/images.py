@@ -18,7 +18,6 @@ import numpy as np
 from pipeline.datasets.files import read_bytes
 from pipeline.system.errors import InputError
 
-COLOR_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".ppm")
 DEPTH_SUFFIXES = (".png", ".pgm", ".tif", ".tiff", ".exr", ".npy")
 INTEGER_DEPTH_SUFFIXES = (".png", ".pgm")
 

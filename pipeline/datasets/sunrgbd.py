@@ -13,10 +13,10 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.datasets.base import DatasetFormat, unknown_frame
-from pipeline.datasets.cameras import make_camera, make_frame, nearest_rotation, one_file, read_pair
-from pipeline.datasets.files import as_floats, listing, natural, numbered_lines, read_bytes, read_matrix
-from pipeline.datasets.images import COLOR_SUFFIXES, read_color
+from pipeline.datasets.base import DatasetFormat
+from pipeline.datasets.cameras import Recording, nearest_rotation, one_file, or_note, read_pair
+from pipeline.datasets.files import COLOR_SUFFIXES, as_floats, listing, natural, numbered_lines, read_bytes, read_matrix
+from pipeline.datasets.images import read_color
 from pipeline.datasets.settings import Settings, unit_notes
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.camera import intrinsics
@@ -48,7 +48,7 @@ def camera_from_upright(Rtilt: np.ndarray) -> np.ndarray:
     return _SWAP @ nearest_rotation(Rtilt).T
 
 
-class SunRgbdDataset:
+class SunRgbdDataset(Recording):
     """Frames of id their folder's path below the opened one; the folder's own name where it is opened itself.
 
     The depth is that of `depth/`, as measured; `depth_bfx/`, whose holes were
@@ -62,8 +62,7 @@ class SunRgbdDataset:
     class_names: tuple[str, ...] = ()
 
     def __init__(self, root: Path, settings: Settings) -> None:
-        self.root = root
-        self._settings = settings
+        super().__init__(root, settings)
         if _is_frame(root):
             self._folders = {root.resolve().name: root}
         else:
@@ -74,9 +73,7 @@ class SunRgbdDataset:
 
     def load(self, frame_id: str) -> Frame:
         """Decode one frame; see `Dataset.load`."""
-        if frame_id not in self._folders:
-            raise unknown_frame(self, frame_id)
-        folder = self._folders[frame_id]
+        folder = self._found(self._folders, frame_id)
         notes: list[str] = []
         color = _only_image(folder / "image", COLOR_SUFFIXES, "colour")
         if (folder / "depth").is_dir():
@@ -85,15 +82,12 @@ class SunRgbdDataset:
             depth = _only_image(folder / "depth_bfx", (".png",), "depth")
             notes.append("depth/ is missing: depth_bfx/ is used, whose holes were filled in")
         pair = read_pair(color, depth, self._settings.depth_scale or UNITS_PER_METRE, rotated=ROTATED_BITS)
-        size = (pair[1].shape[0], pair[1].shape[1])
         path = folder / "intrinsics.txt"
         K = None if self._settings.intrinsics is not None else read_matrix(path, 3, 3)
-        camera = make_camera(K, size, None, self._settings, path)
-        try:
-            camera = camera.with_up(camera_from_upright(_tilt(folder / "extrinsics"))[:, 2], "declared")
-        except InputError as error:
-            notes.append(f"no up vector, extrinsics: {error.what}")
-        return make_frame(frame_id, pair, camera, depth, notes=tuple(notes))
+        up = or_note(
+            notes, "no up vector, extrinsics: ", lambda: camera_from_upright(_tilt(folder / "extrinsics"))[:, 2]
+        )
+        return self._frame(frame_id, pair, K, None, path, depth, notes=notes, up=up)
 
 
 def _only_image(folder: Path, suffixes: tuple[str, ...], what: str) -> Path:
@@ -189,7 +183,7 @@ OFF_PIXEL = 0.1
 """How far, in pixels, a point may project from a pixel's centre; rounding explains a few thousandths."""
 
 
-class SunRgbdVoteNetDataset:
+class SunRgbdVoteNetDataset(Recording):
     """Frames of id the image's stem, with the file's own boxes and up vector.
 
     The depth image is rebuilt exactly from the list of points. The export
@@ -201,14 +195,13 @@ class SunRgbdVoteNetDataset:
     format = "sunrgbd-votenet"
 
     def __init__(self, root: Path, settings: Settings) -> None:
-        self.root = root
-        self._settings = settings
+        super().__init__(root, settings)
         self._folder = _folder(root) or root
         self._labels = next((p for n in LABEL_FOLDERS if (p := self._folder / n).is_dir()), None)
         images = {Path(name).stem for name in listing(self._folder / "image")[1] if name.endswith(".jpg")}
         clouds = {Path(name).stem for name in listing(self._folder / "depth")[1] if name.endswith(".mat")}
         self.frame_ids = tuple(sorted(images | clouds, key=natural))
-        self._known = frozenset(self.frame_ids)
+        self._known = {frame_id: frame_id for frame_id in self.frame_ids}
         self._class_names: tuple[str, ...] | None = None
 
     @property
@@ -226,8 +219,7 @@ class SunRgbdVoteNetDataset:
 
     def load(self, frame_id: str) -> Frame:
         """Decode one frame; see `Dataset.load`."""
-        if frame_id not in self._known:
-            raise unknown_frame(self, frame_id)
+        self._found(self._known, frame_id)
         rgb = read_color(self._folder / "image" / f"{frame_id}.jpg")
         size = (rgb.shape[0], rgb.shape[1])
         calib = self._folder / "calib" / f"{frame_id}.txt"
@@ -235,10 +227,9 @@ class SunRgbdVoteNetDataset:
         cloud = self._folder / "depth" / f"{frame_id}.mat"
         depth = _depth_image(_points(cloud) @ R_camera_upright.T, K, size, cloud)
         depth /= np.float32(self._settings.depth_scale or 1.0)
-        camera = make_camera(K, size, None, self._settings, calib).with_up(R_camera_upright[:, 2], "declared")
         notes: list[str] = []
         annotations = self._annotations(frame_id, R_camera_upright, notes)
-        return make_frame(frame_id, (rgb, depth), camera, cloud, annotations, tuple(notes))
+        return self._frame(frame_id, (rgb, depth), K, None, calib, cloud, annotations, notes, up=R_camera_upright[:, 2])
 
     def _annotations(self, frame_id: str, R_camera_upright: np.ndarray, notes: list[str]) -> tuple[Annotation, ...]:
         if self._labels is None:
@@ -246,19 +237,17 @@ class SunRgbdVoteNetDataset:
         path = self._labels / f"{frame_id}.txt"
         if path.is_file() and path.stat().st_size == 0:
             return ()  # The export writes an empty file for a picture without boxes.
-        found: list[Annotation] = []
-        try:
-            lines = numbered_lines(path)
-        except InputError as error:
-            notes.append(f"no labels, {path.name}: {error.what}")
-            return ()
-        for index, (number, line) in enumerate(lines):
+
+        def read(index: int, line: str) -> Annotation:
             name, *words = line.split()
-            try:
-                found.append(_annotation(index, name, as_floats(words, 12, path, name), R_camera_upright))
-            except InputError as error:
-                notes.append(f"annotation {index} ({name}), line {number}: {error.what}")
-        return tuple(found)
+            return _annotation(index, name, as_floats(words, 12, path, name), R_camera_upright)
+
+        lines = or_note(notes, f"no labels, {path.name}: ", numbered_lines, path)
+        found = [
+            or_note(notes, f"annotation {index} ({line.split()[0]}), line {number}: ", read, index, line)
+            for index, (number, line) in enumerate(lines or ())
+        ]
+        return tuple(a for a in found if a is not None)
 
 
 def _calibration(path: Path) -> tuple[np.ndarray, np.ndarray]:
