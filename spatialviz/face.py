@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.answering.opening import Pipeline
-from pipeline.datasets.frames import InMemoryDataset
+from pipeline.datasets.base import InMemoryDataset
 from pipeline.diagnosis import opened as core
 from pipeline.diagnosis.answer import Answer
 from pipeline.diagnosis.opened import Opened, Source

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from pipeline.datasets import Dataset
     from pipeline.labels.plan import SourceSpec
     from pipeline.labels.reading import Labels
-    from pipeline.proposals.detector_setup import DetectorSetup
+    from pipeline.proposals.registry import DetectorSetup
 
 FINE, NO, BAD, INTERRUPTED = 0, 1, 2, 130
 """Exit statuses."""
@@ -164,7 +164,7 @@ class CameraOptions:
 
     def camera(self, frame: str | None = None) -> dict[str, Any]:
         """The same as arguments of `open_dataset`; `frame` is the one that a bare --level-at is of."""
-        from pipeline.datasets.up_text import parse_level_at
+        from pipeline.datasets.settings import parse_level_at
 
         level_at, found = self.level_at, None
         if level_at is not None and frame not in (None, ALL_FRAMES) and parse_level_at(level_at)[0] is None:
@@ -255,7 +255,7 @@ class SecondDetectorOptions(DetectorOptions):
 
     def setup(self) -> DetectorSetup | None:
         """What it is made from; None where none is asked."""
-        from pipeline.proposals.detector_setup import DetectorSetup
+        from pipeline.proposals.registry import DetectorSetup
 
         if self.detector is None:
             return None

@@ -14,8 +14,8 @@ from pipeline.answering.told_answer import probability, told
 from pipeline.datasets import Dataset, FrameReport, SurveyCounts, survey, write_settings
 from pipeline.datasets.given_up import told_up
 from pipeline.datasets.scene_mesh import export_mesh, fuse_context
+from pipeline.datasets.settings import ASSUMED, DECLARE
 from pipeline.datasets.synthetic import render_dataset
-from pipeline.datasets.up_text import ASSUMED, DECLARE
 from pipeline.diagnosis.answer import Answer
 from pipeline.diagnosis.asking import ask_and_judge
 from pipeline.geometry.viewer import ViewerAxes

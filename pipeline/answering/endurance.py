@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pipeline.geometry.frame import Frame
-from pipeline.proposals.cache import CachedDetector
-from pipeline.proposals.mask_cache import CachedSegmenter
+from pipeline.proposals.cache import CachedDetector, CachedSegmenter
 from pipeline.system.errors import InputError
 
 if TYPE_CHECKING:

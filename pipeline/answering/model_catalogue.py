@@ -191,9 +191,9 @@ def _missing(path: Path, kind: FileKind, names: tuple[str, ...]) -> tuple[str, .
 
 def _needed_beside(path: Path, option: str, names: tuple[str, ...]) -> None:
     """Find what an option needs beside the file; raises as the option itself would."""
+    from pipeline.proposals.captions import find_tokenizer
     from pipeline.proposals.detic import find_names
     from pipeline.proposals.grounding_dino import TOKENIZERS
-    from pipeline.proposals.tokenizer_file import find_tokenizer
 
     if option == "--detector grounding-dino":
         find_tokenizer(path, TOKENIZERS)

@@ -12,15 +12,14 @@ from typing import Any
 from pipeline.answering.ask import AskConfig, Trace, ask
 from pipeline.answering.objects import PreparedFrame, SceneObject, all_objects, appearance_of, prepare_frame
 from pipeline.datasets import Dataset, open_dataset, resolve_frame
+from pipeline.datasets.base import Frames
 from pipeline.datasets.demo import DEMO_NAME, demo_path
-from pipeline.datasets.frames import Frames
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.viewer import ViewerAxes
 from pipeline.language.naming import Synonyms
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.proposals import Detector, Segmented, Segmenter, make_segmenter
-from pipeline.proposals.detector_setup import DetectorSetup
-from pipeline.proposals.segmenters import SegmenterFiles
+from pipeline.proposals.registry import DetectorSetup, SegmenterFiles
 from pipeline.relations import RelationScorer, RelationScores, make_scorer
 from pipeline.system.errors import FrameUnusable, InputError, UnknownFormat
 

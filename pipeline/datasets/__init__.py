@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
-from pipeline.datasets.base import Dataset, DatasetFormat, resolve_frame
-from pipeline.datasets.capabilities import MOVES, GivenExpression, given_expressions, has_moves, moves, splits
+from pipeline.datasets.base import (
+    MOVES,
+    Dataset,
+    DatasetFormat,
+    GivenExpression,
+    given_expressions,
+    has_moves,
+    moves,
+    resolve_frame,
+    splits,
+)
 from pipeline.datasets.opening import open_dataset
 from pipeline.datasets.settings import Settings, read_settings, write_settings
-from pipeline.datasets.summary import SurveyCounts, summarise
-from pipeline.datasets.survey import FrameReport, survey
+from pipeline.datasets.survey import FrameReport, SurveyCounts, summarise, survey
 
 __all__ = [
     "MOVES",

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from pipeline.datasets.assembly import make_frame, one_file, read_pair
 from pipeline.datasets.avd_scan import (
     DEFAULT_SIZE,
     REGISTERED_DEPTH,
@@ -28,9 +27,8 @@ from pipeline.datasets.avd_scan import (
     read_names,
     read_poses,
 )
-from pipeline.datasets.base import DatasetFormat, unknown_frame
-from pipeline.datasets.cameras import make_camera
-from pipeline.datasets.capabilities import MOVES
+from pipeline.datasets.base import MOVES, DatasetFormat
+from pipeline.datasets.cameras import Recording, one_file, or_note, read_pair
 from pipeline.datasets.files import listing
 from pipeline.datasets.settings import Settings, unit_notes
 from pipeline.geometry.frame import Annotation, Frame
@@ -80,7 +78,7 @@ class _Tables:
     problems: tuple[str, ...]
 
 
-class AvdDataset:
+class AvdDataset(Recording):
     """Frames of id the image's name without its ending; of several scans `Home_001_1/000110000010101`.
 
     The opened folder is a scan or holds scans. The camera is plain pinhole:
@@ -94,8 +92,7 @@ class AvdDataset:
     format = "avd"
 
     def __init__(self, root: Path, settings: Settings) -> None:
-        self.root = root
-        self._settings = settings
+        super().__init__(root, settings)
         self._tables: dict[str, _Tables] = {}
         self._scans: dict[str, _Scan] = {}
         self._place: dict[str, tuple[str, str]] = {}
@@ -114,14 +111,12 @@ class AvdDataset:
 
     def load(self, frame_id: str) -> Frame:
         """Decode one frame; see `Dataset.load`."""
-        scan, stem = self._found(frame_id)
+        scan, stem = self._stem(frame_id)
         tables = self._read(scan)
         first = stem == scan.first
         notes: list[str] = list(tables.problems)
         jpg = scan.folder / "jpg_rgb"
-        color = one_file(
-            [jpg / scan.images[stem]] if stem in scan.images else [], "colour", jpg / f"{stem}.jpg"
-        )
+        color = one_file([jpg / scan.images[stem]] if stem in scan.images else [], "colour", jpg / f"{stem}.jpg")
         depth = scan.folder / "high_res_depth" / f"{stem.removesuffix(RGB)}{REGISTERED_DEPTH}.png"
         rgb, metres = read_pair(color, depth, self._settings.depth_scale or UNITS_PER_METRE)
         metres[metres > FARTHEST_M] = 0
@@ -139,26 +134,21 @@ class AvdDataset:
             notes += _remarks(scan, own, annotated, (width, height))
         pose, up = None, None
         if tables.poses is not None:
-            up = tables.poses.up
-            try:
-                pose = tables.poses.pose(stem)
-            except InputError as error:
-                notes.append(f"no camera pose: {error.what}")
-            if up is None:
+            pose = or_note(notes, "no camera pose: ", tables.poses.pose, stem)
+            if tables.poses.up is None:
                 notes.append("no up vector: the cameras of this scan do not agree on one")
+            elif pose is not None:
+                up = pose[:3, :3].T @ tables.poses.up
         K = None if own is None else own.resized(width, height)
-        camera = make_camera(K, (height, width), pose, self._settings, path)
-        if camera.up is None and pose is not None and up is not None:
-            camera = camera.with_up(pose[:3, :3].T @ up, "declared")
         annotations = self._annotations(scan, stem, tables, annotated, (width, height), notes)
-        return make_frame(frame_id, (rgb, metres), camera, depth, annotations, tuple(notes))
+        return self._frame(frame_id, (rgb, metres), K, pose, path, depth, annotations, notes, up)
 
     def moves(self, frame_id: str) -> dict[str, str]:
-        """Where the robot's moves from a frame lead, for those that are possible; see `capabilities.moves`.
+        """Where the robot's moves from a frame lead, for those that are possible; see `base.moves`.
 
         A pointer to an image that is not there is left out.
         """
-        scan, stem = self._found(frame_id)
+        scan, stem = self._stem(frame_id)
         entry = self._read(scan).annotations.get(stem, {})
         found = {move: image_stem(entry.get(move)) for move in MOVES}
         return {move: scan.prefix + to for move, to in found.items() if to is not None and to in scan.images}
@@ -167,15 +157,12 @@ class AvdDataset:
         """The frames that each split of the site tests on, as far as their scans are here; see `SPLITS`."""
         places = self._place.items()
         found = {
-            split: tuple(frame_id for frame_id, (scan, _) in places if scan in scans)
-            for split, scans in SPLITS.items()
+            split: tuple(frame_id for frame_id, (scan, _) in places if scan in scans) for split, scans in SPLITS.items()
         }
         return {split: ids for split, ids in found.items() if ids}
 
-    def _found(self, frame_id: str) -> tuple[_Scan, str]:
-        if frame_id not in self._place:
-            raise unknown_frame(self, frame_id)
-        name, stem = self._place[frame_id]
+    def _stem(self, frame_id: str) -> tuple[_Scan, str]:
+        name, stem = self._found(self._place, frame_id)
         return self._scans[name], stem
 
     def _read(self, scan: _Scan) -> _Tables:
@@ -219,9 +206,7 @@ class AvdDataset:
         return read_boxes(entry, scan.names, annotated, size, notes)
 
 
-def _remarks(
-    scan: _Scan, own: AvdCamera | None, annotated: tuple[int, int], size: tuple[int, int]
-) -> list[str]:
+def _remarks(scan: _Scan, own: AvdCamera | None, annotated: tuple[int, int], size: tuple[int, int]) -> list[str]:
     """What is so in the whole scan, for its first frame."""
     notes: list[str] = []
     if not scan.names:
@@ -241,17 +226,11 @@ def _remarks(
 
 def _read_tables(scan: _Scan) -> _Tables:
     problems: list[str] = []
-    annotations: Mapping[str, Mapping[str, Any]] = {}
-    poses: AvdPoses | None = None
-    try:
-        annotations = read_annotations(scan.folder / "annotations.json")
-    except InputError as error:
-        problems.append(f"no annotations, annotations.json: {error.what}")
-    try:
-        poses = read_poses(scan.folder / "image_structs.mat")
-    except InputError as error:
-        problems.append(f"no camera pose, image_structs.mat: {error.what}")
-    return _Tables(annotations, poses, tuple(problems))
+    annotations = or_note(
+        problems, "no annotations, annotations.json: ", read_annotations, scan.folder / "annotations.json"
+    )
+    poses = or_note(problems, "no camera pose, image_structs.mat: ", read_poses, scan.folder / "image_structs.mat")
+    return _Tables(annotations or {}, poses, tuple(problems))
 
 
 def _listed(folder: Path) -> tuple[set[str], set[int]]:

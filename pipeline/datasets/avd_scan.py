@@ -121,9 +121,7 @@ def read_camera(path: Path) -> AvdCamera:
     whole = np.isfinite(values).all() and width == int(width) and height == int(height)
     if not whole or min(width, height, fx, fy) <= 0:
         raise InputError(f"line {number}: no camera has these numbers", got=line[:100], path=path)
-    return AvdCamera(
-        intrinsics(fx, fy, cx, cy), int(width), int(height), tuple(values[6:].tolist()), len(lines) - 1
-    )
+    return AvdCamera(intrinsics(fx, fy, cx, cy), int(width), int(height), tuple(values[6:].tolist()), len(lines) - 1)
 
 
 def read_names(path: Path) -> dict[int, str]:

@@ -1,13 +1,17 @@
-"""What every dataset reader offers, and how a frame is named."""
+"""What every dataset reader offers, what only some do, and how a frame is named.
+
+Moves between frames, expressions of its own, splits, frames without annotations: a dataset has one of these where it
+has the method of that name; the functions here ask for it, and give nothing for a dataset without it.
+"""
 
 from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
-from typing import Protocol
+from typing import Any, Protocol, overload
 
 from pipeline.datasets.settings import Settings
 from pipeline.geometry.frame import Frame
@@ -17,7 +21,7 @@ from pipeline.system.errors import InputError
 class Dataset(Protocol):
     """A folder of frames, opened but not yet read.
 
-    A dataset may have more to say, by methods that `pipeline.datasets.capabilities`
+    A dataset may have more to say, by methods that `pipeline.datasets.base`
     asks for and that most do not have: `moves(frame_id)`, a dict of move to frame id;
     `given_expressions(frame_id)`, a tuple of GivenExpression; `splits()`, a dict of
     split to frame ids; `scene_of(frame_id)`, the name of its scene or None;
@@ -117,7 +121,7 @@ def named_frame(ids: Sequence[str], key: str | int, root: Path) -> str:
         same = [frame_id for frame_id in ids if _loose(frame_id) == _loose(text)]
         if len(same) == 1:
             return same[0]
-    raise _unknown(ids, text, root)
+    raise unknown_id(ids, text, root)
 
 
 def _ambiguous(text: str, found: str, others: list[str], root: Path) -> InputError:
@@ -149,10 +153,11 @@ def frames_of_scene(dataset: Dataset, frame_id: str) -> tuple[str, ...]:
 
 def unknown_frame(dataset: Dataset, key: str) -> InputError:
     """The error for an id that a dataset does not have, with the nearest ids and the count."""
-    return _unknown(dataset.frame_ids, key, dataset.root)
+    return unknown_id(dataset.frame_ids, key, dataset.root)
 
 
-def _unknown(ids: Sequence[str], key: str, root: Path) -> InputError:
+def unknown_id(ids: Sequence[str], key: str, root: Path) -> InputError:
+    """The same for the ids and the folder of a dataset."""
     near = difflib.get_close_matches(key, ids[:20_000], n=3, cutoff=0.3) or list(ids[:3])
     return InputError(
         f"no frame {key[:80]!r} among {len(ids)}",
@@ -164,3 +169,159 @@ def _unknown(ids: Sequence[str], key: str, root: Path) -> InputError:
 
 def _loose(frame_id: str) -> str:
     return re.sub(r"0*([0-9]+)", r"\1", frame_id).lower()
+
+
+MOVES = ("rotate_ccw", "rotate_cw", "forward", "backward", "left", "right")
+"""The moves of a robot from one frame to another, in the order in which they are always given:
+turning left and right (seen from above, counter-clockwise is to the left), then stepping."""
+
+
+@dataclass(frozen=True)
+class GivenExpression:
+    """A referring expression that the dataset itself gives for a frame.
+
+    Attributes
+    ----------
+    text : str
+        As the dataset says it: "mug on the left of a laptop".
+    target, reference : str
+        Class names.
+    relation : str
+        One of ours: "left", "right", "front", "behind", "on", "in".
+    target_indices, reference_indices : tuple of int
+        Every annotation (its `index`) that is meant; empty where none of them can be seen in the frame.
+    """
+
+    text: str
+    target: str
+    relation: str
+    reference: str
+    target_indices: tuple[int, ...] = ()
+    reference_indices: tuple[int, ...] = ()
+
+
+def has_moves(dataset: Dataset) -> bool:
+    """Whether the dataset says which frame a move leads to."""
+    return callable(getattr(dataset, "moves", None))
+
+
+def moves(dataset: Dataset, frame_id: str) -> dict[str, str]:
+    """Where the moves that are possible from a frame lead: move to frame id, in the order of `MOVES`.
+
+    Raises
+    ------
+    InputError
+        The dataset has moves, and no such frame.
+    """
+    found: dict[str, str] = _ask(dataset, "moves", {}, frame_id)
+    return {move: found[move] for move in MOVES if move in found}
+
+
+def given_expressions(dataset: Dataset, frame_id: str) -> tuple[GivenExpression, ...]:
+    """The dataset's own expressions about a frame; empty for a dataset that gives none.
+
+    Raises
+    ------
+    InputError
+        The dataset gives expressions, and no such frame, or its file is broken.
+    """
+    return _ask(dataset, "given_expressions", (), frame_id)
+
+
+def splits(dataset: Dataset) -> dict[str, tuple[str, ...]]:
+    """The frames of each of the dataset's own splits by the split's name; empty for a dataset without any.
+
+    Raises
+    ------
+    InputError
+        A split file that cannot be read, or must not be.
+    """
+    return _ask(dataset, "splits", {})
+
+
+def dataset_notes(dataset: Dataset) -> tuple[str, ...]:
+    """What holds for every frame and no file states: a unit or a camera that the format is known for, each with the
+    option that tells another; empty for a dataset whose files say all."""
+    return getattr(dataset, "notes", ())
+
+
+def load_picture(dataset: Dataset, frame_id: str) -> Frame:
+    """A frame for those who need no annotations: without them where the dataset can leave them out, else whole.
+
+    Raises
+    ------
+    InputError
+        As `Dataset.load`.
+    """
+    method: Any = getattr(dataset, "load_picture", None)
+    return dataset.load(frame_id) if method is None else method(frame_id)
+
+
+def _ask(dataset: Dataset, capability: str, nothing: Any, *arguments: str) -> Any:
+    method = getattr(dataset, capability, None)
+    return method(*arguments) if callable(method) else nothing
+
+
+class Frames(Sequence[Frame]):
+    """All frames of a dataset in its order, each decoded when it is asked for and not kept.
+
+    `frames[0]`, `frames["000001/000000"]` (the keys of `resolve_frame`), `frames[-3:]`, `len(frames)`, and a loop.
+    A broken frame raises InputError.
+    """
+
+    def __init__(self, dataset: Dataset, ids: tuple[str, ...] | None = None) -> None:
+        self._dataset = dataset
+        self.ids = dataset.frame_ids if ids is None else ids
+
+    def __len__(self) -> int:
+        return len(self.ids)
+
+    @overload
+    def __getitem__(self, key: int | str) -> Frame: ...
+    @overload
+    def __getitem__(self, key: slice) -> Frames: ...
+    def __getitem__(self, key: int | str | slice) -> Frame | Frames:
+        if isinstance(key, slice):
+            return Frames(self._dataset, self.ids[key])
+        # A sequence ends with an IndexError, which `resolve_frame` does not know.
+        return self._dataset.load(resolve_frame(self._dataset, key) if isinstance(key, str) else self.ids[key])
+
+    def __repr__(self) -> str:
+        return f"<Frames {len(self)} of {self._dataset.root}>"
+
+
+class InMemoryDataset:
+    """Frames that are at hand, as a dataset (`pipeline.datasets.base.Dataset`).
+
+    Parameters
+    ----------
+    frames : iterable of Frame
+        At least one; their ids differ.
+
+    Raises
+    ------
+    InputError
+        No frame, or two of one id.
+    """
+
+    format = "memory"
+    root = Path("memory")
+
+    def __init__(self, frames: Iterable[Frame]) -> None:
+        frames = tuple(frames)
+        self._frames = {frame.id: frame for frame in frames}
+        if not frames or len(self._frames) < len(frames):
+            raise InputError(
+                "frames of a dataset have ids of their own", got=", ".join(f.id for f in frames[:6]) or "no frame"
+            )
+        self.frame_ids = tuple(self._frames)
+        self.class_names = tuple(sorted({a.label for f in frames for a in f.annotations}))
+
+    def __repr__(self) -> str:
+        return f"<InMemoryDataset of {len(self.frame_ids)} frames>"
+
+    def load(self, frame_id: str) -> Frame:
+        """The frame; see `Dataset.load`."""
+        if frame_id not in self._frames:
+            raise unknown_frame(self, frame_id)
+        return self._frames[frame_id]

@@ -14,8 +14,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from pipeline.datasets.assembly import make_frame, one_file, read_pair
-from pipeline.datasets.base import DatasetFormat, unknown_frame
+from pipeline.datasets.base import DatasetFormat
 from pipeline.datasets.bop_scene import (
     BopScene,
     ObjectModel,
@@ -27,9 +26,9 @@ from pipeline.datasets.bop_scene import (
     read_pose,
     read_scene,
 )
-from pipeline.datasets.cameras import make_camera
-from pipeline.datasets.files import as_floats, listing
-from pipeline.datasets.images import COLOR_SUFFIXES, read_mask
+from pipeline.datasets.cameras import Recording, one_file, or_note, read_pair
+from pipeline.datasets.files import COLOR_SUFFIXES, as_floats, listing
+from pipeline.datasets.images import read_mask
 from pipeline.datasets.settings import Settings
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.frame import Annotation, Frame
@@ -39,7 +38,7 @@ SCENES_KEPT = 8
 """How many scenes' tables stay parsed in memory."""
 
 
-class BopDataset:
+class BopDataset(Recording):
     """Frames of id `<scene>/<image:06d>`, the scene being its folder's own name.
 
     The opened folder may be a dataset, one of its splits, a dataset of splits
@@ -51,16 +50,13 @@ class BopDataset:
     format = "bop"
 
     def __init__(self, root: Path, settings: Settings) -> None:
-        self.root = root
-        self._settings = settings
+        super().__init__(root, settings)
         self._models: dict[int, ObjectModel] = read_models(root)
         self._scenes: dict[str, BopScene] = {}
         self._folders = _scene_folders(root)
         gray = [f for f in self._folders.values() if (f / "gray").is_dir() and not (f / "rgb").is_dir()]
         if gray and len(gray) == len(self._folders):
-            raise InputError(
-                "grey-scale images only", expected="a folder rgb/ with colour images", path=gray[0]
-            )
+            raise InputError("grey-scale images only", expected="a folder rgb/ with colour images", path=gray[0])
         self._class_names: tuple[str, ...] | None = None
         self._place: dict[str, tuple[str, int]] = {}
         for scene, folder in self._folders.items():
@@ -87,9 +83,7 @@ class BopDataset:
         return self._load(frame_id, annotated=False)
 
     def _load(self, frame_id: str, annotated: bool) -> Frame:
-        if frame_id not in self._place:
-            raise unknown_frame(self, frame_id)
-        name, image = self._place[frame_id]
+        name, image = self._found(self._place, frame_id)
         scene = self._scene(name)
         table = scene.folder / "scene_camera.json"
         if image not in scene.camera:
@@ -100,15 +94,9 @@ class BopDataset:
         depth = _image(scene.folder / "depth", image, (".png", ".tif", ".tiff"))
         pair = read_pair(color, depth, settings.depth_scale or units_per_metre)
         notes: list[str] = []
-        pose = None
-        try:
-            pose = read_pose(entry, table)
-        except InputError as error:
-            notes.append(f"no camera pose: {error.what}")
-        size = (pair[1].shape[0], pair[1].shape[1])
-        camera = make_camera(K, size, pose, settings, table)
-        annotations = self._annotations(scene, image, size, notes) if annotated else ()
-        return make_frame(frame_id, pair, camera, depth, annotations, tuple(notes))
+        pose = or_note(notes, "no camera pose: ", read_pose, entry, table)
+        annotations = self._annotations(scene, image, pair[1].shape, notes) if annotated else ()
+        return self._frame(frame_id, pair, K, pose, table, depth, annotations, notes)
 
     def _scene(self, name: str) -> BopScene:
         scene = self._scenes.get(name)
@@ -124,7 +112,7 @@ class BopDataset:
         return (model.name if model else None) or f"obj_{number:06d}"
 
     def _annotations(
-        self, scene: BopScene, image: int, size: tuple[int, int], notes: list[str]
+        self, scene: BopScene, image: int, size: tuple[int, ...], notes: list[str]
     ) -> tuple[Annotation, ...]:
         if scene.gt is None:
             return ()
@@ -149,33 +137,27 @@ class BopDataset:
             info = infos[index] if infos is not None and isinstance(infos[index], Mapping) else {}
             mask_path = scene.folder / "mask_visib" / f"{image:06d}_{index:06d}.png" if has_masks else None
             label = self._label(number)
-            said: list[str] = []
-            box = self._box(entry, self._models.get(number), path, said)
+            remarks: list[str] = []
+            box = self._box(entry, self._models.get(number), path, remarks)
             try:
-                bbox, mask = _extent(mask_path, info, size, scene.folder / "scene_gt_info.json", said)
+                bbox, mask = _extent(mask_path, info, size, scene.folder / "scene_gt_info.json", remarks)
                 found.append(Annotation(index, label, bbox, mask, box, _visible(info)))
             except InputError as error:
-                said = [error.what]
-            notes.extend(f"annotation {index} ({label}): {what}" for what in said)
+                remarks = [error.what]
+            notes.extend(f"annotation {index} ({label}): {what}" for what in remarks)
         return tuple(found)
 
     @staticmethod
-    def _box(
-        entry: Mapping[str, Any], model: ObjectModel | None, path: Path, said: list[str]
-    ) -> Box3D | None:
+    def _box(entry: Mapping[str, Any], model: ObjectModel | None, path: Path, remarks: list[str]) -> Box3D | None:
         """The exact box in the camera frame: center = R (min + size / 2) + t."""
         if model is None or model.center is None or model.size is None:
             return None
-        try:
-            T = object_pose(entry, path)
-        except InputError as error:
-            said.append(f"no 3D box, {error.what}")
-            return None
-        return Box3D(T[:3, :3] @ model.center + T[:3, 3], T[:3, :3], model.size)
+        T = or_note(remarks, "no 3D box, ", object_pose, entry, path)
+        return None if T is None else Box3D(T[:3, :3] @ model.center + T[:3, 3], T[:3, :3], model.size)
 
 
 def _extent(
-    mask_path: Path | None, info: Mapping[str, Any], size: tuple[int, int], info_path: Path, said: list[str]
+    mask_path: Path | None, info: Mapping[str, Any], size: tuple[int, ...], info_path: Path, remarks: list[str]
 ) -> tuple[np.ndarray, np.ndarray | None]:
     """The box (4,) and the mask of one annotation; the box is the mask's own where there is one.
 
@@ -185,7 +167,7 @@ def _extent(
         Nothing visible is left, so that the annotation must be dropped.
     """
     if mask_path is not None and not mask_path.is_file():
-        said.append(f"the mask {mask_path.name} is missing")
+        remarks.append(f"the mask {mask_path.name} is missing")
         mask_path = None
     if mask_path is None:
         if "bbox_visib" not in info:
@@ -199,9 +181,7 @@ def _extent(
     except InputError as error:
         raise InputError(f"a broken mask, {error.what}, {mask_path.name}") from error
     if mask.shape != size:
-        raise InputError(
-            f"the mask {mask_path.name} is {mask.shape[1]}x{mask.shape[0]}, not {size[1]}x{size[0]}"
-        )
+        raise InputError(f"the mask {mask_path.name} is {mask.shape[1]}x{mask.shape[0]}, not {size[1]}x{size[0]}")
     x, y, w, h = cv2.boundingRect(mask.view(np.uint8))
     if w == 0:
         raise InputError("empty mask")

@@ -1,15 +1,22 @@
-"""From the numbers in a dataset's files to a checked Camera."""
+"""Cameras and poses as files say them, checked, and frames put together with the file to blame in every error."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 
+from pipeline.datasets.base import unknown_id
+from pipeline.datasets.files import Pair, read_matrix
+from pipeline.datasets.images import read_color, read_depth
 from pipeline.datasets.settings import Settings
 from pipeline.geometry.camera import Camera, intrinsics
+from pipeline.geometry.frame import Annotation, Frame
 from pipeline.system.errors import InputError
 
+Value = TypeVar("Value")
 ROUNDING = 1e-2
 """How far from a rotation a printed rotation matrix may be through rounding alone."""
 
@@ -113,7 +120,7 @@ def pose_from_quaternion(values: np.ndarray) -> np.ndarray:
 
 def make_camera(
     K: np.ndarray | None,
-    size: tuple[int, int],
+    size: Sequence[int],
     T_world_camera: np.ndarray | None,
     settings: Settings,
     path: Path,
@@ -125,6 +132,7 @@ def make_camera(
     K : (3, 3) float64 or None
         What the dataset's own files say, from `path`.
     size : (height, width)
+        Or the shape of the image.
     T_world_camera : (4, 4) float64 or None
     settings : Settings
     path : Path
@@ -135,7 +143,7 @@ def make_camera(
     InputError
         No intrinsics at all, or ones that cannot belong to an image of this size.
     """
-    height, width = size
+    height, width = size[:2]
     if settings.intrinsics is not None:
         K = intrinsics(*settings.intrinsics)
     if K is None:
@@ -152,3 +160,131 @@ def make_camera(
             path=path,
         )
     return camera
+
+
+def read_pair(
+    color: Path, depth: Path, units_per_metre: float | None, nothing: int | None = None, rotated: int = 0
+) -> tuple[np.ndarray, np.ndarray]:
+    """A colour file and its depth file, (H, W, 3) uint8 and (H, W) float32 metres; see `read_depth`.
+
+    Raises
+    ------
+    InputError
+        Either is broken, or their sizes differ.
+    """
+    rgb = read_color(color)
+    metres = read_depth(depth, units_per_metre, nothing, rotated)
+    if rgb.shape[:2] != metres.shape:
+        raise differ_in_size(rgb, metres, color, depth)
+    return rgb, metres
+
+
+def differ_in_size(rgb: np.ndarray, metres: np.ndarray, color: Path, depth: Path) -> InputError:
+    """The error for a colour image and a depth image that do not belong together."""
+    return InputError(
+        "colour and depth differ in size",
+        got=f"depth {metres.shape[1]}x{metres.shape[0]}",
+        expected=f"{rgb.shape[1]}x{rgb.shape[0]} as {color.name}",
+        cause="is this the raw depth and not the one registered to the colour image?",
+        path=depth,
+    )
+
+
+class Recording:
+    """What the readers of files share; a reader lists `frame_ids` and loads one."""
+
+    frame_ids: tuple[str, ...] = ()
+
+    def __init__(self, root: Path, settings: Settings) -> None:
+        self.root = root
+        self._settings = settings
+
+    def _found(self, table: Mapping[str, Value], frame_id: str) -> Value:
+        """What a table of all frames has of one; InputError where there is no such frame."""
+        if frame_id not in table:
+            raise unknown_id(self.frame_ids, frame_id, self.root)
+        return table[frame_id]
+
+    def _frame(
+        self,
+        frame_id: str,
+        pair: tuple[np.ndarray, np.ndarray],
+        K: np.ndarray | None,
+        pose: np.ndarray | None,
+        source: Path,
+        depth_path: Path,
+        annotations: tuple[Annotation, ...] = (),
+        notes: Sequence[str] = (),
+        up: np.ndarray | None = None,
+    ) -> Frame:
+        """A Frame; `source` is to blame for the intrinsics, `up` ((3,), camera frame) is what the dataset declares."""
+        camera = make_camera(K, pair[1].shape, pose, self._settings, source)
+        if up is not None:
+            camera = camera.with_up(up, "declared")
+        return make_frame(frame_id, pair, camera, depth_path, annotations, tuple(notes))
+
+
+def make_frame(
+    frame_id: str,
+    pair: tuple[np.ndarray, np.ndarray],
+    camera: Camera,
+    depth_path: Path,
+    annotations: tuple[Annotation, ...] = (),
+    notes: tuple[str, ...] = (),
+) -> Frame:
+    """A Frame; what it finds wrong is the depth, and is blamed on `depth_path`."""
+    try:
+        return Frame(frame_id, pair[0], pair[1], camera, annotations, notes)
+    except InputError as error:
+        raise InputError(str(error), path=depth_path) from error
+
+
+def files_of(pair: Pair, color: Path, depth: Path) -> tuple[Path, Path]:
+    """Both files of a frame; InputError where one is missing, which should be `color` or `depth`."""
+    return (
+        one_file([pair.color] if pair.color else [], "colour", color),
+        one_file([pair.depth] if pair.depth else [], "depth", depth),
+    )
+
+
+def known_intrinsics(
+    numbers: tuple[float, float, float, float], whose: str, size: Sequence[int], expected: str, path: Path
+) -> np.ndarray:
+    """(3, 3) intrinsics that a format is known for, which are for 640x480; InputError for images of another size."""
+    if tuple(size) != (480, 640):
+        raise InputError(
+            f"the camera is not known: {whose} own intrinsics are for 640x480",
+            got=f"{size[1]}x{size[0]}",
+            expected=f"{expected}--intrinsics fx,fy,cx,cy",
+            path=path,
+        )
+    return intrinsics(*numbers)
+
+
+def one_file(candidates: list[Path], what: str, where: Path) -> Path:
+    """The only file of several possible ones.
+
+    Raises
+    ------
+    InputError
+        None is there, or more than one.
+    """
+    if not candidates:
+        raise InputError(f"the {what} file is missing", path=where)
+    if len(candidates) > 1:
+        raise InputError(f"more than one {what} file", got=", ".join(path.name for path in candidates), path=where)
+    return candidates[0]
+
+
+def or_note(notes: list[str], what: str, read: Callable[..., Value], *given: Any) -> Value | None:
+    """What `read` makes of what is given; where that is unusable, None and a note that begins with `what`."""
+    try:
+        return read(*given)
+    except InputError as error:
+        notes.append(f"{what}{error.what}")
+        return None
+
+
+def read_pose(path: Path, notes: list[str]) -> np.ndarray | None:
+    """T_world_camera (4, 4) from a file of 4x4 numbers; an unusable one gives None and a note."""
+    return or_note(notes, f"no camera pose, {path.name}: ", lambda: pose_from_matrix(read_matrix(path, 4, 4)))

@@ -7,12 +7,29 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.datasets.assembly import make_frame, one_file, read_pair
-from pipeline.datasets.base import DatasetFormat, unknown_frame
-from pipeline.datasets.cameras import make_camera, pose_from_matrix, pose_from_quaternion
-from pipeline.datasets.files import as_floats, listing, read_lines, read_matrix
-from pipeline.datasets.images import COLOR_SUFFIXES, DEPTH_SUFFIXES, INTEGER_DEPTH_SUFFIXES
-from pipeline.datasets.pairing import Key, Naming, choose_naming, image_files, pair_files, twice
+from pipeline.datasets.base import DatasetFormat
+from pipeline.datasets.cameras import (
+    Recording,
+    files_of,
+    or_note,
+    pose_from_matrix,
+    pose_from_quaternion,
+    read_pair,
+)
+from pipeline.datasets.files import (
+    COLOR_SUFFIXES,
+    Key,
+    Naming,
+    as_floats,
+    choose_naming,
+    image_files,
+    listing,
+    pair_files,
+    read_lines,
+    read_matrix,
+    twice,
+)
+from pipeline.datasets.images import DEPTH_SUFFIXES, INTEGER_DEPTH_SUFFIXES
 from pipeline.datasets.settings import FILE_NAME, Settings
 from pipeline.geometry.frame import Frame
 from pipeline.system.errors import InputError
@@ -35,7 +52,7 @@ class _PoseText:
         return pose_from_quaternion(values)
 
 
-class FolderDataset:
+class FolderDataset(Recording):
     """Colour and depth files paired by the number in their names; the id is the colour file's stem.
 
     Poses come from `pose/N.txt` (a 4x4 matrix) or `pose.txt` (a line
@@ -47,15 +64,12 @@ class FolderDataset:
     class_names: tuple[str, ...] = ()
 
     def __init__(self, root: Path, settings: Settings) -> None:
-        self.root = root
-        self._settings = settings
+        super().__init__(root, settings)
         colors = image_files(root, COLOR_FOLDERS, COLOR_SUFFIXES, "colour")
         depths = image_files(root, DEPTH_FOLDERS, DEPTH_SUFFIXES, "depth")
         _ask_for_the_missing(root, depths, settings)
         naming = choose_naming(colors, depths)
-        self._pairs = {
-            (pair.color or pair.depth or root).stem: pair for pair in pair_files(naming, colors, depths)
-        }
+        self._pairs = {pair.stem: pair for pair in pair_files(naming, colors, depths)}
         self.frame_ids = tuple(self._pairs)
         self.notes: tuple[str, ...] = ()
         if settings.depth_scale is None:
@@ -64,23 +78,14 @@ class FolderDataset:
 
     def load(self, frame_id: str) -> Frame:
         """Decode one frame; see `Dataset.load`."""
-        if frame_id not in self._pairs:
-            raise unknown_frame(self, frame_id)
-        pair = self._pairs[frame_id]
+        pair = self._found(self._pairs, frame_id)
         present = pair.color or pair.depth or self.root
-        color = one_file([pair.color] if pair.color else [], "colour", present)
-        depth = one_file([pair.depth] if pair.depth else [], "depth", present)
+        color, depth = files_of(pair, present, present)
         images = read_pair(color, depth, self._settings.depth_scale)
         notes: list[str] = [] if self._pose_problem is None else [f"no camera pose: {self._pose_problem}"]
-        pose = None
-        if pair.key in self._poses:
-            try:
-                pose = self._poses[pair.key].read()
-            except InputError as error:
-                notes.append(f"no camera pose: {error.what}")
-        size = (images[1].shape[0], images[1].shape[1])
-        camera = make_camera(None, size, pose, self._settings, color)
-        return make_frame(frame_id, images, camera, depth, notes=tuple(notes))
+        place = self._poses.get(pair.key)
+        pose = None if place is None else or_note(notes, "no camera pose: ", place.read)
+        return self._frame(frame_id, images, None, pose, color, depth, notes=notes)
 
 
 def _ask_for_the_missing(root: Path, depths: list[Path], settings: Settings) -> None:

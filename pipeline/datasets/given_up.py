@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 
 from pipeline.datasets.base import Dataset, resolve_frame, scene_of, unknown_frame
-from pipeline.datasets.settings import Settings
-from pipeline.datasets.up_text import SOURCES, GivenUp, Vector, parse_level_at
+from pipeline.datasets.settings import SOURCES, GivenUp, Settings, Vector, parse_level_at
 from pipeline.geometry.camera import Camera
 from pipeline.geometry.frame import Frame
 from pipeline.system.errors import InputError

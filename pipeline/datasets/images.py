@@ -18,7 +18,6 @@ import numpy as np
 from pipeline.datasets.files import read_bytes
 from pipeline.system.errors import InputError
 
-COLOR_SUFFIXES = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".ppm")
 DEPTH_SUFFIXES = (".png", ".pgm", ".tif", ".tiff", ".exr", ".npy")
 INTEGER_DEPTH_SUFFIXES = (".png", ".pgm")
 
@@ -69,9 +68,7 @@ def read_mask(path: Path) -> np.ndarray:
     return pixels > 0
 
 
-def read_depth(
-    path: Path, units_per_metre: float | None, nothing: int | None = None, rotated: int = 0
-) -> np.ndarray:
+def read_depth(path: Path, units_per_metre: float | None, nothing: int | None = None, rotated: int = 0) -> np.ndarray:
     """A depth file as (H, W) float32 metres, 0 where nothing was measured.
 
     Parameters
@@ -204,9 +201,7 @@ def _decode(data: bytes, kind: str, path: Path, flags: int) -> np.ndarray:
     except cv2.error as error:
         raise InputError(f"a {kind} that cannot be decoded", got=str(error)[-120:], path=path) from error
     if pixels is None:
-        raise InputError(
-            f"a {kind} that cannot be decoded", cause="is the file cut off or corrupt?", path=path
-        )
+        raise InputError(f"a {kind} that cannot be decoded", cause="is the file cut off or corrupt?", path=path)
     return pixels
 
 
@@ -244,9 +239,7 @@ def _decode_npy(data: bytes, path: Path) -> np.ndarray:
     try:
         array = np.load(io.BytesIO(data), allow_pickle=False)
     except (ValueError, EOFError, MemoryError, OverflowError, SyntaxError, TypeError) as error:
-        raise InputError(
-            "an NPY that cannot be read", got=str(error)[:120], cause=_CUT_OFF, path=path
-        ) from error
+        raise InputError("an NPY that cannot be read", got=str(error)[:120], cause=_CUT_OFF, path=path) from error
     return np.asarray(array)
 
 

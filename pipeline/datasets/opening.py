@@ -14,13 +14,11 @@ from pipeline.datasets import (
     semantic_abstraction,
     seven_scenes,
     sunrgbd,
-    sunrgbd_votenet,
     tum,
 )
 from pipeline.datasets.base import Dataset, DatasetFormat
 from pipeline.datasets.given_up import with_given_up
-from pipeline.datasets.settings import read_settings
-from pipeline.datasets.up_text import GivenUp
+from pipeline.datasets.settings import GivenUp, read_settings
 from pipeline.system.errors import InputError, UnknownFormat
 from pipeline.system.plugins import load_plugins
 
@@ -30,7 +28,7 @@ FORMATS: tuple[DatasetFormat, ...] = (
     seven_scenes.FORMAT,
     scannet.FORMAT,
     tum.FORMAT,
-    sunrgbd_votenet.FORMAT,
+    sunrgbd.VOTENET_FORMAT,
     sunrgbd.FORMAT,
     redwood.FORMAT,
     avd.FORMAT,
@@ -84,9 +82,7 @@ def open_dataset(
     if not root.exists():
         raise InputError("there is no such dataset", expected="a folder", path=root)
     if not root.is_dir():
-        raise InputError(
-            "a dataset is a folder", got="a file", cause="is its parent folder the dataset?", path=root
-        )
+        raise InputError("a dataset is a folder", got="a file", cause="is its parent folder the dataset?", path=root)
     if up is not None and level_at is not None:
         raise InputError("--up and --level-at say the same", expected="one of them")
     told = None if up is None else GivenUp.parse(up)

@@ -8,12 +8,23 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.datasets.assembly import make_frame, one_file, read_pair
-from pipeline.datasets.base import DatasetFormat, unknown_frame
-from pipeline.datasets.cameras import make_camera, pose_from_matrix
-from pipeline.datasets.files import as_floats, listing, numbered_lines, read_json
-from pipeline.datasets.images import COLOR_SUFFIXES
-from pipeline.datasets.pairing import Key, choose_naming, image_files, pair_files
+from pipeline.datasets.base import DatasetFormat
+from pipeline.datasets.cameras import (
+    Recording,
+    files_of,
+    or_note,
+    pose_from_matrix,
+    read_pair,
+)
+from pipeline.datasets.files import (
+    Key,
+    as_floats,
+    image_files,
+    listing,
+    numbered_lines,
+    paired_files,
+    read_json,
+)
 from pipeline.datasets.settings import Settings, unit_notes
 from pipeline.geometry.frame import Frame
 from pipeline.system.errors import InputError
@@ -36,7 +47,7 @@ class _Layout:
     trajectory: Path | None
 
 
-class RedwoodDataset:
+class RedwoodDataset(Recording):
     """Frames of id the colour file's stem; depth in millimetres, poses camera-to-world.
 
     The opened folder holds the images, or one folder that holds them. The
@@ -54,8 +65,7 @@ class RedwoodDataset:
         layout = _layout(root)
         if layout is None:
             raise InputError("no colour and depth folders", path=root)
-        self.root = root
-        self._settings = settings
+        super().__init__(root, settings)
         self._camera_file = layout.camera
         if layout.camera is None and settings.intrinsics is None:
             raise InputError(
@@ -63,46 +73,35 @@ class RedwoodDataset:
                 expected=f"{' or '.join(CAMERA_FILES)}, or --intrinsics fx,fy,cx,cy",
                 path=root,
             )
-        colors = image_files(layout.frames, COLOR_FOLDERS, COLOR_SUFFIXES, "colour")
-        depths = image_files(layout.frames, DEPTH_FOLDERS, (".png",), "depth")
-        pairs = pair_files(choose_naming(colors, depths), colors, depths)
-        self._pairs = {(pair.color or pair.depth or root).stem: pair for pair in pairs}
+        self._pairs = paired_files(layout.frames, COLOR_FOLDERS, (".png",), DEPTH_FOLDERS)
         self.frame_ids = tuple(self._pairs)
         self.notes = unit_notes(settings, UNITS_PER_METRE, "Redwood's")
         self._poses: dict[Key, np.ndarray] = {}
         self._pose_problem: str | None = None
         if layout.trajectory is not None:
             try:
-                self._poses = _poses(layout.trajectory, [pair.key for pair in pairs])
+                self._poses = _poses(layout.trajectory, [pair.key for pair in self._pairs.values()])
             except InputError as error:
                 self._pose_problem = error.what
 
     def load(self, frame_id: str) -> Frame:
         """Decode one frame; see `Dataset.load`."""
-        if frame_id not in self._pairs:
-            raise unknown_frame(self, frame_id)
-        files = self._pairs[frame_id]
+        files = self._found(self._pairs, frame_id)
         present = files.color or files.depth or self.root
-        color = one_file([files.color] if files.color else [], "colour", present)
-        depth = one_file([files.depth] if files.depth else [], "depth", present)
+        color, depth = files_of(files, present, present)
         pair = read_pair(color, depth, self._settings.depth_scale or UNITS_PER_METRE)
-        size = (pair[1].shape[0], pair[1].shape[1])
         notes: list[str] = []
         if self._pose_problem is not None:
             notes.append(f"no camera pose, {TRAJECTORY}: {self._pose_problem}")
         pose = None
         if files.key in self._poses:
-            try:
-                pose = pose_from_matrix(self._poses[files.key])
-            except InputError as error:
-                notes.append(f"no camera pose, {TRAJECTORY}: {error.what}")
+            pose = or_note(notes, f"no camera pose, {TRAJECTORY}: ", pose_from_matrix, self._poses[files.key])
         elif self._poses:
             notes.append(f"no camera pose: {TRAJECTORY} has none for this frame")
         K = None
         if self._settings.intrinsics is None and self._camera_file is not None:
-            K = _camera_matrix(self._camera_file, size)
-        camera = make_camera(K, size, pose, self._settings, self._camera_file or color)
-        return make_frame(frame_id, pair, camera, depth, notes=tuple(notes))
+            K = _camera_matrix(self._camera_file, pair[1].shape)
+        return self._frame(frame_id, pair, K, pose, self._camera_file or color, depth, notes=notes)
 
 
 def _layout(root: Path) -> _Layout | None:
@@ -142,7 +141,7 @@ def _is_camera_file(path: Path) -> bool:
         return False
 
 
-def _camera_matrix(path: Path, size: tuple[int, int]) -> np.ndarray:
+def _camera_matrix(path: Path, size: tuple[int, ...]) -> np.ndarray:
     """(3, 3) intrinsics of an Open3D PinholeCameraIntrinsic, which stores them column by column.
 
     Raises

@@ -15,8 +15,8 @@ import cv2
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
-from pipeline.datasets.assembly import make_frame, read_pair
 from pipeline.datasets.base import DatasetFormat, unknown_frame
+from pipeline.datasets.cameras import make_frame, read_pair
 from pipeline.datasets.files import read_json
 from pipeline.datasets.settings import Settings
 from pipeline.geometry.boxes import Box3D
@@ -260,6 +260,4 @@ class SavedCaseDataset:
         return read_saved_frame(self.root, self._manifest)
 
 
-FORMAT = DatasetFormat(
-    "case", f"case: {MANIFEST}", lambda root: (root / MANIFEST).is_file(), SavedCaseDataset
-)
+FORMAT = DatasetFormat("case", f"case: {MANIFEST}", lambda root: (root / MANIFEST).is_file(), SavedCaseDataset)

@@ -8,12 +8,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
-from pipeline.datasets.assembly import differ_in_size, make_frame, one_file, read_pose
-from pipeline.datasets.base import DatasetFormat, unknown_frame
-from pipeline.datasets.cameras import make_camera
-from pipeline.datasets.files import read_matrix
-from pipeline.datasets.images import COLOR_SUFFIXES, read_color, read_depth
-from pipeline.datasets.pairing import choose_naming, image_files, pair_files
+from pipeline.datasets.base import DatasetFormat
+from pipeline.datasets.cameras import Recording, differ_in_size, files_of, read_pose
+from pipeline.datasets.files import paired_files, read_matrix
+from pipeline.datasets.images import read_color, read_depth
 from pipeline.datasets.settings import Settings, unit_notes
 from pipeline.geometry.frame import Frame
 from pipeline.system.errors import InputError
@@ -24,7 +22,7 @@ SAME_SHAPE = 0.02
 ScanNet's own, 1296x968 and 640x480, differ by 0.4 %."""
 
 
-class ScanNetDataset:
+class ScanNetDataset(Recording):
     """Frames of id N, the name of the colour file; depth in millimetres, poses camera-to-world.
 
     The frame has the size and the intrinsics of the depth image; a colour image
@@ -37,22 +35,15 @@ class ScanNetDataset:
     class_names: tuple[str, ...] = ()
 
     def __init__(self, root: Path, settings: Settings) -> None:
-        self.root = root
-        self._settings = settings
-        colors = image_files(root, ("color",), COLOR_SUFFIXES, "colour")
-        depths = image_files(root, ("depth",), (".png",), "depth")
-        pairs = pair_files(choose_naming(colors, depths), colors, depths)
-        self._pairs = {(pair.color or pair.depth or root).stem: pair for pair in pairs}
+        super().__init__(root, settings)
+        self._pairs = paired_files(root, ("color",), (".png",))
         self.frame_ids = tuple(self._pairs)
         self.notes = unit_notes(settings, UNITS_PER_METRE, "ScanNet's")
 
     def load(self, frame_id: str) -> Frame:
         """Decode one frame; see `Dataset.load`."""
-        if frame_id not in self._pairs:
-            raise unknown_frame(self, frame_id)
-        files = self._pairs[frame_id]
-        color = one_file([files.color] if files.color else [], "colour", self.root / "color" / f"{frame_id}.jpg")
-        depth = one_file([files.depth] if files.depth else [], "depth", self.root / "depth" / f"{frame_id}.png")
+        pair = self._found(self._pairs, frame_id)
+        color, depth = files_of(pair, self.root / "color" / f"{frame_id}.jpg", self.root / "depth" / f"{frame_id}.png")
         rgb = read_color(color)
         metres = read_depth(depth, self._settings.depth_scale or UNITS_PER_METRE)
         notes: list[str] = []
@@ -69,8 +60,7 @@ class ScanNetDataset:
         K, source = self._camera_matrix(whole == metres.shape)
         poses = self.root / "pose"
         pose = read_pose(poses / f"{frame_id}.txt", notes) if poses.is_dir() else None
-        camera = make_camera(K, (height, width), pose, self._settings, source)
-        return make_frame(frame_id, (rgb, metres), camera, depth, notes=tuple(notes))
+        return self._frame(frame_id, (rgb, metres), K, pose, source, depth, notes=notes)
 
     def _camera_matrix(self, same_size: bool) -> tuple[np.ndarray | None, Path]:
         """The depth camera's intrinsics; the colour camera's where there is no other file and one size."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import importlib
 import os
-import tempfile
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -24,6 +23,7 @@ from pipeline.geometry.frame import Frame
 from pipeline.geometry.lifting import depth_edges, flying_pixels
 from pipeline.system.errors import FrameUnusable, InputError, MissingExtra
 from pipeline.system.paths import cache_folder
+from pipeline.system.whole_files import keep_whole
 
 _VERSION = "1"
 
@@ -119,7 +119,7 @@ def fuse_context(
     mesh = _load(path)
     if mesh is None:
         mesh = _without_the_seen(_fused(posed, np.linalg.inv(pose), config), frame, config)
-        _store(path, mesh)
+        keep_whole(path, lambda file: np.savez(file, **vars(mesh)))
     return mesh
 
 
@@ -201,23 +201,11 @@ def _key(frame: Frame, others: list[Frame], config: ContextConfig) -> str:
     return digest.hexdigest()
 
 
-def _store(path: Path, mesh: ContextMesh) -> None:
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".tmp", delete=False) as file:
-            np.savez(file, vertices=mesh.vertices, faces=mesh.faces, colors=mesh.colors, frames=np.array(mesh.frames))
-        os.replace(file.name, path)
-    except OSError:  # A cache that cannot be written only means that nothing is kept.
-        return
-
-
 def _load(path: Path) -> ContextMesh | None:
-    if not path.is_file():
-        return None
     try:
         with np.load(path, allow_pickle=False) as data:
             return ContextMesh(data["vertices"], data["faces"], data["colors"], int(data["frames"]))
-    except (OSError, ValueError, KeyError, EOFError, BadZipFile):  # A damaged file is a miss.
+    except (OSError, ValueError, KeyError, EOFError, BadZipFile):  # A missing or damaged file is a miss.
         return None
 
 

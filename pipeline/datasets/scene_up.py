@@ -9,8 +9,7 @@ from weakref import WeakKeyDictionary
 
 import numpy as np
 
-from pipeline.datasets.base import Dataset, frames_of_scene, scene_of
-from pipeline.datasets.capabilities import load_picture
+from pipeline.datasets.base import Dataset, frames_of_scene, load_picture, scene_of
 from pipeline.geometry.camera import Camera
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.level_plane import MIN_SCORE, UpHypothesis, decided, up_hypotheses
@@ -70,9 +69,7 @@ def vote(scene: str, voters: Sequence[Voter]) -> SceneVote:
     supporting = [np.where(own @ winner > alike, score, 0.0) for own, score in zip(ups, scores, strict=True)]
     up = sum((weight @ own for own, weight in zip(ups, supporting, strict=True)), np.zeros(3))
     up /= np.linalg.norm(up)
-    angles = [
-        (name, _degrees(R @ own.up, up)) for name, R, found in voters if (own := decided(found)) is not None
-    ]
+    angles = [(name, _degrees(R @ own.up, up)) for name, R, found in voters if (own := decided(found)) is not None]
     disagreeing = tuple((name, angle) for name, angle in angles if angle > AGREE_DEG)
     others = {name for name, _ in disagreeing}
     agreeing = sum(

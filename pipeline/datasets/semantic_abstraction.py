@@ -13,10 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.datasets.assembly import make_frame
-from pipeline.datasets.base import DatasetFormat, unknown_frame
-from pipeline.datasets.cameras import make_camera
-from pipeline.datasets.capabilities import GivenExpression
+from pipeline.datasets.base import DatasetFormat, GivenExpression, unknown_frame
+from pipeline.datasets.cameras import Recording, make_camera, or_note
 from pipeline.datasets.files import natural
 from pipeline.datasets.semantic_abstraction_file import (
     has,
@@ -29,13 +27,15 @@ from pipeline.datasets.semantic_abstraction_file import (
     read_names,
 )
 from pipeline.datasets.semantic_abstraction_objects import (
+    SCENE_BOUNDS,
     ObjectPoints,
+    ScenePose,
     annotated_objects,
     depth_samples,
+    fit_pose,
     object_ids,
     points_of,
 )
-from pipeline.datasets.semantic_abstraction_pose import SCENE_BOUNDS, ScenePose, fit_pose
 from pipeline.datasets.semantic_abstraction_splits import (
     RANDOMIZED,
     RENAMED,
@@ -78,7 +78,7 @@ class _Scene:
     bounds: np.ndarray
 
 
-class SemanticAbstractionDataset:
+class SemanticAbstractionDataset(Recording):
     """Frames of id the file's path without its ending; in a file of several items `/k` behind it.
 
     Depth is in metres, the pose and the boxes too (the scene's 0.6 units are
@@ -96,8 +96,7 @@ class SemanticAbstractionDataset:
     format = "semantic-abstraction"
 
     def __init__(self, root: Path, settings: Settings) -> None:
-        self.root = root
-        self._settings = settings
+        super().__init__(root, settings)
         self._place: dict[str, tuple[str, int]] = {}
         self._views: dict[str, tuple[str, ...]] = {}
         names: set[str] = set()
@@ -117,7 +116,7 @@ class SemanticAbstractionDataset:
 
     def load(self, frame_id: str) -> Frame:
         """Decode one frame; see `Dataset.load`."""
-        path, item = self._found(frame_id)
+        path, item = self._view(frame_id)
         notes: list[str] = []
         with open_view(path) as file:
             rgb = _picture(file, item, frame_id.endswith(RANDOMIZED))
@@ -128,30 +127,27 @@ class SemanticAbstractionDataset:
             labels = _labels(file, object_ids(seg), notes)
             if frame_id.endswith(RENAMED):
                 labels = {number: SYNONYMS.get(label, label) for number, label in labels.items()}
-            scene = _scene(file, item, notes)
+            scene = or_note(notes, f"{NO_POSE}: ", _scene, file, item)
         depth = _depth(stored, self._settings)
         camera = make_camera(K, size, None, self._settings, path)
         pose, points = None, None
         if scene is not None:
             points = points_of(scene.xyz, scene.owner, list(labels))
             pose = _pose(scene, points, camera, depth, seg, list(labels), notes)
-        if pose is not None:
-            if pose.convention and frame_id == self.frame_ids[0]:
-                notes.append(f"cam_pose fits the file's points only {pose.convention}; said of the first frame only")
-            camera = make_camera(camera.K, size, pose.T_world_camera, self._settings, path)
-            if camera.up is None:
-                camera = camera.with_up(pose.up, "declared")
+        if pose is not None and pose.convention and frame_id == self.frame_ids[0]:
+            notes.append(f"cam_pose fits the file's points only {pose.convention}; said of the first frame only")
+        T, up = (None, None) if pose is None else (pose.T_world_camera, pose.up)
         annotations = annotated_objects(seg, labels, pose, points)
-        return make_frame(frame_id, (rgb, depth), camera, path, annotations, tuple(notes))
+        return self._frame(frame_id, (rgb, depth), K, T, path, path, annotations, notes, up)
 
     def given_expressions(self, frame_id: str) -> tuple[GivenExpression, ...]:
-        """The dataset's own expressions; see `capabilities.given_expressions`.
+        """The dataset's own expressions; see `base.given_expressions`.
 
         The target is one object by its id, the reference every object of its
         class. Of both only the annotated ones are given: a target may be hidden.
         Expressions of other relations than the six are left out.
         """
-        path, item = self._found(frame_id)
+        path, item = self._view(frame_id)
         with open_view(path) as file:
             if not has(file, "data/descriptions"):
                 return ()
@@ -185,7 +181,7 @@ class SemanticAbstractionDataset:
         return None if named is None else named.group()
 
     def splits(self) -> dict[str, tuple[str, ...]]:
-        """The frames that the split files beside the views list, by "vool/train" and so on; see `capabilities.splits`.
+        """The frames that the split files beside the views list, by "vool/train" and so on; see `base.splits`.
 
         Files that are not here, and paths that lead outside, are left out. The
         frames of `unseen_instances_dr` are those with randomised materials, the
@@ -199,11 +195,11 @@ class SemanticAbstractionDataset:
                 found[f"{kind}/{name}"] = tuple(i + SUFFIXES.get(name, "") for i in ids)
         return found
 
-    def _found(self, frame_id: str) -> tuple[Path, int]:
-        place = self._place.get(frame_id.removesuffix(RANDOMIZED).removesuffix(RENAMED))
-        if place is None:
+    def _view(self, frame_id: str) -> tuple[Path, int]:
+        known = self._place.get(frame_id.removesuffix(RANDOMIZED).removesuffix(RENAMED))
+        if known is None:
             raise unknown_frame(self, frame_id)
-        return self.root / (place[0] + SUFFIX), place[1]
+        return self.root / (known[0] + SUFFIX), known[1]
 
 
 def _picture(file: Any, item: int, randomized: bool) -> np.ndarray:
@@ -257,16 +253,11 @@ def _labels(file: Any, ids: np.ndarray, notes: list[str]) -> dict[int, str]:
     return {i: label for i, label in named.items() if label not in NOT_AN_OBJECT}
 
 
-def _scene(file: Any, item: int, notes: list[str]) -> _Scene | None:
-    """What the file says of the scene; None, with a note, where any of it is missing or broken."""
-    try:
-        cam_pose = read_array(file, "data/cam_pose", 4, 4)
-        xyz = read_item(file, "full_xyz_pts", item, "f", None, 3)
-        owner = read_item(file, "full_objid_pts", item, "iu", len(xyz))
-    except InputError as error:
-        notes.append(f"{NO_POSE}: {error.what}")
-        return None
-    return _Scene(cam_pose, xyz, owner, _bounds(file))
+def _scene(file: Any, item: int) -> _Scene:
+    """What the file says of the scene; InputError where any of it is missing or broken."""
+    cam_pose = read_array(file, "data/cam_pose", 4, 4)
+    xyz = read_item(file, "full_xyz_pts", item, "f", None, 3)
+    return _Scene(cam_pose, xyz, read_item(file, "full_objid_pts", item, "iu", len(xyz)), _bounds(file))
 
 
 def _pose(
@@ -281,11 +272,8 @@ def _pose(
     """The pose that takes the depth to the file's points; None, with a note, where there is none."""
     v, u, owner = depth_samples(seg, depth, ids)
     samples = lift_pixels(depth[v, u], camera, v, u)
-    try:
-        return fit_pose(scene.cam_pose, samples, owner, points.xyz, points.owner, scene.bounds)
-    except InputError as error:
-        notes.append(f"{NO_POSE}: {error.what}")
-        return None
+    given = scene.cam_pose, samples, owner, points.xyz, points.owner, scene.bounds
+    return or_note(notes, f"{NO_POSE}: ", fit_pose, *given)
 
 
 def _bounds(file: Any) -> np.ndarray:

@@ -1,15 +1,22 @@
-"""The objects of a Semantic Abstraction view: their pixels, their points, and what follows from both."""
+"""The objects of a Semantic Abstraction view (their pixels, their points), and where its camera stands.
+
+`cam_pose` is checked against the file's own points. The scene frame has x away from the camera, y to its left and z for
+height, and 0.6 units a metre. The program that wrote the files mirrors z in `cam_pose`, and whether the depth is
+mirrored with it cannot be told from the program alone. So the depth is put into the scene under every convention that
+may be meant, and the one that puts it onto the points of the same objects is taken.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 
 import numpy as np
 
-from pipeline.datasets.cameras import inverse
-from pipeline.datasets.semantic_abstraction_pose import ScenePose
+from pipeline.datasets.cameras import inverse, nearest_rotation
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.frame import Annotation
+from pipeline.system.errors import InputError
 
 LEAST_POINTS = 20
 """An object with fewer points in the scene has no exact box."""
@@ -105,3 +112,174 @@ def _boxes(pose: ScenePose | None, points: ObjectPoints | None, count: int) -> l
         Box3D((low[k] + high[k]) / 2, np.eye(3), high[k] - low[k]).transformed(T) if good[k] else None
         for k in range(count)
     ]
+
+
+SCENE_UNITS_PER_METRE = 0.6
+SCENE_BOUNDS = np.array([[-1.0, -1.0, -0.1], [1.0, 1.0, 1.9]])
+MIRROR_TOP = 2.0
+"""The writer's mirror takes a height z to 2 - z."""
+CELLS = 40
+"""Cells along the longest side of the scene: 5 cm in scene units, 8 cm in metres."""
+LEAST_SHARE = 0.5
+"""Share of the depth that must come to lie within a cell of its own object, for a convention to fit."""
+LEAST_INSIDE = 30
+"""So many depth samples must fall into the scene's bounds, to judge by."""
+CLEARLY_DOWN = 0.5
+
+
+@dataclass(frozen=True)
+class ScenePose:
+    """The camera in the scene, and the scene in metres.
+
+    Attributes
+    ----------
+    T_world_camera : (4, 4) float64
+        A rigid motion, metres. The world is the scene frame in metres, mirrored where `mirrored`.
+    up : (3,) float64
+        Against gravity in the camera frame.
+    units_per_metre : float
+        Of the scene.
+    mirrored : bool
+        Whether the file's points have to be mirrored in z, since as they are no rotation leads to them.
+    convention : str
+        What had to be assumed; "" for the file's own cam_pose.
+    share : float
+        Share of the depth samples that it puts onto their own objects.
+    """
+
+    T_world_camera: np.ndarray
+    up: np.ndarray
+    units_per_metre: float
+    mirrored: bool
+    convention: str
+    share: float
+
+    def to_world(self, points: np.ndarray) -> np.ndarray:
+        """The file's points ((N, 3)) in the world, (N, 3) float64 metres."""
+        sign = np.array([1.0, 1.0, -1.0 if self.mirrored else 1.0])
+        return np.asarray(points, np.float64) * (sign / self.units_per_metre)
+
+
+def fit_pose(
+    cam_pose: np.ndarray,
+    samples: np.ndarray,
+    sample_owner: np.ndarray,
+    points: np.ndarray,
+    point_owner: np.ndarray,
+    bounds: np.ndarray = SCENE_BOUNDS,
+) -> ScenePose:
+    """The convention under which the depth lies on the points.
+
+    Parameters
+    ----------
+    cam_pose : (4, 4) float
+        As the file has it.
+    samples : (N, 3) float
+        Camera-frame points of the depth image, metres.
+    sample_owner : (N,) int
+        The object of each, counted from 0 without gaps.
+    points : (M, 3) float
+        The file's points of those objects, scene units.
+    point_owner : (M,) int
+        The object of each.
+    bounds : (2, 3) float
+        The scene's lowest and highest corner.
+
+    Raises
+    ------
+    InputError
+        cam_pose is no rotation with one scale, or no convention fits.
+    """
+    owners = int(max(sample_owner.max(initial=-1), point_owner.max(initial=-1))) + 1
+    grid = _Grid.of(points, point_owner, owners, bounds)
+    best, best_hits, best_inside, best_name = None, -1, 0, ""
+    for name, A in _conventions(np.asarray(cam_pose, np.float64)):
+        inside, hits = grid.hits(samples @ A[:3, :3].T + A[:3, 3], sample_owner)
+        if hits > best_hits:
+            best, best_hits, best_inside, best_name = A, hits, inside, name
+    share = best_hits / max(best_inside, 1)
+    if best is None or best_inside < LEAST_INSIDE or share < LEAST_SHARE:
+        raise InputError(f"depth and points do not fit under any convention, at best {share:.0%} of them")
+    scale = float(np.cbrt(abs(np.linalg.det(best[:3, :3]))))
+    mirrored = bool(np.linalg.det(best[:3, :3]) < 0)
+    M = best[:3] / scale
+    if mirrored:
+        M[2] *= -1
+    T = np.eye(4)
+    T[:3, :3], T[:3, 3] = nearest_rotation(M[:, :3]), M[:, 3]
+    # The camera is level in this dataset: where z clearly points along the camera's down, it counts depth below.
+    up = T[2, :3] * (-1.0 if T[2, 1] > CLEARLY_DOWN else 1.0)
+    return ScenePose(T, up, scale, mirrored, best_name, share)
+
+
+def _conventions(cam_pose: np.ndarray) -> list[tuple[str, np.ndarray]]:
+    """(what is assumed, camera-to-scene (4, 4)) for everything that cam_pose may mean, the file's own word first.
+
+    Raises
+    ------
+    InputError
+        Not a rotation (perhaps mirrored) times one scale, and a position.
+    """
+    if not np.isfinite(cam_pose).all() or np.abs(cam_pose[3] - (0, 0, 0, 1)).max() > 1e-6:
+        raise InputError("cam_pose is no rigid motion")
+    linear = cam_pose[:3, :3]
+    scale = float(np.cbrt(abs(np.linalg.det(linear))))
+    if scale < 1e-6 or np.abs(linear @ linear.T / scale**2 - np.eye(3)).max() > 1e-2:
+        raise InputError("cam_pose is not a rotation with one scale")
+    directions = [("", cam_pose), ("taken as scene-to-camera", np.linalg.inv(cam_pose))]
+    scales = [("", np.eye(4))]
+    if abs(scale - 1) < 0.05:
+        scales.append((f"scaled by {SCENE_UNITS_PER_METRE:g}", np.diag([SCENE_UNITS_PER_METRE] * 3 + [1.0])))
+    mirror = np.diag([1.0, 1.0, -1.0, 1.0])
+    lifted = mirror.copy()
+    lifted[2, 3] = MIRROR_TOP
+    heights = [("", np.eye(4)), ("with its height mirrored", lifted), ("with its height negated", mirror)]
+    cameras = [
+        ("", np.eye(4)),
+        ("with the image's y upward", np.diag([1.0, -1.0, 1.0, 1.0])),
+        ("in OpenGL's camera axes", np.diag([1.0, -1.0, -1.0, 1.0])),
+    ]
+    found: list[tuple[str, np.ndarray]] = []
+    for (a, P), (b, S), (c, H), (d, C) in product(directions, scales, heights, cameras):
+        words = ", ".join(word for word in (a, b, c, d) if word)
+        # A scale about the origin of the scene, or about the camera where its position is in scene units already.
+        found.append((words, H @ S @ P @ C))
+        if b:
+            found.append((f"{words} about the camera", H @ P @ S @ C))
+    return sorted(found, key=lambda entry: bool(entry[0]) + entry[0].count(","))
+
+
+@dataclass(frozen=True)
+class _Grid:
+    """Which cells of the scene each object's points touch, one cell more on every side."""
+
+    taken: np.ndarray
+    low: np.ndarray
+    cell: float
+
+    @classmethod
+    def of(cls, points: np.ndarray, owner: np.ndarray, owners: int, bounds: np.ndarray) -> _Grid:
+        cell = float((bounds[1] - bounds[0]).max()) / CELLS
+        shape = np.ceil((bounds[1] - bounds[0]) / cell - 1e-6).astype(int) + 2
+        grid = cls(np.zeros((owners, *shape), bool), bounds[0] - cell, cell)
+        at, inside = grid._cells(points)
+        grid.taken[(owner[inside], *at[inside].T)] = True
+        for axis in (1, 2, 3):
+            taken = np.moveaxis(grid.taken, axis, 0)
+            before = taken.copy()
+            taken[1:] |= before[:-1]
+            taken[:-1] |= before[1:]
+        return grid
+
+    def hits(self, points: np.ndarray, owner: np.ndarray) -> tuple[int, int]:
+        """How many points fall into the scene, and how many of those onto their own object."""
+        at, inside = self._cells(points)
+        return int(inside.sum()), int(self.taken[(owner[inside], *at[inside].T)].sum())
+
+    def _cells(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Each point's cell (N, 3) int64, and whether there is such a cell (N,) bool."""
+        with np.errstate(invalid="ignore", over="ignore"):
+            place = np.floor((points - self.low) / self.cell)
+        size = np.array(self.taken.shape[1:])
+        inside: np.ndarray = np.all((place >= 0) & (place < size), axis=1)
+        return np.where(inside[:, np.newaxis], place, 0).astype(np.int64), inside

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
 from typing import Any, Protocol
 
-from pipeline.datasets.capabilities import GivenExpression
+from pipeline.datasets.base import GivenExpression
 from pipeline.datasets.files import read_bytes, read_json
 from pipeline.system.errors import InputError
 
@@ -53,7 +53,7 @@ _PLAIN = {"set": set, "frozenset": frozenset, "list": list, "tuple": tuple, "dic
 
 
 class SplitDataset(Protocol):
-    """What the subsets are made of: `capabilities.splits` and `capabilities.given_expressions`."""
+    """What the subsets are made of: `base.splits` and `base.given_expressions`."""
 
     def splits(self) -> dict[str, tuple[str, ...]]: ...
 

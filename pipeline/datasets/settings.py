@@ -9,9 +9,9 @@ import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
-from pipeline.datasets.up_text import GivenUp, Vector
+from pipeline.geometry.camera import UpSource
 from pipeline.system.errors import InputError
 
 if sys.version_info >= (3, 11):
@@ -56,9 +56,7 @@ class Settings:
         if self.intrinsics is not None:
             fx, fy, cx, cy = _numbers("intrinsics", self.intrinsics, 4)
             if fx <= 0 or fy <= 0:
-                raise InputError(
-                    "focal lengths must be positive", got=f"fx={fx:g}, fy={fy:g}", expected="fx,fy,cx,cy"
-                )
+                raise InputError("focal lengths must be positive", got=f"fx={fx:g}, fy={fy:g}", expected="fx,fy,cx,cy")
             object.__setattr__(self, "intrinsics", (fx, fy, cx, cy))
         if self.depth_scale is not None:
             (scale,) = _numbers("depth_scale", [self.depth_scale], 1)
@@ -223,3 +221,69 @@ def _numbers(key: str, values: Any, count: int) -> tuple[float, ...]:
         what = "a finite number" if count == 1 else f"{count} finite numbers"
         raise InputError(f"{key} must be {what}", got=str(values[0] if count == 1 else values)[:80])
     return tuple(float(v) for v in values)
+
+
+Vector = tuple[float, float, float]
+
+
+@dataclass(frozen=True)
+class GivenUp:
+    """A direction against gravity, in words "world:X,Y,Z", "camera:X,Y,Z", or "X,Y,Z".
+
+    Attributes
+    ----------
+    vector : (x, y, z)
+        Of any length but 0.
+    frame : str or None
+        "world" is that of the poses, "camera" the OpenCV frame of each camera (image-up is 0,-1,0). None: the world
+        in a dataset with poses, else the camera.
+    """
+
+    vector: Vector
+    frame: Literal["world", "camera"] | None = None
+
+    @classmethod
+    def parse(cls, text: str) -> GivenUp:
+        """Read the words; InputError where they are none."""
+        frame, colon, numbers = text.strip().rpartition(":")
+        try:
+            x, y, z = (float(part) for part in numbers.split(","))
+        except ValueError:
+            x = y = z = math.nan
+        length = math.hypot(x, y, z)
+        if not (1e-9 < length < math.inf) or (colon and frame not in ("world", "camera")):
+            raise InputError(
+                "up must be a vector that points somewhere",
+                got=repr(text),
+                expected="X,Y,Z, world:X,Y,Z or camera:X,Y,Z",
+            )
+        return cls((x, y, z), frame if frame in ("world", "camera") else None)
+
+    def __str__(self) -> str:
+        numbers = ",".join(f"{x + 0.0:g}" if float(f"{x:g}") == x else repr(x) for x in self.vector)
+        return numbers if self.frame is None else f"{self.frame}:{numbers}"
+
+
+def parse_level_at(text: str) -> tuple[str | None, int, int]:
+    """(frame or None, u, v) of "U,V" or "FRAME:U,V", pixels; InputError where it is neither."""
+    frame, colon, numbers = text.strip().rpartition(":")
+    try:
+        u, v = (int(part) for part in numbers.split(","))
+    except ValueError:
+        u = v = -1
+    if u < 0 or v < 0 or (colon and not frame):
+        raise InputError("no pixel of a level surface", got=repr(text), expected="U,V or FRAME:U,V: column, row")
+    return frame or None, u, v
+
+
+SOURCES: dict[UpSource, str] = {
+    "given": "you said so: --up, --level-at, spatialviz.toml, or a surface that was called level",
+    "declared": "the dataset declares it",
+    "imu": "an inertial sensor measured it",
+    "scene": "the posed frames of the scene agree on it",
+    "plane": "it is the normal of a level plane of this frame",
+    "assumed": "nothing tells: image-up is taken",
+}
+"""How an up vector is known, by its source."""
+ASSUMED = "up is assumed to be image-up: left, right, above, below, in front and behind may all be wrong"
+DECLARE = "--up X,Y,Z says where up is, --level-at U,V that the surface at a pixel is level"

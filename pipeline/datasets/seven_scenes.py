@@ -3,28 +3,31 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
-from pipeline.datasets.assembly import make_frame, one_file, read_pair, read_pose
-from pipeline.datasets.base import DatasetFormat, unknown_frame
-from pipeline.datasets.cameras import make_camera
+from pipeline.datasets.base import DatasetFormat
+from pipeline.datasets.cameras import (
+    Recording,
+    known_intrinsics,
+    one_file,
+    read_pair,
+    read_pose,
+)
 from pipeline.datasets.files import listing, read_matrix
 from pipeline.datasets.settings import Settings, camera_notes, unit_notes
-from pipeline.geometry.camera import intrinsics
 from pipeline.geometry.frame import Frame
-from pipeline.system.errors import InputError
 
 UNITS_PER_METRE = 1000.0
 NOTHING = 65535
-DEFAULT_SIZE = (480, 640)
 DEFAULT_INTRINSICS = (585.0, 585.0, 320.0, 240.0)
 
 _IMAGE = re.compile(r"(frame-[0-9]{1,12})\.(color|depth)\.(png|jpg|jpeg)")
 
 
-class SevenScenesDataset:
+class SevenScenesDataset(Recording):
     """Frames in the folder itself (id `frame-000000`) or in `seq-XX` (id `seq-01/frame-000000`).
 
     A `camera-intrinsics.txt` in the opened folder, or beside the frames, wins
@@ -36,8 +39,7 @@ class SevenScenesDataset:
     class_names: tuple[str, ...] = ()
 
     def __init__(self, root: Path, settings: Settings) -> None:
-        self.root = root
-        self._settings = settings
+        super().__init__(root, settings)
         self._files: dict[str, dict[str, list[Path]]] = {}
         for folder in ("", *_sequences(root)):
             for name in listing(root / folder)[1]:
@@ -52,37 +54,24 @@ class SevenScenesDataset:
 
     def load(self, frame_id: str) -> Frame:
         """Decode one frame; see `Dataset.load`."""
-        if frame_id not in self._files:
-            raise unknown_frame(self, frame_id)
-        files = self._files[frame_id]
+        files = self._found(self._files, frame_id)
         stem = self.root / frame_id
         color = one_file(files["color"], "colour", stem.with_name(f"{stem.name}.color.png"))
         depth = one_file(files["depth"], "depth", stem.with_name(f"{stem.name}.depth.png"))
         pair = read_pair(color, depth, self._settings.depth_scale or UNITS_PER_METRE, NOTHING)
-        size = pair[1].shape
         notes: list[str] = []
         pose_file = stem.with_name(f"{stem.name}.pose.txt")
         pose = read_pose(pose_file, notes) if pose_file.is_file() else None
-        K, source = self._camera_matrix(stem.parent, (size[0], size[1]), color)
-        camera = make_camera(K, (size[0], size[1]), pose, self._settings, source)
-        return make_frame(frame_id, pair, camera, depth, notes=tuple(notes))
+        K, source = self._camera_matrix(stem.parent, pair[1].shape, color)
+        return self._frame(frame_id, pair, K, pose, source, depth, notes=notes)
 
-    def _camera_matrix(
-        self, folder: Path, size: tuple[int, int], color: Path
-    ) -> tuple[np.ndarray | None, Path]:
+    def _camera_matrix(self, folder: Path, size: Sequence[int], color: Path) -> tuple[np.ndarray | None, Path]:
         if self._settings.intrinsics is not None:
             return None, color
         path = _camera_file(self.root, folder)
         if path is not None:
             return read_matrix(path, 3, 3), path
-        if size != DEFAULT_SIZE:
-            raise InputError(
-                "the camera is not known: 7-Scenes' own intrinsics are for 640x480",
-                got=f"{size[1]}x{size[0]}",
-                expected="camera-intrinsics.txt or --intrinsics fx,fy,cx,cy",
-                path=color,
-            )
-        return intrinsics(*DEFAULT_INTRINSICS), color
+        return known_intrinsics(DEFAULT_INTRINSICS, "7-Scenes'", size, "camera-intrinsics.txt or ", color), color
 
 
 def _camera_file(root: Path, folder: Path) -> Path | None:

@@ -1,19 +1,26 @@
-"""SUN RGB-D's own folders: one a picture, with `image/`, `depth/`, `intrinsics.txt` and the tilt in `extrinsics/`."""
+"""SUN RGB-D: as it is published, and as VoteNet's scripts export it.
+
+Published: `image/`, `depth/`, `intrinsics.txt` and `extrinsics/`, a folder a picture. Exported: `image/`,
+`depth/*.mat`, `calib/` and `label/` with named 3D boxes.
+"""
 
 from __future__ import annotations
 
+import io
 import os
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from pipeline.datasets.assembly import make_frame, one_file, read_pair
-from pipeline.datasets.base import DatasetFormat, unknown_frame
-from pipeline.datasets.cameras import make_camera, nearest_rotation
-from pipeline.datasets.files import listing, natural, read_matrix
-from pipeline.datasets.images import COLOR_SUFFIXES
+from pipeline.datasets.base import DatasetFormat
+from pipeline.datasets.cameras import Recording, nearest_rotation, one_file, or_note, read_pair
+from pipeline.datasets.files import COLOR_SUFFIXES, as_floats, listing, natural, numbered_lines, read_bytes, read_matrix
+from pipeline.datasets.images import read_color
 from pipeline.datasets.settings import Settings, unit_notes
-from pipeline.geometry.frame import Frame
+from pipeline.geometry.boxes import Box3D
+from pipeline.geometry.camera import intrinsics
+from pipeline.geometry.frame import Annotation, Frame
 from pipeline.system.errors import InputError
 
 UNITS_PER_METRE = 1000.0
@@ -41,7 +48,7 @@ def camera_from_upright(Rtilt: np.ndarray) -> np.ndarray:
     return _SWAP @ nearest_rotation(Rtilt).T
 
 
-class SunRgbdDataset:
+class SunRgbdDataset(Recording):
     """Frames of id their folder's path below the opened one; the folder's own name where it is opened itself.
 
     The depth is that of `depth/`, as measured; `depth_bfx/`, whose holes were
@@ -55,8 +62,7 @@ class SunRgbdDataset:
     class_names: tuple[str, ...] = ()
 
     def __init__(self, root: Path, settings: Settings) -> None:
-        self.root = root
-        self._settings = settings
+        super().__init__(root, settings)
         if _is_frame(root):
             self._folders = {root.resolve().name: root}
         else:
@@ -67,9 +73,7 @@ class SunRgbdDataset:
 
     def load(self, frame_id: str) -> Frame:
         """Decode one frame; see `Dataset.load`."""
-        if frame_id not in self._folders:
-            raise unknown_frame(self, frame_id)
-        folder = self._folders[frame_id]
+        folder = self._found(self._folders, frame_id)
         notes: list[str] = []
         color = _only_image(folder / "image", COLOR_SUFFIXES, "colour")
         if (folder / "depth").is_dir():
@@ -78,15 +82,12 @@ class SunRgbdDataset:
             depth = _only_image(folder / "depth_bfx", (".png",), "depth")
             notes.append("depth/ is missing: depth_bfx/ is used, whose holes were filled in")
         pair = read_pair(color, depth, self._settings.depth_scale or UNITS_PER_METRE, rotated=ROTATED_BITS)
-        size = (pair[1].shape[0], pair[1].shape[1])
         path = folder / "intrinsics.txt"
         K = None if self._settings.intrinsics is not None else read_matrix(path, 3, 3)
-        camera = make_camera(K, size, None, self._settings, path)
-        try:
-            camera = camera.with_up(camera_from_upright(_tilt(folder / "extrinsics"))[:, 2], "declared")
-        except InputError as error:
-            notes.append(f"no up vector, extrinsics: {error.what}")
-        return make_frame(frame_id, pair, camera, depth, notes=tuple(notes))
+        up = or_note(
+            notes, "no up vector, extrinsics: ", lambda: camera_from_upright(_tilt(folder / "extrinsics"))[:, 2]
+        )
+        return self._frame(frame_id, pair, K, None, path, depth, notes=notes, up=up)
 
 
 def _only_image(folder: Path, suffixes: tuple[str, ...], what: str) -> Path:
@@ -173,4 +174,212 @@ FORMAT = DatasetFormat(
     "sunrgbd: image/, depth/, intrinsics.txt and extrinsics/ here, in <frame>/ or below kv1/, kv2/, realsense/, xtion/",
     _recognises,
     SunRgbdDataset,
+)
+
+
+FOLDER = "sunrgbd_trainval"
+LABEL_FOLDERS = ("label", "label_v1")
+OFF_PIXEL = 0.1
+"""How far, in pixels, a point may project from a pixel's centre; rounding explains a few thousandths."""
+
+
+class SunRgbdVoteNetDataset(Recording):
+    """Frames of id the image's stem, with the file's own boxes and up vector.
+
+    The depth image is rebuilt exactly from the list of points. The export
+    counts pixels from 1, so that 1 is taken off the principal point and off the
+    corner of each 2D box. Boxes are given in the camera frame. The opened
+    folder is `sunrgbd_trainval` or holds it.
+    """
+
+    format = "sunrgbd-votenet"
+
+    def __init__(self, root: Path, settings: Settings) -> None:
+        super().__init__(root, settings)
+        self._folder = _folder(root) or root
+        self._labels = next((p for n in LABEL_FOLDERS if (p := self._folder / n).is_dir()), None)
+        images = {Path(name).stem for name in listing(self._folder / "image")[1] if name.endswith(".jpg")}
+        clouds = {Path(name).stem for name in listing(self._folder / "depth")[1] if name.endswith(".mat")}
+        self.frame_ids = tuple(sorted(images | clouds, key=natural))
+        self._known = {frame_id: frame_id for frame_id in self.frame_ids}
+        self._class_names: tuple[str, ...] | None = None
+
+    @property
+    def class_names(self) -> tuple[str, ...]:
+        """Every name that any label file begins a line with, in alphabetical order."""
+        if self._class_names is None:
+            names: set[str] = set()
+            for path in [] if self._labels is None else [self._labels / n for n in listing(self._labels)[1]]:
+                try:
+                    names.update(line.split(maxsplit=1)[0] for _, line in numbered_lines(path))
+                except InputError:  # Told when the frame is loaded.
+                    continue
+            self._class_names = tuple(sorted(names))
+        return self._class_names
+
+    def load(self, frame_id: str) -> Frame:
+        """Decode one frame; see `Dataset.load`."""
+        self._found(self._known, frame_id)
+        rgb = read_color(self._folder / "image" / f"{frame_id}.jpg")
+        size = (rgb.shape[0], rgb.shape[1])
+        calib = self._folder / "calib" / f"{frame_id}.txt"
+        R_camera_upright, K = _calibration(calib)
+        cloud = self._folder / "depth" / f"{frame_id}.mat"
+        depth = _depth_image(_points(cloud) @ R_camera_upright.T, K, size, cloud)
+        depth /= np.float32(self._settings.depth_scale or 1.0)
+        notes: list[str] = []
+        annotations = self._annotations(frame_id, R_camera_upright, notes)
+        return self._frame(frame_id, (rgb, depth), K, None, calib, cloud, annotations, notes, up=R_camera_upright[:, 2])
+
+    def _annotations(self, frame_id: str, R_camera_upright: np.ndarray, notes: list[str]) -> tuple[Annotation, ...]:
+        if self._labels is None:
+            return ()
+        path = self._labels / f"{frame_id}.txt"
+        if path.is_file() and path.stat().st_size == 0:
+            return ()  # The export writes an empty file for a picture without boxes.
+
+        def read(index: int, line: str) -> Annotation:
+            name, *words = line.split()
+            return _annotation(index, name, as_floats(words, 12, path, name), R_camera_upright)
+
+        lines = or_note(notes, f"no labels, {path.name}: ", numbered_lines, path)
+        found = [
+            or_note(notes, f"annotation {index} ({line.split()[0]}), line {number}: ", read, index, line)
+            for index, (number, line) in enumerate(lines or ())
+        ]
+        return tuple(a for a in found if a is not None)
+
+
+def _calibration(path: Path) -> tuple[np.ndarray, np.ndarray]:
+    """The rotation from the upright to the camera frame, and K for pixels counted from 0.
+
+    Raises
+    ------
+    InputError
+        Not two lines of nine numbers, column by column; the first no rotation.
+    """
+    lines = numbered_lines(path)
+    if len(lines) != 2:
+        raise InputError("a calibration must have two lines", got=len(lines), expected="Rtilt, then K", path=path)
+    Rtilt, K = (as_floats(line.split(), 9, path, f"line {number}").reshape(3, 3).T for number, line in lines)
+    try:
+        R = camera_from_upright(Rtilt)
+    except InputError as error:
+        raise InputError(f"the tilt in line {lines[0][0]}: {error}", path=path) from error
+    if not np.isfinite(K).all() or K[0, 0] <= 0 or K[1, 1] <= 0 or K[0, 1] or K[2].tolist() != [0, 0, 1]:
+        raise InputError(
+            "not the intrinsics of a camera, column by column", got=np.round(K.T.ravel(), 3).tolist(), path=path
+        )
+    return R, intrinsics(K[0, 0], K[1, 1], K[0, 2] - 1, K[1, 2] - 1)
+
+
+def _points(path: Path) -> np.ndarray:
+    """(N, 3) float64 points of the list `instance`, upright, metres; those that are not finite are left out.
+
+    Raises
+    ------
+    InputError
+        Missing, cut off, no MATLAB file, or of another shape.
+    """
+    data = read_bytes(path)
+    from scipy.io import loadmat
+
+    try:
+        table: Any = loadmat(io.BytesIO(data), variable_names=["instance"]).get("instance")
+    except Exception as error:  # The package raises a dozen kinds of error for damaged files.
+        raise InputError(
+            "a MATLAB file that cannot be read",
+            got=str(error)[:120],
+            cause="was the copy or the download interrupted?",
+            path=path,
+        ) from error
+    if not isinstance(table, np.ndarray) or table.ndim != 2 or table.shape[1] < 3 or table.dtype.kind not in "fiu":
+        raise InputError(
+            "the file has no list of points",
+            got=None if table is None else f"{table.dtype} {table.shape}",
+            expected="a matrix `instance` of x y z r g b a line",
+            path=path,
+        )
+    points = table[:, :3].astype(np.float64)
+    return points[np.isfinite(points).all(axis=1)]
+
+
+def _depth_image(points: np.ndarray, K: np.ndarray, size: tuple[int, int], path: Path) -> np.ndarray:
+    """The (H, W) float32 depth image, metres, whose pixels the camera-frame points (N, 3) once were.
+
+    Raises
+    ------
+    InputError
+        The points do not project to centres of pixels of the image: they are not of this camera.
+    """
+    height, width = size
+    points = points[points[:, 2] > 0]
+    if not len(points):
+        raise InputError("no point lies in front of the camera", path=path)
+    u = K[0, 0] * points[:, 0] / points[:, 2] + K[0, 2]
+    v = K[1, 1] * points[:, 1] / points[:, 2] + K[1, 2]
+    column, row = np.round(u), np.round(v)
+    off = float(max(np.abs(u - column).max(), np.abs(v - row).max()))
+    if off > OFF_PIXEL:
+        raise InputError(
+            "the points do not project to pixels",
+            got=f"{off:.2g} pixels off",
+            expected=f"at most {OFF_PIXEL:g}",
+            cause="is the calibration that of another picture?",
+            path=path,
+        )
+    if column.min() < 0 or row.min() < 0 or column.max() >= width or row.max() >= height:
+        raise InputError(
+            "points lie outside the image",
+            got=f"columns {column.min():g} to {column.max():g}, rows {row.min():g} to {row.max():g}",
+            expected=f"an image of {width}x{height}",
+            path=path,
+        )
+    depth = np.full(height * width, np.inf, np.float32)
+    np.minimum.at(depth, row.astype(np.int64) * width + column.astype(np.int64), points[:, 2].astype(np.float32))
+    depth[np.isinf(depth)] = 0
+    return depth.reshape(height, width)
+
+
+def _annotation(index: int, name: str, values: np.ndarray, R_camera_upright: np.ndarray) -> Annotation:
+    """One line: 2D box x y w h, centroid, half sizes w l h, orientation x y; upright frame, metres.
+
+    The second half size lies along the orientation, the first across it, the third along z.
+
+    Raises
+    ------
+    InputError
+        Not finite, an empty 2D box, no orientation, or a negative size.
+    """
+    if not np.isfinite(values).all():
+        raise InputError("inf or NaN")
+    x, y, w, h = values[:4]
+    if w <= 0 or h <= 0:
+        raise InputError("an empty 2D box")
+    length = float(np.hypot(values[10], values[11]))
+    if length < 1e-6:
+        raise InputError("no orientation")
+    ox, oy = values[10:] / length
+    R_upright_box = np.array([[oy, ox, 0.0], [-ox, oy, 0.0], [0.0, 0.0, 1.0]])
+    box = Box3D(R_camera_upright @ values[4:7], R_camera_upright @ R_upright_box, 2 * values[7:10])
+    return Annotation(index, name, np.array([x - 1, y - 1, x - 1 + w, y - 1 + h]), box=box)
+
+
+def _folder(root: Path) -> Path | None:
+    for folder in (root, root / FOLDER):
+        if all(os.path.isdir(folder / name) for name in ("calib", "image", "depth")):
+            try:
+                names = listing(folder / "depth")[1]
+            except InputError:
+                continue
+            if any(name.endswith(".mat") for name in names):
+                return folder
+    return None
+
+
+VOTENET_FORMAT = DatasetFormat(
+    "sunrgbd-votenet",
+    f"sunrgbd-votenet: image/, depth/*.mat and calib/, here or in {FOLDER}/",
+    lambda root: _folder(root) is not None,
+    SunRgbdVoteNetDataset,
 )

@@ -11,12 +11,16 @@ from pathlib import Path
 
 import numpy as np
 
-from pipeline.datasets.assembly import make_frame, read_pair
-from pipeline.datasets.base import DatasetFormat, unknown_frame
-from pipeline.datasets.cameras import make_camera, pose_from_quaternion
+from pipeline.datasets.base import DatasetFormat
+from pipeline.datasets.cameras import (
+    Recording,
+    known_intrinsics,
+    or_note,
+    pose_from_quaternion,
+    read_pair,
+)
 from pipeline.datasets.files import as_floats, numbered_lines, path_inside
 from pipeline.datasets.settings import Settings, camera_notes, unit_notes
-from pipeline.geometry.camera import intrinsics
 from pipeline.geometry.frame import Frame
 from pipeline.system.errors import InputError
 
@@ -24,7 +28,6 @@ UNITS_PER_METRE = 5000.0
 WITHIN = 0.02
 """Seconds by which two entries of one frame may differ."""
 
-SIZE = (480, 640)
 CAMERAS = {
     "freiburg1": (517.3, 516.5, 318.6, 255.3),
     "freiburg2": (520.9, 521.0, 325.1, 249.7),
@@ -51,7 +54,7 @@ class _Entry:
         return float(self.stamp)
 
 
-class TumDataset:
+class TumDataset(Recording):
     """A frame for each line of rgb.txt, in order of time; its id is the time stamp as written.
 
     Colour and depth belong together where they lie within 20 ms, the nearest
@@ -67,8 +70,7 @@ class TumDataset:
     class_names: tuple[str, ...] = ()
 
     def __init__(self, root: Path, settings: Settings) -> None:
-        self.root = root
-        self._settings = settings
+        super().__init__(root, settings)
         colors, depths = _entries(root, "rgb.txt"), _entries(root, "depth.txt")
         times = np.array([entry.time for entry in colors]), np.array([entry.time for entry in depths])
         matched = _match(*times)
@@ -91,31 +93,17 @@ class TumDataset:
 
     def load(self, frame_id: str) -> Frame:
         """Decode one frame; see `Dataset.load`."""
-        if frame_id not in self._colors:
-            raise unknown_frame(self, frame_id)
-        color = self._colors[frame_id]
+        color = self._found(self._colors, frame_id)
         if frame_id not in self._depths:
             raise InputError(f"no depth image within 20 ms of {frame_id}", path=self.root / "depth.txt")
         depth = self._depths[frame_id].path
         pair = read_pair(color.path, depth, self._settings.depth_scale or UNITS_PER_METRE)
-        size = (pair[1].shape[0], pair[1].shape[1])
         notes: list[str] = []
         pose = self._pose(color.time, notes)
-        K = self._camera_matrix(size, color.path)
-        camera = make_camera(K, size, pose, self._settings, color.path)
-        return make_frame(frame_id, pair, camera, depth, notes=tuple(notes))
-
-    def _camera_matrix(self, size: tuple[int, int], path: Path) -> np.ndarray | None:
-        if self._settings.intrinsics is not None:
-            return None
-        if size != SIZE:
-            raise InputError(
-                "the camera is not known: TUM's own intrinsics are for 640x480",
-                got=f"{size[1]}x{size[0]}",
-                expected="--intrinsics fx,fy,cx,cy",
-                path=path,
-            )
-        return intrinsics(*self._camera)
+        K = None
+        if self._settings.intrinsics is None:
+            K = known_intrinsics(self._camera, "TUM's", pair[1].shape, "", color.path)
+        return self._frame(frame_id, pair, K, pose, color.path, depth, notes=notes)
 
     def _pose(self, time: float, notes: list[str]) -> np.ndarray | None:
         if self._path_problem is not None:
@@ -128,11 +116,7 @@ class TumDataset:
         if abs(float(self._path[k, 0]) - time) > WITHIN + _ROUNDING:
             notes.append("no camera pose: groundtruth.txt has none within 20 ms")
             return None
-        try:
-            return pose_from_quaternion(self._path[k, 1:])
-        except InputError as error:
-            notes.append(f"no camera pose, groundtruth.txt: {error.what}")
-            return None
+        return or_note(notes, "no camera pose, groundtruth.txt: ", pose_from_quaternion, self._path[k, 1:])
 
 
 def _entries(root: Path, name: str) -> list[_Entry]:
@@ -149,9 +133,7 @@ def _entries(root: Path, name: str) -> list[_Entry]:
     for number, line in numbered_lines(source):
         stamp, *rest = line.split(maxsplit=1)
         if not _TIME.fullmatch(stamp) or not math.isfinite(float(stamp)) or not rest:
-            raise InputError(
-                f"line {number} is malformed", got=repr(line[:60]), expected="timestamp path", path=source
-            )
+            raise InputError(f"line {number} is malformed", got=repr(line[:60]), expected="timestamp path", path=source)
         entry = _Entry(stamp, path_inside(root, rest[0], source, number))
         time = Decimal(stamp)
         if time in found:

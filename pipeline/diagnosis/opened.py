@@ -11,7 +11,7 @@ from typing import Any
 from pipeline.answering.objects import PreparedFrame
 from pipeline.answering.opening import Pipeline, open_pipeline
 from pipeline.datasets import Dataset, resolve_frame
-from pipeline.datasets.frames import Frames, InMemoryDataset
+from pipeline.datasets.base import Frames, InMemoryDataset
 from pipeline.diagnosis.answer import Answer
 from pipeline.diagnosis.asking import edited_trace, judged, truth_or_reason
 from pipeline.geometry.frame import Frame

@@ -14,7 +14,7 @@ from pipeline.answering.answering import FrameAnswers, StageClock
 from pipeline.answering.ask import propose
 from pipeline.answering.objects import PreparedFrame, prepare_frame
 from pipeline.answering.opening import Pipeline, open_pipeline
-from pipeline.datasets.capabilities import load_picture
+from pipeline.datasets.base import load_picture
 from pipeline.diagnosis.decision import diagnose
 from pipeline.diagnosis.frame_evidence import DEFAULT_CONFIDENCE, FrameEvidence
 from pipeline.evaluation.records import COLUMNS, by_raw_scores, diagnosis_columns, raw_columns, record, records_schema

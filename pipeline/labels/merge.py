@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.datasets.up_text import ASSUMED, DECLARE
+from pipeline.datasets.settings import ASSUMED, DECLARE
 from pipeline.labels.card import croissant, dataset_card
 from pipeline.labels.config import SelectConfig, TextStyle
 from pipeline.labels.labelling import row_hash

@@ -3,9 +3,8 @@
 from pipeline.proposals.annotations import AnnotationDetector
 from pipeline.proposals.base import Detector, Proposals
 from pipeline.proposals.cache import CachedDetector
-from pipeline.proposals.registry import DETECTORS, make_detector
+from pipeline.proposals.registry import DETECTORS, SEGMENTERS, make_detector, make_segmenter
 from pipeline.proposals.segmenter import Segmented, Segmenter
-from pipeline.proposals.segmenters import SEGMENTERS, make_segmenter
 from pipeline.proposals.selection import top_k
 
 __all__ = [

@@ -170,7 +170,7 @@ def unknown_class(label: str, names: Sequence[str], where: str, advice: str | No
 
 
 def listed(names: Sequence[str], limit: int = 12) -> str:
-    """"a, b, c and 4 more"."""
+    """ "a, b, c and 4 more"."""
     names = sorted(set(names))
     more = len(names) - limit
     return ", ".join(names[:limit]) + (f" and {more} more" if more > 0 else "")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 
 import cv2
@@ -15,18 +14,17 @@ from pipeline.language.naming import Synonyms
 from pipeline.proposals.base import Proposals
 from pipeline.proposals.box_config import BoxInput, find_box_model, read_box_model
 from pipeline.proposals.box_decoding import Candidates, decode, output_names
-from pipeline.proposals.class_names import metadata_names, names_hash, synonyms_hash, wanted_names
-from pipeline.proposals.relative_boxes import proposals_of
+from pipeline.proposals.class_names import metadata_names, names_hash
+from pipeline.proposals.network import MAX_PER_NAME, NetworkDetector, proposals_of
 from pipeline.proposals.selection import class_wise
 from pipeline.system.errors import InputError
-from pipeline.system.onnx_session import model_hash, open_session, run_session, signature
+from pipeline.system.onnx_session import run_session, signature
 
 OPTION = "--detector boxes"
 VERSION = "1"
-MAX_PER_NAME = 100
 
 
-class BoxDetector:
+class BoxDetector(NetworkDetector):
     """A detector of boxes, as its TOML file describes it.
 
     Parameters
@@ -45,8 +43,6 @@ class BoxDetector:
     """
 
     name = "boxes"
-    exact = False
-    reads_annotations = False
 
     def __init__(
         self,
@@ -56,40 +52,30 @@ class BoxDetector:
         synonyms: Synonyms | None = None,
         min_score: float | None = None,
     ) -> None:
-        self.path, self.synonyms = Path(path), synonyms
-        self._session = open_session(self.path)
+        super().__init__(path, 0.0, synonyms)
         self.config_path = Path(config) if config is not None else find_box_model(self.path)
         self.config = read_box_model(self.config_path)
         self.min_score = self.config.output.min_score if min_score is None else min_score
-        self.vocabulary: tuple[str, ...] | None = self.config.names or self._names_inside()
+        self.vocabulary = self.config.names or self._names_inside()
         self._input, self._sides = self._checked_input()
         self._outputs = self._checked_outputs()
-        self._last: tuple[str, Candidates, Placement] | None = None
-
-    @cached_property
-    def _hash(self) -> str:
-        return model_hash(self.path)
 
     def fingerprint(self) -> str:
-        said = self.config.model_dump_json(exclude={"names", "names_file"})
-        parts = (VERSION, self._hash, said, names_hash(self.vocabulary or ()), synonyms_hash(self.synonyms))
+        described = self.config.model_dump_json(exclude={"names", "names_file"})
+        parts = (VERSION, self._hash, described, names_hash(self.vocabulary or ()), self._synonyms_hash)
         return f"boxes:{self.min_score}:{':'.join(parts)}"
 
     def detect(self, frame: Frame, labels: Sequence[str] | None) -> Proposals:
         """Detections of the classes that the names mean, the better first; `ids` are places in the network's answer."""
-        names = self.vocabulary or ()
-        wanted = wanted_names(labels, names, self.synonyms, f"the model {self.path.name}")
-        candidates, placement = self._forward(frame)
-        columns = np.flatnonzero(np.isin(np.array(names, np.str_), np.array(wanted, np.str_)))
-        scores = candidates.scores[:, columns]
-        best = scores.argmax(axis=1) if len(columns) else np.zeros(len(scores), np.int64)
-        score = scores[np.arange(len(scores)), best] if len(columns) else np.zeros(len(scores), np.float32)
+        wanted = self._wanted(labels)
+        candidates, placement = self._once(frame, self._forward)
+        score, which = self._best(candidates.scores, wanted)
         chosen = np.flatnonzero(score >= max(self.min_score, 1e-6))
         boxes = self._in_picture(candidates.boxes[chosen], placement, frame)
-        which = np.array([wanted.index(names[c]) for c in columns], np.int64)[best[chosen]]
         nms_iou = self.config.output.nms_iou if self.config.output.nms else 1.0
-        kept = class_wise(boxes, score[chosen], which, MAX_PER_NAME, nms_iou=nms_iou)
-        return proposals_of(boxes[kept], score[chosen][kept], which[kept], wanted, chosen[kept], frame)
+        kept = class_wise(boxes, score[chosen], which[chosen], MAX_PER_NAME, nms_iou=nms_iou)
+        chosen = chosen[kept]
+        return proposals_of(boxes[kept], score[chosen], which[chosen], wanted, chosen)
 
     def _in_picture(self, boxes: np.ndarray, placement: Placement, frame: Frame) -> np.ndarray:
         units = self.config.output.units
@@ -100,10 +86,6 @@ class BoxDetector:
         return np.clip(np.nan_to_num(boxes), 0, [frame.width, frame.height] * 2)
 
     def _forward(self, frame: Frame) -> tuple[Candidates, Placement]:
-        """The network is run once for a picture, however many names are asked for in turn."""
-        last = self._last  # Once: another thread may put another picture there.
-        if last is not None and last[0] == frame.content_hash:
-            return last[1:]
         tensor, placement = place_picture(frame.rgb, *self._sides, self.config.input)
         numbers = {
             "height": frame.height, "width": frame.width,
@@ -114,11 +96,9 @@ class BoxDetector:
         values = run_session(self._session, self._outputs, {self._input: tensor, **extra}, self.path)
         outputs = dict(zip(self._outputs, values, strict=True))
         try:
-            found = decode(outputs, self.config.output, len(self.vocabulary or ()), self._sides)
+            return decode(outputs, self.config.output, len(self.vocabulary or ()), self._sides), placement
         except InputError as error:
             raise InputError(str(error), path=self.config_path) from error
-        self._last = (frame.content_hash, found, placement)
-        return found, placement
 
     def _names_inside(self) -> tuple[str, ...]:
         found = metadata_names(self._session)

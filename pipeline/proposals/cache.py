@@ -1,20 +1,22 @@
-"""Detections kept on disk, by content: picture, detector with its model and thresholds, names."""
+"""What detectors and segmenters found, kept on disk by content: picture, models with their thresholds, names or box."""
 
 from __future__ import annotations
 
-import os
-import tempfile
 from collections import OrderedDict
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 from threading import Lock
+from typing import Any
 
 import numpy as np
 import xxhash
 
 from pipeline.geometry.frame import Frame
 from pipeline.proposals.base import Detector, Proposals, detect_expression, reads_annotations
+from pipeline.proposals.segmenter import Segmenter
 from pipeline.system.paths import cache_folder
+from pipeline.system.whole_files import keep_whole
 
 _IN_MEMORY = 8
 _VERSION = "2"
@@ -78,7 +80,7 @@ class CachedDetector:
             found = _load(self.folder / f"{key}.npz")
         if found is None:
             found = run()
-            _store(self.folder / f"{key}.npz", found)
+            keep_whole(self.folder / f"{key}.npz", partial(_store, proposals=found))
         with self._lock:
             self._recent[key] = found
             self._recent.move_to_end(key)
@@ -87,51 +89,102 @@ class CachedDetector:
         return found
 
 
-def _store(path: Path, proposals: Proposals) -> None:
-    shape = (0, 0, 0) if proposals.masks is None else proposals.masks.shape
-    packed = np.zeros(0, np.uint8) if proposals.masks is None else np.packbits(proposals.masks)
-    temporary: Path | None = None
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".tmp", delete=False) as file:
-            temporary = Path(file.name)
-            np.savez_compressed(
-                file,
-                boxes=proposals.boxes,
-                scores=proposals.scores,
-                label_index=proposals.label_index,
-                labels=np.array(proposals.labels, dtype=np.str_),
-                ids=proposals.ids,
-                mask_shape=np.array(shape),
-                has_masks=np.array(proposals.masks is not None),
-                masks=packed,
-                has_mask=np.ones(len(proposals), bool) if proposals.has_mask is None else proposals.has_mask,
-                segmented=np.zeros(len(proposals), bool) if proposals.segmented is None else proposals.segmented,
-            )
-        os.replace(temporary, path)
-    except OSError:
-        if temporary is not None:
-            temporary.unlink(missing_ok=True)
+def _store(file: Any, proposals: Proposals) -> None:
+    masks = proposals.masks
+    np.savez_compressed(
+        file,
+        boxes=proposals.boxes,
+        scores=proposals.scores,
+        label_index=proposals.label_index,
+        labels=np.array(proposals.labels, dtype=np.str_),
+        ids=proposals.ids,
+        mask_shape=np.array((0, 0, 0) if masks is None else masks.shape),
+        has_masks=np.array(masks is not None),
+        masks=np.zeros(0, np.uint8) if masks is None else np.packbits(masks),
+        has_mask=np.ones(len(proposals), bool) if proposals.has_mask is None else proposals.has_mask,
+        segmented=np.zeros(len(proposals), bool) if proposals.segmented is None else proposals.segmented,
+    )
 
 
 def _load(path: Path) -> Proposals | None:
-    if not path.is_file():
-        return None
     try:
         with np.load(path, allow_pickle=False) as data:
-            shape = tuple(int(n) for n in data["mask_shape"])
-            masks = None
-            if bool(data["has_masks"]):
-                masks = np.unpackbits(data["masks"], count=int(np.prod(shape))).reshape(shape).astype(np.bool_)
             return Proposals(
                 data["boxes"],
                 data["scores"],
                 data["label_index"],
                 tuple(str(s) for s in data["labels"]),
-                masks,
+                _unpacked(data["masks"], data["mask_shape"]) if bool(data["has_masks"]) else None,
                 data["ids"],
                 data["has_mask"],
                 data["segmented"],
             )
-    except Exception:  # Damaged bytes fail in zipfile, zlib, tokenize or NumPy, each with its own class.
+    except Exception:  # A file may be missing; damaged ones fail in zipfile, zlib, tokenize or NumPy, each in its way.
+        return None
+
+
+def _unpacked(bits: np.ndarray, shape: Sequence[int]) -> np.ndarray:
+    shape = tuple(int(n) for n in shape)
+    return np.unpackbits(bits, count=int(np.prod(shape))).reshape(shape).astype(np.bool_)
+
+
+_MASK_VERSION = "1"
+
+
+class CachedSegmenter:
+    """A segmenter that looks into the cache first, for one whose masks do not depend on the other boxes or the labels.
+
+    A damaged or unreadable cache file is a miss, never an error; a folder that
+    cannot be written only means that nothing is kept.
+
+    Parameters
+    ----------
+    segmenter : Segmenter
+    folder : Path, optional
+        Default: the folder of all caches.
+    """
+
+    independent = True
+
+    def __init__(self, segmenter: Segmenter, folder: Path | None = None) -> None:
+        self.segmenter = segmenter
+        self.folder = (folder or cache_folder()) / "masks"
+
+    @property
+    def name(self) -> str:
+        return self.segmenter.name
+
+    def fingerprint(self) -> str:
+        return self.segmenter.fingerprint()
+
+    def segment(self, frame: Frame, boxes: np.ndarray, labels: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+        shape = (frame.height, frame.width)
+        boxes = np.ascontiguousarray(boxes, np.float32)
+        paths = [self.path(frame, box) for box in boxes]
+        known = [_load_mask(path, shape) for path in paths]
+        missing = [i for i, mask in enumerate(known) if mask is None]
+        if missing:
+            made, has_mask = self.segmenter.segment(frame, boxes[missing], [str(labels[i]) for i in missing])
+            for i, mask, has in zip(missing, made, has_mask, strict=True):
+                known[i] = kept = mask & has
+                _store_mask(paths[i], kept)
+        masks = np.array(known, np.bool_).reshape(-1, *shape)
+        return masks, np.asarray(masks.any(axis=(1, 2)))
+
+    def path(self, frame: Frame, box: np.ndarray) -> Path:
+        """Where the mask of a box ((4,) float32) is kept."""
+        parts = [_MASK_VERSION, frame.content_hash, self.fingerprint(), box.tobytes().hex()]
+        key = xxhash.xxh3_128_hexdigest("\x1f".join(parts).encode())
+        return self.folder / key[:2] / f"{key}.npz"
+
+
+def _store_mask(path: Path, mask: np.ndarray) -> None:
+    keep_whole(path, lambda file: np.savez_compressed(file, shape=np.array(mask.shape), bits=np.packbits(mask)))
+
+
+def _load_mask(path: Path, shape: tuple[int, int]) -> np.ndarray | None:
+    try:
+        with np.load(path, allow_pickle=False) as data:
+            return _unpacked(data["bits"], shape) if tuple(data["shape"]) == shape else None
+    except Exception:  # As above.
         return None

@@ -9,7 +9,6 @@ read from a file beside them.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -21,13 +20,13 @@ from pipeline.proposals.class_names import (
     metadata_names,
     names_hash,
     read_class_names,
-    synonyms_hash,
-    wanted_names,
 )
-from pipeline.proposals.detic_contract import CONTRACTS, OPTION, tensors_of
+from pipeline.proposals.contracts import DETIC_CONTRACTS, detic_tensors
+from pipeline.proposals.mismatch import fitting
+from pipeline.proposals.network import NetworkDetector
 from pipeline.proposals.resampling import pillow_resized
 from pipeline.system.errors import InputError
-from pipeline.system.onnx_session import model_hash, open_session, run_session
+from pipeline.system.onnx_session import run_session
 
 VERSION = "1"
 MIN_SCORE = 0.02
@@ -37,7 +36,7 @@ NAME_FILES = ("{stem}.names.txt", "{stem}.txt", "{stem}.names.json", "imagenet_2
 """Where class names are looked for beside the model."""
 
 
-class DeticDetector:
+class DeticDetector(NetworkDetector):
     """Detic with the vocabulary that it was exported with.
 
     Parameters
@@ -56,8 +55,7 @@ class DeticDetector:
     """
 
     name = "detic"
-    exact = False
-    reads_annotations = False
+    default_score = MIN_SCORE
 
     def __init__(
         self,
@@ -65,40 +63,24 @@ class DeticDetector:
         *,
         names: str | Path | None = None,
         synonyms: Synonyms | None = None,
-        min_score: float = MIN_SCORE,
+        min_score: float | None = None,
     ) -> None:
-        self.path, self.synonyms, self.min_score = Path(path), synonyms, min_score
-        self._session = open_session(self.path)
-        found = tensors_of(self._session)
-        if found is None:
-            from pipeline.proposals.mismatch import not_fitting
-
-            raise not_fitting("the ONNX file is not a Detic model", OPTION, self._session, self.path, CONTRACTS)
-        self._input, self._outputs = found
-        self.vocabulary: tuple[str, ...] | None = self._class_names(None if names is None else Path(names))
-        self._last: tuple[str, list[np.ndarray]] | None = None
-
-    def _class_names(self, given: Path | None) -> tuple[str, ...]:
-        if given is not None:
-            return read_class_names(given)
-        inside = metadata_names(self._session)
-        if inside is not None:
-            return inside
-        return read_class_names(find_names(self.path))
-
-    @cached_property
-    def _hash(self) -> str:
-        return model_hash(self.path)
+        super().__init__(path, min_score, synonyms)
+        found = detic_tensors(self._session)
+        self._input, self._outputs = fitting(found, "a Detic model", self._session, self.path, DETIC_CONTRACTS)
+        inside = None if names is not None else metadata_names(self._session)
+        self.vocabulary = inside or read_class_names(find_names(self.path) if names is None else Path(names))
 
     def fingerprint(self) -> str:
-        names = synonyms_hash(self.synonyms)
-        return f"detic:{VERSION}:{self._hash}:{self.min_score}:{names}:{names_hash(self.vocabulary or ())}"
+        return (
+            f"detic:{VERSION}:{self._hash}:{self.min_score}:{self._synonyms_hash}:{names_hash(self.vocabulary or ())}"
+        )
 
     def detect(self, frame: Frame, labels: Sequence[str] | None) -> Proposals:
         """Detections of the classes that the names mean, the better first; `ids` are places in the network's answer."""
         names = self.vocabulary or ()
-        wanted = wanted_names(labels, names, self.synonyms, f"the model {self.path.name}")
-        boxes, scores, classes, masks = self._forward(frame)
+        wanted = self._wanted(labels)
+        boxes, scores, classes, masks = self._once(frame, self._forward)
         place = {name: k for k, name in enumerate(wanted)}
         which = np.array([place.get(names[int(c)], -1) for c in classes], np.int64)
         chosen = np.flatnonzero((which >= 0) & (scores >= self.min_score))
@@ -112,10 +94,7 @@ class DeticDetector:
         return Proposals(boxes[chosen], found, which[chosen], tuple(wanted), pasted[solid], chosen)
 
     def _forward(self, frame: Frame) -> list[np.ndarray]:
-        """Boxes (n, 4) in pixels of the frame, scores (n,), classes (n,), masks (n, 28, 28); run once for a picture."""
-        last = self._last  # Once: another thread may put another picture there.
-        if last is not None and last[0] == frame.content_hash:
-            return last[1]
+        """Boxes (n, 4) in pixels of the frame, scores (n,), classes (n,), masks (n, 28, 28)."""
         free = resized_shape(frame.height, frame.width)
         sides = self._input.shape[2:]
         height, width = (s if isinstance(s, int) else f for s, f in zip(sides, free, strict=True))
@@ -149,9 +128,7 @@ class DeticDetector:
         scale = np.array([frame.width / width, frame.height / height] * 2, np.float32)
         limits = np.array([frame.width, frame.height] * 2, np.float32)
         boxes = np.clip(boxes * scale, 0, limits).astype(np.float32)
-        found = [boxes, scores, classes, masks[:, 0]]
-        self._last = (frame.content_hash, found)
-        return found
+        return [boxes, scores, classes, masks[:, 0]]
 
 
 def find_names(model: Path) -> Path:

@@ -11,9 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import xxhash
@@ -22,6 +20,7 @@ from pipeline.geometry.frame import Frame
 from pipeline.proposals.base import Proposals
 from pipeline.proposals.captions import (
     MAX_TOKENS,
+    TOKENIZER,
     Caption,
     build_captions,
     check_bert,
@@ -29,18 +28,17 @@ from pipeline.proposals.captions import (
     span_scores,
     token_blocks,
 )
-from pipeline.proposals.grounding_dino_contract import CONTRACTS, tensors_of
-from pipeline.proposals.relative_boxes import proposals_of, to_pixels
+from pipeline.proposals.contracts import GROUNDING_DINO_CONTRACTS, grounding_dino_tensors
+from pipeline.proposals.mismatch import fitting
+from pipeline.proposals.network import MAX_PER_NAME, TextDetector, proposals_of, to_pixels
 from pipeline.proposals.resampling import IMAGENET_MEAN, IMAGENET_STD, normalised, pillow_resized, shortest_edge
-from pipeline.proposals.selection import NMS_IOU, class_wise
-from pipeline.proposals.tokenizer_file import TOKENIZER, find_tokenizer, load_tokenizer
+from pipeline.proposals.selection import NMS_IOU
 from pipeline.system.errors import InputError
-from pipeline.system.onnx_session import file_hash, model_hash, open_session, run_session
+from pipeline.system.onnx_session import run_session
 
 TOKENIZERS = (TOKENIZER, "vocab.txt", "*vocab*.txt")
 BOX_THRESHOLD, TEXT_THRESHOLD = 0.15, 0.10
 """Those of the paper."""
-MAX_PER_NAME = 100
 
 
 @dataclass(frozen=True)
@@ -53,7 +51,7 @@ class _Found:
     ids: np.ndarray
 
 
-class GroundingDinoDetector:
+class GroundingDinoDetector(TextDetector):
     """GroundingDINO, asked for any names.
 
     Parameters
@@ -82,36 +80,27 @@ class GroundingDinoDetector:
     """
 
     name = "grounding-dino"
-    vocabulary: tuple[str, ...] | None = None
-    exact = False
-    reads_annotations = False
+    default_score = BOX_THRESHOLD
 
     def __init__(
         self,
         path: str | Path,
         *,
         tokenizer: str | Path | None = None,
-        min_score: float = BOX_THRESHOLD,
+        min_score: float | None = None,
         text_threshold: float = TEXT_THRESHOLD,
         default_labels: Sequence[str] = (),
         nms_iou: float = NMS_IOU,
         k: int = MAX_PER_NAME,
     ) -> None:
-        self.path = Path(path)
-        self.min_score, self.text_threshold = min_score, text_threshold
-        self.default_labels = tuple(default_labels) or None
-        self.nms_iou, self.k = nms_iou, k
-        self._session = open_session(self.path)
-        self._picture, self._outputs = _check_contract(self._session, self.path)
-        self._inputs = {i.name: tuple(i.shape) for i in self._session.get_inputs()}
-        self.tokenizer_path = Path(tokenizer) if tokenizer is not None else find_tokenizer(self.path, TOKENIZERS)
-        self._tokenizer = load_tokenizer(self.tokenizer_path)
+        super().__init__(path, min_score, default_labels, nms_iou, k)
+        self.text_threshold = text_threshold
+        found = grounding_dino_tensors(self._session)
+        self._picture, self._outputs = fitting(
+            found, "a GroundingDINO model", self._session, self.path, GROUNDING_DINO_CONTRACTS
+        )
+        self._tokenizer = self._read_tokenizer(tokenizer, TOKENIZERS)
         check_bert(self._tokenizer, self.tokenizer_path)
-        self._pixels: tuple[str, np.ndarray] | None = None
-
-    @cached_property
-    def _hash(self) -> str:
-        return f"{model_hash(self.path)}:{file_hash(self.tokenizer_path)}"
 
     def fingerprint(self) -> str:
         return f"grounding-dino:{self._hash}:{self.min_score}:{self.text_threshold}:{self.nms_iou}:{self.k}"
@@ -124,19 +113,14 @@ class GroundingDinoDetector:
         InputError
             For a name that cannot be asked for, or where none is and there are no default ones.
         """
-        names = self.default_labels if labels is None else tuple(labels)
-        if names is None:
-            raise InputError(
-                "grounding-dino finds what it is asked for by name", expected="class names", cause="none were given"
-            )
+        names = self._asked(labels) or ()
         found = [self._run(frame, caption) for caption in build_captions(names, self._tokenizer, self._limit)]
         if not found:
-            return proposals_of(np.zeros((0, 4)), np.zeros(0), np.zeros(0), names, np.zeros(0), frame)
+            return proposals_of(np.zeros((0, 4)), np.zeros(0), np.zeros(0), names, np.zeros(0))
         boxes, scores, which, ids = (
             np.concatenate([getattr(f, part) for f in found]) for part in ("boxes", "scores", "names", "ids")
         )
-        kept = class_wise(boxes, scores, which, self.k, nms_iou=self.nms_iou)
-        return proposals_of(boxes[kept], scores[kept], which[kept], names, ids[kept], frame)
+        return self._chosen(boxes, scores, which, names, ids)
 
     def detect_expression(self, frame: Frame, text: str) -> Proposals:
         """Detections of a whole sentence, as one phrase: the referring baseline."""
@@ -174,7 +158,7 @@ class GroundingDinoDetector:
         ids = np.zeros(size if isinstance(size, int) else tokens, np.int64)
         ids[:tokens] = caption.ids
         mask, positions = token_blocks(ids)
-        pixels = self._tensor(frame)
+        pixels = self._once(frame, self._tensor)
         values = {
             self._picture: pixels,
             "input_ids": ids[None],
@@ -187,22 +171,7 @@ class GroundingDinoDetector:
         return {name: values[name] for name in self._inputs}
 
     def _tensor(self, frame: Frame) -> np.ndarray:
-        """The picture is resized once, however many captions are asked of it."""
-        kept = self._pixels  # Once: another thread may put another picture there.
-        if kept is None or kept[0] != frame.content_hash:
-            free = shortest_edge(frame.height, frame.width)
-            declared = self._inputs[self._picture][2:]
-            height, width = (d if isinstance(d, int) else f for d, f in zip(declared, free, strict=True))
-            image = pillow_resized(frame.rgb, height, width)
-            self._pixels = kept = frame.content_hash, normalised(image, IMAGENET_MEAN, IMAGENET_STD)
-        return kept[1]
-
-
-def _check_contract(session: Any, path: Path) -> tuple[str, list[str]]:
-    found = tensors_of(session)
-    if found is None:
-        from pipeline.proposals.mismatch import not_fitting
-
-        what, option = "the ONNX file is not a GroundingDINO model", CONTRACTS[0].option
-        raise not_fitting(what, option, session, path, CONTRACTS)
-    return found
+        free = shortest_edge(frame.height, frame.width)
+        declared = self._inputs[self._picture][2:]
+        height, width = (d if isinstance(d, int) else f for d, f in zip(declared, free, strict=True))
+        return normalised(pillow_resized(frame.rgb, height, width), IMAGENET_MEAN, IMAGENET_STD)

@@ -5,27 +5,39 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
-from pipeline.proposals import (
-    detic_contract,
-    efficientsam_contract,
-    grounding_dino_contract,
-    owl_contract,
-    sam2_contract,
-    sam_contract,
-    yolo_seg_contract,
+from pipeline.proposals.contracts import (
+    _EMBEDDINGS,
+    DETIC_CONTRACTS,
+    EFFICIENTSAM_CONTRACTS,
+    EFFICIENTSAM_OPTION,
+    GROUNDING_DINO_CONTRACTS,
+    OWL_CONTRACTS,
+    SAM2_CONTRACTS,
+    SAM_CONTRACTS,
+    SAM_OPTION,
+    SIDES,
+    YOLO_SEG_CONTRACTS,
+    Contract,
+    TensorSpec,
+    declared,
+    detic_tensors,
+    follows,
+    grounding_dino_tensors,
+    owl_tensors,
+    yolo_seg_tensors,
 )
-from pipeline.proposals.contracts import Contract, TensorSpec, declared, follows
 from pipeline.system.errors import InputError
 from pipeline.system.onnx_session import metadata
 
 BOXES = "--detector boxes"
+Found = TypeVar("Found")
 DETECTORS: tuple[Contract, ...] = (
-    *grounding_dino_contract.CONTRACTS,
-    *owl_contract.CONTRACTS,
-    *yolo_seg_contract.CONTRACTS,
-    *detic_contract.CONTRACTS,
+    *GROUNDING_DINO_CONTRACTS,
+    *OWL_CONTRACTS,
+    *YOLO_SEG_CONTRACTS,
+    *DETIC_CONTRACTS,
 )
 """Of every detector whose files need no description."""
 
@@ -67,19 +79,20 @@ def recognise(session: Any) -> FileKind | None:
     return _detector(session) or _relatives(session)
 
 
+_KINDS = (
+    (grounding_dino_tensors, FileKind("GroundingDINO", ("--detector grounding-dino",))),
+    (yolo_seg_tensors, FileKind("a YOLO export with masks", ("--detector yolo-seg", "--segmenter yolo-seg"))),
+    (detic_tensors, FileKind("Detic", ("--detector detic",))),
+)
+
+
 def _detector(session: Any) -> FileKind | None:
-    if owl_contract.tensors_of(session) is not None and grounding_dino_contract.tensors_of(session) is None:
-        sides = next(i.shape[2:] for i in session.get_inputs() if i.name == "pixel_values")
-        names = tuple(n for n, side in owl_contract.SIDES.items() if side == sides[0]) or ("owlv2", "owlvit")
-        what = {"owlv2": "OWLv2", "owlvit": "OWL-ViT"}
-        return FileKind(" or ".join(what[n] for n in names), tuple(f"--detector {n}" for n in names))
-    if grounding_dino_contract.tensors_of(session) is not None:
-        return FileKind("GroundingDINO", ("--detector grounding-dino",))
-    if yolo_seg_contract.tensors_of(session) is not None:
-        return FileKind("a YOLO export with masks", ("--detector yolo-seg", "--segmenter yolo-seg"))
-    if detic_contract.tensors_of(session) is not None:
-        return FileKind("Detic", ("--detector detic",))
-    return None
+    if owl_tensors(session) is None or grounding_dino_tensors(session) is not None:
+        return next((kind for tensors, kind in _KINDS if tensors(session) is not None), None)
+    sides = next(i.shape[2:] for i in session.get_inputs() if i.name == "pixel_values")
+    names = tuple(n for n, side in SIDES.items() if side == sides[0]) or ("owlv2", "owlvit")
+    what = {"owlv2": "OWLv2", "owlvit": "OWL-ViT"}
+    return FileKind(" or ".join(what[n] for n in names), tuple(f"--detector {n}" for n in names))
 
 
 def _relatives(session: Any) -> FileKind | None:
@@ -143,28 +156,36 @@ def shapes(specs: Sequence[TensorSpec]) -> str:
     return ", ".join(f"{s.name} [{', '.join(str(d) for d in s.shape)}]" for s in specs)
 
 
-def not_fitting(what: str, option: str, session: Any, path: Path, contracts: Sequence[Contract]) -> InputError:
-    """The error for a file that was given to the wrong option.
+def fitting(found: Found | None, what: str, session: Any, path: Path, contracts: Sequence[Contract]) -> Found:
+    """What an adapter found in a file, where that is anything.
 
     Parameters
     ----------
+    found : any
+        The names of its tensors, or None.
     what : str
-        "the ONNX file is not a GroundingDINO model".
-    option : str
+        "a GroundingDINO model".
     session : onnxruntime.InferenceSession
     path : Path
     contracts : sequence of Contract
         Those that the option reads.
+
+    Raises
+    ------
+    InputError
+        Nothing: the file was given to the wrong option.
     """
+    if found is not None:
+        return found
     wanted, given = [c.inputs for c in contracts], declared(session.get_inputs())
     if any(_alike(inputs, given) for inputs in wanted):
         # The inputs say nothing: it is the outputs that are others.
         wanted, given = [c.outputs for c in contracts], declared(session.get_outputs())
-    return InputError(
-        what,
+    raise InputError(
+        f"the ONNX file is not {what}",
         got=shapes(given)[:300],
         expected=" or ".join(dict.fromkeys(shapes(w) for w in wanted)),
-        cause=explain_mismatch(session, option),
+        cause=explain_mismatch(session, contracts[0].option),
         path=path,
     )
 
@@ -173,20 +194,19 @@ def _alike(wanted: Sequence[TensorSpec], given: Sequence[TensorSpec]) -> bool:
     return len(wanted) == len(given) and all(len(a.shape) == len(b.shape) for a, b in zip(wanted, given, strict=True))
 
 
-SEGMENTERS: tuple[Contract, ...] = sam_contract.CONTRACTS + sam2_contract.CONTRACTS + efficientsam_contract.CONTRACTS
+SEGMENTERS: tuple[Contract, ...] = SAM_CONTRACTS + SAM2_CONTRACTS + EFFICIENTSAM_CONTRACTS
 """Of every segmenter that takes an encoder and a decoder."""
 _NO_BOX = "the export of SAM 1 for transformers.js, whose decoder takes no box"
-_EMBEDDINGS = TensorSpec("image_embeddings", "float32", ("batch", 256, 64, 64))
 _POSITIONS = TensorSpec("image_positional_embeddings", "float32", ("batch", 256, 64, 64))
 REFUSED: tuple[Contract, ...] = (
     Contract(
-        sam_contract.OPTION,
+        SAM_OPTION,
         _NO_BOX,
         (TensorSpec("pixel_values", "float32", ("batch", 3, "side", "side")),),
         (_EMBEDDINGS, _POSITIONS),
     ),
     Contract(
-        sam_contract.OPTION,
+        SAM_OPTION,
         _NO_BOX,
         (
             _EMBEDDINGS,
@@ -200,7 +220,7 @@ REFUSED: tuple[Contract, ...] = (
         ),
     ),
     Contract(
-        efficientsam_contract.OPTION,
+        EFFICIENTSAM_OPTION,
         "an EfficientSAM in one file, which would be run whole for each box",
         (
             TensorSpec("batched_images", "float32", ("batch", 3, "height", "width")),
@@ -212,7 +232,7 @@ REFUSED: tuple[Contract, ...] = (
 )
 """Files that look right and cannot be used; `what` says why."""
 INSTEAD = {
-    sam_contract.OPTION: "MobileSAM's or the official exporter's files do",
-    efficientsam_contract.OPTION: "take the split export",
+    SAM_OPTION: "MobileSAM's or the official exporter's files do",
+    EFFICIENTSAM_OPTION: "take the split export",
 }
 """What to do in place of those."""

@@ -2,81 +2,119 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from pipeline.proposals.contracts import Contract, TensorSpec, _fits, declared, follows
+from pipeline.proposals.contracts import Contract, _fits, by_name, follows
+from pipeline.proposals.mismatch import explain_mismatch, shapes
+from pipeline.proposals.prompted import stretched
 from pipeline.system.errors import InputError
 from pipeline.system.onnx_session import as_declared, model_hash, open_session, signature
 
 
-@dataclass(frozen=True, eq=False)
-class ModelPair:
+class PairModel:
     """Two sessions that belong together.
+
+    Parameters
+    ----------
+    paths : sequence of Path
+        The encoder, then the decoder.
 
     Attributes
     ----------
+    encoders, decoders : sequence of Contract
+        Those that will do.
     encoder_path, decoder_path : Path
-    encoder_session, decoder_session : onnxruntime.InferenceSession
-    encoder, decoder : Contract
-        The one that each file follows.
+    encoder_input : TensorSpec
+        The picture, as the encoder declares it.
+    decoder_inputs, decoder_outputs : dict of str to TensorSpec
+        As the decoder declares them, by name.
+    features : dict of str to str
+        Which input of the decoder each output of the encoder goes to.
+
+    Raises
+    ------
+    InputError
+        There are not two files, one is of another kind, they are the wrong way
+        round, or they do not fit each other.
     """
 
-    encoder_path: Path
-    decoder_path: Path
-    encoder_session: Any
-    decoder_session: Any
-    encoder: Contract
-    decoder: Contract
+    name: str
+    version = "1"
+    encoders: Sequence[Contract]
+    decoders: Sequence[Contract]
+
+    def __init__(self, paths: Sequence[Path]) -> None:
+        option = self.encoders[0].option
+        if len(paths) != 2:
+            raise InputError(
+                f"{option} needs two model files",
+                got=" ".join(str(p) for p in paths) or None,
+                expected="--segmenter-model ENCODER.onnx DECODER.onnx",
+            )
+        self.encoder_path, self.decoder_path = paths
+        self._encoder, self._decoder = open_session(self.encoder_path), open_session(self.decoder_path)
+        encoder, decoder = _follows(self._encoder, self.encoders), _follows(self._decoder, self.decoders)
+        turned = _follows(self._encoder, self.decoders), _follows(self._decoder, self.encoders)
+        if encoder is None and decoder is None and all(turned):
+            raise InputError(
+                "encoder and decoder are the wrong way round",
+                got=f"{paths[0].name} is the decoder, {paths[1].name} the encoder",
+                expected=f"--segmenter-model {paths[1].name} {paths[0].name}",
+            )
+        if encoder is None:
+            raise _not_fitting(option, "encoder", self._encoder, paths[0], self.encoders, turned[0])
+        if decoder is None:
+            raise _not_fitting(option, "decoder", self._decoder, paths[1], self.decoders, turned[1])
+        (self.encoder_input,) = by_name(self._encoder.get_inputs()).values()
+        self.decoder_inputs, self.decoder_outputs = (
+            by_name(values) for values in (self._decoder.get_inputs(), self._decoder.get_outputs())
+        )
+        given, wanted = by_name(self._encoder.get_outputs()), [s.name for s in encoder.outputs]
+        # The only output of an encoder may bear any name.
+        one = len(wanted) == len(given) == 1
+        self.features = {next(iter(given)): wanted[0]} if one else {n: n for n in wanted}
+        for source, target in self.features.items():
+            spec = self.decoder_inputs.get(target)
+            # As far as both declare them.
+            if spec is None or not _fits(given[source], spec):
+                raise InputError(
+                    "encoder and decoder do not belong together",
+                    got=f"the encoder {self.encoder_path.name} gives {given[source].name} {list(given[source].shape)}",
+                    expected=shapes((spec,)) if spec else ", ".join(self.decoder_inputs),
+                    cause="are they of the same export?",
+                    path=self.decoder_path,
+                )
 
     @cached_property
-    def content_hash(self) -> str:
-        """Of both files, with weights that are in files of their own."""
+    def _hash(self) -> str:
         return f"{model_hash(self.encoder_path)}:{model_hash(self.decoder_path)}"
 
-    @cached_property
-    def encoder_inputs(self) -> dict[str, TensorSpec]:
-        """As the encoder declares them, by name."""
-        return {s.name: s for s in declared(self.encoder_session.get_inputs())}
+    def fingerprint(self) -> str:
+        """Content of both files, with weights that are in files of their own, and the version of the code here."""
+        return f"{self.name}:{self.version}:{self._hash}"
 
-    @cached_property
-    def decoder_inputs(self) -> dict[str, TensorSpec]:
-        """As the decoder declares them, by name."""
-        return {s.name: s for s in declared(self.decoder_session.get_inputs())}
+    def boxes_at_once(self, height: int, width: int) -> int:
+        """How many boxes the decoder may take in a run, by what it declares."""
+        return 1
 
-    @cached_property
-    def features(self) -> dict[str, str]:
-        """Which input of the decoder each output of the encoder goes to."""
-        outputs = [o.name for o in self.encoder_session.get_outputs()]
-        wanted = [s.name for s in self.encoder.outputs]
-        # The only output of an encoder may bear any name.
-        return {outputs[0]: wanted[0]} if len(wanted) == len(outputs) == 1 else {n: n for n in wanted}
+    def to_picture(self, logits: np.ndarray, height: int, width: int) -> np.ndarray:
+        """(height, width) float32 mask logits of one box ((h, w) float32)."""
+        return logits if logits.shape == (height, width) else stretched(logits, height, width)
 
-    def encode(self, image: np.ndarray) -> dict[str, np.ndarray]:
-        """Features of a picture, by the decoder's names for them.
-
-        Parameters
-        ----------
-        image : ndarray
-            As the encoder's contract says.
-        """
-        (spec,) = self.encoder_inputs.values()
-        values = run(self.encoder_session, list(self.features), {spec.name: image}, self.encoder_path)
+    def _encoded(self, image: np.ndarray) -> dict[str, np.ndarray]:
+        """Features of a picture, as the encoder's contract says it, by the decoder's names for them."""
+        values = run(self._encoder, list(self.features), {self.encoder_input.name: image}, self.encoder_path)
         return dict(zip(self.features.values(), values, strict=True))
 
-    def decode(self, feed: dict[str, np.ndarray], outputs: Sequence[str]) -> list[np.ndarray]:
+    def _decoded(self, feed: dict[str, np.ndarray], outputs: Sequence[str]) -> list[np.ndarray]:
         """The decoder's outputs as float32."""
         feed = {n: feed[n] for n in self.decoder_inputs}
-        return [o.astype(np.float32, copy=False) for o in run(self.decoder_session, outputs, feed, self.decoder_path)]
-
-    def decoder_outputs(self) -> dict[str, TensorSpec]:
-        """As the decoder declares them, by name."""
-        return {s.name: s for s in declared(self.decoder_session.get_outputs())}
+        return [o.astype(np.float32, copy=False) for o in run(self._decoder, outputs, feed, self.decoder_path)]
 
 
 def run(session: Any, outputs: Sequence[str], feed: dict[str, np.ndarray], path: Path) -> list[np.ndarray]:
@@ -92,95 +130,23 @@ def run(session: Any, outputs: Sequence[str], feed: dict[str, np.ndarray], path:
         return session.run(list(outputs), feed)
     except Exception as error:  # ONNX Runtime raises its own classes, which differ between releases.
         first = str(error).splitlines()[0] if str(error) else type(error).__name__
-        shapes = ", ".join(f"{n} {list(v.shape)}" for n, v in feed.items())
-        raise InputError("the model cannot be run", got=f"{first[:160]} for {shapes}", path=path) from error
+        given = ", ".join(f"{n} {list(v.shape)}" for n, v in feed.items())
+        raise InputError("the model cannot be run", got=f"{first[:160]} for {given}", path=path) from error
 
 
-def open_pair(
-    option: str, paths: Sequence[Path], encoders: Sequence[Contract], decoders: Sequence[Contract]
-) -> ModelPair:
-    """Open an encoder and a decoder.
-
-    Parameters
-    ----------
-    option : str
-        For messages, such as "--segmenter sam".
-    paths : sequence of Path
-        The encoder, then the decoder.
-    encoders, decoders : sequence of Contract
-        Those that will do.
-
-    Raises
-    ------
-    InputError
-        There are not two files, one is of another kind, they are the wrong way
-        round, or they do not fit each other.
-    """
-    if len(paths) != 2:
-        raise InputError(
-            f"{option} needs two model files",
-            got=" ".join(str(p) for p in paths) or None,
-            expected="--segmenter-model ENCODER.onnx DECODER.onnx",
-        )
-    sessions = [open_session(p) for p in paths]
-    kinds = [
-        next((c for c in wanted if follows(session, c)), None)
-        for session, wanted in zip(sessions, (encoders, decoders), strict=True)
-    ]
-    encoder, decoder = kinds
-    if encoder is None and decoder is None and _any(sessions[0], decoders) and _any(sessions[1], encoders):
-        raise InputError(
-            "encoder and decoder are the wrong way round",
-            got=f"{paths[0].name} is the decoder, {paths[1].name} the encoder",
-            expected=f"--segmenter-model {paths[1].name} {paths[0].name}",
-        )
-    if encoder is None:
-        raise _not_fitting(option, "encoder", sessions[0], paths[0], encoders, decoders)
-    if decoder is None:
-        raise _not_fitting(option, "decoder", sessions[1], paths[1], decoders, encoders)
-    pair = ModelPair(paths[0], paths[1], sessions[0], sessions[1], encoder, decoder)
-    _check_features(pair)
-    return pair
-
-
-def _any(session: Any, contracts: Sequence[Contract]) -> bool:
-    return any(follows(session, c) for c in contracts)
-
-
-def _check_features(pair: ModelPair) -> None:
-    """Raise where the decoder wants other features than the encoder gives, as far as both declare them."""
-    outputs = {s.name: s for s in declared(pair.encoder_session.get_outputs())}
-    for source, target in pair.features.items():
-        given, wanted = outputs[source], pair.decoder_inputs.get(target)
-        if wanted is None or not _fits(given, wanted):
-            raise InputError(
-                "encoder and decoder do not belong together",
-                got=f"the encoder {pair.encoder_path.name} gives {given.name} {list(given.shape)}",
-                expected=_shapes((wanted,)) if wanted else ", ".join(pair.decoder_inputs),
-                cause="are they of the same export?",
-                path=pair.decoder_path,
-            )
-
-
-def _shapes(specs: Iterable[TensorSpec]) -> str:
-    return ", ".join(f"{s.name} [{', '.join(str(d) for d in s.shape)}]" for s in specs)
+def _follows(session: Any, contracts: Sequence[Contract]) -> Contract | None:
+    return next((c for c in contracts if follows(session, c)), None)
 
 
 def _not_fitting(
-    option: str, role: str, session: Any, path: Path, wanted: Sequence[Contract], other: Sequence[Contract]
+    option: str, role: str, session: Any, path: Path, wanted: Sequence[Contract], other: Contract | None
 ) -> InputError:
     """The error for a file of another kind; it says which kind that is, where it is known."""
-    from pipeline.proposals.mismatch import explain_mismatch
-
-    if _any(session, other):
-        found = "decoder" if role == "encoder" else "encoder"
-        cause = f"this is {'an' if found == 'encoder' else 'a'} {found}: the other file is missing"
-    else:
-        cause = explain_mismatch(session, option)
+    found = "a decoder" if role == "encoder" else "an encoder"
     return InputError(
         f"the ONNX file is not the {role} that {option} reads",
         got=signature(session)[:240],
-        expected=" or ".join(dict.fromkeys(_shapes(c.inputs) for c in wanted)),
-        cause=cause,
+        expected=" or ".join(dict.fromkeys(shapes(c.inputs) for c in wanted)),
+        cause=explain_mismatch(session, option) if other is None else f"this is {found}: the other file is missing",
         path=path,
     )

@@ -8,7 +8,6 @@ longer side, on both axes.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +16,13 @@ import numpy as np
 from pipeline.geometry.frame import Frame
 from pipeline.proposals.base import Proposals
 from pipeline.proposals.captions import plain_name, sigmoid
-from pipeline.proposals.owl_contract import CONTRACTS, SIDES, TOKENS, Kind, tensors_of
-from pipeline.proposals.relative_boxes import proposals_of, to_pixels
+from pipeline.proposals.contracts import OWL_CONTRACTS, SIDES, TOKENS, Kind, owl_tensors
+from pipeline.proposals.mismatch import fitting
+from pipeline.proposals.network import MAX_PER_NAME, TextDetector, inside, proposals_of, to_pixels
 from pipeline.proposals.resampling import CLIP_MEAN, CLIP_STD, normalised, padded_square, pillow_resized
-from pipeline.proposals.selection import NMS_IOU, class_wise
-from pipeline.proposals.tokenizer_file import find_tokenizer, load_tokenizer
+from pipeline.proposals.selection import NMS_IOU
 from pipeline.system.errors import InputError
-from pipeline.system.onnx_session import file_hash, model_hash, open_session, run_session
+from pipeline.system.onnx_session import run_session
 
 BEGIN, END = "<|startoftext|>", "<|endoftext|>"
 PAD = 0
@@ -32,10 +31,9 @@ MAX_QUERIES = 256
 PROMPT = "a photo of a {}"
 MIN_SCORE = 0.1
 """That of the reference code."""
-MAX_PER_NAME = 100
 
 
-class OwlDetector:
+class OwlDetector(TextDetector):
     """OWLv2 or OWL-ViT, asked for any names.
 
     Parameters
@@ -67,9 +65,7 @@ class OwlDetector:
         Where the library `tokenizers` is not installed.
     """
 
-    vocabulary: tuple[str, ...] | None = None
-    exact = False
-    reads_annotations = False
+    default_score = MIN_SCORE
 
     def __init__(
         self,
@@ -77,28 +73,18 @@ class OwlDetector:
         kind: Kind = "owlv2",
         *,
         tokenizer: str | Path | None = None,
-        min_score: float = MIN_SCORE,
+        min_score: float | None = None,
         default_labels: Sequence[str] = (),
         prompt: str = PROMPT,
         fill: float = 0.0,
         nms_iou: float = NMS_IOU,
         k: int = MAX_PER_NAME,
     ) -> None:
-        self.path, self.name = Path(path), kind
-        self.min_score, self.prompt, self.fill = min_score, prompt, fill
-        self.default_labels = tuple(default_labels) or None
-        self.nms_iou, self.k = nms_iou, k
-        self._session = open_session(self.path)
+        super().__init__(path, min_score, default_labels, nms_iou, k)
+        self.name, self.prompt, self.fill = kind, prompt, fill
         self._outputs = _check_contract(self._session, kind, self.path)
-        self._inputs = {i.name: tuple(i.shape) for i in self._session.get_inputs()}
-        self.tokenizer_path = Path(tokenizer) if tokenizer is not None else find_tokenizer(self.path)
-        self._tokenizer = load_tokenizer(self.tokenizer_path)
+        self._tokenizer = self._read_tokenizer(tokenizer)
         self._begin, self._end = _marks(self._tokenizer, self.tokenizer_path)
-        self._pixels: tuple[str, np.ndarray] | None = None
-
-    @cached_property
-    def _hash(self) -> str:
-        return f"{model_hash(self.path)}:{file_hash(self.tokenizer_path)}"
 
     def fingerprint(self) -> str:
         return f"{self.name}:{self._hash}:{self.min_score}:{self.prompt}:{self.fill}:{self.nms_iou}:{self.k}"
@@ -111,34 +97,30 @@ class OwlDetector:
         InputError
             For a name that is too long, or where none is asked for and there are no default ones.
         """
-        names = self.default_labels if labels is None else tuple(labels)
-        if names is None and "objectness_logits" not in self._outputs:
-            raise InputError(
-                f"{self.name} finds what it is asked for by name", expected="class names", cause="none were given"
-            )
+        names = self._asked(labels, also_none="objectness_logits" in self._outputs)
         if names is None:
             return self._objects(frame)
         plain = [plain_name(n) for n in names]
-        return self._asked(frame, names, [self.prompt.format(p) if p else "" for p in plain])
+        return self._found(frame, names, [self.prompt.format(p) if p else "" for p in plain])
 
     def detect_expression(self, frame: Frame, text: str) -> Proposals:
         """Detections of a whole sentence, which is asked as it is: the referring baseline."""
-        return self._asked(frame, (text,), [text.strip().lower()])
+        return self._found(frame, (text,), [text.strip().lower()])
 
-    def _asked(self, frame: Frame, names: tuple[str, ...], prompts: list[str]) -> Proposals:
+    def _found(self, frame: Frame, names: tuple[str, ...], prompts: list[str]) -> Proposals:
         if not names:
-            return proposals_of(np.zeros((0, 4)), np.zeros(0), np.zeros(0), names, np.zeros(0), frame)
+            return proposals_of(np.zeros((0, 4)), np.zeros(0), np.zeros(0), names, np.zeros(0))
         rows = np.stack([self._tokens(n, p) for n, p in zip(names, prompts, strict=True)])
         logits, relative = self._run(frame, rows)
         scores = sigmoid(logits.max(axis=1))
-        return self._chosen(frame, relative, scores, logits.argmax(axis=1), names)
+        return self._of_patches(frame, relative, scores, logits.argmax(axis=1), names)
 
     def _objects(self, frame: Frame) -> Proposals:
         _, relative, objectness = self._run_once(frame, self._tokens("object", self.prompt.format("object"))[None])
         scores = sigmoid(objectness[0])
-        return self._chosen(frame, relative[0], scores, np.zeros(len(scores), np.int64), ("object",))
+        return self._of_patches(frame, relative[0], scores, np.zeros(len(scores), np.int64), ("object",))
 
-    def _chosen(
+    def _of_patches(
         self, frame: Frame, relative: np.ndarray, scores: np.ndarray, names: np.ndarray, labels: tuple[str, ...]
     ) -> Proposals:
         patches = np.flatnonzero(scores > self.min_score)
@@ -146,11 +128,10 @@ class OwlDetector:
         width, height = (longer, longer) if self.name == "owlv2" else (frame.width, frame.height)
         boxes = to_pixels(relative[patches], width, height, frame)
         # A box in the padding is no rival of one in the picture.
-        inside = (boxes[:, 2] > boxes[:, 0]) & (boxes[:, 3] > boxes[:, 1])
-        patches, boxes = patches[inside], boxes[inside]
-        kept = class_wise(boxes, scores[patches], names[patches], self.k, nms_iou=self.nms_iou)
-        patches = patches[kept]
-        return proposals_of(boxes[kept], scores[patches], names[patches], labels, patches, frame)
+        # A box in the padding is no rival of one in the picture.
+        seen = inside(boxes)
+        patches = patches[seen]
+        return self._chosen(boxes[seen], scores[patches], names[patches], labels, patches)
 
     def _run(self, frame: Frame, rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Logits (Q, L) of all rows (L, S) of tokens, a batch after another, and boxes (Q, 4)."""
@@ -171,7 +152,7 @@ class OwlDetector:
         ends = rows.argmax(axis=1)
         feed = {
             "input_ids": rows,
-            "pixel_values": self._tensor(frame),
+            "pixel_values": self._once(frame, self._tensor),
             "attention_mask": np.arange(rows.shape[1])[None, :] <= ends[:, None],
         }
         outputs = run_session(self._session, self._outputs, {n: feed[n] for n in self._inputs}, self.path)
@@ -201,16 +182,12 @@ class OwlDetector:
         return np.array(ids + [PAD] * (size - len(ids)), np.int64)
 
     def _tensor(self, frame: Frame) -> np.ndarray:
-        """The picture is resized once, however many names are asked for in turn."""
-        kept = self._pixels  # Once: another thread may put another picture there.
-        if kept is None or kept[0] != frame.content_hash:
-            sides = [s if isinstance(s, int) else SIDES[self.name] for s in self._inputs["pixel_values"][2:]]
-            if self.name == "owlv2":
-                image = padded_square(frame.rgb, sides[0], self.fill)
-            else:
-                image = pillow_resized(frame.rgb, sides[0], sides[1], cubic=True)
-            self._pixels = kept = frame.content_hash, normalised(image, CLIP_MEAN, CLIP_STD)
-        return kept[1]
+        sides = [s if isinstance(s, int) else SIDES[self.name] for s in self._inputs["pixel_values"][2:]]
+        if self.name == "owlv2":
+            image = padded_square(frame.rgb, sides[0], self.fill)
+        else:
+            image = pillow_resized(frame.rgb, sides[0], sides[1], cubic=True)
+        return normalised(image, CLIP_MEAN, CLIP_STD)
 
 
 def _marks(tokenizer: Any, path: Path) -> tuple[int, int]:
@@ -227,7 +204,7 @@ def _marks(tokenizer: Any, path: Path) -> tuple[int, int]:
 
 
 def _check_contract(session: Any, kind: Kind, path: Path) -> list[str]:
-    found = tensors_of(session)
+    found = owl_tensors(session)
     sides = {side for i in session.get_inputs() if i.name == "pixel_values" for side in i.shape[2:]}
     other = next((k for k, side in SIDES.items() if k != kind and side in sides), None)
     if found is not None and other is not None:
@@ -239,9 +216,5 @@ def _check_contract(session: Any, kind: Kind, path: Path) -> list[str]:
             cause=f"this is {other}'s: use --detector {other}",
             path=path,
         )
-    if found is None:
-        from pipeline.proposals.mismatch import not_fitting
-
-        own = [c for c in CONTRACTS if c.option.endswith(kind)]
-        raise not_fitting(f"the ONNX file is not an {kind} model", own[0].option, session, path, own)
-    return found
+    own = [c for c in OWL_CONTRACTS if c.option.endswith(kind)]
+    return fitting(found, f"an {kind} model", session, path, own)

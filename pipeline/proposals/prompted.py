@@ -11,6 +11,7 @@ import cv2
 import numpy as np
 
 from pipeline.geometry.frame import Frame
+from pipeline.proposals.resampling import pillow_resized
 from pipeline.system.errors import InputError
 
 _KEPT = 4
@@ -151,15 +152,8 @@ class PromptedSegmenter:
 
 
 def resampled(rgb: np.ndarray, height: int, width: int) -> np.ndarray:
-    """(height, width, 3) uint8: the picture as Pillow scales it, which the networks were trained with.
-
-    Its bilinear filter widens as the picture shrinks; OpenCV's does not.
-    """
-    from PIL import Image
-
-    if rgb.shape[:2] == (height, width):
-        return rgb
-    return np.asarray(Image.fromarray(rgb).resize((width, height), Image.Resampling.BILINEAR))
+    """(height, width, 3) uint8: the picture as Pillow scales it, which the networks were trained with."""
+    return rgb if rgb.shape[:2] == (height, width) else pillow_resized(rgb, height, width)
 
 
 def stretched(logits: np.ndarray, height: int, width: int) -> np.ndarray:

@@ -20,8 +20,7 @@ from pydantic import BaseModel, Field, FiniteFloat, ValidationError
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.masks import RunLength, decode_run_length, fill_polygons
 from pipeline.language.naming import Synonyms
-from pipeline.proposals.assignment import Segments, segment_from
-from pipeline.proposals.detector_masks import DetectorSegmenter
+from pipeline.proposals.detector_masks import DetectorSegmenter, Segments, segment_from
 from pipeline.proposals.recorded import RecordedDetector
 from pipeline.proposals.segmenter import Segmenter
 from pipeline.system.errors import FrameUnusable, InputError

@@ -1,18 +1,26 @@
-"""Detectors by name. Others add theirs through the entry point group `spatialviz.detectors`."""
+"""Detectors by name, and what one is made from, so that another process makes the same one.
+
+Others add theirs through the entry point group `spatialviz.detectors`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Literal
+from typing import Literal, TypeVar
 
 from pipeline.language.naming import Synonyms, suggest
 from pipeline.proposals.annotations import AnnotationDetector
 from pipeline.proposals.base import Detector
-from pipeline.proposals.cache import CachedDetector
+from pipeline.proposals.cache import CachedDetector, CachedSegmenter
+from pipeline.proposals.depth_segmenter import DepthSegmenter
+from pipeline.proposals.detector_masks import DetectorSegmenter
+from pipeline.proposals.ensemble import fused_detector
 from pipeline.proposals.recorded import RecordedDetector
+from pipeline.proposals.segmenter import Segmented, Segmenter
 from pipeline.system.errors import InputError
+from pipeline.system.model_files import resolve_model
 from pipeline.system.plugins import load_plugins
 
 
@@ -50,19 +58,21 @@ def _recorded(request: DetectorRequest) -> Detector:
 
 
 def _yolo_seg(request: DetectorRequest) -> Detector:
-    from pipeline.proposals.yolo_seg import MIN_SCORE, YoloSegDetector
+    from pipeline.proposals.yolo_seg import YoloSegDetector
 
     path = _network(request, "yolo-seg", "an ONNX file")
-    min_score = MIN_SCORE if request.min_score is None else request.min_score
-    return CachedDetector(YoloSegDetector(path, names=request.config, synonyms=request.synonyms, min_score=min_score))
+    return CachedDetector(
+        YoloSegDetector(path, names=request.config, synonyms=request.synonyms, min_score=request.min_score)
+    )
 
 
 def _detic(request: DetectorRequest) -> Detector:
-    from pipeline.proposals.detic import MIN_SCORE, DeticDetector
+    from pipeline.proposals.detic import DeticDetector
 
     path = _network(request, "detic", "an ONNX file with its class names beside it")
-    min_score = MIN_SCORE if request.min_score is None else request.min_score
-    return CachedDetector(DeticDetector(path, names=request.config, synonyms=request.synonyms, min_score=min_score))
+    return CachedDetector(
+        DeticDetector(path, names=request.config, synonyms=request.synonyms, min_score=request.min_score)
+    )
 
 
 def _boxes(request: DetectorRequest) -> Detector:
@@ -75,20 +85,18 @@ def _boxes(request: DetectorRequest) -> Detector:
 
 
 def _grounding_dino(request: DetectorRequest) -> Detector:
-    from pipeline.proposals.grounding_dino import BOX_THRESHOLD, GroundingDinoDetector
+    from pipeline.proposals.grounding_dino import GroundingDinoDetector
 
     path = _network(request, "grounding-dino", "an ONNX file with its tokenizer beside it")
-    min_score = BOX_THRESHOLD if request.min_score is None else request.min_score
-    return CachedDetector(GroundingDinoDetector(path, min_score=min_score, default_labels=request.class_names))
+    return CachedDetector(GroundingDinoDetector(path, min_score=request.min_score, default_labels=request.class_names))
 
 
 def _owl(kind: Literal["owlv2", "owlvit"]) -> Callable[[DetectorRequest], Detector]:
     def make(request: DetectorRequest) -> Detector:
-        from pipeline.proposals.owl import MIN_SCORE, OwlDetector
+        from pipeline.proposals.owl import OwlDetector
 
         path = _network(request, kind, "an ONNX file with its tokenizer.json beside it")
-        min_score = MIN_SCORE if request.min_score is None else request.min_score
-        return CachedDetector(OwlDetector(path, kind, min_score=min_score, default_labels=request.class_names))
+        return CachedDetector(OwlDetector(path, kind, min_score=request.min_score, default_labels=request.class_names))
 
     return make
 
@@ -112,8 +120,6 @@ def _needed(request: DetectorRequest, name: str, what: str) -> Path:
 
 def _network(request: DetectorRequest, name: str, what: str) -> Path:
     """The model's file, fetched where it is named by its id on the model hub."""
-    from pipeline.system.model_files import resolve_model
-
     return resolve_model(_needed(request, name, f"{what}, or its id on the model hub"))
 
 
@@ -135,6 +141,19 @@ ENTRY_POINT_GROUP = "spatialviz.detectors"
 """Entry points of this group name a function of a DetectorRequest, and so add a detector."""
 
 
+Make = TypeVar("Make")
+
+
+def _maker(name: str, what: str, own: dict[str, Make], group: str, near: bool = False) -> Make:
+    """What makes the detector or segmenter of that name: ours, or a plugin; InputError where there is none."""
+    known = own if name in own else {**dict(load_plugins(group, what, Callable)), **own}
+    if name not in known:
+        alike = ([n for n in known if n.startswith(name)] or suggest(name, known)) if near else ()
+        cause = f"did you mean {' or '.join(alike)}?" if alike else None
+        raise InputError(f"there is no {what} {name!r}", expected=" or ".join(known), cause=cause)
+    return known[name]
+
+
 def make_detector(
     name: str,
     *,
@@ -153,13 +172,7 @@ def make_detector(
     """
     if min_score is not None and not 0 <= min_score <= 1:
         raise InputError("a minimum score must lie in 0..1", got=min_score)
-    known = DETECTORS
-    if name not in known:
-        known = {**dict(load_plugins(ENTRY_POINT_GROUP, "detector", Callable)), **known}
-    if name not in known:
-        near = [n for n in known if n.startswith(name)] or suggest(name, known)
-        cause = f"did you mean {' or '.join(near)}?" if near else None
-        raise InputError(f"there is no detector {name!r}", expected=" or ".join(known), cause=cause)
+    make = _maker(name, "detector", DETECTORS, ENTRY_POINT_GROUP, near=True)
     if config is not None and name in DETECTORS and name not in CONFIGURABLE:
         raise InputError(f"--detector {name} takes no --model-config", expected=" or ".join(CONFIGURABLE), path=config)
     if config is not None and name in ("yolo-seg", "detic") and config.suffix == ".toml":
@@ -169,7 +182,7 @@ def make_detector(
             expected="for --fuse and --also boxes=MODEL.onnx: that file beside the model, as MODEL.toml",
             path=config,
         )
-    return known[name](DetectorRequest(model, class_names, synonyms, min_score, config))
+    return make(DetectorRequest(model, class_names, synonyms, min_score, config))
 
 
 def named_model(text: str) -> tuple[str, Path | None]:
@@ -190,3 +203,182 @@ def with_model(text: str, change: Callable[[Path], str | Path]) -> str:
     """The same text with its model's path changed."""
     name, model = named_model(text)
     return name if model is None else f"{name}={change(model)}"
+
+
+@dataclass(frozen=True)
+class DetectorSetup:
+    """A detector by name with its files and thresholds; picklable, which a detector need not be.
+
+    Attributes
+    ----------
+    name : str
+        As of `make_detector`.
+    model, config : Path or None
+        As of `make_detector`.
+    min_score : float or None
+        Of every detector in it; None for their own defaults.
+    synonyms : Path or None
+        A JSON file with more synonyms.
+    fuse : tuple of str
+        Further detectors, "NAME" or "NAME=MODEL", that are fused with it.
+    fusion : str
+        "wbf" or "nms".
+    """
+
+    name: str
+    model: Path | None = None
+    config: Path | None = None
+    min_score: float | None = None
+    synonyms: Path | None = None
+    fuse: tuple[str, ...] = ()
+    fusion: str = "wbf"
+
+    @classmethod
+    def named(cls, text: str, min_score: float | None = None, synonyms: Path | None = None) -> DetectorSetup:
+        """Of "NAME" or "NAME=MODEL"; raises as `named_model`."""
+        name, model = named_model(text)
+        return cls(name, model, min_score=min_score, synonyms=synonyms)
+
+    def with_min_score(self, min_score: float | None) -> DetectorSetup:
+        """The same with another minimum score."""
+        return replace(self, min_score=min_score)
+
+    def open(self, class_names: tuple[str, ...], table: Synonyms | None = None) -> Detector:
+        """Make the detector.
+
+        Parameters
+        ----------
+        class_names : tuple of str
+            Of the dataset.
+        table : Synonyms, optional
+            Where the file is read already.
+
+        Raises
+        ------
+        InputError
+            As `make_detector` and `EnsembleDetector`, and where the synonyms cannot be read.
+        """
+        table = table or Synonyms.load(self.synonyms)
+
+        def make(name: str, model: Path | None, config: Path | None = None) -> Detector:
+            return make_detector(
+                name, model=model, class_names=class_names, synonyms=table, min_score=self.min_score, config=config
+            )
+
+        others = [make(*named_model(text)) for text in self.fuse]
+        first = make(self.name, self.model, self.config)
+        found = fused_detector(first, others, self.fusion, table)
+        assert found is not None
+        return found
+
+
+def made_by(said: str | None, detector: Detector) -> bool:
+    """Whether a detector is the one that labels or a run name as theirs; the segmenter of either does not count.
+
+    Parameters
+    ----------
+    said : str or None
+        "name: fingerprint", with the segmenter's behind "+" and "|": `models["detector"]` of a manifest.
+    detector : Detector
+    """
+    own = detector.detector if isinstance(detector, Segmented) else detector
+    name, fingerprint = own.name, own.fingerprint()
+    said = said or ""
+    return said == f"{name}: {fingerprint}" or (said.startswith(f"{name}+") and f": {fingerprint}|" in said)
+
+
+@dataclass(frozen=True)
+class SegmenterRequest:
+    """What a segmenter may be made from.
+
+    Attributes
+    ----------
+    model : Path or None
+        Model file, or recording; the first of several.
+    synonyms : Synonyms or None
+    models : tuple of Path
+        All that was given.
+    """
+
+    model: Path | None
+    synonyms: Synonyms | None
+    models: tuple[Path, ...] = ()
+
+
+def _depth(request: SegmenterRequest) -> Segmenter:
+    if request.model is not None:
+        raise InputError("--segmenter depth takes no model", path=request.model)
+    return DepthSegmenter()
+
+
+def _recorded_masks(request: SegmenterRequest) -> Segmenter:
+    from pipeline.proposals.recorded_masks import open_recorded_masks
+
+    path = _needed_masks(request, "recorded", "a COCO file, a recording of detections, or a folder of PNG masks")
+    return open_recorded_masks(path, request.synonyms)
+
+
+def _yolo_seg_masks(request: SegmenterRequest) -> Segmenter:
+    from pipeline.proposals.yolo_seg import YoloSegDetector
+
+    path = resolve_model(_needed_masks(request, "yolo-seg", "an ONNX file, or its id on the model hub"))
+    return DetectorSegmenter(CachedDetector(YoloSegDetector(path, synonyms=request.synonyms)), request.synonyms)
+
+
+def _prompted(name: Literal["sam", "sam2", "efficientsam"]) -> Callable[[SegmenterRequest], Segmenter]:
+    def make(request: SegmenterRequest) -> Segmenter:
+        from pipeline.proposals.prompt_models import EfficientSamModel, Sam2Model, SamModel
+        from pipeline.proposals.prompted import PromptedSegmenter
+
+        model = {"sam": SamModel, "sam2": Sam2Model, "efficientsam": EfficientSamModel}[name]
+        return CachedSegmenter(PromptedSegmenter(model([resolve_model(path) for path in request.models])))
+
+    return make
+
+
+def _needed_masks(request: SegmenterRequest, name: str, what: str) -> Path:
+    if request.model is None:
+        raise InputError(f"--segmenter {name} needs --segmenter-model", expected=what)
+    return request.model
+
+
+SEGMENTERS: dict[str, Callable[[SegmenterRequest], Segmenter]] = {
+    "depth": _depth,
+    "recorded": _recorded_masks,
+    "yolo-seg": _yolo_seg_masks,
+    "sam": _prompted("sam"),
+    "sam2": _prompted("sam2"),
+    "efficientsam": _prompted("efficientsam"),
+}
+TWO_FILES = ("sam", "sam2", "efficientsam")
+"""Those that are made of an encoder and a decoder."""
+SegmenterFiles = Path | tuple[Path, ...] | None
+"""What a segmenter is made from: a file, or an encoder and a decoder."""
+SEGMENTER_GROUP = "spatialviz.segmenters"
+"""Entry points of this group name a function of a SegmenterRequest, and so add a segmenter."""
+
+
+def segmenter_files(given: SegmenterFiles | str | Sequence[str]) -> tuple[Path, ...]:
+    """The files in their order; words, as plans and manifests hold them, will do."""
+    if given is None:
+        return ()
+    return (Path(given),) if isinstance(given, str | Path) else tuple(Path(part) for part in given)
+
+
+def make_segmenter(name: str, *, model: SegmenterFiles = None, synonyms: Synonyms | None = None) -> Segmenter:
+    """The segmenter of that name.
+
+    Raises
+    ------
+    InputError
+        For an unknown name, a missing model, or a model of another contract.
+    """
+    make = _maker(name, "segmenter", SEGMENTERS, SEGMENTER_GROUP)
+    files = segmenter_files(model)
+    if len(files) > 1 and name in SEGMENTERS and name not in TWO_FILES:
+        raise InputError(
+            f"--segmenter {name} takes one file at most",
+            got=" ".join(map(str, files)),
+            cause=f"an encoder and a decoder are for --segmenter {' or '.join(TWO_FILES)}",
+        )
+    return make(SegmenterRequest(files[0] if files else None, synonyms, files))

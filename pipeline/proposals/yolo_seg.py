@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 
 import cv2
@@ -22,11 +21,13 @@ import numpy as np
 from pipeline.geometry.frame import Frame
 from pipeline.language.naming import Synonyms
 from pipeline.proposals.base import Proposals, no_proposals
-from pipeline.proposals.class_names import metadata_names, names_hash, read_class_names, synonyms_hash, wanted_names
+from pipeline.proposals.class_names import metadata_names, names_hash, read_class_names
+from pipeline.proposals.contracts import MASK_COEFFICIENTS, YOLO_SEG_CONTRACTS, yolo_seg_tensors
+from pipeline.proposals.mismatch import fitting
+from pipeline.proposals.network import NetworkDetector
 from pipeline.proposals.selection import suppress
-from pipeline.proposals.yolo_seg_contract import CONTRACTS, MASK_COEFFICIENTS, OPTION, tensors_of
 from pipeline.system.errors import InputError
-from pipeline.system.onnx_session import model_hash, open_session, run_session
+from pipeline.system.onnx_session import run_session
 
 MAX_CANDIDATES = 1000
 """Rows that go into non-maximum suppression at most, best first."""
@@ -49,7 +50,7 @@ class _Raw:
     """Prototype cells per input pixel, down and across."""
 
 
-class YoloSegDetector:
+class YoloSegDetector(NetworkDetector):
     """YOLOv8-seg, YOLO11-seg, YOLOE-seg and YOLO-World-seg files with a baked-in vocabulary.
 
     Parameters
@@ -68,8 +69,7 @@ class YoloSegDetector:
     """
 
     name = "yolo-seg"
-    exact = False
-    reads_annotations = False
+    default_score = MIN_SCORE
 
     def __init__(
         self,
@@ -77,30 +77,15 @@ class YoloSegDetector:
         *,
         names: str | Path | None = None,
         synonyms: Synonyms | None = None,
-        min_score: float = MIN_SCORE,
+        min_score: float | None = None,
     ) -> None:
-        self.path = Path(path)
-        self.synonyms = synonyms
-        self.min_score = min_score
-        self._session = open_session(self.path)
-        found = tensors_of(self._session)
-        if found is None:
-            from pipeline.proposals.mismatch import not_fitting
-
-            raise not_fitting("the ONNX file is not a yolo-seg model", OPTION, self._session, self.path, CONTRACTS)
+        super().__init__(path, min_score, synonyms)
+        found = yolo_seg_tensors(self._session)
+        found = fitting(found, "a yolo-seg model", self._session, self.path, YOLO_SEG_CONTRACTS)
         self._input, self._outputs, self._suppressed, classes = found
         given = read_class_names(Path(names)) if names is not None else metadata_names(self._session)
         self._named_outside = names is not None
         self.vocabulary: tuple[str, ...] | None = _checked_names(given, classes, self.path)
-        self._last: tuple[str, _Raw] | None = None
-
-    @cached_property
-    def _hash(self) -> str:
-        return model_hash(self.path)
-
-    @cached_property
-    def _synonyms_hash(self) -> str:
-        return synonyms_hash(self.synonyms)
 
     def fingerprint(self) -> str:
         # The synonyms decide which of the model's classes a name asks for.
@@ -108,18 +93,9 @@ class YoloSegDetector:
         return f"yolo-seg:{self._hash}:{self.min_score}:{self._synonyms_hash}{names}"
 
     def detect(self, frame: Frame, labels: Sequence[str] | None) -> Proposals:
-        names = self.vocabulary or ()
-        wanted = wanted_names(labels, names, self.synonyms, f"the model {self.path.name}")
-        raw = self._forward(frame)
-        place = {name: k for k, name in enumerate(wanted)}
-        # Vocabularies such as that of LVIS hold names twice.
-        columns = np.array([c for c, name in enumerate(names) if name in place], np.int64)
-        which = np.array([place[name] for name in names if name in place], np.int64)
-        if not len(columns):
-            return no_proposals(frame.height, frame.width)
-        scores = raw.classes[:, columns]
-        best = scores.argmax(axis=1)
-        score = scores[np.arange(len(scores)), best]
+        wanted = self._wanted(labels)
+        raw = self._once(frame, self._forward)
+        score, which = self._best(raw.classes, wanted)
         order = np.argsort(-score, kind="stable")
         order = order[score[order] >= self.min_score][:MAX_CANDIDATES]
         order = order[suppress(raw.boxes[order])]
@@ -131,17 +107,13 @@ class YoloSegDetector:
         return Proposals(
             boxes[solid],
             np.clip(score[order][solid], 0, 1).astype(np.float32),
-            which[best[order][solid]],
+            which[order][solid],
             tuple(wanted),
             masks[solid],
             raw.rows[order[solid]],
         )
 
     def _forward(self, frame: Frame) -> _Raw:
-        """The network is run once for a picture, however many names are asked for in turn."""
-        last = self._last  # Once: another thread may put another picture there.
-        if last is not None and last[0] == frame.content_hash:
-            return last[1]
         _, _, height, width = self._input.shape
         height = height if isinstance(height, int) else _multiple_of_32(frame.height)
         width = width if isinstance(width, int) else _multiple_of_32(frame.width)
@@ -160,7 +132,6 @@ class YoloSegDetector:
                 cause="half-precision files overflow on some processors: try the full-precision one",
                 path=self.path,
             )
-        self._last = (frame.content_hash, raw)
         return raw
 
     def _parts(self, rows: np.ndarray, prototypes: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

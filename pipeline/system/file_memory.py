@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
-import tempfile
 import zipfile
 import zlib
 from collections.abc import Callable
@@ -15,6 +13,8 @@ import numpy as np
 import xxhash
 
 from pipeline.system.errors import InputError
+from pipeline.system.paths import cache_folder
+from pipeline.system.whole_files import keep_whole
 
 _VERSION = "1"
 _SAMPLE = 1 << 16
@@ -43,8 +43,6 @@ def memory_path(path: Path, cache: Path | None) -> Path:
 
     To read all of several gigabytes would cost what the cache is to save.
     """
-    from pipeline.system.paths import cache_folder
-
     try:
         state = path.stat()
         digest = xxhash.xxh3_128(f"{_VERSION} {state.st_size} {state.st_mtime_ns}".encode())
@@ -80,16 +78,8 @@ def keep(path: Path, memory: FileMemory, dimension: int) -> None:
     words = list(memory.vectors)
     said = {"words": words, "absent": sorted(memory.absent), "fingerprint": memory.fingerprint}
     vectors = np.stack([memory.vectors[w] for w in words]) if words else np.zeros((0, dimension), np.float32)
-    temporary: Path | None = None
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".tmp", delete=False) as file:
-            temporary = Path(file.name)
-            np.savez(file, said=np.frombuffer(json.dumps(said).encode(), np.uint8), vectors=vectors)
-        os.replace(temporary, path)
-    except OSError:
-        if temporary is not None:
-            temporary.unlink(missing_ok=True)
+    about = np.frombuffer(json.dumps(said).encode(), np.uint8)
+    keep_whole(path, lambda file: np.savez(file, said=about, vectors=vectors))
 
 
 def remembered_fingerprint(path: Path, cache: Path | None, dimension: int, compute: Callable[[], str]) -> str:

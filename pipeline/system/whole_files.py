@@ -7,11 +7,12 @@ import os
 import re
 import shutil
 import socket
+import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 from uuid import uuid4
 
 from pipeline.system.errors import InputError
@@ -102,3 +103,24 @@ def sha256_of(source: Path | IO[bytes]) -> str:
         while block := file.read(1 << 20):
             digest.update(block)
     return digest.hexdigest()
+
+
+def keep_whole(path: Path, write: Callable[[Any], object]) -> None:
+    """Keep what was computed, whole or not at all; a folder that cannot be written only means that nothing is kept.
+
+    Parameters
+    ----------
+    path : Path
+    write : callable
+        Writes into the open binary file that it gets.
+    """
+    temporary: Path | None = None
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(dir=path.parent, suffix=".tmp", delete=False) as file:
+            temporary = Path(file.name)
+            write(file)
+        os.replace(temporary, path)
+    except OSError:
+        if temporary is not None:
+            temporary.unlink(missing_ok=True)

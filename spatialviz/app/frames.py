@@ -16,7 +16,7 @@ from pipeline.answering.objects import PreparedFrame, SceneObject, all_objects, 
 from pipeline.answering.opening import Pipeline
 from pipeline.datasets import Dataset
 from pipeline.datasets.given_up import with_frame_up
-from pipeline.datasets.up_text import Vector
+from pipeline.datasets.settings import Vector
 from pipeline.system.errors import InputError
 from spatialviz.app.cloud import Cloud, cloud_of
 

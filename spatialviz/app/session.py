@@ -16,7 +16,7 @@ from pipeline.answering.suggestions import suggest_expressions
 from pipeline.answering.told_answer import holds
 from pipeline.corrections.journal_location import JournalLocation
 from pipeline.datasets import has_moves
-from pipeline.datasets.capabilities import dataset_notes
+from pipeline.datasets.base import dataset_notes
 from pipeline.datasets.demo import DEMO_EXPRESSION
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.diagnosis.whatif.state import ViewState

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from pipeline.datasets.up_text import ASSUMED, SOURCES
+from pipeline.datasets.settings import ASSUMED, SOURCES
 from pipeline.geometry.camera import UpSource
 from spatialviz.app.state import State
 from spatialviz.app.text import DOUBT, IDLE, note, safe

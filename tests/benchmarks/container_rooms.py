@@ -12,8 +12,7 @@ from pipeline.datasets.synthetic import decor as c
 from pipeline.datasets.synthetic import furniture as f
 from pipeline.datasets.synthetic import objects as o
 from pipeline.datasets.synthetic.layout import Layout
-from pipeline.datasets.synthetic.model import Material, Model, Surface, assemble
-from pipeline.datasets.synthetic.palettes import PALETTES, Palette, cloth, wood
+from pipeline.datasets.synthetic.model import PALETTES, Material, Model, Palette, Surface, assemble, cloth, wood
 from pipeline.datasets.synthetic.shapes import block
 
 Rng = np.random.Generator

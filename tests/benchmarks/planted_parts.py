@@ -16,7 +16,7 @@ from pipeline.geometry.viewer import ViewerAxes
 from pipeline.language.relation_names import PAIRWISE
 from pipeline.proposals.annotations import AnnotationDetector, box_mask
 from pipeline.proposals.base import Detector, Proposals, no_proposals
-from pipeline.proposals.mask_damage import leaked, surroundings
+from pipeline.proposals.simulated import leaked, surroundings
 from pipeline.relations.features import Appearance
 from pipeline.relations.scorer import RelationScorer, RelationScores
 from pipeline.system.errors import InputError

@@ -13,7 +13,7 @@ from pipeline.corrections.review.queue import QueueConfig, review_queue
 from pipeline.corrections.review.queue_job import CANCELLED, LabelJobs, QueueJob, QueueProgress
 from pipeline.corrections.review.worklist import write_queue
 from pipeline.labels.reading import Labels
-from pipeline.proposals.detector_setup import DetectorSetup
+from pipeline.proposals.registry import DetectorSetup
 from pipeline.system.errors import InputError
 from pipeline.system.shared_job import SharedJob
 

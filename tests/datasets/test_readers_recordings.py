@@ -33,7 +33,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from pipeline.datasets import open_dataset, summarise, survey
-from pipeline.datasets.capabilities import dataset_notes
+from pipeline.datasets.base import dataset_notes
 from pipeline.datasets.tum import _match
 from pipeline.geometry.camera import backproject
 from pipeline.geometry.frame import Frame

@@ -20,7 +20,7 @@ from semantic_abstraction_writer import TRUE_POSE, ViewTruth, Written, scene_pos
 from pipeline.answering.opening import open_pipeline
 from pipeline.datasets import GivenExpression, given_expressions, has_moves, open_dataset, splits, survey
 from pipeline.datasets.semantic_abstraction import RELATIONS, SemanticAbstractionDataset
-from pipeline.datasets.semantic_abstraction_pose import fit_pose
+from pipeline.datasets.semantic_abstraction_objects import fit_pose
 from pipeline.datasets.semantic_abstraction_splits import (
     NOVEL_CLASSES,
     RANDOMIZED,

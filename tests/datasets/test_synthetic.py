@@ -28,9 +28,8 @@ from pipeline.datasets.synthetic import dataset as dataset_module
 from pipeline.datasets.synthetic.layout import FLOOR, TOUCH_M, WALL, overlaps, part_boxes
 from pipeline.datasets.synthetic.lighting import sunlight
 from pipeline.datasets.synthetic.model import Model
-from pipeline.datasets.synthetic.raycast import build_scene, pixel_rays
+from pipeline.datasets.synthetic.raycast import OFFSET_M, build_scene, find_surfaces, pixel_rays
 from pipeline.datasets.synthetic.render import noise_sigma, sense
-from pipeline.datasets.synthetic.surfaces import OFFSET_M, find_surfaces
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.camera import lift_pixels, to_world
 from pipeline.system.errors import InputError, MissingExtra

@@ -16,7 +16,7 @@ from pipeline.answering.answering import StageClock
 from pipeline.answering.objects import PreparedFrame, mask_iou
 from pipeline.answering.opening import open_pipeline
 from pipeline.answering.recording import record_detections
-from pipeline.datasets.capabilities import load_picture
+from pipeline.datasets.base import load_picture
 from pipeline.evaluation.run import EvalSpec, evaluate_labels
 from pipeline.geometry.lifting import lift
 from pipeline.labels.job import label_dataset

@@ -15,11 +15,10 @@ from scenes import frame_of, upright
 from pipeline.evaluation.whole_expression import Referring
 from pipeline.geometry.frame import Frame
 from pipeline.proposals import make_detector
-from pipeline.proposals.captions import build_captions, sigmoid, span_scores, token_blocks
+from pipeline.proposals.captions import build_captions, load_tokenizer, sigmoid, span_scores, token_blocks
+from pipeline.proposals.contracts import GROUNDING_DINO_CONTRACTS
 from pipeline.proposals.grounding_dino import GroundingDinoDetector
-from pipeline.proposals.grounding_dino_contract import CONTRACTS
 from pipeline.proposals.resampling import IMAGENET_MEAN, IMAGENET_STD, normalised, pillow_resized, shortest_edge
-from pipeline.proposals.tokenizer_file import load_tokenizer
 from pipeline.system.errors import InputError, MissingExtra
 
 if TYPE_CHECKING:
@@ -421,7 +420,7 @@ def test_a_missing_library_is_named(tmp_path: Path, vocabulary: Path, monkeypatc
 def test_the_contracts_name_what_the_exports_declare(exported: dict[str, Export]) -> None:
     import onnxruntime as ort
 
-    for contract, export in zip(CONTRACTS, exported.values(), strict=True):
+    for contract, export in zip(GROUNDING_DINO_CONTRACTS, exported.values(), strict=True):
         declared = {i.name: (i.type, len(i.shape)) for i in ort.InferenceSession(str(export.path)).get_inputs()}
         types = {"tensor(float)": "float32", "tensor(int64)": "int64", "tensor(bool)": "bool"}
         wanted = {t.name: (t.dtype, len(t.shape)) for t in contract.inputs}

@@ -15,7 +15,7 @@ from onnx_stubs import write_stub
 from scenes import frame_of, upright
 
 from pipeline.geometry.frame import Frame
-from pipeline.proposals import detic, make_detector, make_segmenter, sam
+from pipeline.proposals import detic, make_detector, make_segmenter, prompt_models
 from pipeline.proposals.class_names import metadata_names
 from pipeline.proposals.resampling import shortest_edge
 from pipeline.proposals.yolo_seg import letterbox
@@ -35,7 +35,7 @@ def frame() -> Frame:
 
 def test_the_thinnest_picture_keeps_a_pixel() -> None:
     for height, width in ((1, 3000), (3000, 1)):
-        for resized in (shortest_edge, detic.resized_shape, sam.resized_shape):
+        for resized in (shortest_edge, detic.resized_shape, prompt_models.resized_shape):
             size = resized(height, width)
             assert min(size) == 1
             assert max(size) <= 1333

@@ -14,8 +14,8 @@ from scenes import camera_of, frame_of, upright
 from pipeline.evaluation.whole_expression import Referring
 from pipeline.geometry.frame import Frame
 from pipeline.proposals import make_detector
+from pipeline.proposals.contracts import OWL_CONTRACTS
 from pipeline.proposals.owl import OwlDetector
-from pipeline.proposals.owl_contract import CONTRACTS
 from pipeline.proposals.resampling import CLIP_MEAN, CLIP_STD, normalised, padded_square, pillow_resized
 from pipeline.system.errors import InputError
 
@@ -269,7 +269,7 @@ def test_another_models_tokenizer_is_refused(tmp_path: Path) -> None:
 def test_the_contracts_name_what_the_exports_declare(exported: dict[str, Export]) -> None:
     import onnxruntime as ort
 
-    for contract, kind in zip(CONTRACTS, KINDS, strict=True):
+    for contract, kind in zip(OWL_CONTRACTS, KINDS, strict=True):
         session = ort.InferenceSession(str(exported[kind].path))
         assert contract.option.endswith(kind)
         assert {i.name for i in session.get_inputs()} == {t.name for t in contract.inputs}

@@ -18,12 +18,10 @@ from pipeline.evaluation.run import EvalSpec
 from pipeline.evaluation.run_folder import _read_spec, spec_record
 from pipeline.geometry.frame import Frame
 from pipeline.proposals import make_segmenter
-from pipeline.proposals.efficientsam import EfficientSamModel
-from pipeline.proposals.mask_cache import CachedSegmenter
+from pipeline.proposals.cache import CachedSegmenter
 from pipeline.proposals.mismatch import SEGMENTERS
+from pipeline.proposals.prompt_models import EfficientSamModel, Sam2Model, SamModel
 from pipeline.proposals.prompted import PromptedSegmenter
-from pipeline.proposals.sam import SamModel
-from pipeline.proposals.sam2 import Sam2Model
 from pipeline.system.errors import InputError
 
 

@@ -17,8 +17,16 @@ from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.frame import Annotation
 from pipeline.geometry.lifting import LiftConfig
 from pipeline.proposals import make_detector
-from pipeline.proposals.mask_damage import leaked, resized, surroundings, truncated
-from pipeline.proposals.simulated import FIRST_REGION_ID, SimulatedDetector, SimulationOptions, read_options
+from pipeline.proposals.simulated import (
+    FIRST_REGION_ID,
+    SimulatedDetector,
+    SimulationOptions,
+    leaked,
+    read_options,
+    resized,
+    surroundings,
+    truncated,
+)
 from pipeline.system.errors import InputError
 
 SEEDS = st.integers(0, 2**32 - 1)

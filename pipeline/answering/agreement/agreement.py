@@ -11,7 +11,7 @@ import numpy as np
 from pipeline.geometry.boxes import iou_2d
 from pipeline.language.naming import Synonyms
 from pipeline.proposals.base import Proposals
-from pipeline.proposals.known_names import knows, same_names
+from pipeline.proposals.class_names import knows, same_names
 from pipeline.system.errors import InputError
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ import numpy as np
 
 from pipeline.answering.agreement.agreement import FrameAgreement
 from pipeline.language.naming import Synonyms
-from pipeline.proposals.known_names import name_groups, same_name
+from pipeline.proposals.class_names import name_groups, same_name
 
 
 @dataclass(frozen=True)

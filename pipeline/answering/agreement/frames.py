@@ -20,7 +20,7 @@ from pipeline.answering.opening import ALL_FRAMES, Pipeline, Skipped, frame_rang
 from pipeline.geometry.frame import Frame
 from pipeline.language.naming import Synonyms
 from pipeline.proposals.base import Detector
-from pipeline.proposals.known_names import known_names, knows
+from pipeline.proposals.class_names import known_names, knows
 from pipeline.system.errors import InputError
 
 

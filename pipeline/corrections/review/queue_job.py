@@ -22,7 +22,7 @@ from pipeline.corrections.review.reviewed import Reviewed, pair_agreements, revi
 from pipeline.corrections.review.worklist import NOTHING, Mark, Worklist, mark_of, read_queue, worklist, write_queue
 from pipeline.labels.reading import Labels, labelled_dataset, open_labels
 from pipeline.language.naming import Synonyms
-from pipeline.proposals.detector_setup import DetectorSetup, made_by
+from pipeline.proposals.registry import DetectorSetup, made_by
 from pipeline.system.errors import InputError
 from pipeline.system.shared_job import SharedJob
 

@@ -4,9 +4,24 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.datasets.synthetic.model import Material, Model, Part, Surface, assemble, rgb
-from pipeline.datasets.synthetic.palettes import BLACK, BRASS, PAPER, Palette, cloth, metal, paint, pick, wood
-from pipeline.datasets.synthetic.shapes import ball, block, cylinder, joined, lathe, leaf, ring, rod
+from pipeline.datasets.synthetic.model import (
+    BLACK,
+    BRASS,
+    PAPER,
+    Material,
+    Model,
+    Palette,
+    Part,
+    Surface,
+    assemble,
+    cloth,
+    metal,
+    paint,
+    pick,
+    rgb,
+    wood,
+)
+from pipeline.datasets.synthetic.shapes import SIDES, ball, block, cylinder, each, joined, lathe, leaf, ring, rod
 
 Rng = np.random.Generator
 
@@ -49,10 +64,11 @@ def floor_lamp(p: Palette, rng: Rng) -> Model:
         (BRASS if rng.random() < 0.5 else metal(p)),
         Material(rgb("#f3d9ae"), ("fabric",), 0.25, emission=1.0),
     )
-    parts = [cylinder(0.14, 0.025, (0, 0, 0), stand, 36), rod((0, 0, 0.02), (0, 0, h - 0.1), 0.011, stand)]
-    parts.append(lathe([(0.20, h - 0.27), (0.15, h), (0.147, h), (0.197, h - 0.27)], (0, 0, 0), shade, 40))
-    parts += [
-        rod((0, 0, h - 0.1), (0.16 * np.cos(a), 0.16 * np.sin(a), h - 0.05), 0.003, stand) for a in (0.5, 2.6, 4.7)
+    parts = [
+        cylinder(0.14, 0.025, (0, 0, 0), stand, 36),
+        rod((0, 0, 0.02), (0, 0, h - 0.1), 0.011, stand),
+        lathe([(0.20, h - 0.27), (0.15, h), (0.147, h), (0.197, h - 0.27)], (0, 0, 0), shade, 40),
+        *(rod((0, 0, h - 0.1), (0.16 * np.cos(a), 0.16 * np.sin(a), h - 0.05), 0.003, stand) for a in (0.5, 2.6, 4.7)),
     ]
     return assemble("lamp", parts)
 
@@ -63,8 +79,8 @@ def plant(p: Palette, rng: Rng, tall: float = 0.9) -> Model:
     pot_h = 1.5 * r
     pot = Material(rgb(pick(rng, ("#b8673f", "#efe9dd", "#4f5d57", *p.accents[:2]))), ("plaster",), 0.3, gloss=0.15)
     profile = [(0, 0), (0.72 * r, 0), (r, pot_h), (0.90 * r, pot_h), (0.85 * r, pot_h * 0.86), (0, pot_h * 0.86)]
-    parts = [lathe(profile, (0, 0, 0), pot, 36)]
-    parts.append(cylinder(0.86 * r, 0.012, (0, 0, pot_h * 0.86), Material(rgb("#3b2c22"), ("speckle",), 0.1), 28))
+    soil = Material(rgb("#3b2c22"), ("speckle",), 0.1)
+    parts = [lathe(profile, (0, 0, 0), pot, 36), cylinder(0.86 * r, 0.012, (0, 0, pot_h * 0.86), soil, 28)]
     greens = [Material(rgb(code), ("plaster",), 0.2, gloss=0.18) for code in ("#3f6b3c", "#5b8348", "#2f5636")]
     upright = bool(rng.random() < 0.35)
     groups: list[list[Part]] = [[], [], []]
@@ -126,15 +142,13 @@ def basket(p: Palette, rng: Rng) -> Model:
         (0, 0.01),
     ]
     blanket = cloth(pick(rng, p.accents))
-    parts = [lathe(profile, (0, 0, 0), cane, 36), ring(0.93 * r, 0.012, (0, 0, h), cane)]
-    parts.append(block((1.18 * r, 1.10 * r, 0.5 * h), (0, 0, 0.62 * h), blanket, 0.045, 4))
-    for s in (-1, 1):
-        parts.append(
-            ring(0.045, 0.008, (0, 0, 0), cane)
-            .turned(np.pi / 2, 1)
-            .turned(np.pi / 2, 2)
-            .moved((0, s * 0.95 * r, h + 0.01))
-        )
+    handle = ring(0.045, 0.008, (0, 0, 0), cane).turned(np.pi / 2, 1).turned(np.pi / 2, 2)
+    parts = [
+        lathe(profile, (0, 0, 0), cane, 36),
+        ring(0.93 * r, 0.012, (0, 0, h), cane),
+        block((1.18 * r, 1.10 * r, 0.5 * h), (0, 0, 0.62 * h), blanket, 0.045, 4),
+        *(handle.moved((0, s * 0.95 * r, h + 0.01)) for s in SIDES),
+    ]
     return assemble("basket", parts)
 
 
@@ -143,18 +157,14 @@ def box(p: Palette, rng: Rng) -> Model:
     card = Material(rgb("#b78a58"), ("plaster",), 0.3)
     w, d, h = rng.uniform(0.30, 0.42), rng.uniform(0.24, 0.32), rng.uniform(0.20, 0.28)
     tape = Material(rgb("#d8bd8b"), None, gloss=0.4)
-    parts = [block((w, d, h), (0, 0, 0), card, 0.004)]
-    parts += [block((w + 0.001, d / 2 - 0.001, 0.003), (0, s * d / 4, h - 0.0005), card, 0.001) for s in (-1, 1)]
-    parts.append(block((w + 0.002, 0.05, 0.002), (0, 0, h + 0.002), tape, 0.0008))
-    parts += [block((0.002, 0.05, 0.07), (s * w / 2, 0, h - 0.068), tape, 0.0008) for s in (-1, 1)]
-    parts.append(
-        block(
-            (0.11, 0.002, 0.075),
-            (-w * 0.2, -d / 2, h * 0.35),
-            Material(rgb("#f4f1ea"), ("stripes", 3, "#f4f1ea", "#cfcac0"), 0),
-            0.0008,
-        )
-    )
+    label = Material(rgb("#f4f1ea"), ("stripes", 3, "#f4f1ea", "#cfcac0"), 0)
+    parts = [
+        block((w, d, h), (0, 0, 0), card, 0.004),
+        *(block((w + 0.001, d / 2 - 0.001, 0.003), (0, s * d / 4, h - 0.0005), card, 0.001) for s in SIDES),
+        block((w + 0.002, 0.05, 0.002), (0, 0, h + 0.002), tape, 0.0008),
+        *(block((0.002, 0.05, 0.07), (s * w / 2, 0, h - 0.068), tape, 0.0008) for s in SIDES),
+        block((0.11, 0.002, 0.075), (-w * 0.2, -d / 2, h * 0.35), label, 0.0008),
+    ]
     return assemble("box", parts, [Surface(h + 0.004, -w / 2, w / 2, -d / 2, d / 2)])
 
 
@@ -166,9 +176,8 @@ def backpack(p: Palette, rng: Rng) -> Model:
         block((0.235, 0.05, 0.022), (0, -0.118, 0.205), trim, 0.008, 2),
         block((0.30, 0.012, 0.02), (0, -0.083, 0.31), trim, 0.005),
         ring(0.035, 0.008, (0, 0, 0), trim).turned(np.pi / 2, 0).moved((0, 0.03, 0.445)),
+        *(block((0.055, 0.03, 0.33), (s * 0.085, 0.10, 0.06), trim, 0.013, 3) for s in SIDES),
     ]
-    for s in (-1, 1):
-        parts.append(block((0.055, 0.03, 0.33), (s * 0.085, 0.10, 0.06), trim, 0.013, 3))
     return assemble("backpack", parts)
 
 
@@ -182,14 +191,13 @@ def clock(p: Palette, rng: Rng) -> Model:
 
 def alarm_clock(p: Palette, rng: Rng) -> Model:
     body = paint(pick(rng, p.accents), 0.4)
-    parts = [cylinder(0.05, 0.035, (0, 0, 0), body, 32).turned(np.pi / 2, 0).moved((0, 0.02, 0.058))]
-    parts.append(
-        cylinder(0.044, 0.003, (0, 0, 0), Material((1, 1, 1), ("dial",), 0), 32)
-        .turned(np.pi / 2, 0)
-        .moved((0, -0.0145, 0.058))
-    )
-    parts += [rod((s * 0.034, 0.003, 0), (s * 0.022, 0.003, 0.03), 0.006, BRASS) for s in (-1, 1)]
-    parts += [ball(0.016, (s * 0.028, 0.003, 0.108), BRASS, (1, 1, 0.7)) for s in (-1, 1)]
+    dial = Material((1, 1, 1), ("dial",), 0)
+    parts = [
+        cylinder(0.05, 0.035, (0, 0, 0), body, 32).turned(np.pi / 2, 0).moved((0, 0.02, 0.058)),
+        cylinder(0.044, 0.003, (0, 0, 0), dial, 32).turned(np.pi / 2, 0).moved((0, -0.0145, 0.058)),
+        *(rod((s * 0.034, 0.003, 0), (s * 0.022, 0.003, 0.03), 0.006, BRASS) for s in SIDES),
+        *(ball(0.016, (s * 0.028, 0.003, 0.108), BRASS, (1, 1, 0.7)) for s in SIDES),
+    ]
     return assemble("clock", parts)
 
 
@@ -206,9 +214,12 @@ def teapot(p: Palette, rng: Rng) -> Model:
         (0.012, 0.138),
         (0, 0.138),
     ]
-    parts = [lathe(profile, (0, 0, 0), glaze, 36), ball(0.012, (0, 0, 0.145), glaze)]
-    parts.append(rod((0.07, 0, 0.05), (0.145, 0, 0.115), 0.017, glaze, 0.009))
-    parts.append(ring(0.042, 0.007, (0, 0, 0), glaze).turned(np.pi / 2, 0).moved((-0.105, 0, 0.075)))
+    parts = [
+        lathe(profile, (0, 0, 0), glaze, 36),
+        ball(0.012, (0, 0, 0.145), glaze),
+        rod((0.07, 0, 0.05), (0.145, 0, 0.115), 0.017, glaze, 0.009),
+        ring(0.042, 0.007, (0, 0, 0), glaze).turned(np.pi / 2, 0).moved((-0.105, 0, 0.075)),
+    ]
     return assemble("teapot", parts)
 
 
@@ -225,20 +236,18 @@ def candle(p: Palette, rng: Rng) -> Model:
 
 def teddy_bear(p: Palette, rng: Rng) -> Model:
     fur, pale = cloth(pick(rng, ("#a9774a", "#c49a6c", "#8a5d3b")), 0.08), cloth("#e6cfa8", 0.08)
+    eyes = [ball(0.008, (s * 0.026, -0.068, 0.25), BLACK) for s in SIDES]
     parts = [
         ball(0.085, (0, 0, 0.095), fur, (1, 0.9, 1.1)),
         ball(0.07, (0, -0.01, 0.235), fur),
         ball(0.03, (0, -0.07, 0.222), pale, (1, 0.8, 0.8)),
-    ]
-    parts.append(
-        joined(
-            [ball(0.008, (s * 0.026, -0.068, 0.25), BLACK) for s in (-1, 1)] + [ball(0.009, (0, -0.095, 0.23), BLACK)]
-        )
-    )
-    for s in (-1, 1):
-        parts.append(ball(0.027, (s * 0.052, 0, 0.29), fur, (1, 0.6, 1)))
-        parts.append(ball(0.035, (s * 0.095, -0.03, 0.13), fur, (0.8, 1, 1.5)))
-        parts.append(ball(0.042, (s * 0.06, -0.09, 0.042), fur, (0.9, 1.5, 0.95)))
+        joined([*eyes, ball(0.009, (0, -0.095, 0.23), BLACK)]),
+        *each(SIDES, lambda s: (
+            ball(0.027, (s * 0.052, 0, 0.29), fur, (1, 0.6, 1)),
+            ball(0.035, (s * 0.095, -0.03, 0.13), fur, (0.8, 1, 1.5)),
+            ball(0.042, (s * 0.06, -0.09, 0.042), fur, (0.9, 1.5, 0.95)),
+        )),
+    ]  # fmt: skip
     return assemble("teddy bear", parts)
 
 
@@ -257,8 +266,11 @@ def picture(p: Palette, rng: Rng, width: float = 0.5, height: float = 0.65) -> M
     frame = wood(p, rng) if rng.random() < 0.6 else BLACK
     art = Material((1, 1, 1), ("picture", int(rng.integers(4)), int(rng.integers(50)), *p.accents[:4]), 0)
     t = 0.022
-    parts = [block((width - t, 0.008, height - t), (0, 0.006, t / 2), art, 0.001)]
-    for s in (-1, 1):
-        parts.append(block((t, 0.024, height), (s * (width - t) / 2, 0, 0), frame, 0.003))
-        parts.append(block((width - 2 * t, 0.024, t), (0, 0, (height - t) / 2 * (1 + s)), frame, 0.003))
+    parts = [
+        block((width - t, 0.008, height - t), (0, 0.006, t / 2), art, 0.001),
+        *each(SIDES, lambda s: (
+            block((t, 0.024, height), (s * (width - t) / 2, 0, 0), frame, 0.003),
+            block((width - 2 * t, 0.024, t), (0, 0, (height - t) / 2 * (1 + s)), frame, 0.003),
+        )),
+    ]  # fmt: skip
     return assemble("picture", parts)

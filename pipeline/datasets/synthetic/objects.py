@@ -4,9 +4,22 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.datasets.synthetic.model import Material, Model, Part, assemble, rgb
-from pipeline.datasets.synthetic.palettes import BLACK, BRASS, PAPER, STEEL, WHITE, Palette, paint, pick
-from pipeline.datasets.synthetic.shapes import ball, block, cylinder, joined, lathe, leaf, ring, rod
+from pipeline.datasets.synthetic.model import (
+    BLACK,
+    BRASS,
+    PAPER,
+    STEEL,
+    WHITE,
+    Material,
+    Model,
+    Palette,
+    Part,
+    assemble,
+    paint,
+    pick,
+    rgb,
+)
+from pipeline.datasets.synthetic.shapes import SIDES, ball, block, cylinder, joined, lathe, leaf, ring, rod
 
 Rng = np.random.Generator
 
@@ -46,10 +59,8 @@ def tv(p: Palette, rng: Rng) -> Model:
     parts = [
         block((w, 0.035, h), (0, 0, 0.06), BLACK, 0.008, 2),
         block((w - 0.025, 0.002, h - 0.03), (0, -0.0178, 0.078), screen, 0.0005),
+        *(rod((s * w * 0.32, y, 0.008), (s * w * 0.30, 0, 0.08), 0.008, BLACK) for s in SIDES for y in (-0.09, 0.09)),
     ]
-    for s in (-1, 1):
-        parts.append(rod((s * w * 0.32, -0.09, 0.008), (s * w * 0.30, 0, 0.08), 0.008, BLACK))
-        parts.append(rod((s * w * 0.32, 0.09, 0.008), (s * w * 0.30, 0, 0.08), 0.008, BLACK))
     return assemble("tv", parts)
 
 
@@ -190,5 +201,4 @@ def standing_book(p: Palette, rng: Rng, tallest: float = 0.27) -> Model:
     w, t = rng.uniform(0.13, 0.19), rng.uniform(0.018, 0.045)
     d = min(rng.uniform(0.18, 0.27), tallest)
     parts = [part.turned(np.pi / 2, 0).turned(np.pi / 2, 2) for part in _book_parts(p, rng, w, d, t)]
-    model = assemble("book", parts)
-    return model
+    return assemble("book", parts)

@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from pipeline.datasets.synthetic.layout import Room
-from pipeline.datasets.synthetic.raycast import build_scene, pixel_rays
-from pipeline.datasets.synthetic.shading import render_colour
-from pipeline.datasets.synthetic.surfaces import find_surfaces
+from pipeline.datasets.synthetic.lighting import render_colour
+from pipeline.datasets.synthetic.raycast import build_scene, find_surfaces, pixel_rays
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.camera import Camera
 from pipeline.system.errors import InputError

@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import lru_cache
+from typing import TypeVar
 
 import numpy as np
 
 from pipeline.datasets.synthetic.model import Material, Part
 
 Vec = Sequence[float]
+Value = TypeVar("Value")
+SIDES = (-1, 1)
 
 
 @lru_cache(maxsize=8)
@@ -160,6 +163,11 @@ def leaf(base: Vec, azimuth: float, length: float, width: float, rise: float, dr
         + (half[:, None] * fold)[..., None] * np.array([0.0, 0.0, 1.0])
     )
     return sheet(points, material)
+
+
+def each(values: Iterable[Value], make: Callable[[Value], Iterable[Part]]) -> list[Part]:
+    """The parts that are made for each value in turn, such as for the left side (-1) and the right one (1)."""
+    return [part for value in values for part in make(value)]
 
 
 def joined(parts: Sequence[Part]) -> Part:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from pipeline.datasets.synthetic.model import Material, Part, rgb
-from pipeline.datasets.synthetic.palettes import BRASS, PALETTES, Palette
-from pipeline.datasets.synthetic.shapes import block, cylinder, rod, sheet
+from pipeline.datasets.synthetic.model import BRASS, Material, Palette, Part, rgb
+from pipeline.datasets.synthetic.shapes import SIDES, block, cylinder, each, rod, sheet
 
 Rng = np.random.Generator
 WALL_M = 0.16
+SKIRTING_H = 0.09
 
 SPANS = {"planks": 1.25, "herringbone": 0.85, "tiles": 1.5}
 
@@ -38,25 +38,20 @@ def build_shell(
     white = Material(rgb("#f5f2eb"), None, gloss=0.2)
     floor = Material(rgb(palette.floor_tint), (palette.floor,), SPANS[palette.floor], gloss=0.22)
     ceiling = Material(rgb("#f7f4ee"), ("plaster",), 1.3)
-    parts = [
+    return (
         block((w + 2 * t, d + 2 * t, 0.1), (w / 2, d / 2, -0.1), floor, 0.001),
         block((w + 2 * t, d + 2 * t, 0.1), (w / 2, d / 2, h), ceiling, 0.001),
         block((w + 2 * t, t, h), (w / 2, d + t / 2, 0), feature, 0.001),
         block((w + 2 * t, t, h), (w / 2, -t / 2, 0), wall, 0.001),
         block((t, d, h), (-t / 2, d / 2, 0), wall, 0.001),
-    ]
-    parts += _window_wall(w, d, h, window, wall, white)
-    parts += _curtains(w, h, window, palette)
-    skirting = 0.09
-    parts += [
-        block((w, 0.014, skirting), (w / 2, d - 0.007, 0), white, 0.004),
-        block((w, 0.014, skirting), (w / 2, 0.007, 0), white, 0.004),
-        block((0.014, d - 0.03, skirting), (0.007, d / 2, 0), white, 0.004),
-        block((0.014, d - 0.03, skirting), (w - 0.007, d / 2, 0), white, 0.004),
-    ]
-    if door is not None:
-        parts += _door(door, white)
-    return tuple(parts)
+        *_window_wall(w, d, h, window, wall, white),
+        *_curtains(w, h, window, palette),
+        block((w, 0.014, SKIRTING_H), (w / 2, d - 0.007, 0), white, 0.004),
+        block((w, 0.014, SKIRTING_H), (w / 2, 0.007, 0), white, 0.004),
+        block((0.014, d - 0.03, SKIRTING_H), (0.007, d / 2, 0), white, 0.004),
+        block((0.014, d - 0.03, SKIRTING_H), (w - 0.007, d / 2, 0), white, 0.004),
+        *(_door(door, white) if door is not None else ()),
+    )
 
 
 def window_opening(window: tuple[float, float]) -> tuple[float, float, float, float]:
@@ -71,21 +66,18 @@ def _window_wall(
     """The right-hand wall around its opening, and the frame in it."""
     y, wide = window
     y0, y1, low, high = window_opening(window)
-    t = WALL_M
-    parts = [
+    t, bar = WALL_M, 0.05
+    x = w + t * 0.6
+    return [
         block((t, y0, h), (w + t / 2, y0 / 2, 0), wall, 0.001),
         block((t, d - y1, h), (w + t / 2, (y1 + d) / 2, 0), wall, 0.001),
         block((t, wide, low), (w + t / 2, y, 0), wall, 0.001),
         block((t, wide, h - high), (w + t / 2, y, high), wall, 0.001),
         block((0.12, wide + 0.08, 0.03), (w - 0.01, y, low - 0.012), white, 0.006),
+        *(block((bar, wide, bar), (x, y, z), white, 0.006) for z in (low, high - bar)),
+        *(block((bar, bar, high - low), (x, k, low), white, 0.006) for k in (y0 + bar / 2, y, y1 - bar / 2)),
+        block((bar * 0.6, wide, bar * 0.6), (x, y, low + 0.62 * (high - low)), white, 0.005),
     ]
-    x, bar = w + t * 0.6, 0.05
-    for z in (low, high - bar):
-        parts.append(block((bar, wide, bar), (x, y, z), white, 0.006))
-    for k in (y0 + bar / 2, y, y1 - bar / 2):
-        parts.append(block((bar, bar, high - low), (x, k, low), white, 0.006))
-    parts.append(block((bar * 0.6, wide, bar * 0.6), (x, y, low + 0.62 * (high - low)), white, 0.005))
-    return parts
 
 
 def _curtains(w: float, h: float, window: tuple[float, float], palette: Palette) -> list[Part]:
@@ -110,19 +102,19 @@ def _door(door: tuple[str, float], white: Material) -> list[Part]:
     """A panelled door with its frame."""
     side, along = door
     wide, tall = 0.86, 2.04
-    parts = [block((wide, 0.030, tall), (0, -0.012, 0), white, 0.004)]
-    for s in (-1, 1):
-        parts.append(block((0.075, 0.05, tall + 0.07), (s * (wide / 2 + 0.0375), -0.018, 0), white, 0.006))
-        for z, panel in ((0.16, 0.72), (1.02, 0.88)):
-            parts.append(block((wide * 0.34, 0.012, panel), (s * wide * 0.215, -0.030, z), white, 0.005))
-    parts.append(block((wide + 0.15, 0.05, 0.075), (0, -0.018, tall), white, 0.006))
-    parts.append(rod((wide / 2 - 0.06, -0.07, 1.0), (wide / 2 - 0.17, -0.07, 1.0), 0.009, BRASS))
-    parts.append(cylinder(0.022, 0.05, (0, 0, 0), BRASS, 18).turned(np.pi / 2, 0).moved((wide / 2 - 0.06, -0.025, 1.0)))
-    if side == "left":
-        return [part.turned(np.pi / 2, 2).moved((0.0, along, 0)) for part in parts]
-    return [part.turned(np.pi, 2).moved((along, 0.0, 0)) for part in parts]
-
-
-def palette_of(index: int) -> Palette:
-    """The colour scheme with this number, counting round."""
-    return PALETTES[index % len(PALETTES)]
+    knob = cylinder(0.022, 0.05, (0, 0, 0), BRASS, 18).turned(np.pi / 2, 0)
+    parts = [
+        block((wide, 0.030, tall), (0, -0.012, 0), white, 0.004),
+        *each(SIDES, lambda s: (
+            block((0.075, 0.05, tall + 0.07), (s * (wide / 2 + 0.0375), -0.018, 0), white, 0.006),
+            *(
+                block((wide * 0.34, 0.012, panel), (s * wide * 0.215, -0.030, z), white, 0.005)
+                for z, panel in ((0.16, 0.72), (1.02, 0.88))
+            ),
+        )),
+        block((wide + 0.15, 0.05, 0.075), (0, -0.018, tall), white, 0.006),
+        rod((wide / 2 - 0.06, -0.07, 1.0), (wide / 2 - 0.17, -0.07, 1.0), 0.009, BRASS),
+        knob.moved((wide / 2 - 0.06, -0.025, 1.0)),
+    ]  # fmt: skip
+    turn, at = (np.pi / 2, (0.0, along, 0)) if side == "left" else (np.pi, (along, 0.0, 0))
+    return [part.turned(turn, 2).moved(at) for part in parts]

@@ -11,7 +11,7 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from pipeline.datasets.up_text import ASSUMED
+from pipeline.datasets.settings import ASSUMED
 from pipeline.labels.check.expressions import ExpressionRules, Reader, check_expressions
 from pipeline.labels.check.findings import RULES, Figure, Finding, Severity, chosen_rules
 from pipeline.labels.check.objects import SizeSurvey, check_duplicates, check_objects, check_sizes

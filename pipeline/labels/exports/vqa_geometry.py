@@ -17,7 +17,7 @@ import numpy as np
 import xxhash
 
 from pipeline.datasets import Dataset
-from pipeline.datasets.capabilities import load_picture
+from pipeline.datasets.base import load_picture
 from pipeline.geometry.boxes import Box3D
 from pipeline.geometry.camera import Camera, lift_pixels
 from pipeline.geometry.lifting import LiftConfig, Pixel, clean, depth_edges, flying_pixels, surface_step
