@@ -6,8 +6,7 @@ from typing import Any
 
 from rich.text import Text
 
-from pipeline.answering.bench import bench_source
-from pipeline.answering.endurance import Endurance, run_endurance
+from pipeline.answering.bench import Endurance, bench_source, run_endurance
 from pipeline.corrections.review.bench import ReviewBenchConfig, bench_review
 from pipeline.corrections.review.out_of_fold import EPOCHS, REVIEWED, DoubtConfig
 from pipeline.evaluation.bench import bench_evaluation

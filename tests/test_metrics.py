@@ -23,10 +23,11 @@ from pipeline.metrics.relation_metrics import (
     average_precision,
     cell_outcomes,
     multi_label_metrics,
+    single_label_metrics,
+    true_ranks,
     tuned_thresholds,
 )
 from pipeline.metrics.significance import mcnemar
-from pipeline.metrics.single_label_metrics import single_label_metrics, true_ranks
 from pipeline.system.errors import InputError
 
 SEEDS = st.integers(0, 2**32 - 1)

@@ -20,10 +20,9 @@ from pipeline.diagnosis.verdict import VERDICTS
 from pipeline.evaluation.compare import compare
 from pipeline.evaluation.confusion import answer_confusion, answer_standings, network_confusion, stands_in
 from pipeline.evaluation.grounding_tables import clusters_of, column
-from pipeline.evaluation.job import evaluate_dataset
-from pipeline.evaluation.report import diagnose_run
+from pipeline.evaluation.job import diagnose_run, evaluate_dataset
 from pipeline.evaluation.run import EvalSpec
-from pipeline.evaluation.run_database import open_run
+from pipeline.evaluation.run_folder import open_database
 from pipeline.evaluation.search import find_rows
 from pipeline.evaluation.search_words import quote
 from pipeline.evaluation.slices import DIMENSIONS, slice_by, slice_table
@@ -209,7 +208,7 @@ def test_sql_reads_a_run_and_nothing_else(run: Path, tmp_path: Path) -> None:
     secret.write_text("secret")
     objects = run.parent / "labels" / "objects.parquet"
     before = objects.read_bytes()
-    with open_run(run) as database:
+    with open_database(run) as database:
         count = pq.read_table(run / "records.parquet").num_rows
         assert list(database.select("SELECT count(*) FROM records").rows) == [(count,)]
         joined = "SELECT count(*) FROM records r JOIN labels_expressions e ON e.id = r.id AND e.frame = r.frame"
@@ -230,17 +229,17 @@ def test_sql_reads_a_run_and_nothing_else(run: Path, tmp_path: Path) -> None:
         assert list(database.select("SELECT 1 AS one").rows) == [(1,)]
     assert [p.name for p in tmp_path.iterdir()] == ["secret.txt"]
     assert objects.read_bytes() == before
-    with pytest.raises(InputError, match="no evaluation run"), open_run(tmp_path):
+    with pytest.raises(InputError, match="no evaluation run"), open_database(tmp_path):
         pass
 
 
 def test_sql_finds_labels_that_moved_with_the_run(run: Path, tmp_path: Path) -> None:
     shutil.copytree(run, tmp_path / "run")
-    with open_run(tmp_path / "run") as database:
+    with open_database(tmp_path / "run") as database:
         assert database.views == ("records",)
         with pytest.raises(InputError, match=f"are not at {re.escape(str(tmp_path / 'labels'))}"):
             database.select("SELECT * FROM labels_objects")
     shutil.copytree(run.parent / "labels", tmp_path / "labels")
-    with open_run(tmp_path / "run") as database:
+    with open_database(tmp_path / "run") as database:
         found = list(database.select("SELECT count(*) FROM labels_objects").rows)
     assert found == [(pq.read_metadata(tmp_path / "labels" / "objects.parquet").num_rows,)]

@@ -9,7 +9,7 @@ import numpy as np
 
 from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.frame import Frame
-from pipeline.metrics.platt import FEWEST_POSITIVES, IDENTITY, sigmoid
+from pipeline.metrics.calibration_metrics import FEWEST_POSITIVES, IDENTITY, sigmoid
 from pipeline.proposals.annotations import AnnotationDetector
 from pipeline.proposals.base import Detector
 from pipeline.proposals.score_calibration import (

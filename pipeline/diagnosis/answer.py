@@ -9,10 +9,9 @@ from typing import Any, Protocol
 import numpy as np
 
 from pipeline.answering.ask import Trace
-from pipeline.answering.json_records import trace_record, why_no_answer
+from pipeline.answering.json_records import holds, told, trace_record, why_no_answer
 from pipeline.answering.objects import SceneObject
 from pipeline.answering.pair_table import ScoredPair
-from pipeline.answering.told_answer import holds, told
 from pipeline.diagnosis.substitution import names_of
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.language.lexicon import wording

@@ -1,25 +1,28 @@
-"""The evaluation job: run, tabulate, draw, and leave a run folder that another run can be compared with."""
+"""The evaluation job: run, tabulate, diagnose, draw, and leave a run folder that others can be compared with."""
 
 from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import datetime, timezone
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Any
 
-from pipeline.evaluation.calibration_tables import calibration_table, calibration_warnings, recorded_config
 from pipeline.evaluation.compare import Comparison, compare, read_records
+from pipeline.evaluation.confusion import RELATION_RECORDS, Confusion, answer_confusion, network_confusion
 from pipeline.evaluation.grounding_tables import (
     OPM_ONLY,
+    calibration_table,
+    calibration_warnings,
     clusters_of,
     full_row,
     gain_table,
     has_opm,
     opm_row,
     problem_warnings,
+    recorded_config,
     relation_table,
     reported_rows,
     stages_table,
@@ -30,17 +33,18 @@ from pipeline.evaluation.records import is_calibrated, raw_records
 from pipeline.evaluation.relation_cases import RelationSpec, labelled_detector
 from pipeline.evaluation.relation_job import measure_relations, relation_sink
 from pipeline.evaluation.relation_report import shares_by_title
-from pipeline.evaluation.report import diagnose_run
 from pipeline.evaluation.run import EvalSpec, Progress, evaluate_labels, median_confidence, write_records
 from pipeline.evaluation.run_folder import RUN_FILE, Run, open_run, other_systems, spec_record
 from pipeline.evaluation.shared_makers import Share, measured_of, rank, shared_makers, title_of, titles_of, with_caveats
+from pipeline.evaluation.slices import DIMENSIONS, Slices, slice_by, slice_table
+from pipeline.evaluation.summary import RunSummary, has_verdicts, oracle_table, summarise_run, verdict_table
 from pipeline.labels.makers import makers_of
 from pipeline.labels.merge import environment
 from pipeline.labels.pictures import labelled_up
 from pipeline.labels.profiles import canonical_hash
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.metrics.intervals import BootstrapConfig
-from pipeline.metrics.tables import NOTHING_SHARED, Table, as_csv, latex, markdown
+from pipeline.metrics.tables import NOTHING_SHARED, Table, as_csv, caveats_html, latex, markdown
 from pipeline.system.errors import InputError, MissingExtra
 from pipeline.system.staging import staged_folder, write_json
 from pipeline.system.version import __version__
@@ -317,3 +321,94 @@ def make_tables(
         calibration_table(systems, bootstrap),
     ]
     return [with_caveats(table, shares) for table in tables if table is not None]
+
+
+DIAGNOSIS_FILE = "diagnosis.json"
+MOST = 20
+"""Classes, scenes and frames of their own in files; the rest is one slice."""
+
+
+@dataclass(frozen=True)
+class RunDiagnosis:
+    """The diagnosis of a run and of those beside it.
+
+    Attributes
+    ----------
+    summaries : dict of str to RunSummary
+        By system; those without verdicts are left out.
+    slices : tuple of Slices
+        By every dimension that the runs have.
+    confusions : tuple of Confusion
+        That of the answers first, then of each network.
+    shares : mapping of str to sequence of Share
+        What systems have in common with what made the labels.
+    """
+
+    summaries: dict[str, RunSummary]
+    slices: tuple[Slices, ...]
+    confusions: tuple[Confusion, ...]
+    shares: Mapping[str, Sequence[Share]] = field(default_factory=dict)
+
+    @property
+    def tables(self) -> list[Table]:
+        """Verdicts and oracles, where there are verdicts."""
+        return self._said([verdict_table(self.summaries), oracle_table(self.summaries)] if self.summaries else [])
+
+    def _said(self, tables: Sequence[Table]) -> list[Table]:
+        return [with_caveats(table, {name: self.shares.get(name, ()) for name in self.summaries}) for table in tables]
+
+    def record(self) -> dict[str, Any]:
+        """As JSON: `diagnosis.json`."""
+        return {
+            "systems": {name: s.record() for name, s in self.summaries.items()},
+            "slices": {s.dimension.name: s.record() for s in self.slices},
+            "confusions": {c.key: c.record() for c in self.confusions},
+        }
+
+    def write(self, folder: Path, plots: bool = True) -> None:
+        """Write `diagnosis.json`, `slices.md` and tables into a run's folder; with `plots` also pictures and a page."""
+        write_json(folder / DIAGNOSIS_FILE, self.record())
+        tables = self._said([*map(slice_table, self.slices), *(c.table() for c in self.confusions)])
+        (folder / "slices.md").write_text(markdown(tables), encoding="utf-8")
+        (folder / "tables").mkdir(exist_ok=True)
+        for table in tables:
+            (folder / "tables" / f"{table.key}.csv").write_text(as_csv(table), encoding="utf-8")
+        if plots:
+            from pipeline.evaluation.loss_plots import draw_diagnosis
+
+            shares = {name: self.shares.get(name, ()) for name in self.summaries}
+            draw_diagnosis(
+                self.summaries, self.slices, self.confusions, folder / "plots", caveats_html(self.tables),
+                titles_of(shares),
+            )  # fmt: skip
+
+
+def diagnose_run(
+    systems: Mapping[str, pa.Table],
+    labels: Labels | None = None,
+    folder: Path | None = None,
+    config: BootstrapConfig | None = None,
+    shares: Mapping[str, Sequence[Share]] = NOTHING_SHARED,
+) -> RunDiagnosis:
+    """Summaries, slices and confusions of runs; the first is the run itself.
+
+    Parameters
+    ----------
+    systems : mapping of str to pyarrow.Table
+        Records by system.
+    labels : Labels, optional
+        Of the first run: needed for the confusion of its answers.
+    folder : Path, optional
+        Of the first run: `relation_records.parquet` there tells what the networks take for what.
+    config : BootstrapConfig, optional
+    shares : mapping of str to sequence of Share
+        As `RunDiagnosis.shares`.
+    """
+    first = next(iter(systems.values()))
+    confusions = [] if labels is None else [answer_confusion(first, labels)]
+    if folder is not None:
+        confusions += network_confusion(folder / RELATION_RECORDS)
+    summaries = {name: summarise_run(r, config) for name, r in systems.items() if has_verdicts(r)}
+    cuts = [d for d in DIMENSIONS.values() if all(not d.column or d.column in r.column_names for r in systems.values())]
+    slices = tuple(slice_by(systems, d, config, most=MOST) for d in cuts)
+    return RunDiagnosis(summaries, slices, tuple(confusions), shares)

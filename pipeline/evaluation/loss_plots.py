@@ -11,7 +11,7 @@ import numpy as np
 
 from pipeline.diagnosis.verdict import VERDICTS
 from pipeline.evaluation.confusion import Confusion
-from pipeline.evaluation.plot_parts import (
+from pipeline.evaluation.plots import (
     ADDS_UP,
     LOSS_COLORS,
     VERDICT_COLORS,

@@ -21,9 +21,9 @@ from pipeline.metrics.relation_metrics import (
     cell_outcomes,
     multi_label_metrics,
     relation_estimates,
+    true_ranks,
     tuned_thresholds,
 )
-from pipeline.metrics.single_label_metrics import true_ranks
 from pipeline.metrics.splits import DROPPED, TRAIN, VALIDATION
 from pipeline.metrics.tables import NOTHING_SHARED, Cell, Row, Table, in_blocks
 from pipeline.relations.relations import T

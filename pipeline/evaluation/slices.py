@@ -14,8 +14,7 @@ from pipeline.evaluation.search_words import quote
 from pipeline.evaluation.summary import has_verdicts
 from pipeline.labels.database import quoted
 from pipeline.language.relation_names import PAIRWISE, PHRASE
-from pipeline.metrics.counts import ratio
-from pipeline.metrics.intervals import BootstrapConfig, Estimate, bootstrap
+from pipeline.metrics.intervals import BootstrapConfig, Estimate, bootstrap, ratio
 from pipeline.metrics.tables import Cell, Row, Table
 from pipeline.system.errors import InputError
 

@@ -12,8 +12,7 @@ import numpy as np
 from pipeline.diagnosis.substitution import ORACLES, SUBSETS, names_of
 from pipeline.diagnosis.verdict import VERDICTS
 from pipeline.evaluation.grounding_tables import clusters_of, column
-from pipeline.metrics.counts import ratio
-from pipeline.metrics.intervals import BootstrapConfig, Estimate, bootstrap, mean_estimate
+from pipeline.metrics.intervals import BootstrapConfig, Estimate, bootstrap, mean_estimate, ratio
 from pipeline.metrics.tables import Cell, Row, Table
 from pipeline.system.errors import InputError
 

@@ -1,4 +1,4 @@
-"""Figures with confidence intervals, by a bootstrap over clusters (Field and Welsh, JRSS B 2007).
+"""Figures made of counts, with confidence intervals by a bootstrap over clusters (Field and Welsh, JRSS B 2007).
 
 Rows of one scene resemble each other, so that whole scenes are drawn again and
 not rows. Everything here is a function of sums over rows: a resample is a vector
@@ -14,7 +14,6 @@ from typing import Any
 
 import numpy as np
 
-from pipeline.metrics.counts import ratio
 from pipeline.metrics.inputs import checked_clusters, checked_numbers
 from pipeline.system.errors import InputError
 
@@ -251,3 +250,21 @@ def _columns(columns: tuple[Any, ...]) -> np.ndarray:
 
 def _ratio(sums: np.ndarray) -> np.ndarray:
     return ratio(sums[:, :1], sums[:, 1:])
+
+
+def ratio(part: Any, whole: Any) -> np.ndarray:
+    """`part` / `whole` of arrays of any shape, float64; NaN where `whole` is 0."""
+    part, whole = np.broadcast_arrays(np.asarray(part, np.float64), np.asarray(whole, np.float64))
+    return np.divide(part, whole, out=np.full(part.shape, np.nan), where=whole != 0)
+
+
+def f1_of(tp: Any, fp: Any, fn: Any) -> np.ndarray:
+    """F1 = 2 tp / (2 tp + fp + fn); NaN where nothing holds (tp + fn = 0), whatever was said: it has no support."""
+    doubled, support = 2.0 * np.asarray(tp, np.float64), np.asarray(tp, np.float64) + fn
+    return ratio(doubled, np.where(support > 0, doubled + fp + fn, 0.0))
+
+
+def mean_of_defined(values: np.ndarray) -> np.ndarray:
+    """Mean over the last axis of what is not NaN; NaN where all is."""
+    defined = ~np.isnan(values)
+    return ratio(np.where(defined, values, 0.0).sum(axis=-1), defined.sum(axis=-1))

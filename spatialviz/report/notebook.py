@@ -12,8 +12,8 @@ from xml.etree.ElementTree import Element, tostring
 import cv2
 import numpy as np
 
+from pipeline.answering.json_records import probability
 from pipeline.answering.pair_table import ScoredPair
-from pipeline.answering.told_answer import probability
 from pipeline.diagnosis.answer import Answer
 from pipeline.evaluation.run_folder import Run
 from spatialviz.report.picture import answer_picture

@@ -11,13 +11,12 @@ from pathlib import Path
 from typing import Any
 
 from pipeline import __version__
-from pipeline.answering.json_records import why_no_answer
+from pipeline.answering.json_records import best_pair, told, why_no_answer
 from pipeline.answering.objects import PreparedFrame
 from pipeline.answering.opening import Pipeline
-from pipeline.answering.told_answer import best_pair, told
 from pipeline.diagnosis.answer import Answer
 from pipeline.diagnosis.cases.manifest import PROPOSALS
-from pipeline.diagnosis.cases.opening import OpenedCase
+from pipeline.diagnosis.cases.saving import OpenedCase
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.diagnosis.whatif.edits import Edits, read_edits
 from pipeline.diagnosis.whatif.state import ViewState, encode
@@ -26,7 +25,7 @@ from pipeline.labels.reading import Labels
 from pipeline.language.lexicon import wording
 from pipeline.system.errors import InputError
 from pipeline.system.whole_files import write_whole
-from spatialviz.report.picture_svg import AnswerRoles, answer_roles, picture_svg
+from spatialviz.report.picture import AnswerRoles, answer_roles, picture_svg
 from spatialviz.report.style import STYLE
 from spatialviz.report.tables import decomposition_html, modules_html, pairs_html, relations_html
 

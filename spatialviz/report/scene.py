@@ -18,7 +18,7 @@ from pipeline.geometry.palette import RGB, Role, palette
 from spatialviz.app.cloud import BAND_RATIO, FAR
 from spatialviz.app.origin import checked_origins
 from spatialviz.app.scene import CUBE, CUBE_FACES, FACE_OPACITY, LINE_WIDTH
-from spatialviz.report.picture_svg import AnswerRoles, answer_roles
+from spatialviz.report.picture import AnswerRoles, answer_roles
 
 if TYPE_CHECKING:
     import viser

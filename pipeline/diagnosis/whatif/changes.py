@@ -11,9 +11,8 @@ import numpy as np
 
 from pipeline.answering.json_records import why_no_answer
 from pipeline.answering.pair_table import ScoredPair
-from pipeline.diagnosis.whatif.edits import Edits
+from pipeline.diagnosis.whatif.edits import Edits, checked_lift, checked_profile, checked_rank
 from pipeline.diagnosis.whatif.rerun import Outcome
-from pipeline.diagnosis.whatif.settings_check import checked_lift, checked_profile, checked_rank
 from pipeline.language.relation_names import PHRASE
 from pipeline.system.errors import InputError
 

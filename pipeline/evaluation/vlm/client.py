@@ -14,7 +14,6 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from pipeline.evaluation.vlm.pool import map_ordered
 from pipeline.evaluation.vlm.protocol import (
     PICTURE_TOKENS,
     Alternatives,
@@ -28,7 +27,7 @@ from pipeline.evaluation.vlm.protocol import (
     read_models,
     request_body,
 )
-from pipeline.evaluation.vlm.transport import Failure, checked_base, send
+from pipeline.evaluation.vlm.transport import Failure, checked_base, map_ordered, send
 from pipeline.evaluation.vlm.view import Picture
 from pipeline.proposals.base import listed
 from pipeline.system.errors import InputError
