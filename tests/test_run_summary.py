@@ -21,6 +21,7 @@ from pipeline.evaluation.compare import compare
 from pipeline.evaluation.confusion import answer_confusion, answer_standings, network_confusion, stands_in
 from pipeline.evaluation.grounding_tables import clusters_of, column
 from pipeline.evaluation.job import diagnose_run, evaluate_dataset
+from pipeline.evaluation.relation_records import RelationRecords, SystemRecords
 from pipeline.evaluation.run import EvalSpec
 from pipeline.evaluation.run_folder import open_database
 from pipeline.evaluation.search import find_rows
@@ -175,7 +176,7 @@ def test_a_run_leaves_its_diagnosis(run: Path) -> None:
     assert np.trace(counts[:, : len(counts)]) == states.count(1)
     assert "## Verdicts" in (run / "tables.md").read_text()
     assert (run / "tables" / "slice-relation.csv").is_file()
-    assert network_confusion(run / "relation_records.parquet") == []
+    assert network_confusion(None) == []
 
 
 def test_every_cell_of_the_confusion_is_a_search(run: Path) -> None:
@@ -195,11 +196,11 @@ def test_other_labels_are_refused(run: Path) -> None:
         answer_confusion(records, open_labels(run.parent / "labels"), "0" * 64)
 
 
-def test_what_networks_take_for_what(tmp_path: Path) -> None:
-    said = [{"left": 0.9, "on": 0.2}, {"left": 0.6, "on": 0.4}, {"left": 0.1, "on": 0.8}]
-    states = [{"left": 1, "on": 1}, {"left": -1, "on": 1}, {"left": -1, "on": 0}]
-    pq.write_table(pa.table({"state": states, "p": [{"net": s} for s in said]}), tmp_path / "r.parquet")
-    (found,) = network_confusion(tmp_path / "r.parquet")
+def test_what_networks_take_for_what() -> None:
+    p, none = np.array([[0.9, 0.2], [0.6, 0.4], [0.1, 0.8]], np.float32), np.zeros(3, np.int32)
+    states = np.array([[1, 1], [-1, 1], [-1, 0]], np.int8)
+    net = SystemRecords("net", "net", ("left", "on"), p, np.full(3, -1, np.int8))
+    (found,) = network_confusion(RelationRecords(("left", "on"), states, none, ("room",), none, (net,)))
     np.testing.assert_array_equal(found.counts, [[1, 0], [1, 1]])
 
 

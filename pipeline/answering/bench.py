@@ -8,12 +8,13 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from pipeline.answering.objects import PreparedFrame, all_objects, appearance_of
 from pipeline.answering.opening import Pipeline, contexts
+from pipeline.geometry.camera import backproject
 from pipeline.geometry.frame import Frame
 from pipeline.geometry.level_plane import level_plane
 from pipeline.geometry.lifting import depth_edges, lift
@@ -21,9 +22,6 @@ from pipeline.proposals.cache import CachedDetector
 from pipeline.proposals.mask_cache import CachedSegmenter
 from pipeline.relations.features import Appearance
 from pipeline.system.errors import InputError
-
-if TYPE_CHECKING:
-    from pipeline.answering.opening import Pipeline
 
 MAX_FRAMES = 8
 
@@ -103,8 +101,6 @@ def _fastest(job: Callable[[], Any], repeat: int) -> float:
 
 
 def _whole_cloud(frame: Any) -> np.ndarray:
-    from pipeline.geometry.camera import backproject
-
     v, u = np.nonzero(frame.depth > 0)
     return backproject(frame.depth, frame.camera, v, u)
 

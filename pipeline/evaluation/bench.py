@@ -31,8 +31,11 @@ from pipeline.labels.engines import one_thread
 from pipeline.labels.job import label_dataset
 from pipeline.labels.plan import SourceSpec
 from pipeline.labels.reading import Labels, open_labels
+from pipeline.language.relation_names import VOCABULARIES
 from pipeline.system.errors import InputError, MissingExtra
 from pipeline.system.peak_memory import PeakMemory
+from pipeline.training.label_data import pair_set, read_label_data
+from pipeline.training.train import TrainConfig, train_pairs
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -220,10 +223,6 @@ def _job(spec: EvalSpec, workers: int) -> dict[str, Any]:
 
 def _training(labels: Labels, count: int) -> dict[str, Any]:
     """A network of relative extents (rel14), with the default schedule, on the labels' pairs."""
-    from pipeline.language.relation_names import VOCABULARIES
-    from pipeline.training.label_data import pair_set, read_label_data
-    from pipeline.training.train import TrainConfig, train_pairs
-
     config = TrainConfig()
     start = process_time()
     data = read_label_data(labels, config.features, VOCABULARIES[config.vocabulary])

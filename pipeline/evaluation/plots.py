@@ -48,7 +48,7 @@ def need_plots() -> None:
         raise MissingExtra("interactive plots", "report") from error
 
 
-def draw(systems: Mapping[str, pa.Table], tables: Sequence[Table], out: Path, caveat: str = "") -> list[Path]:
+def draw(systems: Mapping[str, pa.Table], tables: Sequence[Table], out: Path, caveat: str = "") -> None:
     """Write `relations.png`, `overlap.png`, `classes.png`, `plots.html`, and `calibration.png` where scores are.
 
     Parameters
@@ -70,18 +70,18 @@ def draw(systems: Mapping[str, pa.Table], tables: Sequence[Table], out: Path, ca
     diagrams = score_diagrams(systems)
     title = "Accuracy by relation"
     shown = with_caveat(f"{title}, with 95 % intervals", caveat)
-    written = [draw_bars(bars, tones, shown, ACCURACY, out / "relations.png", 3.4)]
+    draw_bars(bars, tones, shown, ACCURACY, out / "relations.png", 3.4)
     figures = [bar_figure(bars, tones, title, ACCURACY)]
     for curves, title, x_label, file in (
         (sweeps, "Accuracy by the overlap that is asked for", "overlap (IoU)", "overlap.png"),
         (rivals, "Accuracy by how many objects share the target's class", "objects of the class", "classes.png"),
     ):
-        written.append(_draw_lines(curves, with_caveat(title, caveat), x_label, out / file))
+        _draw_lines(curves, with_caveat(title, caveat), x_label, out / file)
         figures.append(_line_figure(curves, title, x_label))
     if diagrams:
-        written.append(draw_reliability(diagrams, caveat, out / "calibration.png"))
+        draw_reliability(diagrams, caveat, out / "calibration.png")
     figures += reliability_figures(diagrams)
-    return [*written, write_figures(figures, "Evaluation", out / "plots.html", caveats_html(tables))]
+    write_figures(figures, "Evaluation", out / "plots.html", caveats_html(tables))
 
 
 def relation_bars(table: Table) -> Bars:
@@ -123,19 +123,15 @@ def _tones(rows: Mapping[str, Any]) -> dict[str, str]:
     return {name: own.get(name, PALE_TONE) for name in rows}
 
 
-def _draw_lines(curves: Mapping[str, Lines], title: str, x_label: str, path: Path) -> Path:
+def _draw_lines(curves: Mapping[str, Lines], title: str, x_label: str, path: Path) -> None:
     with drawing(path, figsize=(6, 3.4)) as axes:
         for k, (system, (x, lines)) in enumerate(curves.items()):
             for label, y in lines.items():
                 style = "--" if label == "OPM only" else "-"
                 axes.plot(x, 100 * y, style, color=TONES[k % len(TONES)], label=f"{system}, {label}", marker=".")
-        axes.set_ylim(0, 105)
-        axes.set_xlabel(x_label)
-        axes.set_ylabel(ACCURACY)
-        axes.set_title(title)
+        axes.set(ylim=(0, 105), xlabel=x_label, ylabel=ACCURACY, title=title)
         axes.grid(axis="y")
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.18), ncols=2)
-    return path
 
 
 def _line_figure(curves: Mapping[str, Lines], title: str, x_label: str) -> Any:
@@ -149,7 +145,7 @@ def _line_figure(curves: Mapping[str, Lines], title: str, x_label: str) -> Any:
 
 def draw_relations(
     figures: Sequence[SystemFigures], tables: Sequence[Table], out: Path, caveat: str = ""
-) -> list[Path]:
+) -> None:
     """Write `srm_reliability.png`, `srm_relations.png` and `srm.html` into a folder, which is made if it is missing.
 
     What the tables of the same figures warn of stands on the page too; `caveat`, what the figures are where truth and
@@ -159,11 +155,9 @@ def draw_relations(
     bars, title = _f1_bars(figures), "F1 of each relation, with 95 % intervals"
     tones = {f.title: TONES[k % len(TONES)] for k, f in enumerate(figures)}
     parts = [_curves(figures), bar_figure(bars, tones, title, "F1 (%)")]
-    return [
-        _draw_reliability(figures, caveat, out / "srm_reliability.png"),
-        draw_bars(bars, tones, with_caveat(title, caveat), "F1 (%)", out / "srm_relations.png"),
-        write_figures(parts, "Relations alone", out / "srm.html", caveats_html(tables)),
-    ]
+    _draw_reliability(figures, caveat, out / "srm_reliability.png")
+    draw_bars(bars, tones, with_caveat(title, caveat), "F1 (%)", out / "srm_relations.png")
+    write_figures(parts, "Relations alone", out / "srm.html", caveats_html(tables))
 
 
 def reliability_lines(figures: Sequence[SystemFigures]) -> dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]:
@@ -187,7 +181,7 @@ def _f1_bars(figures: Sequence[SystemFigures]) -> Bars:
     return [PHRASE[r] for r in relations], rows
 
 
-def _draw_reliability(figures: Sequence[SystemFigures], caveat: str, path: Path) -> Path:
+def _draw_reliability(figures: Sequence[SystemFigures], caveat: str, path: Path) -> None:
     with drawing(path, figsize=(5, 5)) as axes:
         axes.plot([0, 100], [0, 100], color=PALE_TONE, linestyle="--", linewidth=1)
         for k, (title, (confidence, frequency, _)) in enumerate(reliability_lines(figures).items()):
@@ -196,15 +190,13 @@ def _draw_reliability(figures: Sequence[SystemFigures], caveat: str, path: Path)
                 100 * confidence, 100 * frequency, color=TONES[k % len(TONES)], marker=".",
                 label=f"{title} (ECE {ece:.1f})",
             )  # fmt: skip
-        axes.set_xlim(0, 100)
-        axes.set_ylim(0, 100)
-        axes.set_aspect("equal")
-        axes.set_xlabel("probability that is given (%)")
-        axes.set_ylabel("share that holds (%)")
-        axes.set_title(with_caveat("Do probabilities of relations mean what they say?", caveat))
+        axes.set(
+            xlim=(0, 100), ylim=(0, 100), aspect="equal",
+            xlabel="probability that is given (%)", ylabel="share that holds (%)",
+            title=with_caveat("Do probabilities of relations mean what they say?", caveat),
+        )  # fmt: skip
         axes.grid()
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.12), ncols=1)
-    return path
 
 
 def _curves(figures: Sequence[SystemFigures]) -> Any:
@@ -233,7 +225,7 @@ def score_diagrams(systems: Mapping[str, pa.Table]) -> Diagrams:
     return found
 
 
-def draw_reliability(diagrams: Diagrams, caveat: str, path: Path) -> Path:
+def draw_reliability(diagrams: Diagrams, caveat: str, path: Path) -> None:
     """One panel a system: the share of hits by score, and below how many detections have it."""
     wide = 4.2 * len(diagrams) + 0.6
     with drawing(
@@ -250,17 +242,13 @@ def draw_reliability(diagrams: Diagrams, caveat: str, path: Path) -> Path:
                 middle = (diagram.edges[:-1] + diagram.edges[1:]) / 2 + (n - 0.5) * 0.4 / ECE_BINS
                 lower.bar(middle, diagram.count, 0.36 / ECE_BINS, color=SCORE_TONES[kind])
             upper.set_title(system, color=INK)
-            upper.set_xlim(0, 1)
-            upper.set_ylim(0, 105)
-            upper.set_ylabel("hits, IoU of at least 0.5 (%)")
+            upper.set(xlim=(0, 1), ylim=(0, 105), ylabel="hits, IoU of at least 0.5 (%)")
             upper.grid(axis="y")
             upper.legend(loc="lower right")
-            lower.set_xlabel("score")
-            lower.set_ylabel("detections")
+            lower.set(xlabel="score", ylabel="detections")
         if caveat:
             title = with_caveat("Reliability of the detector's scores", caveat)
             axes[0, 0].figure.suptitle(title, fontsize=9, color=INK)
-    return path
 
 
 def reliability_figures(diagrams: Diagrams) -> list[Any]:
@@ -278,11 +266,9 @@ def reliability_figures(diagrams: Diagrams) -> list[Any]:
                 mode="lines+markers", line={"color": SCORE_TONES[kind]}, customdata=np.array(diagram.count[there]),
                 hovertemplate="score %{x:.3f}<br>hits %{y:.1f} %<br>%{customdata} detections",
             )  # fmt: skip
-        figure.update_layout(
-            title=f"Reliability of the detector's scores: {system}", xaxis_title="score",
-            yaxis_title="hits, IoU of at least 0.5 (%)",
-        )  # fmt: skip
-        figures.append(figure)
+        title = f"Reliability of the detector's scores: {system}"
+        labels = {"xaxis_title": "score", "yaxis_title": "hits, IoU of at least 0.5 (%)"}
+        figures.append(figure.update_layout(title=title, **labels))
     return figures
 
 
@@ -349,7 +335,7 @@ def moving_figure() -> Any:
 
 def draw_bars(
     bars: Bars, tones: Mapping[str, str], title: str, y_label: str, path: Path, height: float = 3.6
-) -> Path:
+) -> None:
     """Bars beside each other, with their intervals."""
     ticks, rows = bars
     width = 0.8 / max(len(rows), 1)
@@ -362,12 +348,9 @@ def draw_bars(
                 error = np.stack([value - low, high - value])[:, known].clip(0)
                 axes.errorbar(x[known], value[known], error, fmt="none", ecolor=INK, elinewidth=0.8)
         axes.set_xticks(np.arange(len(ticks)), ticks)
-        axes.set_ylim(0, 105)
-        axes.set_ylabel(y_label)
-        axes.set_title(title)
+        axes.set(ylim=(0, 105), ylabel=y_label, title=title)
         axes.grid(axis="y")
         axes.legend(loc="upper center", bbox_to_anchor=(0.5, -0.1), ncols=2)
-    return path
 
 
 def bar_figure(bars: Bars, tones: Mapping[str, str], title: str, y_label: str) -> Any:
@@ -387,19 +370,18 @@ def plain(text: str) -> str:
     return escape(text, quote=False)
 
 
-def write_figures(parts: Iterable[Any], title: str, path: Path, caveats: str = "", style: str = "") -> Path:
+def write_figures(parts: Iterable[Any], title: str, path: Path, caveats: str = "", style: str = "") -> None:
     """One page that needs no network, as the library stands in it: figures, and HTML between them; `caveats` on top."""
     from plotly.offline import get_plotlyjs
 
-    shown = []
-    for part in parts:
-        if not isinstance(part, str):
-            part.update_layout(template="plotly_white", font={"family": "Arial, sans-serif", "size": 13})
-            part = part.to_html(full_html=False, include_plotlyjs=False)
-        shown.append(part)
+    def shown(part: Any) -> str:
+        if isinstance(part, str):
+            return part
+        part.update_layout(template="plotly_white", font={"family": "Arial, sans-serif", "size": 13})
+        return part.to_html(full_html=False, include_plotlyjs=False)
+
     path.write_text(
         f"<!doctype html><html><head><meta charset='utf-8'><title>{title}</title>{style}"
-        f"<script>{get_plotlyjs()}</script></head><body>{caveats}{''.join(shown)}</body></html>",
+        f"<script>{get_plotlyjs()}</script></head><body>{caveats}{''.join(map(shown, parts))}</body></html>",
         encoding="utf-8",
     )
-    return path

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -199,31 +198,6 @@ def _part_of(system: RelationSystem, pairs: FramePairs, labels: Labels) -> str |
         return None
     part = int(parts_seen(system.trained_on, labels, [pairs.key])[0])
     return None if part == DROPPED else PARTS[part]
-
-
-class RelationWriter:
-    """Writes tables as they come; `rows` of them so far."""
-
-    def __init__(self, writer: Any) -> None:
-        self._writer = writer
-        self.rows = 0
-
-    def __call__(self, table: pa.Table) -> None:
-        self._writer.write_table(table)
-        self.rows += table.num_rows
-
-
-@contextmanager
-def relation_writer(path: Path, schema: pa.Schema) -> Iterator[RelationWriter]:
-    """A writer of `relation_records.parquet`; a failure leaves no file."""
-    import pyarrow.parquet as pq
-
-    try:
-        with pq.ParquetWriter(path, schema, compression="zstd") as writer:
-            yield RelationWriter(writer)
-    except BaseException:
-        path.unlink(missing_ok=True)
-        raise
 
 
 def read_pair_names(path: Path) -> list[tuple[str, str, str]]:

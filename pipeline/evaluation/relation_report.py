@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,6 +11,7 @@ from pipeline.evaluation.grounding_tables import reported_rows
 from pipeline.evaluation.relation_cases import RelationSystem
 from pipeline.evaluation.relation_records import RelationRecords, SystemRecords
 from pipeline.evaluation.shared_makers import Share, with_caveats
+from pipeline.labels.reading import Labels
 from pipeline.language.relation_names import PHRASE
 from pipeline.metrics.calibration_metrics import CalibrationMetrics, calibration_metrics
 from pipeline.metrics.intervals import BootstrapConfig, Estimate, mean_estimate
@@ -28,9 +28,6 @@ from pipeline.metrics.splits import DROPPED, TRAIN, VALIDATION
 from pipeline.metrics.tables import NOTHING_SHARED, Cell, Row, Table, in_blocks
 from pipeline.relations.relations import T
 from pipeline.training.label_data import same_dataset
-
-if TYPE_CHECKING:
-    from pipeline.labels.reading import Labels
 
 SHOWN_SCENES = 5
 MEASURES = (

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import multiprocessing
-import os
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -36,8 +34,6 @@ from pipeline.system.threads import one_thread, threads_in_children
 
 if TYPE_CHECKING:
     import pyarrow as pa
-
-    from pipeline.labels.reading import Labels
 
 LOOKED_AT = 64
 """Frames that are looked at, spread evenly over those with expressions: to detect in all would double the cost."""
@@ -106,11 +102,9 @@ class Evaluator:
         self.source, self.labels = spec.open()
         self.class_names = class_names_of(self.labels)
         self.whole: WholeExpression | None = None
-        if not spec.grounding:
-            pass
-        elif spec.system == "referring":
+        if spec.grounding and spec.system == "referring":
             self.whole = Referring(self.source.needed_detector())
-        elif spec.system == "vlm":
+        if spec.grounding and spec.system == "vlm":
             if spec.vlm is None:
                 raise InputError("no model is named", expected="the address of a server and a model")
             self.whole = Vlm(spec.vlm)
@@ -324,23 +318,6 @@ def _start(spec: EvalSpec) -> None:
 def _block(block: tuple[int, int]) -> tuple[pa.Table, pa.Table | None]:
     assert _evaluator is not None
     return _evaluator.block(*block)
-
-
-def write_records(tables: Iterator[pa.Table], path: Path) -> int:
-    """Write records as they come, whole or not at all; how many."""
-    import pyarrow.parquet as pq
-
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
-    rows = 0
-    try:
-        with pq.ParquetWriter(temporary, records_schema(), compression="zstd") as writer:
-            for table in tables:
-                writer.write_table(table)
-                rows += table.num_rows
-        os.replace(temporary, path)
-    finally:
-        temporary.unlink(missing_ok=True)
-    return rows
 
 
 def right_scores(source: Pipeline, context: PreparedFrame, truth: FrameCases) -> np.ndarray:

@@ -224,11 +224,10 @@ def _sums(
 ) -> tuple[list[Any], list[str], list[str | None], np.ndarray]:
     """Values, their names and searches, and (C, V, 1 + measures + verdicts) float64 sums by cluster."""
     import duckdb
-    import pyarrow as pa
 
     _, index = np.unique(clusters, return_inverse=True)
     columns = ["set_correct", "correct", *(["lucky", "verdict"] if judged else [])]
-    rows = records.select(columns).append_column("cluster", pa.array(index.astype(np.int32)))
+    rows = records.select(columns).append_column("cluster", [index.astype(np.int32)])
     value, parameters = "''", []
     if cut.column:
         rows = rows.append_column("value", records.column(cut.column))
@@ -287,16 +286,12 @@ def _query(cut: Dimension, key: Any) -> str | None:
 
 
 def _order(cut: Dimension, keys: Sequence[Any], names: Sequence[str], counts: np.ndarray) -> list[int]:
-    """Places of the values as they are shown; the unknown one comes last."""
-    indices = list(range(len(keys)))
+    """Indices of the values as they are shown; the unknown one comes last."""
     if cut.edges:
-        return sorted(indices, key=lambda k: keys[k] if keys[k] >= 0 else len(cut.edges) + 1)
-    if cut.order == "relation":
-        rank = {r: k for k, r in enumerate(PAIRWISE)}
-        return sorted(indices, key=lambda k: (keys[k] is None, rank.get(keys[k], len(rank)), names[k]))
-    if cut.order == "name":
-        return sorted(indices, key=lambda k: (keys[k] is None, names[k]))
-    return sorted(indices, key=lambda k: (keys[k] is None, -counts[k], names[k]))
+        return sorted(range(len(keys)), key=lambda k: keys[k] if keys[k] >= 0 else len(cut.edges) + 1)
+    rank = {r: k for k, r in enumerate(PAIRWISE)}
+    by = {"relation": lambda k: rank.get(keys[k], len(rank)), "name": lambda k: 0, "count": lambda k: -counts[k]}
+    return sorted(range(len(keys)), key=lambda k: (keys[k] is None, by[cut.order](k), names[k]))
 
 
 def _estimates(sums: np.ndarray, config: BootstrapConfig | None) -> list[Estimate]:

@@ -9,6 +9,8 @@ from typing import Any, Protocol
 import numpy as np
 
 from pipeline.evaluation.records import COLUMNS, matched, overlaps
+from pipeline.evaluation.vlm.client import ChatClient
+from pipeline.evaluation.vlm.questions import GroundingConfig, ground_many
 from pipeline.geometry.boxes import iou_2d
 from pipeline.geometry.frame import Frame
 from pipeline.labels.cases import HIT, Case, FrameCases
@@ -108,9 +110,6 @@ class Vlm:
     """
 
     def __init__(self, options: VlmOptions) -> None:
-        from pipeline.evaluation.vlm.client import ChatClient
-        from pipeline.evaluation.vlm.questions import GroundingConfig
-
         self.client = ChatClient(
             options.url,
             options.model,
@@ -121,8 +120,6 @@ class Vlm:
         self._config = GroundingConfig(box_scale=options.box_scale, workers=options.workers, keep_going=True)
 
     def point(self, frame: Frame, texts: Sequence[str]) -> list[Pointed]:
-        from pipeline.evaluation.vlm.questions import ground_many
-
         found = ground_many(self.client, frame, texts, config=self._config)
         return [Pointed(g.box, problem=g.reason if g.box is None else None) for g in found]
 

@@ -6,18 +6,17 @@ import math
 from collections import Counter
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from pipeline.answering.objects import SceneObject
 from pipeline.geometry.boxes import iou_2d
 from pipeline.language.naming import Synonyms
+from pipeline.metrics.significance import cohen_kappa
 from pipeline.proposals.base import Proposals
 from pipeline.proposals.known_names import knows, name_groups, same_name, same_names
 from pipeline.system.errors import InputError
-
-if TYPE_CHECKING:
-    from pipeline.answering.objects import SceneObject
 
 MIN_IOU = 0.5
 """Two detections that overlap less are not of one thing."""
@@ -351,8 +350,6 @@ def _share(both: int, a: int, b: int) -> float | None:
 
 
 def _name_kappa(frames: Iterable[FrameAgreement], synonyms: Synonyms | None) -> float | None:
-    from pipeline.metrics.significance import cohen_kappa
-
     said = [
         (f.labels_a[i], f.labels_b[j], same)
         for f in frames

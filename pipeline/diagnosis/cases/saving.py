@@ -332,13 +332,8 @@ def open_case(
     truth = case = mark = confidence = None
     if manifest.truth is not None:
         truth, case, mark, confidence = read_truth(manifest.truth, manifest.frame.id, root / MANIFEST)
-    synonyms = None
-    if manifest.synonyms is not None:
-        synonyms = Synonyms(
-            tuple(frozenset(g) for g in manifest.synonyms.groups), frozenset(manifest.synonyms.exceptions)
-        )
     source = Pipeline(
-        SavedCaseDataset(root, Settings()), detector, scorer, manifest.config, synonyms,
+        SavedCaseDataset(root, Settings()), detector, scorer, manifest.config, manifest.synonyms,
         lambda: replace(detector, everything=True, _answers={}),
     )  # fmt: skip
     return OpenedCase(root, manifest, table, expected, source, truth, case, mark, confidence, notes)

@@ -15,14 +15,14 @@ An edit refers to objects by the keys of `pipeline.diagnosis.whatif.pair_tables`
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal, TypeVar
 
 import numpy as np
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import AfterValidator, ConfigDict, Field, TypeAdapter, ValidationError
 
 from pipeline.answering.ranking import RankConfig
 from pipeline.geometry.boxes import Box3D
@@ -32,6 +32,7 @@ from pipeline.relations.relations import Profile
 from pipeline.system.errors import InputError
 
 Record = dict[str, Any]
+_T = TypeVar("_T")
 
 FORMAT = "spatialviz-edits-1"
 MOST_EDITS = 2000
@@ -47,319 +48,6 @@ Share = Annotated[float, Field(ge=0, le=1)]
 Side = Annotated[int, Field(ge=1, le=LARGEST_SIDE)]
 Three = tuple[float, float, float]
 Axis = tuple[Number, Number, Number]
-
-
-@dataclass(frozen=True)
-class PlacedBox:
-    """A 3D box as plain numbers, camera frame, metres; `R` row by row.
-
-    Attributes
-    ----------
-    center, size : three floats
-    R : three times three floats
-    """
-
-    center: Axis
-    R: tuple[Axis, Axis, Axis]
-    size: tuple[Length, Length, Length]
-
-    @staticmethod
-    def of(box: Box3D) -> PlacedBox:
-        """The same box."""
-        rows = tuple(tuple(row) for row in box.R.tolist())
-        return PlacedBox(tuple(box.center.tolist()), rows, tuple(box.size.tolist()))  # pyright: ignore
-
-    def box(self) -> Box3D:
-        """The box; InputError where it is none."""
-        return Box3D(np.array(self.center), np.array(self.R), np.array(self.size))
-
-
-@dataclass(frozen=True)
-class RunLengthMask:
-    """A mask in COCO's compressed run-length code.
-
-    Attributes
-    ----------
-    size : (int, int)
-        Height and width, pixels.
-    counts : str
-    """
-
-    size: tuple[Side, Side]
-    counts: Annotated[str, Field(max_length=4 * 2**20)]
-
-    @staticmethod
-    def of(mask: np.ndarray) -> RunLengthMask:
-        """The code of a mask ((H, W) bool)."""
-        return RunLengthMask((int(mask.shape[0]), int(mask.shape[1])), encode_run_length(np.ascontiguousarray(mask)))
-
-    def decoded(self, height: int, width: int, key: str) -> np.ndarray:
-        """(H, W) bool; InputError where it is not of a picture of that size."""
-        if self.size != (height, width):
-            raise InputError(
-                f"the mask of {key} is of another picture size", got=list(self.size), expected=f"[{height}, {width}]"
-            )
-        return decode_run_length(self.size, self.counts, f"the mask of {key}")
-
-
-@dataclass(frozen=True)
-class Edits:
-    """All edits of a view; `Edits()` has none. Made by `read_edits` or by the functions below, which check.
-
-    Attributes
-    ----------
-    boxes : mapping of key to PlacedBox
-    masks : mapping of key to RunLengthMask
-    hidden : frozenset of key
-    confidences : mapping of (name, key) to float
-        0..1; the name as it is asked in the expression.
-    relations : mapping of (relation, key of a, key of b) to float
-        0..1.
-    k : int or None
-    min_score : float or None
-    rank, profile, lift : mapping of field name to value
-    scorer : str or None
-    """
-
-    boxes: Mapping[str, PlacedBox] = field(default_factory=dict)
-    masks: Mapping[str, RunLengthMask] = field(default_factory=dict)
-    hidden: frozenset[str] = frozenset()
-    confidences: Mapping[tuple[str, str], float] = field(default_factory=dict)
-    relations: Mapping[tuple[str, str, str], float] = field(default_factory=dict)
-    k: int | None = None
-    min_score: float | None = None
-    rank: Mapping[str, Any] = field(default_factory=dict)
-    profile: Mapping[str, Any] = field(default_factory=dict)
-    lift: Mapping[str, Any] = field(default_factory=dict)
-    scorer: str | None = None
-
-    def __bool__(self) -> bool:
-        """Whether anything is edited."""
-        return any(getattr(self, f.name) not in (None, {}, frozenset()) for f in fields(self))
-
-    @property
-    def keys(self) -> frozenset[str]:
-        """All objects that an edit names."""
-        ends = {key for _, a, b in self.relations for key in (a, b)}
-        return frozenset({*self.boxes, *self.masks, *self.hidden, *(key for _, key in self.confidences), *ends})
-
-    def with_box(self, key: str, box: Box3D) -> Edits:
-        """The object's 3D box is this one (camera frame)."""
-        return replace(self, boxes={**self.boxes, key: PlacedBox.of(box)})
-
-    def with_mask(self, key: str, mask: np.ndarray) -> Edits:
-        """The object's pixels are these ((H, W) bool)."""
-        if mask.ndim != 2 or mask.dtype != np.bool_:
-            raise InputError("a mask must be bool (H, W)", got=f"{mask.dtype} {mask.shape}")
-        return replace(self, masks={**self.masks, key: RunLengthMask.of(mask)})
-
-    def with_hidden(self, key: str) -> Edits:
-        """The object was not found."""
-        return replace(self, hidden=self.hidden | {key})
-
-    def with_shown(self, key: str) -> Edits:
-        """The object is not hidden any more."""
-        return replace(self, hidden=self.hidden - {key})
-
-    def with_confidence(self, name: str, key: str, p: float) -> Edits:
-        """P(object | name) is `p`."""
-        return replace(self, confidences={**self.confidences, (name, key): probability(p)})
-
-    def with_relation(self, relation: str, a: str, b: str, p: float) -> Edits:
-        """P("a RELATION b") is `p`."""
-        if a == b:
-            raise InputError("a relation is between two objects", got=f"{a} twice")
-        return replace(self, relations={**self.relations, (relation, a, b): probability(p)})
-
-    def with_k(self, k: int | None) -> Edits:
-        """So many proposals of each name go on; None for the setting's own number."""
-        if k is not None and k < 1:
-            raise InputError("at least one proposal must go on for each name", got=f"k={k}")
-        return replace(self, k=k)
-
-    def with_min_score(self, score: float | None) -> Edits:
-        """Detections below are dropped; None for the detector's own threshold."""
-        return replace(self, min_score=None if score is None else probability(score))
-
-    def with_rank(self, **values: Any) -> Edits:
-        """Fields of RankConfig."""
-        return replace(self, rank=checked_rank({**self.rank, **values}))
-
-    def with_profile(self, **values: Any) -> Edits:
-        """Fields of `relations.Profile`."""
-        return replace(self, profile=checked_profile({**self.profile, **values}))
-
-    def with_lift(self, **values: Any) -> Edits:
-        """Fields of LiftConfig."""
-        return replace(self, lift=checked_lift({**self.lift, **values}))
-
-    def with_scorer(self, scorer: str | None) -> Edits:
-        """What scores relations: "rule", "trained", or the path of a network."""
-        return replace(self, scorer=scorer)
-
-    def without(self, key: str) -> Edits:
-        """Everything that names the object is taken back."""
-        return replace(
-            self,
-            boxes={k: v for k, v in self.boxes.items() if k != key},
-            masks={k: v for k, v in self.masks.items() if k != key},
-            hidden=self.hidden - {key},
-            confidences={k: v for k, v in self.confidences.items() if k[1] != key},
-            relations={k: v for k, v in self.relations.items() if key not in k[1:]},
-        )
-
-
-def probability(p: float) -> float:
-    """`p` as a float; InputError outside 0..1."""
-    if not 0.0 <= p <= 1.0:
-        raise InputError("a probability must lie in 0..1", got=p)
-    return float(p)
-
-
-class _Strict(BaseModel):
-    model_config = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
-
-
-class _Confidence(_Strict):
-    name: Key
-    object: Key
-    p: Share
-
-
-class _Relation(_Strict):
-    relation: Key
-    a: Key
-    b: Key
-    p: Share
-
-
-class EditsModel(_Strict):
-    """Edits as they stand in a file or in a view's state."""
-
-    format: Literal["spatialviz-edits-1"] = FORMAT
-    boxes: Annotated[dict[Key, PlacedBox], Field(max_length=MOST_EDITS)] = {}
-    masks: Annotated[dict[Key, RunLengthMask], Field(max_length=MOST_EDITS)] = {}
-    hidden: Annotated[list[Key], Field(max_length=MOST_EDITS)] = []
-    confidences: Annotated[list[_Confidence], Field(max_length=MOST_EDITS)] = []
-    relations: Annotated[list[_Relation], Field(max_length=MOST_EDITS)] = []
-    k: Annotated[int, Field(ge=1, le=100_000)] | None = None
-    min_score: Share | None = None
-    rank: dict[str, Any] = {}
-    profile: dict[str, Any] = {}
-    lift: dict[str, Any] = {}
-    scorer: Annotated[str, Field(min_length=1, max_length=4096)] | None = None
-
-    def edits(self) -> Edits:
-        """The same, checked in what the fields alone do not say."""
-        for box in self.boxes.values():
-            box.box()
-        confidences = {(c.name, c.object): c.p for c in self.confidences}
-        relations = {(r.relation, r.a, r.b): r.p for r in self.relations}
-        if len(confidences) < len(self.confidences) or len(relations) < len(self.relations):
-            raise InputError("the edits give one and the same probability twice")
-        same = next((r for r in self.relations if r.a == r.b), None)
-        if same is not None:
-            raise InputError("a relation is between two objects", got=f"{same.a} twice")
-        return Edits(
-            boxes=self.boxes,
-            masks=self.masks,
-            hidden=frozenset(self.hidden),
-            confidences=confidences,
-            relations=relations,
-            k=self.k,
-            min_score=self.min_score,
-            rank=checked_rank(self.rank),
-            profile=checked_profile(self.profile),
-            lift=checked_lift(self.lift),
-            scorer=self.scorer,
-        )
-
-
-if TYPE_CHECKING:
-    EditsField = Edits
-    """Edits as a field of a model, read from `EditsModel`."""
-else:
-    EditsField = Annotated[EditsModel, AfterValidator(EditsModel.edits)]
-
-
-def edits_record(edits: Edits) -> Record:
-    """Edits as a JSON object; what is not edited is left out."""
-    record: Record = {
-        "format": FORMAT,
-        "boxes": {
-            key: {"center": list(b.center), "R": [list(row) for row in b.R], "size": list(b.size)}
-            for key, b in sorted(edits.boxes.items())
-        },
-        "masks": {key: {"size": list(m.size), "counts": m.counts} for key, m in sorted(edits.masks.items())},
-        "hidden": sorted(edits.hidden),
-        "confidences": [{"name": n, "object": key, "p": p} for (n, key), p in sorted(edits.confidences.items())],
-        "relations": [{"relation": r, "a": a, "b": b, "p": p} for (r, a, b), p in sorted(edits.relations.items())],
-        "k": edits.k,
-        "min_score": edits.min_score,
-        **{
-            name: {k: list(v) if isinstance(v, tuple) else v for k, v in sorted(getattr(edits, name).items())}
-            for name in ("rank", "profile", "lift")
-        },
-        "scorer": edits.scorer,
-    }
-    return {name: value for name, value in record.items() if value not in (None, {}, [])}
-
-
-def read_edits(record: Record | str | bytes) -> Edits:
-    """Edits from a JSON object, or from the text of one.
-
-    Raises
-    ------
-    InputError
-        It is not JSON, has an unknown field, or a value out of range.
-    """
-    return validated(EditsField, EditsModel.model_fields, record, "the edits")
-
-
-def load_edits(path: str | Path) -> Edits:
-    """Edits from a file; InputError where it cannot be read or holds none."""
-    path = Path(path)
-    try:
-        if path.stat().st_size > LARGEST_FILE:
-            raise InputError("the file of edits is too large", expected=f"at most {LARGEST_FILE} bytes", path=path)
-        text = path.read_bytes()
-    except OSError as error:
-        raise InputError("the edits cannot be read", got=error.strerror, path=path) from error
-    try:
-        return read_edits(text)
-    except InputError as error:
-        raise InputError(str(error), path=path) from error
-
-
-@cache
-def adapter(kind: Any) -> TypeAdapter[Any]:
-    return TypeAdapter(kind)
-
-
-def validated(kind: Any, names: Iterable[str], record: Record | str | bytes, what: str) -> Any:
-    """A JSON object, or the text of one, as something with fields of these names; InputError in one line if it is none.
-
-    `kind` is what pydantic takes for a type.
-    """
-    try:
-        value = json.loads(record) if isinstance(record, str | bytes) else record
-        # Once more through JSON: infinities (1e999) and what is not JSON end here.
-        text = json.dumps(value, allow_nan=False)
-    except (TypeError, ValueError, RecursionError) as error:
-        raise InputError(f"{what} cannot be read as JSON", got=str(error)[:120]) from error
-    try:
-        return adapter(kind).validate_json(text, strict=True)
-    except ValidationError as error:
-        first = error.errors()[0]
-        told = first.get("ctx", {}).get("error")
-        if isinstance(told, InputError):
-            raise told from None
-        index = ".".join(str(p)[:60] for p in first["loc"])
-        where = f"{what}: {index}" if index else what
-        if first["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
-            fields = ", ".join(names) if len(first["loc"]) == 1 else None
-            raise InputError(f"{what}: there is no field {index!r}", expected=fields) from error
-        raise InputError(f"{where} cannot be this", got=repr(first["input"])[:80], expected=first["msg"]) from error
 
 
 _LARGEST_LENGTH = 100.0
@@ -441,3 +129,292 @@ def _checked(kind: type, values: Mapping[str, Any], where: str) -> dict[str, Any
 def _within(name: str, value: float, least: float, most: float) -> None:
     if not least <= value <= most:
         raise InputError(f"{name} is out of range", got=value, expected=f"{least:g} to {most:g}")
+
+
+@cache
+def adapter(kind: Any) -> TypeAdapter[Any]:
+    return TypeAdapter(kind)
+
+
+@dataclass(frozen=True)
+class PlacedBox:
+    """A 3D box as plain numbers, camera frame, metres; `R` row by row.
+
+    Attributes
+    ----------
+    center, size : three floats
+    R : three times three floats
+    """
+
+    center: Axis
+    R: tuple[Axis, Axis, Axis]
+    size: tuple[Length, Length, Length]
+
+    def __post_init__(self) -> None:
+        self.box()
+
+    @staticmethod
+    def of(box: Box3D) -> PlacedBox:
+        """The same box."""
+        rows = tuple(tuple(row) for row in box.R.tolist())
+        return PlacedBox(tuple(box.center.tolist()), rows, tuple(box.size.tolist()))  # pyright: ignore
+
+    def box(self) -> Box3D:
+        """The box; InputError where it is none."""
+        return Box3D(np.array(self.center), np.array(self.R), np.array(self.size))
+
+
+@dataclass(frozen=True)
+class RunLengthMask:
+    """A mask in COCO's compressed run-length code.
+
+    Attributes
+    ----------
+    size : (int, int)
+        Height and width, pixels.
+    counts : str
+    """
+
+    size: tuple[Side, Side]
+    counts: Annotated[str, Field(max_length=4 * 2**20)]
+
+    @staticmethod
+    def of(mask: np.ndarray) -> RunLengthMask:
+        """The code of a mask ((H, W) bool)."""
+        return RunLengthMask((int(mask.shape[0]), int(mask.shape[1])), encode_run_length(np.ascontiguousarray(mask)))
+
+    def decoded(self, height: int, width: int, key: str) -> np.ndarray:
+        """(H, W) bool; InputError where it is not of a picture of that size."""
+        if self.size != (height, width):
+            raise InputError(
+                f"the mask of {key} is of another picture size", got=list(self.size), expected=f"[{height}, {width}]"
+            )
+        return decode_run_length(self.size, self.counts, f"the mask of {key}")
+
+
+@dataclass(frozen=True)
+class _Confidence:
+    """P(object | name), as it stands in a file."""
+
+    name: Key
+    object: Key
+    p: Share
+
+
+@dataclass(frozen=True)
+class _Relation:
+    """P("a RELATION b"), as it stands in a file."""
+
+    relation: Key
+    a: Key
+    b: Key
+    p: Share
+
+    def __post_init__(self) -> None:
+        if self.a == self.b:
+            raise InputError("a relation is between two objects", got=f"{self.a} twice")
+
+
+def _each_once(entries: Sequence[_Confidence | _Relation]) -> dict[tuple[str, ...], float]:
+    """The probabilities by what they are of."""
+    found = {tuple(vars(entry).values())[:-1]: entry.p for entry in entries}
+    if len(found) < len(entries):
+        raise InputError("the edits give one and the same probability twice")
+    return found
+
+
+if TYPE_CHECKING:
+    _Confidences = Mapping[tuple[str, str], float]
+    _Relations = Mapping[tuple[str, str, str], float]
+else:
+    _Confidences = Annotated[list[_Confidence], Field(max_length=MOST_EDITS), AfterValidator(_each_once)]
+    _Relations = Annotated[list[_Relation], Field(max_length=MOST_EDITS), AfterValidator(_each_once)]
+
+
+@dataclass(frozen=True)
+class Edits:
+    """All edits of a view; `Edits()` has none. Made by `read_edits` or by the functions below, which check.
+
+    Attributes
+    ----------
+    boxes : mapping of key to PlacedBox
+    masks : mapping of key to RunLengthMask
+    hidden : frozenset of key
+    confidences : mapping of (name, key) to float
+        0..1; the name as it is asked in the expression.
+    relations : mapping of (relation, key of a, key of b) to float
+        0..1.
+    k : int or None
+    min_score : float or None
+    rank, profile, lift : mapping of field name to value
+    scorer : str or None
+    """
+
+    __pydantic_config__ = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+
+    format: Literal["spatialviz-edits-1"] = FORMAT
+    boxes: Annotated[Mapping[Key, PlacedBox], Field(max_length=MOST_EDITS)] = field(default_factory=dict)
+    masks: Annotated[Mapping[Key, RunLengthMask], Field(max_length=MOST_EDITS)] = field(default_factory=dict)
+    hidden: Annotated[frozenset[Key], Field(max_length=MOST_EDITS)] = frozenset()
+    confidences: _Confidences = field(default_factory=dict)
+    relations: _Relations = field(default_factory=dict)
+    k: Annotated[int, Field(ge=1, le=100_000)] | None = None
+    min_score: Share | None = None
+    rank: Annotated[Mapping[str, Any], AfterValidator(checked_rank)] = field(default_factory=dict)
+    profile: Annotated[Mapping[str, Any], AfterValidator(checked_profile)] = field(default_factory=dict)
+    lift: Annotated[Mapping[str, Any], AfterValidator(checked_lift)] = field(default_factory=dict)
+    scorer: Annotated[str, Field(min_length=1, max_length=4096)] | None = None
+
+    def __bool__(self) -> bool:
+        """Whether anything is edited."""
+        return self != Edits()
+
+    @property
+    def keys(self) -> frozenset[str]:
+        """All objects that an edit names."""
+        ends = {key for _, a, b in self.relations for key in (a, b)}
+        return frozenset({*self.boxes, *self.masks, *self.hidden, *(key for _, key in self.confidences), *ends})
+
+    def with_box(self, key: str, box: Box3D) -> Edits:
+        """The object's 3D box is this one (camera frame)."""
+        return replace(self, boxes={**self.boxes, key: PlacedBox.of(box)})
+
+    def with_mask(self, key: str, mask: np.ndarray) -> Edits:
+        """The object's pixels are these ((H, W) bool)."""
+        if mask.ndim != 2 or mask.dtype != np.bool_:
+            raise InputError("a mask must be bool (H, W)", got=f"{mask.dtype} {mask.shape}")
+        return replace(self, masks={**self.masks, key: RunLengthMask.of(mask)})
+
+    def with_hidden(self, key: str) -> Edits:
+        """The object was not found."""
+        return replace(self, hidden=self.hidden | {key})
+
+    def with_shown(self, key: str) -> Edits:
+        """The object is not hidden any more."""
+        return replace(self, hidden=self.hidden - {key})
+
+    def with_confidence(self, name: str, key: str, p: float) -> Edits:
+        """P(object | name) is `p`."""
+        return replace(self, confidences={**self.confidences, (name, key): probability(p)})
+
+    def with_relation(self, relation: str, a: str, b: str, p: float) -> Edits:
+        """P("a RELATION b") is `p`."""
+        if a == b:
+            raise InputError("a relation is between two objects", got=f"{a} twice")
+        return replace(self, relations={**self.relations, (relation, a, b): probability(p)})
+
+    def with_k(self, k: int | None) -> Edits:
+        """So many proposals of each name go on; None for the setting's own number."""
+        if k is not None and k < 1:
+            raise InputError("at least one proposal must go on for each name", got=f"k={k}")
+        return replace(self, k=k)
+
+    def with_min_score(self, score: float | None) -> Edits:
+        """Detections below are dropped; None for the detector's own threshold."""
+        return replace(self, min_score=None if score is None else probability(score))
+
+    def with_rank(self, **values: Any) -> Edits:
+        """Fields of RankConfig."""
+        return replace(self, rank=checked_rank({**self.rank, **values}))
+
+    def with_profile(self, **values: Any) -> Edits:
+        """Fields of `relations.Profile`."""
+        return replace(self, profile=checked_profile({**self.profile, **values}))
+
+    def with_lift(self, **values: Any) -> Edits:
+        """Fields of LiftConfig."""
+        return replace(self, lift=checked_lift({**self.lift, **values}))
+
+    def with_scorer(self, scorer: str | None) -> Edits:
+        """What scores relations: "rule", "trained", or the path of a network."""
+        return replace(self, scorer=scorer)
+
+    def without(self, key: str) -> Edits:
+        """Everything that names the object is taken back."""
+        return replace(
+            self,
+            boxes={k: v for k, v in self.boxes.items() if k != key},
+            masks={k: v for k, v in self.masks.items() if k != key},
+            hidden=self.hidden - {key},
+            confidences={k: v for k, v in self.confidences.items() if k[1] != key},
+            relations={k: v for k, v in self.relations.items() if key not in k[1:]},
+        )
+
+
+def probability(p: float) -> float:
+    """`p` as a float; InputError outside 0..1."""
+    if not 0.0 <= p <= 1.0:
+        raise InputError("a probability must lie in 0..1", got=p)
+    return float(p)
+
+
+def edits_record(edits: Edits) -> Record:
+    """Edits as a JSON object; what is not edited is left out."""
+    record: Record = {
+        "format": FORMAT,
+        "boxes": {
+            key: {"center": list(b.center), "R": [list(row) for row in b.R], "size": list(b.size)}
+            for key, b in sorted(edits.boxes.items())
+        },
+        "masks": {key: {"size": list(m.size), "counts": m.counts} for key, m in sorted(edits.masks.items())},
+        "hidden": sorted(edits.hidden),
+        "confidences": [{"name": n, "object": key, "p": p} for (n, key), p in sorted(edits.confidences.items())],
+        "relations": [{"relation": r, "a": a, "b": b, "p": p} for (r, a, b), p in sorted(edits.relations.items())],
+        "k": edits.k,
+        "min_score": edits.min_score,
+        **{
+            name: {k: list(v) if isinstance(v, tuple) else v for k, v in sorted(getattr(edits, name).items())}
+            for name in ("rank", "profile", "lift")
+        },
+        "scorer": edits.scorer,
+    }
+    return {name: value for name, value in record.items() if value not in (None, {}, [])}
+
+
+def read_edits(record: Record | str | bytes) -> Edits:
+    """Edits from a JSON object, or from the text of one.
+
+    Raises
+    ------
+    InputError
+        It is not JSON, has an unknown field, or a value out of range.
+    """
+    return validated(Edits, record, "the edits")
+
+
+def load_edits(path: str | Path) -> Edits:
+    """Edits from a file; InputError where it cannot be read or holds none."""
+    path = Path(path)
+    try:
+        if path.stat().st_size > LARGEST_FILE:
+            raise InputError("the file of edits is too large", expected=f"at most {LARGEST_FILE} bytes", path=path)
+        text = path.read_bytes()
+    except OSError as error:
+        raise InputError("the edits cannot be read", got=error.strerror, path=path) from error
+    try:
+        return read_edits(text)
+    except InputError as error:
+        raise InputError(str(error), path=path) from error
+
+
+def validated(kind: type[_T], record: Record | str | bytes, what: str) -> _T:
+    """A JSON object, or the text of one, as a dataclass; InputError in one line if it is none."""
+    try:
+        value = json.loads(record) if isinstance(record, str | bytes) else record
+        # Once more through JSON: infinities (1e999) and what is not JSON end here.
+        text = json.dumps(value, allow_nan=False)
+    except (TypeError, ValueError, RecursionError) as error:
+        raise InputError(f"{what} cannot be read as JSON", got=str(error)[:120]) from error
+    try:
+        return adapter(kind).validate_json(text, strict=True)
+    except ValidationError as error:
+        first = error.errors()[0]
+        told = first.get("ctx", {}).get("error")
+        if isinstance(told, InputError):
+            raise told from None
+        index = ".".join(str(p)[:60] for p in first["loc"])
+        where = f"{what}: {index}" if index else what
+        if first["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
+            names = ", ".join(f.name for f in fields(kind)) if len(first["loc"]) == 1 else None  # pyright: ignore
+            raise InputError(f"{what}: there is no field {index!r}", expected=names) from error
+        raise InputError(f"{where} cannot be this", got=repr(first["input"])[:80], expected=first["msg"]) from error

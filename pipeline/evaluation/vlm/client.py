@@ -128,6 +128,11 @@ class ChatClient:
     clock, sleep : callable
         Seconds, and waiting for some.
 
+    Attributes
+    ----------
+    usage : Usage
+        What was asked so far.
+
     Raises
     ------
     InputError
@@ -159,21 +164,11 @@ class ChatClient:
         self._key = (api_key if api_key is not None else os.environ.get(KEY_VARIABLE, "")).strip()
         if not (self._key.isascii() and self._key.isprintable()) or " " in self._key:
             raise InputError("the API key holds characters that no key has", cause="was more than the key copied?")
-        self._cache: AnswerCache | None = None
-        if cache is not False:
-            self._cache = AnswerCache(cache_folder() / "vlm" if cache is True else cache)
+        folder = cache_folder() / "vlm" if cache is True else cache
+        self._cache = AnswerCache(folder) if folder else None
         self._clock, self._sleep = clock, sleep
         self._pace = Pace(requests_per_minute, clock, sleep)
-        self._usage, self._lock = Usage(), threading.Lock()
-
-    @property
-    def model(self) -> str:
-        return self.parameters.model
-
-    @property
-    def usage(self) -> Usage:
-        """What was asked so far."""
-        return self._usage
+        self.usage, self._lock = Usage(), threading.Lock()
 
     def ask(
         self,
@@ -261,11 +256,8 @@ class ChatClient:
             self._give_up(failure, url, 1, failure.cause)
 
     def _answer(self, question: Question, stop: threading.Event) -> Answer:
-        parameters = self.parameters
-        if question.max_tokens is not None:
-            parameters = replace(parameters, max_tokens=question.max_tokens)
-        if question.top_logprobs is not None:
-            parameters = replace(parameters, top_logprobs=question.top_logprobs)
+        own = {"max_tokens": question.max_tokens, "top_logprobs": question.top_logprobs}
+        parameters = replace(self.parameters, **{k: v for k, v in own.items() if v is not None})
         _check(parameters, self.timeout_s, self.retries)
         if not question.prompt.strip():
             raise InputError("a question without words")
@@ -290,9 +282,9 @@ class ChatClient:
                 completion = read_completion(send(url, body, self._headers(), self.timeout_s))
                 return completion, self._clock() - start
             except Failure as failure:
-                wait = min(FIRST_WAIT_S * 2 ** (tries - 1), LONGEST_WAIT_S)
-                if failure.wait_s is not None:
-                    wait = failure.wait_s
+                wait = failure.wait_s
+                if wait is None:
+                    wait = min(FIRST_WAIT_S * 2 ** (tries - 1), LONGEST_WAIT_S)
                 if not failure.again or tries > self.retries:
                     self._give_up(failure, url, tries, self._likely_cause(failure))
                 if wait > LONGEST_WAIT_S:
@@ -326,8 +318,8 @@ class ChatClient:
                 names = self.models()
             except ServerError as error:
                 return "does the base address end in /v1?" if error.status == 404 else failure.cause
-            if names and self.model not in names:
-                return f"the server has no model {self.model!r}, only: {listed(names)}"
+            if names and self.parameters.model not in names:
+                return f"the server has no model {self.parameters.model!r}, only: {listed(names)}"
         return failure.cause
 
     def _counted(self, question: Question, found: Completion, seconds: float, *, cached: bool) -> Answer:
@@ -345,7 +337,7 @@ class ChatClient:
 
     def _count(self, **more: int) -> None:
         with self._lock:
-            self._usage = replace(self._usage, **{name: getattr(self._usage, name) + n for name, n in more.items()})
+            self.usage = replace(self.usage, **{name: getattr(self.usage, name) + n for name, n in more.items()})
 
 
 def _check(parameters: Parameters, timeout_s: float, retries: int) -> None:
