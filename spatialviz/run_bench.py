@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import asdict
 from typing import Any
 
 from rich.text import Text
@@ -88,7 +89,7 @@ def run_bench_detect(command: BenchDetect) -> None:
     source, frame_ids = command.source.open(command.dataset)
     with rate_bar("detecting", "frames") as advance:
         report = run_endurance(source, frame_ids, command.count, advance)
-    command.write(report.record(), print_endurance, report)
+    command.write(asdict(report), print_endurance, report)
 
 
 _MEANING = {

@@ -18,6 +18,7 @@ from pipeline.metrics.calibration_metrics import (
     expected_calibration_error,
     reliability_diagram,
 )
+from pipeline.metrics.intervals import mcnemar
 from pipeline.metrics.relation_metrics import (
     RelationMetrics,
     average_precision,
@@ -27,7 +28,6 @@ from pipeline.metrics.relation_metrics import (
     true_ranks,
     tuned_thresholds,
 )
-from pipeline.metrics.significance import mcnemar
 from pipeline.system.errors import InputError
 
 SEEDS = st.integers(0, 2**32 - 1)

@@ -12,13 +12,14 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from time import perf_counter, process_time
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from pipeline.answering.opening import open_pipeline
 from pipeline.answering.recording import record_detections
 from pipeline.evaluation.job import make_tables
+from pipeline.evaluation.records import ArrowTable
 from pipeline.evaluation.relation_cases import frames_in, spread
 from pipeline.evaluation.run import (
     FRAMES_A_BLOCK,
@@ -36,9 +37,6 @@ from pipeline.system.errors import InputError, MissingExtra
 from pipeline.system.peak_memory import PeakMemory
 from pipeline.training.label_data import pair_set, read_label_data
 from pipeline.training.train import TrainConfig, train_pairs
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 GOAL_EXPRESSIONS, GOAL_PAIRS = 50_000, 75_000
 GOAL_CLUSTERS = 500
@@ -137,7 +135,7 @@ def _inputs(dataset: str, labels: Path | None, recording: Path | None) -> Iterat
         yield EvalSpec(dataset, str(labels), {"detector": "recorded", "model": recording})
 
 
-def _by_stages(spec: EvalSpec) -> tuple[Evaluator, dict[str, float], pa.Table]:
+def _by_stages(spec: EvalSpec) -> tuple[Evaluator, dict[str, float], ArrowTable]:
     """Every expression in this process, with what each stage took."""
     import pyarrow as pa
 
@@ -157,7 +155,7 @@ def _by_stages(spec: EvalSpec) -> tuple[Evaluator, dict[str, float], pa.Table]:
     return evaluator, stages, records
 
 
-def _as_many(records: pa.Table, rows: int, clusters: int) -> pa.Table:
+def _as_many(records: ArrowTable, rows: int, clusters: int) -> ArrowTable:
     """The records repeated to so many rows in so many scenes."""
     import pyarrow as pa
 
@@ -166,7 +164,7 @@ def _as_many(records: pa.Table, rows: int, clusters: int) -> pa.Table:
     return many.set_column(many.schema.get_field_index("scene"), "scene", scenes)
 
 
-def _asked_singly(evaluator: Evaluator, records: pa.Table, count: int) -> dict[str, Any]:
+def _asked_singly(evaluator: Evaluator, records: ArrowTable, count: int) -> dict[str, Any]:
     """Expressions asked by `ask`, each with its frame read anew, and whether the answers are those of the records.
 
     An expression that is not read as the labels mean it has no answer in the records and is left out.

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import glob
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
+from pipeline.evaluation.records import ArrowTable
 from pipeline.evaluation.relation_records import RelationRecords
 from pipeline.labels.database import quoted
 from pipeline.labels.reading import Labels
@@ -16,9 +17,6 @@ from pipeline.language.relation_names import PAIRWISE, PHRASE
 from pipeline.metrics.tables import Row, Table
 from pipeline.relations.relations import F, T, U
 from pipeline.system.errors import InputError
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 DOUBT, NOTHING, UNJUDGED, UNLABELLED, NO_ANSWER = "in doubt", "none", "not judged", "no such objects", "no answer"
 OTHERS = (DOUBT, NOTHING, UNJUDGED, UNLABELLED, NO_ANSWER)
@@ -90,7 +88,7 @@ class Standings:
         return [columns[k] for k in self.cell.tolist()]
 
 
-def answer_standings(records: pa.Table, labels: Labels, content_hash: str | None = None) -> Standings:
+def answer_standings(records: ArrowTable, labels: Labels, content_hash: str | None = None) -> Standings:
     """In which relation the two objects of each answer stand by their labels; see `answer_confusion`."""
     if content_hash is not None and labels.manifest.tables["expressions"].content_hash != content_hash:
         raise InputError("these are not the labels that the run was made with", path=labels.root)
@@ -113,7 +111,7 @@ def answer_standings(records: pa.Table, labels: Labels, content_hash: str | None
     return Standings(names, meant, cell)
 
 
-def answer_confusion(records: pa.Table, labels: Labels, content_hash: str | None = None) -> Confusion:
+def answer_confusion(records: ArrowTable, labels: Labels, content_hash: str | None = None) -> Confusion:
     """The relation that was asked against the one in which the answer's two objects stand by their labels.
 
     Parameters
@@ -176,7 +174,7 @@ def stands_in(states: np.ndarray, margins: np.ndarray, meant: np.ndarray, doubt:
 
 
 def _pairs_of_answers(
-    records: pa.Table, labels: Labels, names: tuple[str, ...]
+    records: ArrowTable, labels: Labels, names: tuple[str, ...]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(P,) rows of the answers whose pair was judged, their (P, R) states and (P, R) margins."""
     import duckdb
@@ -215,8 +213,10 @@ def _pairs_of_answers(
 
 def network_confusion(records: RelationRecords | None) -> list[Confusion]:
     """What each scorer takes the relations of labelled pairs for; empty without records of pairs."""
+    if records is None:
+        return []
     found = []
-    for system in () if records is None else records.systems:
+    for system in records.systems:
         names = tuple(r for r in records.relations if r in system.relations)
         if names:
             counts = _taken_for(records.truth(names), system.p[:, [system.relations.index(r) for r in names]])

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field, replace
 from datetime import datetime, timezone
 from pathlib import Path
 from time import perf_counter
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from pipeline.evaluation.compare import Comparison, compare, read_records
 from pipeline.evaluation.confusion import Confusion, answer_confusion, network_confusion
@@ -31,7 +31,7 @@ from pipeline.evaluation.grounding_tables import (
 from pipeline.evaluation.loss_plots import draw_diagnosis
 from pipeline.evaluation.paper_tables import tables_of_folder
 from pipeline.evaluation.plots import draw, draw_relations, need_plots
-from pipeline.evaluation.records import is_calibrated, raw_records, records_schema
+from pipeline.evaluation.records import ArrowTable, is_calibrated, raw_records, records_schema
 from pipeline.evaluation.relation_cases import RelationSpec, labelled_detector
 from pipeline.evaluation.relation_job import measure_relations, relation_sink
 from pipeline.evaluation.relation_records import RelationRecords
@@ -51,9 +51,6 @@ from pipeline.metrics.tables import NOTHING_SHARED, Table, as_csv, caveats_html,
 from pipeline.system.errors import InputError, MissingExtra
 from pipeline.system.staging import staged_folder, write_json
 from pipeline.system.version import __version__
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 
 @dataclass(frozen=True)
@@ -301,7 +298,7 @@ def write_tables(tables: Sequence[Table], folder: Path, name: str) -> None:
 
 
 def make_tables(
-    systems: dict[str, pa.Table],
+    systems: dict[str, ArrowTable],
     bootstrap: BootstrapConfig | None = None,
     shares: Mapping[str, Sequence[Share]] = NOTHING_SHARED,
 ) -> list[Table]:
@@ -388,7 +385,7 @@ class RunDiagnosis:
 
 
 def diagnose_run(
-    systems: Mapping[str, pa.Table],
+    systems: Mapping[str, ArrowTable],
     labels: Labels | None = None,
     relations: RelationRecords | None = None,
     config: BootstrapConfig | None = None,

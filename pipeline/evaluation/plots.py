@@ -6,13 +6,13 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from pipeline.evaluation.confusion import Confusion
 from pipeline.evaluation.grounding_tables import OPM_ONLY, column, has_opm
-from pipeline.evaluation.records import detector_scores, is_calibrated
+from pipeline.evaluation.records import ArrowTable, detector_scores, is_calibrated
 from pipeline.evaluation.relation_report import SystemFigures
 from pipeline.evaluation.summary import RunSummary
 from pipeline.labels.report.style import INK, QUIET, house_style, need_matplotlib, with_caveat
@@ -21,9 +21,6 @@ from pipeline.metrics.calibration_metrics import ECE_BINS, ReliabilityDiagram, r
 from pipeline.metrics.intervals import Estimate
 from pipeline.metrics.tables import Table, caveats_html
 from pipeline.system.errors import MissingExtra
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 SCORE_TONES = {"raw scores": "#ee7733", "calibrated": "#0077bb"}
 Diagrams = dict[str, dict[str, ReliabilityDiagram]]
@@ -48,7 +45,7 @@ def need_plots() -> None:
         raise MissingExtra("interactive plots", "report") from error
 
 
-def draw(systems: Mapping[str, pa.Table], tables: Sequence[Table], out: Path, caveat: str = "") -> None:
+def draw(systems: Mapping[str, ArrowTable], tables: Sequence[Table], out: Path, caveat: str = "") -> None:
     """Write `relations.png`, `overlap.png`, `classes.png`, `plots.html`, and `calibration.png` where scores are.
 
     Parameters
@@ -94,7 +91,7 @@ def relation_bars(table: Table) -> Bars:
     }
 
 
-def overlap_sweep(records: pa.Table) -> Lines:
+def overlap_sweep(records: ArrowTable) -> Lines:
     """Share of expressions whose answer overlaps an acceptable target by at least x."""
     curves = {}
     names = {"pipeline": "set_iou", "OPM only": "opm_set_iou"} if has_opm(records) else {"whole expression": "set_iou"}
@@ -103,7 +100,7 @@ def overlap_sweep(records: pa.Table) -> Lines:
     return SWEEP, curves
 
 
-def by_rivals(records: pa.Table) -> Lines:
+def by_rivals(records: ArrowTable) -> Lines:
     """Accuracy by the number of labelled objects of the target's class; 6 stands for 6 and more."""
     number = np.minimum(column(records, "same_class").astype(int), 6)
     x = np.unique(number)
@@ -214,7 +211,7 @@ def _curves(figures: Sequence[SystemFigures]) -> Any:
     )  # fmt: skip
 
 
-def score_diagrams(systems: Mapping[str, pa.Table]) -> Diagrams:
+def score_diagrams(systems: Mapping[str, ArrowTable]) -> Diagrams:
     """Reliability by raw and by calibrated scores, of every system whose scores are calibrated."""
     found: Diagrams = {}
     for name, records in systems.items():

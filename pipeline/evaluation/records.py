@@ -12,14 +12,17 @@ from pipeline.answering.answering import FrameAnswers
 from pipeline.answering.pair_table import PairTable, ScoredPair
 from pipeline.answering.ranking import alone
 from pipeline.diagnosis.substitution import CONF, LIFT, SRM
+from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.geometry.boxes import iou_2d
 from pipeline.labels.cases import HIT, Case, FrameCases, is_gold
 from pipeline.language.expression import Query
 
 if TYPE_CHECKING:
-    import pyarrow as pa
-
-    from pipeline.diagnosis.verdict import Diagnosis
+    from pyarrow import Schema as ArrowSchema
+    from pyarrow import Table as ArrowTable
+else:
+    # Arrow is loaded where it is needed, and these stand in annotations alone.
+    ArrowSchema = ArrowTable = Any
 
 DIAGNOSIS_COLUMNS: dict[str, str] = {
     "verdict": "string", "detail": "string", "lucky": "bool", "said": "string", "repair": "strings",
@@ -75,7 +78,7 @@ nothing fits; `right_…` is the best-scoring acceptable pair among the candidat
 columns of the diagnosis for systems that are not the pipeline."""
 
 
-def records_schema() -> pa.Schema:
+def records_schema() -> ArrowSchema:
     """The Arrow schema of `COLUMNS`; a box is four numbers in pixels."""
     import pyarrow as pa
 
@@ -315,12 +318,12 @@ def raw_columns(
     return found
 
 
-def is_calibrated(records: pa.Table) -> bool:
+def is_calibrated(records: ArrowTable) -> bool:
     """Whether the records hold the answers by raw scores too; those of earlier releases do not."""
     return "raw_iou" in records.column_names and records.column("raw_iou").null_count < records.num_rows
 
 
-def raw_records(records: pa.Table) -> pa.Table:
+def raw_records(records: ArrowTable) -> ArrowTable:
     """The records with the answers by the detector's own scores in place of those that were given.
 
     Columns of the ranking itself (probabilities, margins) stay those of the calibrated one.
@@ -355,7 +358,7 @@ class DetectorScores:
         return self.scenes if len(np.unique(self.scenes)) > 1 else self.frames
 
 
-def detector_scores(records: pa.Table) -> DetectorScores:
+def detector_scores(records: ArrowTable) -> DetectorScores:
     """The detections that calibrated records tell of."""
     parts: dict[tuple[str, str], tuple[Any, Any, Any, str]] = {}
     for end in ("target", "reference"):

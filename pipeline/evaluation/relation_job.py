@@ -7,12 +7,13 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from pipeline.answering.opening import Pipeline
 from pipeline.datasets import Dataset
+from pipeline.evaluation.records import ArrowTable
 from pipeline.evaluation.relation_cases import RelationSystem, geometry_of_labels, open_systems, read_pairs
 from pipeline.evaluation.relation_records import (
     FILE,
@@ -43,9 +44,6 @@ from pipeline.metrics.splits import DROPPED
 from pipeline.metrics.tables import Table
 from pipeline.relations.model import OnnxScorer
 from pipeline.system.errors import InputError
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 VLM_FILE = "relation_records_vlm.parquet"
 
@@ -79,7 +77,7 @@ class RelationRun:
 
 
 @contextmanager
-def relation_sink(spec: EvalSpec, labels: Labels, folder: Path) -> Iterator[Callable[[pa.Table], None] | None]:
+def relation_sink(spec: EvalSpec, labels: Labels, folder: Path) -> Iterator[Callable[[ArrowTable], None] | None]:
     """Where relation records go while frames are evaluated; None where relations are not measured."""
     import pyarrow.parquet as pq
 
@@ -244,7 +242,7 @@ def ask_relations(
     config = RelationConfig(workers=options.workers, keep_going=True)
     p = np.empty((len(rows), len(relations)), np.float32)
     reasons: Counter[str] = Counter()
-    tables: list[pa.Table] = []
+    tables: list[ArrowTable] = []
     for index in np.unique(records.frame_index[rows]):
         (pairs,) = read_pairs(labels, int(index), int(index) + 1)
         # The rows of a frame stand in one piece and in the order of its pairs.

@@ -6,12 +6,13 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from pipeline.answering.objects import PreparedFrame
 from pipeline.answering.opening import Pipeline
+from pipeline.evaluation.records import ArrowSchema, ArrowTable
 from pipeline.evaluation.relation_cases import (
     FramePairs,
     RelationSpec,
@@ -28,9 +29,6 @@ from pipeline.metrics.splits import DROPPED, PARTS
 from pipeline.relations.model import OnnxScorer
 from pipeline.system.errors import InputError
 from pipeline.training.label_data import parts_seen
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 FILE = "relation_records.parquet"
 SYSTEMS_KEY = b"spatialviz.relation_systems"
@@ -119,7 +117,7 @@ class RelationPass:
         """The labelled pairs of the chosen frames in this range, by index."""
         return {f.key.index: f for f in read_pairs(self.labels, first, stop, self._chosen)}
 
-    def table(self, source: Pipeline, pairs: FramePairs, context: PreparedFrame | None) -> pa.Table:
+    def table(self, source: Pipeline, pairs: FramePairs, context: PreparedFrame | None) -> ArrowTable:
         """The rows of one frame; `context` is needed where `needs_frames`."""
         if self.needs_frames:
             assert context is not None
@@ -129,7 +127,7 @@ class RelationPass:
         return _rows(self._schema, self.systems, pairs, found, self.labels)
 
 
-def relation_schema(systems: Sequence[RelationSystem], labels: Labels) -> pa.Schema:
+def relation_schema(systems: Sequence[RelationSystem], labels: Labels) -> ArrowSchema:
     """`state` holds a state for each relation; `p` for each scorer a probability for each of its relations, and
     `learnt_from` the part of its training ("train", "validation") that the frame belongs to, else null."""
     import pyarrow as pa
@@ -164,8 +162,12 @@ def _prior_of(system: RelationSystem) -> list[float]:
 
 
 def _rows(
-    schema: pa.Schema, systems: Sequence[RelationSystem], pairs: FramePairs, found: Sequence[np.ndarray], labels: Labels
-) -> pa.Table:
+    schema: ArrowSchema,
+    systems: Sequence[RelationSystem],
+    pairs: FramePairs,
+    found: Sequence[np.ndarray],
+    labels: Labels,
+) -> ArrowTable:
     import pyarrow as pa
 
     count = len(pairs.a)

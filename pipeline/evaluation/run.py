@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
@@ -19,7 +19,15 @@ from pipeline.answering.opening import Pipeline, open_pipeline
 from pipeline.datasets.capabilities import load_picture
 from pipeline.diagnosis.decision import diagnose
 from pipeline.diagnosis.frame_evidence import DEFAULT_CONFIDENCE, FrameEvidence
-from pipeline.evaluation.records import COLUMNS, by_raw_scores, diagnosis_columns, raw_columns, record, records_schema
+from pipeline.evaluation.records import (
+    COLUMNS,
+    ArrowTable,
+    by_raw_scores,
+    diagnosis_columns,
+    raw_columns,
+    record,
+    records_schema,
+)
 from pipeline.evaluation.relation_cases import RelationSpec, frames_in, spread
 from pipeline.evaluation.relation_records import RelationPass
 from pipeline.evaluation.whole_expression import Referring, Vlm, VlmOptions, WholeExpression, record_whole
@@ -31,9 +39,6 @@ from pipeline.language.expression import Query
 from pipeline.proposals.base import reads_annotations
 from pipeline.system.errors import InputError
 from pipeline.system.threads import one_thread, threads_in_children
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 LOOKED_AT = 64
 """Frames that are looked at, spread evenly over those with expressions: to detect in all would double the cost."""
@@ -178,7 +183,7 @@ class Evaluator:
             diagnose(evidence, case, parse_ok=row["parse_ok"], mark=mark, query=query, problem=row["problem"])
         )
 
-    def block(self, first: int, stop: int) -> tuple[pa.Table, pa.Table | None]:
+    def block(self, first: int, stop: int) -> tuple[ArrowTable, ArrowTable | None]:
         """The records of the frames from index `first` up to `stop`: of expressions, and of pairs where asked for."""
         import pyarrow as pa
 
@@ -215,7 +220,7 @@ def chosen_ids(labels: Labels, limit: int | None) -> set[tuple[int, str]] | None
     return set(zip(chosen.column("frame_index").to_pylist(), chosen.column("id").to_pylist(), strict=True))
 
 
-def table_of(rows: Sequence[dict[str, Any]]) -> pa.Table:
+def table_of(rows: Sequence[dict[str, Any]]) -> ArrowTable:
     """Records as an Arrow table."""
     import pyarrow as pa
 
@@ -233,9 +238,9 @@ def evaluate_labels(
     *,
     workers: int = 1,
     progress: Progress | None = None,
-    relations: Callable[[pa.Table], None] | None = None,
+    relations: Callable[[ArrowTable], None] | None = None,
     frames_a_block: int = FRAMES_A_BLOCK,
-) -> Iterator[pa.Table]:
+) -> Iterator[ArrowTable]:
     """The records of all expressions, block by block, in the labels' order.
 
     The rows do not depend on the number of workers, nor on how many frames make a block.
@@ -283,7 +288,7 @@ def evaluate_labels(
 
 def _tables(
     spec: EvalSpec, blocks: Sequence[tuple[int, int]], workers: int
-) -> Iterator[tuple[pa.Table, pa.Table | None]]:
+) -> Iterator[tuple[ArrowTable, ArrowTable | None]]:
     if workers <= 1 or len(blocks) <= 1:
         with one_thread():
             evaluator = Evaluator(spec)
@@ -315,7 +320,7 @@ def _start(spec: EvalSpec) -> None:
     _evaluator = Evaluator(spec)
 
 
-def _block(block: tuple[int, int]) -> tuple[pa.Table, pa.Table | None]:
+def _block(block: tuple[int, int]) -> tuple[ArrowTable, ArrowTable | None]:
     assert _evaluator is not None
     return _evaluator.block(*block)
 

@@ -21,6 +21,7 @@ from pipeline.answering.opening import Pipeline, open_pipeline
 from pipeline.datasets.demo import DEMO_NAME
 from pipeline.diagnosis.verdict import VERDICTS
 from pipeline.evaluation.compare import read_records
+from pipeline.evaluation.records import ArrowTable
 from pipeline.evaluation.run import EvalSpec
 from pipeline.evaluation.shared_makers import Share, measured_of_run, shared_makers, shares_of_run
 from pipeline.labels.makers import Makers
@@ -33,7 +34,6 @@ from pipeline.system.model_files import parse_hub_id
 
 if TYPE_CHECKING:
     import duckdb
-    import pyarrow as pa
 
 RUN_FILE = "run.json"
 """The manifest of a run; a folder that holds it may be overwritten by another run."""
@@ -82,7 +82,7 @@ class Run:
         return {name: counts[name] for name in VERDICTS if counts[name]}
 
     @cached_property
-    def records(self) -> pa.Table:
+    def records(self) -> ArrowTable:
         """One row an expression.
 
         Raises
@@ -127,16 +127,12 @@ def spec_record(spec: EvalSpec, folder: Path) -> dict[str, Any]:
     What lies in or beside the run's folder is named as seen from it, so that
     both may be moved together; everything else by its absolute path.
     """
-    options = {k: v for k, v in spec.options.items() if k != "config" and v is not None}
-    for name in _files(options):
-        options[name] = _each(options[name], lambda path: _written_model(path, folder))
-    if "fuse" in options:
-        options["fuse"] = [with_model(text, lambda path: _written_model(path, folder)) for text in options["fuse"]]
+    given = {k: v for k, v in spec.options.items() if k != "config" and v is not None}
     config = spec.options.get("config")
     return {
         "dataset": spec.dataset if spec.dataset == DEMO_NAME else written_path(spec.dataset, folder),
         "labels": written_path(spec.labels, folder),
-        "options": options,
+        "options": _with_paths(given, lambda path: _written_model(path, folder)),
         "config": None if config is None else asdict(config),
         "system": spec.system,
         "limit": spec.limit,
@@ -171,13 +167,16 @@ def _resolved_model(written: str, folder: Path) -> Path:
     return Path(resolved_path(written, folder))
 
 
-def _each(value: Any, change: Callable[[Any], Any]) -> Any:
-    """A path, or an encoder's and a decoder's, changed."""
-    return tuple(change(path) for path in value) if isinstance(value, list | tuple) else change(value)
-
-
-def _files(options: Mapping[str, Any]) -> tuple[str, ...]:
-    return tuple(k for k in _PATHS if options.get(k) is not None and str(options[k]) not in _WORDS)
+def _with_paths(options: Mapping[str, Any], change: Callable[[Any], Any]) -> dict[str, Any]:
+    """The options of a run with every path in them changed: a file's, an encoder's and a decoder's, fused models'."""
+    found = dict(options)
+    for name in _PATHS:
+        value = options.get(name)
+        if value is not None and str(value) not in _WORDS:
+            found[name] = tuple(map(change, value)) if isinstance(value, list | tuple) else change(value)
+    if "fuse" in options:
+        found["fuse"] = [with_model(str(text), change) for text in options["fuse"]]
+    return found
 
 
 def read_manifest(folder: Path) -> dict[str, Any]:
@@ -233,12 +232,7 @@ def open_run(folder: str | Path, *, dataset: str | None = None, labels: str | No
 
 
 def _read_spec(record: Mapping[str, Any], folder: Path) -> EvalSpec:
-    options: dict[str, Any] = dict(record["options"])
-    for name in _files(options):
-        options[name] = _each(options[name], lambda path: _resolved_model(path, folder))
-    if "fuse" in options:
-        own = [str(text) for text in options["fuse"]]
-        options["fuse"] = [with_model(text, lambda path: _resolved_model(str(path), folder)) for text in own]
+    options = _with_paths(record["options"], lambda path: _resolved_model(str(path), folder))
     if isinstance(options.get("intrinsics"), list):
         options["intrinsics"] = tuple(options["intrinsics"])
     if record["config"] is not None:
@@ -266,7 +260,7 @@ class OtherSystem:
         What it has in common with what made the labels.
     """
 
-    records: pa.Table
+    records: ArrowTable
     shares: tuple[Share, ...]
 
 

@@ -25,7 +25,7 @@ import numpy as np
 from pipeline.diagnosis.substitution import ORACLES
 from pipeline.diagnosis.verdict import MODULE_OF, VERDICTS
 from pipeline.evaluation.compare import read_records
-from pipeline.evaluation.records import DIAGNOSIS_COLUMNS
+from pipeline.evaluation.records import DIAGNOSIS_COLUMNS, ArrowSchema, ArrowTable
 from pipeline.evaluation.search_words import Term, Value, quote, read_terms
 from pipeline.evaluation.summary import need_verdicts
 from pipeline.labels.database import quoted
@@ -34,7 +34,6 @@ from pipeline.system.errors import InputError
 
 if TYPE_CHECKING:
     import duckdb
-    import pyarrow as pa
 
 Condition = tuple[str, list[Any]]
 _YES, _NO = ("yes", "true", "1"), ("no", "false", "0")
@@ -105,7 +104,7 @@ _KINDS: tuple[tuple[str, Kind], ...] = (
 """Types of Arrow, as it writes them, and what can be asked of them."""
 
 
-def fields_of(schema: pa.Schema) -> dict[str, Field]:
+def fields_of(schema: ArrowSchema) -> dict[str, Field]:
     """What a run's records can be searched by, short names first."""
     types = {field.name: str(field.type) for field in schema}
     kinds: dict[str, Kind] = {
@@ -118,7 +117,7 @@ def fields_of(schema: pa.Schema) -> dict[str, Field]:
     return short | {name: Field(name, name, kind) for name, kind in kinds.items()}
 
 
-def compile_search(query: str, schema: pa.Schema) -> Search:
+def compile_search(query: str, schema: ArrowSchema) -> Search:
     """Read a search against the columns of a run.
 
     Raises
@@ -151,7 +150,7 @@ def compile_search(query: str, schema: pa.Schema) -> Search:
     return Search(where, tuple(parameters), tuple(order), tuple(dict.fromkeys(columns)), about_right)
 
 
-def find(source: str | Path | pa.Table, query: str) -> pa.Table:
+def find(source: str | Path | ArrowTable, query: str) -> ArrowTable:
     """The rows of a run that a search asks for, in the order of the run or as it asks.
 
     Parameters
@@ -170,12 +169,12 @@ def find(source: str | Path | pa.Table, query: str) -> pa.Table:
     return _take(records, find_rows(records, query))
 
 
-def find_rows(records: pa.Table, query: str) -> np.ndarray:
+def find_rows(records: ArrowTable, query: str) -> np.ndarray:
     """(N,) int64: places of the rows that `find` gives; for a page that holds the records and shows a few of them."""
     return _rows(records, compile_search(query, records.schema))
 
 
-def find_failures(source: str | Path | pa.Table, query: str = "") -> pa.Table:
+def find_failures(source: str | Path | ArrowTable, query: str = "") -> ArrowTable:
     """Like `find`, but without what is CORRECT, unless the search asks for a verdict or for what is right (`lucky`).
 
     Raises
@@ -191,11 +190,11 @@ def find_failures(source: str | Path | pa.Table, query: str = "") -> pa.Table:
     return _take(records, _rows(records, search))
 
 
-def _take(records: pa.Table, rows: np.ndarray) -> pa.Table:
+def _take(records: ArrowTable, rows: np.ndarray) -> ArrowTable:
     return records if len(rows) == records.num_rows and (np.diff(rows) > 0).all() else records.take(rows)
 
 
-def records_of(source: str | Path | pa.Table) -> pa.Table:
+def records_of(source: str | Path | ArrowTable) -> ArrowTable:
     """The records of a run folder, of its file, or as they are given."""
     if not isinstance(source, (str, Path)):
         return source
@@ -203,7 +202,7 @@ def records_of(source: str | Path | pa.Table) -> pa.Table:
     return read_records(path.parent if path.name == "records.parquet" else path)
 
 
-def _rows(records: pa.Table, search: Search) -> np.ndarray:
+def _rows(records: ArrowTable, search: Search) -> np.ndarray:
     if not search.columns:
         return np.arange(records.num_rows)
     index = "row of the run"
@@ -227,7 +226,7 @@ def _database() -> duckdb.DuckDBPyConnection:
     return duckdb.connect(":memory:", config={"threads": 1})
 
 
-def _defined(name: str, schema: pa.Schema) -> str:
+def _defined(name: str, schema: ArrowSchema) -> str:
     """A column in which what is not a number counts as missing."""
     column = quoted(name)
     floating = str(schema.field(name).type) in ("halffloat", "float", "double")
@@ -350,14 +349,14 @@ def _names(field: Field, term: Term) -> Condition:
     return _any(parts), list(chosen)
 
 
-def completions(source: str | Path | pa.Table, most: int = 200) -> tuple[Field, ...]:
+def completions(source: str | Path | ArrowTable, most: int = 200) -> tuple[Field, ...]:
     """All fields of a run with the values that occur, for a field that completes what is typed."""
     records = records_of(source)
     found = fields_of(records.schema).values()
     return tuple(replace(f, values=_occurring(f, records.column(f.column), most)) for f in found)
 
 
-def _occurring(field: Field, column: pa.ChunkedArray, most: int) -> tuple[str, ...]:
+def _occurring(field: Field, column: Any, most: int) -> tuple[str, ...]:
     """The values of a field, as `Field.values`."""
     import pyarrow.compute as pc
 

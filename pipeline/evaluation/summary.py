@@ -5,19 +5,17 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import factorial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from pipeline.diagnosis.substitution import ORACLES, SUBSETS, names_of
 from pipeline.diagnosis.verdict import VERDICTS
 from pipeline.evaluation.grounding_tables import clusters_of, column
+from pipeline.evaluation.records import ArrowTable
 from pipeline.metrics.intervals import BootstrapConfig, Estimate, bootstrap, mean_estimate, ratio
 from pipeline.metrics.tables import Cell, Row, Table
 from pipeline.system.errors import InputError
-
-if TYPE_CHECKING:
-    import pyarrow as pa
 
 EXACT = 1e-9
 """Sums that must agree agree to this."""
@@ -106,13 +104,13 @@ class RunSummary:
         }
 
 
-def has_verdicts(records: pa.Table) -> bool:
+def has_verdicts(records: ArrowTable) -> bool:
     """Whether a run's expressions were diagnosed: runs of other systems, and older ones, were not."""
     names = records.column_names
     return "verdict" in names and "right_with" in names and records.column("verdict").null_count < records.num_rows
 
 
-def need_verdicts(records: pa.Table) -> None:
+def need_verdicts(records: ArrowTable) -> None:
     """Raise InputError where a run has none."""
     if "verdict" not in records.column_names or "right_with" not in records.column_names:
         raise InputError("this run has no verdicts", cause="it was made by an older release; run `eval` again")
@@ -125,7 +123,7 @@ def need_verdicts(records: pa.Table) -> None:
         )
 
 
-def summarise_run(records: pa.Table, config: BootstrapConfig | None = None) -> RunSummary:
+def summarise_run(records: ArrowTable, config: BootstrapConfig | None = None) -> RunSummary:
     """Verdicts with clustered intervals, and where the accuracy goes.
 
     Parameters

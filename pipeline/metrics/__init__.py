@@ -2,5 +2,5 @@
 
 `relation_metrics` (relations that may hold together, and one relation a pair),
 `calibration_metrics` (measured and fitted), and for how sure they are
-`intervals` (clustered bootstrap) and `significance` (McNemar's exact test).
+`intervals` (clustered bootstrap, McNemar's exact test).
 """

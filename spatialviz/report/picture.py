@@ -198,7 +198,7 @@ def picture_svg(frame: Frame, cast: AnswerRoles) -> str:
     unit = width / 640
     parts = [
         f'<svg class="picture" viewBox="0 0 {width} {height}" role="img" aria-label="The answer over the image">',
-        f'<image href="{_jpeg(frame.rgb)}" width="{width}" height="{height}"/>',
+        f'<image href="{jpeg_url(frame.rgb, WIDEST, QUALITY)}" width="{width}" height="{height}"/>',
         f'<g style="--u:{unit:.3f}">',
     ]
     for role, entry in cast.truth.values():
@@ -221,11 +221,12 @@ def picture_svg(frame: Frame, cast: AnswerRoles) -> str:
     return "".join([*parts, "</g></svg>"])
 
 
-def _jpeg(rgb: np.ndarray) -> str:
-    if rgb.shape[1] > WIDEST:
-        size = (WIDEST, max(1, round(rgb.shape[0] * WIDEST / rgb.shape[1])))
+def jpeg_url(rgb: np.ndarray, widest: int | None = None, quality: int = 95) -> str:
+    """A picture ((H, W, 3) uint8) as a JPEG in base64, at most so many pixels wide."""
+    if widest is not None and rgb.shape[1] > widest:
+        size = (widest, max(1, round(rgb.shape[0] * widest / rgb.shape[1])))
         rgb = cv2.resize(rgb, size, interpolation=cv2.INTER_AREA)
-    data = cv2.imencode(".jpg", np.ascontiguousarray(rgb[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, QUALITY])[1]
+    data = cv2.imencode(".jpg", np.ascontiguousarray(rgb[..., ::-1]), [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
     return "data:image/jpeg;base64," + base64.b64encode(data.tobytes()).decode("ascii")
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from pipeline.answering.objects import SceneObject
 from pipeline.geometry.boxes import iou_2d
 from pipeline.language.naming import Synonyms
-from pipeline.metrics.significance import cohen_kappa
+from pipeline.metrics.intervals import cohen_kappa
 from pipeline.proposals.base import Proposals
 from pipeline.proposals.known_names import knows, name_groups, same_name, same_names
 from pipeline.system.errors import InputError

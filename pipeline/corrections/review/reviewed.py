@@ -40,7 +40,7 @@ from pipeline.corrections.review.states import Judgement, Judgements, item_of, j
 from pipeline.datasets import Dataset
 from pipeline.labels.reading import Labels, open_labels
 from pipeline.labels.schema import Manifest, labels_version
-from pipeline.metrics.significance import Agreement, cohen_kappa
+from pipeline.metrics.intervals import Agreement, cohen_kappa
 from pipeline.relations.relations import F, T, U, letter
 from pipeline.system.errors import InputError
 from pipeline.training.label_data import LabelData

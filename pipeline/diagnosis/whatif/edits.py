@@ -15,7 +15,7 @@ An edit refers to objects by the keys of `pipeline.diagnosis.whatif.pair_tables`
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from functools import cache
 from pathlib import Path
@@ -67,20 +67,17 @@ _LIFT_BOUNDS: dict[str, tuple[float, float]] = {
 
 def checked_rank(values: Mapping[str, Any]) -> dict[str, Any]:
     """Fields of RankConfig; InputError for an unknown one, or a weight outside 0..1000."""
-    found = _checked(RankConfig, values, "rank")
-    for name, value in found.items():
-        if name != "aggregate":
-            _within(name, value, 0, 1000)
-    return found
+    return _checked(RankConfig, values, "rank", lambda name: None if name == "aggregate" else (0, 1000))
 
 
 def checked_profile(values: Mapping[str, Any]) -> dict[str, Any]:
     """Fields of Profile; InputError for an unknown one, one out of range, or bands the wrong way round."""
-    found = _checked(Profile, values, "profile")
-    for name, value in found.items():
-        for number in value if isinstance(value, tuple) else (value,):
-            least = 1e-6 if name == "min_extent" else 0.0
-            _within(name, number, least, 90.0 if name in _ANGLES else _LARGEST_LENGTH)
+    found = _checked(
+        Profile,
+        values,
+        "profile",
+        lambda name: (1e-6 if name == "min_extent" else 0.0, 90.0 if name in _ANGLES else _LARGEST_LENGTH),
+    )
     whole = Profile(**found)
     for wider, narrower in (
         ("doubtful_cone", "cone"),
@@ -99,17 +96,17 @@ def checked_profile(values: Mapping[str, Any]) -> dict[str, Any]:
 
 def checked_lift(values: Mapping[str, Any]) -> dict[str, Any]:
     """Fields of LiftConfig; InputError for an unknown one, or one out of range."""
-    found = _checked(LiftConfig, values, "lift")
-    for name, value in found.items():
-        if name in _LIFT_BOUNDS:
-            _within(name, value, *_LIFT_BOUNDS[name])
+    found = _checked(LiftConfig, values, "lift", _LIFT_BOUNDS.get)
     whole = LiftConfig(**found)
     if whole.near >= whole.far:
         raise InputError("near must be less than far", got=f"{whole.near} and {whole.far}")
     return found
 
 
-def _checked(kind: type, values: Mapping[str, Any], where: str) -> dict[str, Any]:
+def _checked(
+    kind: type, values: Mapping[str, Any], where: str, bounds: Callable[[str], tuple[float, float] | None]
+) -> dict[str, Any]:
+    """The fields of a dataclass, each within its bounds, if it has any."""
     known = [f.name for f in fields(kind)]
     for name in values:
         if name not in known:
@@ -123,12 +120,13 @@ def _checked(kind: type, values: Mapping[str, Any], where: str) -> dict[str, Any
         raise InputError(f"{where}: {index} cannot be this", got=got, expected=first["msg"]) from error
     except (TypeError, ValueError) as error:
         raise InputError(f"{where}: a value is no finite number", got=str(error)) from error
-    return {name: getattr(whole, name) for name in values}
-
-
-def _within(name: str, value: float, least: float, most: float) -> None:
-    if not least <= value <= most:
-        raise InputError(f"{name} is out of range", got=value, expected=f"{least:g} to {most:g}")
+    found = {name: getattr(whole, name) for name in values}
+    for name, value in found.items():
+        least, most = bounds(name) or (-np.inf, np.inf)
+        for number in value if isinstance(value, tuple) else (value,):
+            if bounds(name) and not least <= number <= most:
+                raise InputError(f"{name} is out of range", got=number, expected=f"{least:g} to {most:g}")
+    return found
 
 
 @cache

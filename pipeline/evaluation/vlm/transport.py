@@ -169,21 +169,27 @@ def _failure(error: BaseException, timeout_s: float) -> Failure:
     reason = getattr(error, "reason", None)
     inner = reason if isinstance(error, urllib.error.URLError) and isinstance(reason, BaseException) else error
     text = " ".join(str(inner).split())[:200] or type(inner).__name__
-    if isinstance(inner, TimeoutError):
-        return _late(timeout_s)
-    if isinstance(inner, ConnectionRefusedError):
-        return Failure("no server listens there", cause="is it running, on this port?", again=True, everywhere=True)
-    if isinstance(inner, socket.gaierror):
-        return Failure("the host is not known", detail=text, everywhere=True)
-    if isinstance(inner, ssl.SSLCertVerificationError):
-        return Failure("the server's certificate is not trusted", detail=text, everywhere=True)
-    if isinstance(inner, ssl.SSLError):
-        return Failure("no secure connection", detail=text, cause="is it http, not https?", everywhere=True)
-    if isinstance(inner, http.client.RemoteDisconnected | http.client.IncompleteRead | ConnectionError):
-        return Failure("the connection was closed midway", again=True)
-    if isinstance(inner, http.client.HTTPException):
-        return Failure("what answers there speaks no HTTP", detail=type(inner).__name__, everywhere=True)
-    return Failure("the connection failed", detail=text, again=True)
+    closed = (http.client.RemoteDisconnected, http.client.IncompleteRead, ConnectionError)
+    kinds: tuple[tuple[type | tuple[type, ...], Failure], ...] = (
+        (TimeoutError, _late(timeout_s)),
+        (
+            ConnectionRefusedError,
+            Failure("no server listens there", cause="is it running, on this port?", again=True, everywhere=True),
+        ),
+        (socket.gaierror, Failure("the host is not known", detail=text, everywhere=True)),
+        (
+            ssl.SSLCertVerificationError,
+            Failure("the server's certificate is not trusted", detail=text, everywhere=True),
+        ),
+        (ssl.SSLError, Failure("no secure connection", detail=text, cause="is it http, not https?", everywhere=True)),
+        (closed, Failure("the connection was closed midway", again=True)),
+        (
+            http.client.HTTPException,
+            Failure("what answers there speaks no HTTP", detail=type(inner).__name__, everywhere=True),
+        ),
+        (BaseException, Failure("the connection failed", detail=text, again=True)),
+    )
+    return next(failure for kind, failure in kinds if isinstance(inner, kind))
 
 
 def _late(timeout_s: float) -> Failure:
