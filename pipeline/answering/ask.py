@@ -113,8 +113,7 @@ class Trace:
     @property
     def asked(self) -> Attachment:
         """The target's first relation in the reading that was taken: that of the ranked pairs."""
-        reading = self.query.default if self.ranking is None else self.ranking.reading
-        return reading.root.attachments[0]
+        return (self.query.default if self.ranking is None else self.ranking.reading).root.attachments[0]
 
 
 def ask(

@@ -64,12 +64,12 @@ def bench_source(source: Pipeline, repeat: int = 5) -> dict[str, Any]:
             "frame context": lambda f=frame: PreparedFrame(f, source.config.lift),
         }
         for name, job in stages.items():
-            totals[name] = totals.get(name, 0.0) + _fastest(job, repeat)
+            totals[name] = totals.get(name, 0.0) + fastest(job, repeat)
         if len(lifted) > 1:
             loops.append(
                 (
-                    _fastest(lambda k=lifted, v=viewer, s=seen: source.scorer.score(k, v, s), repeat),
-                    _fastest(lambda k=lifted, v=viewer, s=seen: _pair_by_pair(source, k, v, s), 1),
+                    fastest(lambda k=lifted, v=viewer, s=seen: source.scorer.score(k, v, s), repeat),
+                    fastest(lambda k=lifted, v=viewer, s=seen: _pair_by_pair(source, k, v, s), 1),
                 )
             )
     if not frames:
@@ -91,7 +91,8 @@ def bench_source(source: Pipeline, repeat: int = 5) -> dict[str, Any]:
     }
 
 
-def _fastest(job: Callable[[], Any], repeat: int) -> float:
+def fastest(job: Callable[[], Any], repeat: int) -> float:
+    """Seconds of the fastest of some passes."""
     best = np.inf
     for _ in range(max(repeat, 1)):
         start = perf_counter()

@@ -23,6 +23,7 @@ from pipeline.proposals.base import Detector, Proposals
 from pipeline.proposals.recorded import MADE_BY, MADE_BY_FILE
 from pipeline.proposals.selection import top_k
 from pipeline.system.errors import InputError, UnknownClass
+from pipeline.system.staging import text_file
 
 
 @dataclass(frozen=True)
@@ -178,7 +179,7 @@ def _json_file(out: Path, made_by: str) -> Iterator[Callable[[Frame, list[Findin
     temporary = out.with_name(f".{out.name}.{os.getpid()}.tmp")
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        with open(temporary, "w", encoding="utf-8") as file:
+        with text_file(temporary) as file:
             file.write(f'{{"{MADE_BY}": {json.dumps(made_by)}, "frames": {{')
             lines = 0
 
@@ -190,8 +191,6 @@ def _json_file(out: Path, made_by: str) -> Iterator[Callable[[Frame, list[Findin
 
             yield write
             file.write("\n}}\n")
-            file.flush()
-            os.fsync(file.fileno())
         os.replace(temporary, out)
     finally:
         temporary.unlink(missing_ok=True)

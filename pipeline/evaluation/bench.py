@@ -129,8 +129,7 @@ def _inputs(dataset: str, labels: Path | None, recording: Path | None) -> Iterat
         if recording is None:
             recording = Path(folder) / "recording"
             source = open_pipeline(dataset, detector="simulated", srm="rule")
-            table = open_labels(labels).expressions
-            asked = table.column("frame").unique().to_pylist()
+            asked = open_labels(labels).expressions.column("frame").unique().to_pylist()
             record_detections(source, recording, source.dataset.class_names, frame_ids=asked)
         yield EvalSpec(dataset, str(labels), {"detector": "recorded", "model": recording})
 

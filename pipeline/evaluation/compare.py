@@ -78,7 +78,6 @@ def read_records(run: Path) -> ArrowTable:
     InputError
         There is no run, or it measured relations alone.
     """
-    import pyarrow as pa
     import pyarrow.parquet as pq
 
     path = Path(run) / "records.parquet"
@@ -88,7 +87,7 @@ def read_records(run: Path) -> ArrowTable:
         if (Path(run) / "relation_records.parquet").is_file():
             raise InputError("this run has no expressions", cause="made with --tables relations", path=run) from error
         raise InputError("no evaluation run here", expected="a folder that `eval` wrote", path=run) from error
-    except (pa.ArrowInvalid, OSError) as error:
+    except (ValueError, OSError) as error:
         raise InputError("the records of the run cannot be read", got=str(error).split("\n")[0], path=path) from error
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, Field, ValidationError
 
 from pipeline.answering.ask import AskConfig
 from pipeline.answering.opening import Pipeline
@@ -194,10 +194,8 @@ def gain_table(
     )
 
 
-class Reported(BaseModel):
+class Reported(BaseModel, extra="forbid"):
     """One published line: figures by the measure's name, as shares, and where they stand."""
-
-    model_config = ConfigDict(extra="forbid")
 
     table: str
     name: str
@@ -205,10 +203,8 @@ class Reported(BaseModel):
     figures: dict[str, float]
 
 
-class Publications(BaseModel):
+class Publications(BaseModel, extra="forbid"):
     """The file."""
-
-    model_config = ConfigDict(extra="forbid")
 
     rows: list[Reported]
 

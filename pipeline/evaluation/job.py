@@ -195,9 +195,9 @@ def evaluate_dataset(
                 draw_relations(relations.figures, relations.tables, folder / "plots", alike)
         if diagnosis is not None:
             diagnosis.write(folder, plots)
-        warnings = calibration_warnings(source, labels, records) if spec.grounding else ()
-        warnings = (*left_out, *warnings, *problem_warnings(records))
-        warnings = (*warnings, *(() if relations is None else relations.warnings))
+        of_calibration = calibration_warnings(source, labels, records) if spec.grounding else ()
+        of_relations = () if relations is None else relations.warnings
+        warnings = (*left_out, *of_calibration, *problem_warnings(records), *of_relations)
         options = {k: str(v) for k, v in spec.options.items() if k != "config"}
         config = {**recorded_config(source.config), "options": options}
         plain = json.loads(json.dumps(config, default=str))
@@ -405,8 +405,7 @@ def diagnose_run(
     shares : mapping of str to sequence of Share
         As `RunDiagnosis.shares`.
     """
-    first = next(iter(systems.values()))
-    confusions = [] if labels is None else [answer_confusion(first, labels)]
+    confusions = [] if labels is None else [answer_confusion(next(iter(systems.values())), labels)]
     confusions += network_confusion(relations)
     summaries = {name: summarise_run(r, config) for name, r in systems.items() if has_verdicts(r)}
     cuts = [d for d in DIMENSIONS.values() if all(not d.column or d.column in r.column_names for r in systems.values())]

@@ -169,8 +169,7 @@ def _top_table(
     truth = records.truth(tuple(r for r in VOCABULARIES[SA] if r in records.relations))
     one = counted & ((truth == T).sum(axis=1) == 1)
     shares = (truth[one] == T).mean(axis=0) if one.any() else np.full(truth.shape[1], 1 / max(truth.shape[1], 1))
-    frequent = relation_ranks(np.ones(truth.shape), shares, truth)
-    rows = [row(MOST_FREQUENT, frequent)]
+    rows = [row(MOST_FREQUENT, relation_ranks(np.ones(truth.shape), shares, truth))]
     for system in records.systems:
         if system.prior:
             rows.append(row(system.title, relation_ranks(system.p, system.prior, records.truth(system.relations))))

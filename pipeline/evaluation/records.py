@@ -11,6 +11,7 @@ import numpy as np
 from pipeline.answering.answering import FrameAnswers
 from pipeline.answering.pair_table import PairTable, ScoredPair
 from pipeline.answering.ranking import alone
+from pipeline.diagnosis.frame_evidence import matched
 from pipeline.diagnosis.substitution import CONF, LIFT, SRM
 from pipeline.diagnosis.verdict import Diagnosis
 from pipeline.geometry.boxes import iou_2d
@@ -95,18 +96,6 @@ def overlaps(box: np.ndarray | None, truth: np.ndarray) -> float:
     return 0.0 if box is None or not len(truth) else float(iou_2d(box[None], truth).max())
 
 
-def matched(overlap: np.ndarray, labels: np.ndarray) -> np.ndarray:
-    """(D,) int64: the labelled object that each detection is, by the best overlap of at least 0.5; -1 where none.
-
-    `overlap` is (D, N) float64; `labels` (D, N) bool: which labelled objects are of the class that was asked.
-    """
-    if not overlap.size:
-        return np.full(len(overlap), -1, np.int64)
-    overlap = np.where(labels, overlap, 0.0)
-    best = overlap.argmax(axis=1)
-    return np.where(overlap[np.arange(len(overlap)), best] >= HIT, best, -1)
-
-
 def record(
     case: Case,
     truth: FrameCases,
@@ -183,11 +172,10 @@ def _coverage(
 
 
 def _rank(scores: np.ndarray, right: np.ndarray) -> int | None:
-    """Place, from 1, of the best-scored right candidate."""
+    """Rank, from 1, of the best-scored right candidate."""
     if not right.any():
         return None
-    order = np.argsort(-scores, kind="stable")
-    return int(np.flatnonzero(right[order])[0]) + 1
+    return int(np.flatnonzero(right[np.argsort(-scores, kind="stable")])[0]) + 1
 
 
 def _right(row: dict[str, Any], table: PairTable, first: int, covered: np.ndarray) -> None:
@@ -211,7 +199,7 @@ def _answer(
     target: int | None,
     overlap: np.ndarray,
 ) -> None:
-    """The target that answers, a place in the frame's objects, and whether it is right."""
+    """The target that answers, an index of the frame's objects, and whether it is right."""
     row["iou"], row["strict_iou"], row["set_iou"] = _with_truth(target, case, overlap)
     row |= {
         "correct": row["iou"] >= HIT, "strict_correct": row["strict_iou"] >= HIT, "set_correct": row["set_iou"] >= HIT,

@@ -218,7 +218,6 @@ def read_relation_records(path: Path) -> RelationRecords:
     InputError
         The file is missing, or is something else.
     """
-    import pyarrow as pa
     import pyarrow.parquet as pq
 
     try:
@@ -228,7 +227,7 @@ def read_relation_records(path: Path) -> RelationRecords:
     except FileNotFoundError as error:
         cause = "was eval run with --tables grounding?"
         raise InputError("no relation records here", cause=cause, path=path) from error
-    except (pa.ArrowInvalid, OSError, KeyError, TypeError, ValueError) as error:
+    except (OSError, KeyError, TypeError, ValueError) as error:
         raise InputError("not a file of relation records", got=str(error).split("\n")[0], path=path) from error
     with file:
         count = file.metadata.num_rows

@@ -249,38 +249,29 @@ def _sums(
     sums = np.zeros((int(index.max()) + 1, len(keys), 1 + len(flags)))
     for cluster, key, *numbers in found:
         sums[cluster, at[key]] = numbers
-    return keys, [_name(cut, k, system) for k in keys], [_query(cut, k) for k in keys], sums
+    parts = [_part(cut, key, system) for key in keys]
+    return keys, [name for name, _ in parts], [query for _, query in parts], sums
 
 
-def _name(cut: Dimension, key: Any, system: str) -> str:
+def _part(cut: Dimension, key: Any, system: str) -> tuple[str, str]:
+    """The name of a value, and the search that finds it."""
     if not cut.column:
-        return system
+        return system, ""
     if key is None or (cut.edges and key < 0):
-        return UNKNOWN
+        return UNKNOWN, f"{cut.name}:none"
+    if cut.order == "relation":
+        return str(PHRASE.get(key, key)), f"{cut.name}:{key}"
     if not cut.edges:
-        return str(PHRASE.get(key, key)) if cut.order == "relation" else str(key)
-    unit = f" {cut.unit}" if cut.unit else ""
-    if key == 0:
-        return f"< {cut.edges[0]:g}{unit}"
-    low = cut.edges[key - 1]
-    if key == len(cut.edges):
-        return f"{low:g}+{unit}"
-    high = cut.edges[key]
-    if cut.column == "same_class":
-        return f"{low:g}" if high - low == 1 else f"{low:g}-{high - 1:g}"
-    return f"{low:g}-{high:g}{unit}"
-
-
-def _query(cut: Dimension, key: Any) -> str | None:
-    if not cut.column:
-        return ""
-    if key is None or (cut.edges and key < 0):
-        return f"{cut.name}:none"
-    if not cut.edges:
-        return f"{cut.name}={quote(key)}" if cut.order != "relation" else f"{cut.name}:{key}"
-    above = [] if key == 0 else [f"{cut.name}>={cut.edges[key - 1]:g}"]
-    below = [] if key == len(cut.edges) else [f"{cut.name}<{cut.edges[key]:g}"]
-    return " ".join([*above, *below])
+        return str(key), f"{cut.name}={quote(key)}"
+    unit, bounds = f" {cut.unit}" if cut.unit else "", (None, *cut.edges, None)
+    low, high = bounds[key], bounds[key + 1]
+    if low is None:
+        return f"< {high:g}{unit}", f"{cut.name}<{high:g}"
+    if high is None:
+        return f"{low:g}+{unit}", f"{cut.name}>={low:g}"
+    # Counts of objects are whole.
+    last = high - 1 if cut.column == "same_class" else high
+    return f"{low:g}" if low == last else f"{low:g}-{last:g}{unit}", f"{cut.name}>={low:g} {cut.name}<{high:g}"
 
 
 def _order(cut: Dimension, keys: Sequence[Any], names: Sequence[str], counts: np.ndarray) -> list[int]:

@@ -225,20 +225,19 @@ def oracle_table(systems: Mapping[str, RunSummary]) -> Table:
     """The table "oracles": single deltas, and Shapley values with what completes them to one."""
     found = list(systems.values())
 
-    def line(name: str, cells: Sequence[tuple[Cell, Cell]]) -> Row:
-        return Row(name, tuple(c for pair in cells for c in pair))
-
-    rows = [line("as answered", [(None, s.accuracy) for s in found])]
-    rows.append(line("PARSE", [(s.parse, s.parse) for s in found]))
-    rows += [line(m, [(s.deltas.single[m], s.deltas.shapley[m]) for s in found]) for m in ORACLES]
-    rows.append(line("residual", [(None, s.residual) for s in found]))
-    rows.append(line("sum", [(None, float(sum(e.value for e in s.loss.values()))) for s in found]))
+    lines: dict[str, list[tuple[Cell, Cell]]] = {
+        "as answered": [(None, s.accuracy) for s in found],
+        "PARSE": [(s.parse, s.parse) for s in found],
+        **{m: [(s.deltas.single[m], s.deltas.shapley[m]) for s in found] for m in ORACLES},
+        "residual": [(None, s.residual) for s in found],
+        "sum": [(None, float(sum(e.value for e in s.loss.values()))) for s in found],
+    }
     causes = " ".join(f"{name}: {residual_words(s)}." for name, s in systems.items())
     return Table(
         "oracles",
         "What each module costs",
         tuple(c for name in systems for c in _heads(name, ("alone", "Shapley"), len(systems))),
-        tuple(rows),
+        tuple(Row(name, tuple(c for pair in cells for c in pair)) for name, cells in lines.items()),
         "Points of set-valued accuracy gained with a module replaced by the truth. Alone: by it only; these do not add "
         "up, since errors overlap and make up for each other, and one below 0 made up for another's. Shapley: its fair "
         "share over all orders of replacing; the second column adds up to 100 from top to bottom. PARSE: gained by the "

@@ -197,19 +197,17 @@ def _cluster_sums(rows: np.ndarray, index: np.ndarray, count: int) -> np.ndarray
 
 
 def _estimate(value: float, drawn: np.ndarray, n: int, clusters: int, config: BootstrapConfig) -> Estimate:
-    def without(note: str) -> Estimate:
-        return Estimate(value, math.nan, math.nan, n, clusters, note)
-
-    if n == 0:
-        return without("no row counts")
-    if not math.isfinite(value):
-        return without("undefined on these rows")
-    if clusters < 2:
-        return without("one cluster: no interval can be drawn from it")
     defined = drawn[~np.isnan(drawn)]
     missing = 1 - len(defined) / len(drawn)
-    if missing > MOST_UNDEFINED:
-        return without(f"undefined in {missing:.0%} of the resamples: no interval")
+    reasons = (
+        (n == 0, "no row counts"),
+        (not math.isfinite(value), "undefined on these rows"),
+        (clusters < 2, "one cluster: no interval can be drawn from it"),
+        (missing > MOST_UNDEFINED, f"undefined in {missing:.0%} of the resamples: no interval"),
+    )
+    note = next((text for given, text in reasons if given), None)
+    if note is not None:
+        return Estimate(value, math.nan, math.nan, n, clusters, note)
     tail = 50 * (1 - config.confidence)
     low, high = np.percentile(defined, [tail, 100 - tail])
     few = f"{clusters} clusters: with fewer than {FEWEST_CLUSTERS} an interval is unreliable"

@@ -341,8 +341,8 @@ def rank_correlation(a: np.ndarray, b: np.ndarray) -> float | None:
 
 
 def _ranks(values: np.ndarray) -> np.ndarray:
-    _, place, count = np.unique(values, return_inverse=True, return_counts=True)
-    return (np.cumsum(count) - (count - 1) / 2)[place]
+    _, index, count = np.unique(values, return_inverse=True, return_counts=True)
+    return (np.cumsum(count) - (count - 1) / 2)[index]
 
 
 def _share(both: int, a: int, b: int) -> float | None:
@@ -350,15 +350,15 @@ def _share(both: int, a: int, b: int) -> float | None:
 
 
 def _name_kappa(frames: Iterable[FrameAgreement], synonyms: Synonyms | None) -> float | None:
-    said = [
+    named = [
         (f.labels_a[i], f.labels_b[j], same)
         for f in frames
         for (i, j), same in zip(f.pairs.tolist(), f.same.tolist(), strict=True)
     ]
     # Two words for one class are one name.
-    stands = name_groups([label for a, b, _ in said for label in (a, b)], synonyms)
-    apart = [not same and stands[a] == stands[b] for a, b, same in said]
-    first, second = ([row[k] if own else stands[row[k]] for row, own in zip(said, apart, strict=True)] for k in (0, 1))
+    stands = name_groups([label for a, b, _ in named for label in (a, b)], synonyms)
+    apart = [not same and stands[a] == stands[b] for a, b, same in named]
+    first, second = ([row[k] if own else stands[row[k]] for row, own in zip(named, apart, strict=True)] for k in (0, 1))
     if not first:
         return None
     kappa = cohen_kappa(first, second).kappa
@@ -369,36 +369,28 @@ def _classes(frames: list[FrameAgreement], synonyms: Synonyms | None) -> tuple[C
     names_a = list(dict.fromkeys(label for f in frames for label in f.labels_a))
     names_b = dict.fromkeys(label for f in frames for label in f.labels_b)
     row_of = {label: next((n for n in names_a if same_name(n, label, synonyms)), label) for label in names_b}
-    counts: dict[str, Counter[str]] = {}
+    counts: Counter[tuple[str, str]] = Counter()
     overlap: dict[str, list[float]] = {}
-
-    def add(name: str, what: str) -> None:
-        counts.setdefault(name, Counter())[what] += 1
-
     for f in frames:
         for (i, j), iou, same in zip(f.pairs.tolist(), f.iou.tolist(), f.same.tolist(), strict=True):
             name = f.labels_a[i]
             if same:
-                add(name, "both")
+                counts[name, "both"] += 1
                 overlap.setdefault(name, []).append(iou)
             else:
-                add(name, "otherwise_a")
-                add(row_of[f.labels_b[j]], "otherwise_b")
-        for i in f.only_a.tolist():
-            add(f.labels_a[i], "only_a")
-        for j in f.only_b.tolist():
-            add(row_of[f.labels_b[j]], "only_b")
-    rows = [_class_row(name, count, overlap.get(name, [])) for name, count in counts.items()]
+                counts.update([(name, "otherwise_a"), (row_of[f.labels_b[j]], "otherwise_b")])
+        counts.update((f.labels_a[i], "only_a") for i in f.only_a.tolist())
+        counts.update((row_of[f.labels_b[j]], "only_b") for j in f.only_b.tolist())
+    rows = [_class_row(name, counts, overlap.get(name, [])) for name in dict.fromkeys(name for name, _ in counts)]
     return tuple(sorted(rows, key=lambda r: (-(r.a + r.b), r.name)))
 
 
-def _class_row(name: str, count: Counter[str], iou: list[float]) -> ClassAgreement:
-    both, other_a, other_b = count["both"], count["otherwise_a"], count["otherwise_b"]
-    a, b = both + other_a + count["only_a"], both + other_b + count["only_b"]
+def _class_row(name: str, counts: Counter[tuple[str, str]], iou: list[float]) -> ClassAgreement:
+    kinds = ("both", "otherwise_a", "otherwise_b", "only_a", "only_b")
+    both, other_a, other_b, only_a, only_b = (counts[name, kind] for kind in kinds)
+    a, b = both + other_a + only_a, both + other_b + only_b
     mean = sum(iou) / len(iou) if iou else None
-    return ClassAgreement(
-        name, a, b, both, other_a + other_b, count["only_a"], count["only_b"], _share(both, a, b), mean
-    )
+    return ClassAgreement(name, a, b, both, other_a + other_b, only_a, only_b, _share(both, a, b), mean)
 
 
 def _rounded(value: Any) -> Any:

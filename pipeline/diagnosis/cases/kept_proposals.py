@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, Field, ValidationError
 
 from pipeline.answering.recording import detection_record, finding_of
 from pipeline.datasets.saved_case import damaged
@@ -27,27 +27,24 @@ from pipeline.proposals.recorded import RecordedDetection
 from pipeline.system.errors import InputError, UnknownClass
 
 
-class KeptDetection(RecordedDetection):
+class KeptDetection(RecordedDetection, extra="forbid"):
     """One detection; `id` is left out where the detector gives none, `mask` where it gives a box only."""
 
-    model_config = ConfigDict(extra="forbid")
     mask: RunLength | None = None  # pyright: ignore[reportIncompatibleVariableOverride]
     segmented: bool = False
 
 
-class KeptAnswer(BaseModel):
+class KeptAnswer(BaseModel, extra="forbid"):
     """Places of the detections of one name, in the detector's order, or why it refused the name."""
 
-    model_config = ConfigDict(extra="forbid")
     given: tuple[int, ...] = ()
     unfiltered: tuple[int, ...] = ()
     refused: str | None = None
 
 
-class KeptProposals(BaseModel):
+class KeptProposals(BaseModel, extra="forbid"):
     """The file."""
 
-    model_config = ConfigDict(extra="forbid")
     frames: dict[str, list[KeptDetection]] = Field(min_length=1, max_length=1)
     asked: dict[str, KeptAnswer]
 

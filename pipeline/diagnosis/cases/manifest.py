@@ -73,7 +73,6 @@ Config = Annotated[AskConfig, BeforeValidator(_of_any_detector)]
 class ExpectedObject(BaseModel):
     """An object of the kept answer; what else is kept of it is not compared."""
 
-    model_config = ConfigDict(extra="ignore")
     id: int
     label: str
     score: FiniteFloat
@@ -83,7 +82,6 @@ class ExpectedObject(BaseModel):
 class ExpectedAnswer(BaseModel):
     """The kept answer."""
 
-    model_config = ConfigDict(extra="ignore")
     target: ExpectedObject
     reference: ExpectedObject | None
     second_reference: ExpectedObject | None = None
@@ -97,7 +95,6 @@ class ExpectedAnswer(BaseModel):
 class ExpectedDiagnosis(BaseModel):
     """The kept verdict."""
 
-    model_config = ConfigDict(extra="ignore")
     verdict: str
     detail: str | None
     lucky: bool
@@ -107,7 +104,6 @@ class ExpectedDiagnosis(BaseModel):
 class Expected(BaseModel):
     """The kept record of `answer_record`, as far as it is compared."""
 
-    model_config = ConfigDict(extra="ignore")
     answer: ExpectedAnswer | None
     judgement: ExpectedDiagnosis | None
     reason: str | None = None

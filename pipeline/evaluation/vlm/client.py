@@ -16,7 +16,6 @@ import numpy as np
 
 from pipeline.evaluation.vlm.protocol import (
     PICTURE_TOKENS,
-    Alternatives,
     AnswerCache,
     Completion,
     Parameters,
@@ -74,34 +73,23 @@ class Question:
 
 
 @dataclass(frozen=True)
-class Answer:
-    """What a model said.
+class Answer(Completion):
+    """What a model said, and what it cost.
 
     Attributes
     ----------
-    text : str
-    prompt_tokens, completion_tokens : int
     estimated : bool
-        The server does not count tokens, and these are guesses from the length.
+        The server does not count tokens, and those of this answer are guesses from the length.
     seconds : float
         From the request to its whole reply, when it was asked.
     cached : bool
-    finish : str or None
-        Why the answer ends: "stop", or "length" where it was cut off.
-    logprobs : tuple of Alternatives
-        For each token what could stand there, with log-probabilities; empty where not asked for or not given.
     failure : str or None
         Why there is no answer: only where a run was told to go on without it.
     """
 
-    text: str
-    prompt_tokens: int
-    completion_tokens: int
-    estimated: bool
-    seconds: float
-    cached: bool
-    finish: str | None = None
-    logprobs: tuple[Alternatives, ...] = ()
+    estimated: bool = False
+    seconds: float = 0.0
+    cached: bool = False
     failure: str | None = None
 
 
@@ -238,7 +226,7 @@ class ChatClient:
             except ServerError as error:
                 if not keep_going or error.everywhere:
                     raise
-                return Answer("", 0, 0, False, 0.0, False, failure=str(error))
+                return Answer("", None, 0, 0, failure=str(error))
 
         return map_ordered(answer, questions, workers, progress)
 
@@ -333,7 +321,7 @@ class ChatClient:
             )
         else:
             self._count(answers=1, prompt_tokens=tokens_in, completion_tokens=tokens_out, estimated=estimated)
-        return Answer(found.text, tokens_in, tokens_out, estimated, seconds, cached, found.finish, found.logprobs)
+        return Answer(found.text, found.finish, tokens_in, tokens_out, found.logprobs, estimated, seconds, cached)
 
     def _count(self, **more: int) -> None:
         with self._lock:
